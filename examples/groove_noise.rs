@@ -6,7 +6,11 @@
 //! A trajectory counts once: its readings share one error. Error and bound are RMS over trajectories; "held" are the 95 % regions, with the
 //! Clopper-Pearson interval of their share. "doubted" are trajectories on which moments and motion disagree (`motion-disagrees`).
 //! `--each` prints every trajectory.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "an example talks to its user"
+)]
 
 use anyhow::{Context, Result, bail};
 use wcal_calibration::WhiskerCalibration;
@@ -29,11 +33,20 @@ struct Options {
 }
 
 fn options() -> Result<Options> {
-    let mut o =
-        Options { draws: 4, seed: 1, noise: None, designs: vec![Design::Paper, Design::Rich], each: false };
+    let mut o = Options {
+        draws: 4,
+        seed: 1,
+        noise: None,
+        designs: vec![Design::Paper, Design::Rich],
+        each: false,
+    };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
-        let mut value = || words.next().with_context(|| format!("{word}: expected a value, found the end"));
+        let mut value = || {
+            words
+                .next()
+                .with_context(|| format!("{word}: expected a value, found the end"))
+        };
         match word.as_str() {
             "--draws" => o.draws = value()?.parse().context("--draws: expected a number")?,
             "--seed" => o.seed = value()?.parse().context("--seed: expected a number")?,
@@ -47,8 +60,16 @@ fn options() -> Result<Options> {
 }
 
 fn design(name: &str) -> Result<Design> {
-    let all = [Design::Paper, Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase];
-    let found = all.into_iter().find(|d| format!("{d:?}").to_lowercase() == name);
+    let all = [
+        Design::Paper,
+        Design::Rich,
+        Design::Repeats,
+        Design::Shuffled,
+        Design::Staircase,
+    ];
+    let found = all
+        .into_iter()
+        .find(|d| format!("{d:?}").to_lowercase() == name);
     found.with_context(|| {
         format!("--design: expected paper, rich, repeats, shuffled or staircase, found {name}")
     })
@@ -84,7 +105,9 @@ fn main() -> Result<()> {
         "doubted"
     );
     for design in &o.designs {
-        for noise in Noise::ALL.into_iter().filter(|n| o.noise.as_deref().is_none_or(|name| name == n.name()))
+        for noise in Noise::ALL
+            .into_iter()
+            .filter(|n| o.noise.as_deref().is_none_or(|name| name == n.name()))
         {
             let mut row = Row::default();
             for draw in 0..o.draws {
@@ -99,11 +122,19 @@ fn main() -> Result<()> {
 
 /// A session without an effect through `verify`'s loop; none where the session is refused.
 fn verified(seed: u64, design: Design, noise: Noise) -> Result<Option<WhiskerVerification>> {
-    let request = Request { seed, design, want: CaseKind::Null, target_sigma: 20.0, rivals: false };
+    let request = Request {
+        seed,
+        design,
+        want: CaseKind::Null,
+        target_sigma: 20.0,
+        rivals: false,
+    };
     let folder = tempfile::tempdir()?;
     draw_under(&request, noise, Make::Usual)?.write(folder.path())?;
     let session = wcal_session::load(folder.path())?;
-    let SessionData::Whisker(data) = &session.data else { bail!("the plant drew another kind of session") };
+    let SessionData::Whisker(data) = &session.data else {
+        bail!("the plant drew another kind of session")
+    };
     let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
     let done = verify_whisker(&session.id, data, sealed, &session.inputs, &[], &request)?;
     Ok(match done {
@@ -115,13 +146,17 @@ fn verified(seed: u64, design: Design, noise: Noise) -> Result<Option<WhiskerVer
 impl Row {
     fn add(&mut self, seed: u64, design: Design, noise: Noise, each: bool) -> Result<()> {
         self.sessions += 1;
-        let Some(done) = verified(seed, design, noise)? else { return Ok(()) };
+        let Some(done) = verified(seed, design, noise)? else {
+            return Ok(());
+        };
         // As `wcal verify` has it: other verdicts give no calibration.
         if !matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect) {
             return Ok(());
         }
         let whole = &done.assessment.whole;
-        let Some(motion) = done.decision.calibration().groove_motion(whole) else { return Ok(()) };
+        let Some(motion) = done.decision.calibration().groove_motion(whole) else {
+            return Ok(());
+        };
         self.calibrated += 1;
         let [sealed, _] = whole.held_out();
         let mut found = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm)?;
@@ -131,7 +166,12 @@ impl Row {
             let part = done.decision.calibration().correlated_noise;
             let part = part.map_or_else(
                 || "no correlated part".to_owned(),
-                |c| format!("{:.2} pm correlated over {:.0} s", c.sd_pm, c.time_constant_s),
+                |c| {
+                    format!(
+                        "{:.2} pm correlated over {:.0} s",
+                        c.sd_pm, c.time_constant_s
+                    )
+                },
             );
             println!(
                 "  {} {seed} {design:?}: noise {:.2} pm, {part}",
@@ -161,10 +201,20 @@ impl Row {
             (self.compared.iter().map(|c| of(c).powi(2)).sum::<f64>() / n as f64).sqrt()
         };
         let [error, bound] = [rms(|c| c.error_mm), rms(|c| c.bound_mm)];
-        let mut ratios: Vec<f64> = self.compared.iter().map(|c| c.error_mm / c.bound_mm).collect();
+        let mut ratios: Vec<f64> = self
+            .compared
+            .iter()
+            .map(|c| c.error_mm / c.bound_mm)
+            .collect();
         ratios.sort_by(f64::total_cmp);
         let median = ratios.get(n / 2).copied().unwrap_or(f64::NAN);
-        let number = |v: f64| if v.is_finite() { format!("{v:.2}") } else { "-".to_owned() };
+        let number = |v: f64| {
+            if v.is_finite() {
+                format!("{v:.2}")
+            } else {
+                "-".to_owned()
+            }
+        };
         let held = self.compared.iter().filter(|c| c.held).count();
         let (low, high) = clopper_pearson(held, n);
         println!(

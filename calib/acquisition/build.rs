@@ -8,8 +8,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let file = format!("proto/{package}.proto");
         println!("cargo::rerun-if-changed={file}");
         let all = protox::compile([&file], ["proto"])?;
-        std::fs::write(out.join(format!("{package}.bin")), prost::Message::encode_to_vec(&all))?;
-        prost_build::Config::new().enable_type_names().compile_fds(all)?;
+        std::fs::write(
+            out.join(format!("{package}.bin")),
+            prost::Message::encode_to_vec(&all),
+        )?;
+        prost_build::Config::new()
+            .enable_type_names()
+            .compile_fds(all)?;
     }
     Ok(())
 }

@@ -49,22 +49,42 @@ macro_rules! recording {
 /// First what it is all for: an effect that nobody declared, found, added, and the contacts before and after. Then what was measured: explanations
 /// that another measurement refutes, and an effect that halves the held-out error and more. Last a bench with nothing to find.
 const RECORDINGS: &[Recording] = &[
-    recording!("bench-clamp", "recorded/clamp", ["session.toml", "points.csv", "holdout.csv"], None),
+    recording!(
+        "bench-clamp",
+        "recorded/clamp",
+        ["session.toml", "points.csv", "holdout.csv"],
+        None
+    ),
     recording!(
         "whiskerfbg",
         "whiskerfbg",
         ["session.toml", "points.csv", "twin.csv", "rest_shape.csv"],
         Some(SWEEP.name)
     ),
-    recording!("pontius", "nist/pontius", ["session.toml", "points.csv"], None),
-    recording!("practice-004", "practice/case-004", ["session.toml", "points.csv", "holdout.csv"], None),
+    recording!(
+        "pontius",
+        "nist/pontius",
+        ["session.toml", "points.csv"],
+        None
+    ),
+    recording!(
+        "practice-004",
+        "practice/case-004",
+        ["session.toml", "points.csv", "holdout.csv"],
+        None
+    ),
 ];
 
 /// The measured sweep of the paper's whisker over a bottle.
 const SWEEP: Recording = recording!(
     "bottle",
     "whiskerfbg_bottle",
-    ["session.toml", "points.csv", "object.stl", "released_contacts.csv"],
+    [
+        "session.toml",
+        "points.csv",
+        "object.stl",
+        "released_contacts.csv"
+    ],
     None
 );
 
@@ -90,7 +110,11 @@ pub fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCode> {
         made_of: unsaid,
     };
     own.check(&args.out, args.overwrite.force)?;
-    let kind = ResultKind { command: "demo", kept: &["session", "unsealed.json"], ..verify::RESULT };
+    let kind = ResultKind {
+        command: "demo",
+        kept: &["session", "unsealed.json"],
+        ..verify::RESULT
+    };
     // Before the first recording, not between two.
     for name in &names {
         kind.check(&args.out.join(name), args.overwrite.force)?;
@@ -132,11 +156,24 @@ fn write_session(place: &Path, r: &Recording) -> anyhow::Result<PathBuf> {
 /// The contacts of the measured sweep, through the map of the 27 measured poses: as anybody would make them, by the program's own commands.
 fn track_bottle(place: &Path, run_words: RunWords) -> anyhow::Result<()> {
     let at = |name: &str| place.join(name).display().to_string();
-    let (session, map, sweep) = (at("whiskerfbg/session"), at("bottle/map"), at("bottle/session"));
+    let (session, map, sweep) = (
+        at("whiskerfbg/session"),
+        at("bottle/map"),
+        at("bottle/session"),
+    );
     let (calibration, track) = (at("bottle/map/calibration.json"), at("bottle/track.csv"));
     let fit = ["wcal", "fit-gpr", &session, "--out", &map, "--force"];
     // Forced: no verdict vouches for the map, and every row says so.
-    let locate = ["wcal", "track", &sweep, "--calibration", &calibration, "--out", &track, "--force"];
+    let locate = [
+        "wcal",
+        "track",
+        &sweep,
+        "--calibration",
+        &calibration,
+        "--out",
+        &track,
+        "--force",
+    ];
     for command in [&fit[..], &locate] {
         eprintln!("{} ...", command.join(" "));
         run_words(command)?;
@@ -155,6 +192,9 @@ fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> 
          straight line. case-004: a whisker bench without any effect.",
     ];
     let page = place.join("report.html");
-    write_atomic(&page, render_index(TITLE, &introduction, entries).as_bytes())?;
+    write_atomic(
+        &page,
+        render_index(TITLE, &introduction, entries).as_bytes(),
+    )?;
     Ok(page)
 }

@@ -76,24 +76,43 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let SessionData::Whisker(data) = &session.data else {
-        bail!("fit-gpr: expected a session of kind \"whisker\", found {:?}", session.kind);
+        bail!(
+            "fit-gpr: expected a session of kind \"whisker\", found {:?}",
+            session.kind
+        );
     };
     if let Some(why) = lost_sensitivity(data)? {
         bail!("fit-gpr: session {:?}: {why}", session.id);
     }
-    let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
+    let default = if data.twin.is_empty() {
+        LabelSource::Rod
+    } else {
+        LabelSource::Twin
+    };
     let progress = Progress::new("fit-gpr");
     progress.stage("moments of the poses");
     let source = args.labels.unwrap_or(default);
     let labels = moment_labels(data, source)?;
     // The rod at the same poses is a second measurement of the moments.
-    let faults = if source == LabelSource::Twin { label_faults(data)? } else { Vec::new() };
+    let faults = if source == LabelSource::Twin {
+        label_faults(data)?
+    } else {
+        Vec::new()
+    };
     for fault in &faults {
-        eprintln!("warning: {} labels of {}: {}", fault.points.len(), labels.source, fault.detail);
+        eprintln!(
+            "warning: {} labels of {}: {}",
+            fault.points.len(),
+            labels.source,
+            fault.detail
+        );
     }
     let (mut training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
-        eprintln!("warning: point {point} has no label in {}; not fitted", labels.source);
+        eprintln!(
+            "warning: point {point} has no label in {}; not fitted",
+            labels.source
+        );
     }
     let mut options = FitOptions {
         released: args.preset.is_some(),
@@ -104,10 +123,18 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     progress.stage("fitting and cross-validating the maps");
     let whose = || format!("session {:?}", session.id);
     // The released map is reproduced as it is.
-    let rest = if options.released { None } else { test_rest(&training, &options).with_context(whose)? };
+    let rest = if options.released {
+        None
+    } else {
+        test_rest(&training, &options).with_context(whose)?
+    };
     if rest.as_ref().is_some_and(|r| r.left_out) {
         // The free wire stays inside the valid region.
-        let at_rest = training.shifts_pm.iter().zip(&training.trajectory).filter(|(_, t)| t.is_none());
+        let at_rest = training
+            .shifts_pm
+            .iter()
+            .zip(&training.trajectory)
+            .filter(|(_, t)| t.is_none());
         options.domain_pm = at_rest.map(|(shift, _)| *shift).collect();
         training = training.loaded();
     }
@@ -123,7 +150,11 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         None,
         CalibrationModel::Map(fit.artefact),
         provenance(&session, 1),
-        Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact: None }),
+        Some(WireParts {
+            whisker: &data.whisker,
+            moments: &data.moments,
+            contact: None,
+        }),
     )?;
 
     out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);
@@ -166,7 +197,11 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
         });
         out.shifts_pm.push(row.compensated_pm(&data.fbg));
         out.moments_nmm.push(moment_nmm);
-        out.trajectory.push(if row.role == Role::Rest { None } else { row.trajectory });
+        out.trajectory.push(if row.role == Role::Rest {
+            None
+        } else {
+            row.trajectory
+        });
         out.pose.push(u32::try_from(group).unwrap_or(u32::MAX));
         out.point.push(row.point);
         if let (Some(sd), Some(samples)) = (row.shift_sd_pm, row.samples) {
@@ -176,7 +211,8 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
     // Samples of one window are averaged, so the reading's own noise is sd / sqrt(samples).
     if !noise.is_empty() && noise.len() == out.len() {
         let n = noise.len() as f64;
-        out.noise_sd_pm = Some([0, 1].map(|g| (noise.iter().map(|v| v[g]).sum::<f64>() / n).sqrt()));
+        out.noise_sd_pm =
+            Some([0, 1].map(|g| (noise.iter().map(|v| v[g]).sum::<f64>() / n).sqrt()));
     }
     (out, unlabelled)
 }
@@ -184,7 +220,11 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
 /// Trajectory and place on it to 1 um; none at rest. A row without stage position is a pose of its own (by point).
 fn pose_of(row: &WhiskerRow) -> Option<(u32, i64)> {
     let trajectory = row.trajectory.filter(|_| row.role != Role::Rest)?;
-    Some((trajectory, row.stage_mm.map_or(i64::MIN + row.point, |s| (s * 1e3).round() as i64)))
+    Some((
+        trajectory,
+        row.stage_mm
+            .map_or(i64::MIN + row.point, |s| (s * 1e3).round() as i64),
+    ))
 }
 
 fn print_text(result: &MapDocument) {
@@ -194,19 +234,31 @@ fn print_text(result: &MapDocument) {
         result.points,
         result.labels
     );
-    println!("{:<22}{:>20}{:>20}{:>18}", "map", "leave-one-out", "leave-traj.-out", "coverage of 95 %");
+    println!(
+        "{:<22}{:>20}{:>20}{:>18}",
+        "map", "leave-one-out", "leave-traj.-out", "coverage of 95 %"
+    );
     for c in &result.candidates {
         let pair = |v: [f64; 2]| format!("{:.4} / {:.4}", v[0], v[1]);
         println!(
             "{:<22}{:>20}{:>20}{:>18}",
-            if c.name == result.chosen { format!("{} (chosen)", c.name) } else { c.name.clone() },
+            if c.name == result.chosen {
+                format!("{} (chosen)", c.name)
+            } else {
+                c.name.clone()
+            },
             pair(c.loo_rmse_nmm),
             c.loto_rmse_nmm.map_or_else(|| "-".to_owned(), pair),
             format!("{:.2} / {:.2}", c.coverage95[0], c.coverage95[1]),
         );
     }
     if let Some(rest) = &result.rest {
-        let RestZero { readings, offset_nmm: [a, b], p_value, .. } = rest;
+        let RestZero {
+            readings,
+            offset_nmm: [a, b],
+            p_value,
+            ..
+        } = rest;
         let verdict = if rest.left_out {
             "another zero than the loaded poses: left out, the zero of a track is its own"
         } else {
@@ -217,5 +269,8 @@ fn print_text(result: &MapDocument) {
             chance(*p_value)
         );
     }
-    println!("condition number of wavelength from moment: {:.2}", result.identifiability.condition);
+    println!(
+        "condition number of wavelength from moment: {:.2}",
+        result.identifiability.condition
+    );
 }

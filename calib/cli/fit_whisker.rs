@@ -24,7 +24,9 @@ use crate::progress::Progress;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use common_errors::moved_by_shared;
-use document::{Geometry, Root, SHEAR_GPA, WhiskerDocument, YOUNGS_GPA, curvature, described, rest_models};
+use document::{
+    Geometry, Root, SHEAR_GPA, WhiskerDocument, YOUNGS_GPA, curvature, described, rest_models,
+};
 use dynamics::{DynamicsArgs, dynamics};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -132,8 +134,13 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let text = wcal_core::files::read_text(&args.shapes)
         .with_context(|| format!("reading {}", args.shapes.display()))?;
-    let document: ShapesDocument = from_json(&text, SHAPES_FORMAT, &[RANGES])
-        .with_context(|| format!("{}: expected shapes.json of `wcal stereo-shape`", args.shapes.display()))?;
+    let document: ShapesDocument =
+        from_json(&text, SHAPES_FORMAT, &[RANGES]).with_context(|| {
+            format!(
+                "{}: expected shapes.json of `wcal stereo-shape`",
+                args.shapes.display()
+            )
+        })?;
     let rig = Rig::read(&args.rig)?.whisker;
     let nominal = nominal(&rig, &args.rig)?;
     let (mut usable, mut warnings) = (Vec::new(), Vec::new());
@@ -157,9 +164,17 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     }
     warnings.extend(doubts(&fit, moved.is_empty()));
     progress.stage("stiffness");
-    let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
+    let stiffness = args
+        .moments
+        .as_ref()
+        .map(|session| stiffness(session, &nominal, &fit))
+        .transpose()?;
     if let Some(s) = &stiffness {
-        warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));
+        warnings.extend(
+            s.left_out
+                .iter()
+                .map(|why| format!("moments: {why}: left out")),
+        );
     }
     drop(progress);
     for warning in &warnings {
@@ -170,14 +185,19 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let mut result = WhiskerDocument {
         format: FORMAT,
         whisker: Geometry::new(rig.diameter_mm, &rest_shape, stiffness.as_ref()),
-        root: Root { turn_rad: turn.scaled_axis().into(), offset_mm: offset.into() },
+        root: Root {
+            turn_rad: turn.scaled_axis().into(),
+            offset_mm: offset.into(),
+        },
         curvature: curvature(&fit),
         stiffness,
         dynamics: None,
         fit: described(&fit, &warnings),
         rest_models: rest_models(&fit),
         provenance: provenance(
-            [args.shapes.as_path(), args.rig.as_path()].into_iter().chain(args.moments.as_deref()),
+            [args.shapes.as_path(), args.rig.as_path()]
+                .into_iter()
+                .chain(args.moments.as_deref()),
         ),
     };
     let fitted = WhiskerSpec {
@@ -209,7 +229,11 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         eprintln!("fit-whisker: SIMULATED: the shapes or moments are not measured");
     }
     eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
-    Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    Ok(if warnings.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(3)
+    })
 }
 
 /// The wire as the rig has it.
@@ -242,10 +266,16 @@ fn doubts(fit: &RestFit, no_common_errors: bool) -> Vec<String> {
                 .to_owned(),
         );
     }
-    all.extend(fit.excluded.iter().map(|(name, why)| format!("{name} is left out: {why}")));
+    all.extend(
+        fit.excluded
+            .iter()
+            .map(|(name, why)| format!("{name} is left out: {why}")),
+    );
     if fit.covariance.is_none() {
         let found = fit.shapes.len();
-        all.push(format!("expected three shapes or more for standard deviations, found {found}"));
+        all.push(format!(
+            "expected three shapes or more for standard deviations, found {found}"
+        ));
     }
     if fit.rms_over_sd > DOUBTFUL {
         all.push(format!(
@@ -259,10 +289,17 @@ fn doubts(fit: &RestFit, no_common_errors: bool) -> Vec<String> {
 
 fn print_result(result: &WhiskerDocument, fit: &RestFit) {
     for model in &result.rest_models {
-        println!("{:<18} {:>10.1}  ({} unknowns)", format!("bic {}", model.model), model.bic, model.unknowns);
+        println!(
+            "{:<18} {:>10.1}  ({} unknowns)",
+            format!("bic {}", model.model),
+            model.bic,
+            model.unknowns
+        );
     }
     for (k, name) in fit.model.names().iter().enumerate() {
-        let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
+        let sd = fit
+            .sd(k)
+            .map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
         println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
     }
     if let Some(s) = &result.stiffness {
@@ -284,7 +321,12 @@ fn stated(p: &Provenance) -> String {
     let input = |i: &InputFile| format!("{} sha256 {}", i.path, i.sha256);
     let inputs = p.inputs.iter().map(input).collect::<Vec<_>>().join(", ");
     let mark = if p.simulated { "SIMULATED; " } else { "" };
-    format!("{mark}{}: {}; {}; {inputs}", p.program, p.command.join(" "), p.created)
+    format!(
+        "{mark}{}: {}; {}; {inputs}",
+        p.program,
+        p.command.join(" "),
+        p.created
+    )
 }
 
 /// A usable pair as a shape: free, or held at one place.
@@ -297,18 +339,27 @@ fn measured(pair: &PairDocument) -> Result<MeasuredShape, String> {
         return Err("expected one contact, found the groove's two rims".to_owned());
     }
     if !(pair.length_mm >= MIN_LENGTH_MM) {
-        return Err(format!("expected a length_mm of {MIN_LENGTH_MM} or more, found {}", pair.length_mm));
+        return Err(format!(
+            "expected a length_mm of {MIN_LENGTH_MM} or more, found {}",
+            pair.length_mm
+        ));
     }
     if pair.centreline_mm.len() < 2 {
         return Err("expected a centre line, found none".to_owned());
     }
     if pair.centreline_sd_mm.len() != pair.centreline_mm.len() {
         let (points, sds) = (pair.centreline_mm.len(), pair.centreline_sd_mm.len());
-        return Err(format!("expected a standard deviation for each of {points} points, found {sds}"));
+        return Err(format!(
+            "expected a standard deviation for each of {points} points, found {sds}"
+        ));
     }
     Ok(MeasuredShape {
         name: pair.name.clone(),
-        centreline_mm: pair.centreline_mm.iter().map(|p| Vector3::from(*p)).collect(),
+        centreline_mm: pair
+            .centreline_mm
+            .iter()
+            .map(|p| Vector3::from(*p))
+            .collect(),
         sd_mm: pair.centreline_sd_mm.clone(),
         length_mm: [pair.length_mm, pair.length_sd_mm],
         groove: held.map(|g| (Vector3::from(g.position_mm), g.contact_arclength_mm)),

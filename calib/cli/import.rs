@@ -31,7 +31,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let layout = layout(args);
     let mut files = SessionFiles::default();
     let (mut sources, mut plans) = (Vec::new(), Vec::new());
-    for (name, path) in [("points.csv", Some(&args.file)), ("holdout.csv", args.holdout.as_ref())] {
+    for (name, path) in [
+        ("points.csv", Some(&args.file)),
+        ("holdout.csv", args.holdout.as_ref()),
+    ] {
         let Some(path) = path else { continue };
         let table = read_text_table(path, &layout)?;
         let since = plans.first().and_then(|(plan, _): &(Plan, _)| plan.since());
@@ -44,7 +47,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let mut columns_left_out = plans[0].0.left_out(&sources[0]);
     if let (Some(holdout), Some((plan, _))) = (sources.get(1), plans.get(1)) {
         let more = plan.left_out(holdout);
-        columns_left_out.extend(more.into_iter().filter(|name| !sources[0].columns.contains(name)));
+        columns_left_out.extend(
+            more.into_iter()
+                .filter(|name| !sources[0].columns.contains(name)),
+        );
     }
     let tables: Vec<&TextTable> = sources.iter().collect();
     refuse_other_tables(&out, &tables, &files.tables[0].1)?;
@@ -55,24 +61,40 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     files.tables.extend(more);
     // Every check on a copy first; what it says of a table of the session is said of the one that this was made of.
     let trial = tempfile::tempdir().context("making a folder to check the session in")?;
-    let source = |file: &str| (0..own).find(|&k| files.tables[k].0 == file).map(|k| (&sources[k], &plans[k]));
-    let session = write_session(&trial.path().join("session"), &files).map_err(|error| match error {
-        SessionError::Content(error) => match source(&error.file) {
-            Some((table, (plan, points))) => SessionError::Content(error.of_source(
-                &table.file,
-                |line| points.line(table, line),
-                |name| plan.source_of(table, name),
-            )),
-            None => SessionError::Content(error),
-        },
-        other => other,
-    });
-    let session = session.with_context(|| format!("importing {} as a session", args.file.display()))?;
-    let warnings = session.warnings.into_iter().map(|warning| match source(&warning.file) {
-        Some((table, (_, points))) => warning.of_source(&table.file, |line| points.line(table, line)),
-        None => warning,
-    });
-    let warnings = noticed.warnings.iter().cloned().chain(warnings.map(|w| w.to_string())).collect();
+    let source = |file: &str| {
+        (0..own)
+            .find(|&k| files.tables[k].0 == file)
+            .map(|k| (&sources[k], &plans[k]))
+    };
+    let session =
+        write_session(&trial.path().join("session"), &files).map_err(|error| match error {
+            SessionError::Content(error) => match source(&error.file) {
+                Some((table, (plan, points))) => SessionError::Content(error.of_source(
+                    &table.file,
+                    |line| points.line(table, line),
+                    |name| plan.source_of(table, name),
+                )),
+                None => SessionError::Content(error),
+            },
+            other => other,
+        });
+    let session =
+        session.with_context(|| format!("importing {} as a session", args.file.display()))?;
+    let warnings = session
+        .warnings
+        .into_iter()
+        .map(|warning| match source(&warning.file) {
+            Some((table, (_, points))) => {
+                warning.of_source(&table.file, |line| points.line(table, line))
+            }
+            None => warning,
+        });
+    let warnings = noticed
+        .warnings
+        .iter()
+        .cloned()
+        .chain(warnings.map(|w| w.to_string()))
+        .collect();
     for (name, bytes) in files.tables {
         out.put(&name, bytes);
     }

@@ -44,7 +44,8 @@ pub fn signal() -> Option<Signal> {
 /// Whether the process was started with this signal ignored (Linux: the mask in `/proc/self/status`, proc(5)).
 fn is_ignored(signal: i32) -> bool {
     let status = wcal_core::files::read_text("/proc/self/status").unwrap_or_default();
-    let mask =
-        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    let mask = status
+        .lines()
+        .find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }

@@ -37,7 +37,10 @@ pub fn moment_labels(data: &WhiskerData, source: LabelSource) -> anyhow::Result<
                 );
             }
             let moments_nmm = data.rows.iter().map(|row| label_nmm(data, row)).collect();
-            Ok(MomentLabels { source: "twin.csv".into(), moments_nmm })
+            Ok(MomentLabels {
+                source: "twin.csv".into(),
+                moments_nmm,
+            })
         }
         LabelSource::Rod => {
             let rows: Vec<_> = data.rows.iter().collect();
@@ -51,7 +54,10 @@ pub fn moment_labels(data: &WhiskerData, source: LabelSource) -> anyhow::Result<
             for (m, &row) in base.iter().zip(&system.path.rows) {
                 moments_nmm[row] = Some(*m);
             }
-            Ok(MomentLabels { source: "rod".into(), moments_nmm })
+            Ok(MomentLabels {
+                source: "rod".into(),
+                moments_nmm,
+            })
         }
     }
 }

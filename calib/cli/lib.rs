@@ -1,6 +1,10 @@
 //! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr. What is public beside [`main`] is what
 //! `wcal-lab` shares with it.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program talks to its user"
+)]
 
 // First: what follows prints by its macros.
 #[macro_use]
@@ -138,12 +142,19 @@ fn with_causes(error: &anyhow::Error) -> String {
     /// Longest message, characters.
     const LONGEST: usize = 1500;
     let whole =
-        error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
-            "" => cause,
-            said if said.ends_with(&cause) => text,
-            said => format!("{said}: {cause}"),
-        });
-    if whole.chars().count() > LONGEST { brief(&whole) } else { printable(&whole) }
+        error
+            .chain()
+            .map(ToString::to_string)
+            .fold(String::new(), |text, cause| match text.as_str() {
+                "" => cause,
+                said if said.ends_with(&cause) => text,
+                said => format!("{said}: {cause}"),
+            });
+    if whole.chars().count() > LONGEST {
+        brief(&whole)
+    } else {
+        printable(&whole)
+    }
 }
 
 /// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.
@@ -153,11 +164,16 @@ fn command() -> clap::Command {
 
 /// A command line with the help of its commands in whole paragraphs.
 pub fn in_paragraphs(all: clap::Command) -> clap::Command {
-    let names: Vec<String> = all.get_subcommands().map(|c| c.get_name().to_owned()).collect();
+    let names: Vec<String> = all
+        .get_subcommands()
+        .map(|c| c.get_name().to_owned())
+        .collect();
     names.iter().fold(all, |all, name| {
-        all.mut_subcommand(name, |c| match c.get_after_help().map(|text| paragraphs(&text.to_string())) {
-            Some(text) => c.after_help(text),
-            None => c,
+        all.mut_subcommand(name, |c| {
+            match c.get_after_help().map(|text| paragraphs(&text.to_string())) {
+                Some(text) => c.after_help(text),
+                None => c,
+            }
         })
     })
 }
@@ -206,14 +222,27 @@ mod tests {
         let mut seen = 0;
         for sub in all.get_subcommands_mut().filter(|c| c.get_name() != "help") {
             let name = sub.get_name().to_owned();
-            let help = sub.clone().term_width(10_000).render_long_help().to_string();
-            assert_eq!(faults(&help), Vec::<String>::new(), "wcal {name} --help:\n{help}");
+            let help = sub
+                .clone()
+                .term_width(10_000)
+                .render_long_help()
+                .to_string();
+            assert_eq!(
+                faults(&help),
+                Vec::<String>::new(),
+                "wcal {name} --help:\n{help}"
+            );
             seen += 1;
         }
         assert!(seen >= 13, "{seen} commands");
         // The same texts as the source has them, and an escape that a raw string would show.
-        let raw = Cli::command().find_subcommand_mut("twin").map(|c| c.render_long_help().to_string());
-        assert!(!faults(&raw.unwrap_or_default()).is_empty(), "negative control");
+        let raw = Cli::command()
+            .find_subcommand_mut("twin")
+            .map(|c| c.render_long_help().to_string());
+        assert!(
+            !faults(&raw.unwrap_or_default()).is_empty(),
+            "negative control"
+        );
         assert!(!faults("kind \\\"axis\\\"").is_empty(), "negative control");
     }
 }

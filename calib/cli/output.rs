@@ -15,7 +15,9 @@ use clap::Args;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
-use wcal_core::files::{HALF_WRITTEN, folder_of, hold, remove_abandoned, sync_folder, write_atomic};
+use wcal_core::files::{
+    HALF_WRITTEN, folder_of, hold, remove_abandoned, sync_folder, write_atomic,
+};
 use wcal_core::text::brief;
 
 /// Consent to write where something else is.
@@ -55,7 +57,11 @@ pub fn unsaid(_: &Path) -> Option<String> {
 /// A text of a JSON document in a folder.
 pub fn text_of(folder: &Path, document: &str, key: &str) -> Option<String> {
     let text = wcal_core::files::read_text(folder.join(document)).ok()?;
-    Some(wcal_core::document::json(&text).ok()?[key].as_str()?.to_owned())
+    Some(
+        wcal_core::document::json(&text).ok()?[key]
+            .as_str()?
+            .to_owned(),
+    )
 }
 
 impl ResultKind<'_> {
@@ -68,7 +74,11 @@ impl ResultKind<'_> {
             Err(e) if e.kind() == ErrorKind::NotFound => {}
             Err(e) => return Err(e).with_context(|| format!("--out {}", folder.display())),
             Ok(about) => {
-                ensure!(about.is_dir(), "--out {}: expected a folder, found a file", folder.display());
+                ensure!(
+                    about.is_dir(),
+                    "--out {}: expected a folder, found a file",
+                    folder.display()
+                );
                 if let Some(name) = self.foreign(folder)?.filter(|_| !force) {
                     bail!(
                         "--out {}: expected a new folder or an earlier result of `wcal {}`, found {name}; choose another folder, or write \
@@ -116,7 +126,9 @@ fn matches(pattern: &str, name: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == name,
         Some((first, last)) => {
-            name.len() >= first.len() + last.len() && name.starts_with(first) && name.ends_with(last)
+            name.len() >= first.len() + last.len()
+                && name.starts_with(first)
+                && name.ends_with(last)
         }
     }
 }
@@ -124,7 +136,9 @@ fn matches(pattern: &str, name: &str) -> bool {
 /// Names in a folder, sorted; what a killed run left half-written is nobody's.
 fn entries(folder: &Path) -> Result<Vec<String>> {
     let read = || -> std::io::Result<Vec<String>> {
-        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+        fs::read_dir(folder)?
+            .map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()))
+            .collect()
     };
     let mut names = read().with_context(|| format!("reading {}", folder.display()))?;
     names.retain(|name| !(name.starts_with(HALF_WRITTEN[0]) && name.ends_with(HALF_WRITTEN[1])));
@@ -137,9 +151,13 @@ fn writable(path: &Path) -> Result<()> {
     let here = Path::new(".");
     let mut place = path;
     while !place.exists() && place != here {
-        place = place.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(here);
+        place = place
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(here);
     }
-    let tried = tempfile::tempfile_in(place).with_context(|| format!("writing into {}", place.display()));
+    let tried =
+        tempfile::tempfile_in(place).with_context(|| format!("writing into {}", place.display()));
     tried.map(drop)
 }
 
@@ -158,7 +176,12 @@ impl<'a> OutputFolder<'a> {
     /// See [`ResultKind::check`].
     pub fn open(kind: &'a ResultKind<'a>, folder: &Path, force: bool) -> Result<Self> {
         kind.check(folder, force)?;
-        Ok(Self { kind, folder: folder.to_owned(), force, files: Vec::new() })
+        Ok(Self {
+            kind,
+            folder: folder.to_owned(),
+            force,
+            files: Vec::new(),
+        })
     }
 
     /// Refuses to replace the result of something else than this one is made of.
@@ -166,7 +189,8 @@ impl<'a> OutputFolder<'a> {
     /// # Errors
     /// Where such a result is there without `force`.
     pub fn refuse_other(&self, own: &str) -> Result<()> {
-        let earlier = (self.kind.made_of)(&self.folder).filter(|earlier| earlier != own && !self.force);
+        let earlier =
+            (self.kind.made_of)(&self.folder).filter(|earlier| earlier != own && !self.force);
         if let Some(earlier) = earlier {
             bail!(
                 "--out {}: expected a new folder or an earlier result of {}, found that of {}; choose another folder, or replace it with --force",
@@ -185,7 +209,11 @@ impl<'a> OutputFolder<'a> {
 
     /// Adds a file, in place of one of the same name.
     pub fn put(&mut self, name: &str, bytes: impl Into<Vec<u8>>) {
-        debug_assert!(self.kind.owns(name), "{name} is not declared as a file of {}", self.kind.command);
+        debug_assert!(
+            self.kind.owns(name),
+            "{name} is not declared as a file of {}",
+            self.kind.command
+        );
         self.files.retain(|(known, _)| known != name);
         self.files.push((name.to_owned(), bytes.into()));
     }
@@ -199,8 +227,10 @@ impl<'a> OutputFolder<'a> {
         let fail = |doing: &str| format!("{doing} {}", folder.display());
         fs::create_dir_all(folder).with_context(|| fail("creating"))?;
         remove_abandoned(folder);
-        let staging =
-            tempfile::Builder::new().prefix(HALF_WRITTEN[0]).suffix(HALF_WRITTEN[1]).tempdir_in(folder);
+        let staging = tempfile::Builder::new()
+            .prefix(HALF_WRITTEN[0])
+            .suffix(HALF_WRITTEN[1])
+            .tempdir_in(folder);
         let staging = staging.with_context(|| fail("writing into"))?;
         // Nobody else tidies it away while it is filled; without locks nobody tidies.
         let held = hold(staging.path());
@@ -208,7 +238,10 @@ impl<'a> OutputFolder<'a> {
             write_atomic(&staging.path().join(name), bytes)?;
         }
         let document = |name: &str| matches(self.kind.document, name);
-        let mut old: Vec<String> = entries(folder)?.into_iter().filter(|name| self.kind.owns(name)).collect();
+        let mut old: Vec<String> = entries(folder)?
+            .into_iter()
+            .filter(|name| self.kind.owns(name))
+            .collect();
         old.sort_by_key(|name| !document(name));
         for name in &old {
             fs::remove_file(folder.join(name))
@@ -216,7 +249,8 @@ impl<'a> OutputFolder<'a> {
         }
         self.files.sort_by_key(|(name, _)| document(name));
         for (name, _) in &self.files {
-            fs::rename(staging.path().join(name), folder.join(name)).with_context(|| fail("writing into"))?;
+            fs::rename(staging.path().join(name), folder.join(name))
+                .with_context(|| fail("writing into"))?;
         }
         drop(held);
         Ok(sync_folder(folder)?)
@@ -227,14 +261,21 @@ impl<'a> OutputFolder<'a> {
 ///
 /// # Errors
 /// Where something else is there without `force`, or nothing can be written.
-pub fn check_file(path: &Path, command: &str, own: impl Fn(&str) -> bool, force: bool) -> Result<()> {
+pub fn check_file(
+    path: &Path,
+    command: &str,
+    own: impl Fn(&str) -> bool,
+    force: bool,
+) -> Result<()> {
     let shown = path.display();
     match fs::metadata(path) {
         Err(e) if e.kind() == ErrorKind::NotFound => {}
         Err(e) => return Err(e).with_context(|| format!("--out {shown}")),
         Ok(about) if about.is_dir() => bail!("--out {shown}: expected a file, found a folder"),
         // A rename would put a file in the device's place.
-        Ok(about) if !about.is_file() => bail!("--out {shown}: expected a file, found a device or pipe"),
+        Ok(about) if !about.is_file() => {
+            bail!("--out {shown}: expected a file, found a device or pipe")
+        }
         Ok(about) => {
             ensure!(
                 force || about.len() == 0 || own(&first_line(path)?),
@@ -267,7 +308,11 @@ pub fn check_beside(files: &[PathBuf], own: impl Fn(&str) -> bool, force: bool) 
 /// # Errors
 /// Where it cannot be read.
 pub fn first_line(path: &Path) -> Result<String> {
-    Ok(start_of(path)?.lines().next().unwrap_or_default().to_owned())
+    Ok(start_of(path)?
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .to_owned())
 }
 
 /// The first 4 kB of a file.
@@ -300,7 +345,10 @@ pub fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
         Err(_) => None,
     };
     if let Some(found) = found {
-        bail!("--out {}: expected a new folder{otherwise}, found {found}", folder.display());
+        bail!(
+            "--out {}: expected a new folder{otherwise}, found {found}",
+            folder.display()
+        );
     }
     writable(folder)
 }
@@ -310,7 +358,10 @@ pub fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
 /// # Errors
 /// Names the option.
 pub fn within(option: &str, found: u64, most: u64) -> Result<()> {
-    ensure!((1..=most).contains(&found), "{option}: expected 1 or more and at most {most}, found {found}");
+    ensure!(
+        (1..=most).contains(&found),
+        "{option}: expected 1 or more and at most {most}, found {found}"
+    );
     Ok(())
 }
 
@@ -335,18 +386,34 @@ mod tests {
         let write = |session: &str, force: bool| -> Result<()> {
             let mut out = OutputFolder::open(&KIND, place.path(), force)?;
             out.refuse_other(session)?;
-            out.put("verify.json", format!(r#"{{"format":"wcal-verify/1","session":"{session}"}}"#));
+            out.put(
+                "verify.json",
+                format!(r#"{{"format":"wcal-verify/1","session":"{session}"}}"#),
+            );
             out.finish()
         };
         write("a", false).unwrap();
         write("a", false).unwrap();
         let why = write("b", false).unwrap_err().to_string();
-        assert!(why.contains("result of b, found that of a") && why.contains("--force"), "{why}");
-        assert_eq!(text_of(place.path(), "verify.json", "session").as_deref(), Some("a"));
+        assert!(
+            why.contains("result of b, found that of a") && why.contains("--force"),
+            "{why}"
+        );
+        assert_eq!(
+            text_of(place.path(), "verify.json", "session").as_deref(),
+            Some("a")
+        );
         write("b", true).unwrap();
-        assert_eq!(text_of(place.path(), "verify.json", "session").as_deref(), Some("b"));
+        assert_eq!(
+            text_of(place.path(), "verify.json", "session").as_deref(),
+            Some("b")
+        );
         // Negative control: a result from before it said so.
-        fs::write(place.path().join("verify.json"), r#"{"format":"wcal-verify/1"}"#).unwrap();
+        fs::write(
+            place.path().join("verify.json"),
+            r#"{"format":"wcal-verify/1"}"#,
+        )
+        .unwrap();
         write("c", false).unwrap();
     }
 
@@ -368,9 +435,16 @@ mod tests {
         result(&folder, &["calibration.json", "overlay-a.png"]).unwrap();
         fs::write(folder.join("unsealed.json"), "seen").unwrap();
         result(&folder, &["overlay-b.png"]).unwrap();
-        assert_eq!(names(&folder), ["overlay-b.png", "unsealed.json", "verify.json"]);
+        assert_eq!(
+            names(&folder),
+            ["overlay-b.png", "unsealed.json", "verify.json"]
+        );
         assert_eq!(fs::read(folder.join("unsealed.json")).unwrap(), b"seen");
-        assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "nothing hidden is left");
+        assert_eq!(
+            fs::read_dir(&folder).unwrap().count(),
+            3,
+            "nothing hidden is left"
+        );
     }
 
     #[test]
@@ -383,12 +457,19 @@ mod tests {
             let place = tempfile::tempdir().unwrap();
             fs::write(place.path().join(name), text).unwrap();
             let why = result(place.path(), &[]).unwrap_err().to_string();
-            assert!(why.contains(name) && why.contains("--force") && why.contains("wcal verify"), "{why}");
+            assert!(
+                why.contains(name) && why.contains("--force") && why.contains("wcal verify"),
+                "{why}"
+            );
             assert_eq!(fs::read_to_string(place.path().join(name)).unwrap(), text);
             let mut out = OutputFolder::open(&KIND, place.path(), true).unwrap();
             out.put("verify.json", "wcal-verify/1");
             out.finish().unwrap();
-            assert_eq!(place.path().join("notes.txt").exists(), name == "notes.txt", "{name}");
+            assert_eq!(
+                place.path().join("notes.txt").exists(),
+                name == "notes.txt",
+                "{name}"
+            );
         }
         // Beside a result, too.
         let place = tempfile::tempdir().unwrap();
@@ -425,7 +506,11 @@ mod tests {
         out.put("verify.json", "half");
         drop(out);
         assert_eq!(names(place.path()), ["calibration.json", "verify.json"]);
-        assert!(fs::read_to_string(place.path().join("verify.json")).unwrap().contains("wcal-verify/1"));
+        assert!(
+            fs::read_to_string(place.path().join("verify.json"))
+                .unwrap()
+                .contains("wcal-verify/1")
+        );
     }
 
     #[test]
@@ -441,8 +526,14 @@ mod tests {
         fs::write(&path, "point,moment\n1,2\n").unwrap();
         assert!(check(false).unwrap_err().to_string().contains("--force"));
         check(true).unwrap();
-        assert!(check_file(place.path(), "twin", |_| true, true).is_err(), "a folder");
+        assert!(
+            check_file(place.path(), "twin", |_| true, true).is_err(),
+            "a folder"
+        );
         #[cfg(unix)]
-        assert!(check_file(Path::new("/dev/null"), "twin", |_| true, true).is_err(), "a device");
+        assert!(
+            check_file(Path::new("/dev/null"), "twin", |_| true, true).is_err(),
+            "a device"
+        );
     }
 }

@@ -19,7 +19,10 @@ const UNKNOWNS: usize = 3;
 /// # Errors
 /// Where the wire cannot be modelled, or has no equilibrium at the planned poses.
 pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
-    let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_) | Step::Moving { .. })).count();
+    let readings = steps
+        .iter()
+        .filter(|s| matches!(s, Step::Settled(_) | Step::Moving { .. }))
+        .count();
     ensure!(
         readings >= UNKNOWNS,
         "so few readings show no effect: {readings} where sensitivity and zero alone take {UNKNOWNS}"
@@ -36,10 +39,18 @@ pub fn text(check: &PlanCheck) -> Result<String> {
     for e in &check.effects {
         let mut line = format!("{:<24}{:<16}{}", e.id, e.status, e.why);
         if !e.never_apart.is_empty() {
-            write!(line, "; never distinguished from {}", e.never_apart.join(", "))?;
+            write!(
+                line,
+                "; never distinguished from {}",
+                e.never_apart.join(", ")
+            )?;
         }
         if !e.sometimes_alike.is_empty() {
-            write!(line, "; at some shapes like {}", e.sometimes_alike.join(", "))?;
+            write!(
+                line,
+                "; at some shapes like {}",
+                e.sometimes_alike.join(", ")
+            )?;
         }
         writeln!(out, "{line}")?;
     }
@@ -73,9 +84,12 @@ fn planned_session(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<WhiskerData
 
 fn session_toml(rig: &Rig, plan: &Plan) -> Result<String> {
     let mut root = toml::Table::new();
-    for (key, value) in
-        [("format", "wcal-session/1"), ("id", "plan"), ("kind", "whisker"), ("medium", &plan.medium)]
-    {
+    for (key, value) in [
+        ("format", "wcal-session/1"),
+        ("id", "plan"),
+        ("kind", "whisker"),
+        ("medium", &plan.medium),
+    ] {
         root.insert(key.to_owned(), value.into());
     }
     let files = toml::Table::from_iter([("points".to_owned(), "points.csv".into())]);
@@ -96,7 +110,10 @@ fn session_toml(rig: &Rig, plan: &Plan) -> Result<String> {
             ("direction".to_owned(), vector(&t.direction)),
         ]))
     });
-    root.insert("trajectory".to_owned(), trajectories.collect::<Vec<_>>().into());
+    root.insert(
+        "trajectory".to_owned(),
+        trajectories.collect::<Vec<_>>().into(),
+    );
     Ok(toml::to_string(&root)?)
 }
 
@@ -108,7 +125,11 @@ fn points(steps: &[Step], rig: &Rig) -> Result<String> {
     let thermometer = rig.grating("fbg_ref").is_some();
     let temperature = |point: f64| {
         let drift_degc = 0.1 * (std::f64::consts::PI * point / steps.len() as f64).sin();
-        if thermometer { format!("{drift_degc:.5}") } else { String::new() }
+        if thermometer {
+            format!("{drift_degc:.5}")
+        } else {
+            String::new()
+        }
     };
     let (mut t_s, mut point, mut at_mm) = (0.0, 0_u32, rig.stage.retract_mm);
     for step in steps {
@@ -121,10 +142,17 @@ fn points(steps: &[Step], rig: &Rig) -> Result<String> {
             Step::Settled(pose) => (pose, false),
             Step::Moving { pose, .. } => (pose, true),
         };
-        t_s += (pose.stage_mm - at_mm).abs() / pose.speed_mm_s.max(1e-3) + pose.dwell_s + pose.average_s;
+        t_s += (pose.stage_mm - at_mm).abs() / pose.speed_mm_s.max(1e-3)
+            + pose.dwell_s
+            + pose.average_s;
         at_mm = pose.stage_mm;
-        let groove = rig.trajectory(pose.trajectory).map(|t| t.groove_mm(pose.stage_mm));
-        let groove = groove.map_or_else(|| ",,".to_owned(), |g| format!("{:.6},{:.6},{:.6}", g.x, g.y, g.z));
+        let groove = rig
+            .trajectory(pose.trajectory)
+            .map(|t| t.groove_mm(pose.stage_mm));
+        let groove = groove.map_or_else(
+            || ",,".to_owned(),
+            |g| format!("{:.6},{:.6},{:.6}", g.x, g.y, g.z),
+        );
         let role = serde_json::to_value(pose.role)?;
         writeln!(
             out,

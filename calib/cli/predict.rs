@@ -74,13 +74,26 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     let simulated = file.provenance.simulated || is_simulated(&args.table);
     // A table from simulated data says so in a column.
     write_file(&args.out, mark_table(&applied.csv, simulated).as_bytes())?;
-    let mut doubts: Vec<String> =
-        standing(&file, jiff::Timestamp::now())?.iter().map(ToString::to_string).collect();
+    let mut doubts: Vec<String> = standing(&file, jiff::Timestamp::now())?
+        .iter()
+        .map(ToString::to_string)
+        .collect();
     let place = args.table.display();
     doubts.extend(stuck.iter().map(ToString::to_string));
-    doubts.extend(applied.outside.map(|o| format!("{place}: {o}; marked in outside_valid_region")));
+    doubts.extend(
+        applied
+            .outside
+            .map(|o| format!("{place}: {o}; marked in outside_valid_region")),
+    );
     for doubt in &doubts {
-        eprintln!("{}: {doubt}", if args.force { "warning" } else { "written, but not to be trusted" });
+        eprintln!(
+            "{}: {doubt}",
+            if args.force {
+                "warning"
+            } else {
+                "written, but not to be trusted"
+            }
+        );
     }
     if simulated {
         eprintln!("SIMULATED: the calibration or the readings are not measured");
@@ -97,7 +110,11 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
         };
         println!("{}", serde_json::to_string_pretty(&summary)?);
     }
-    Ok(ExitCode::from(if doubts.is_empty() || args.force { 0 } else { 4 }))
+    Ok(ExitCode::from(if doubts.is_empty() || args.force {
+        0
+    } else {
+        4
+    }))
 }
 
 /// Summary of a prediction.

@@ -46,7 +46,13 @@ pub struct Reporter {
 impl Reporter {
     /// Says which stage runs where its part of the work is not known.
     pub fn stage(&self, stage: &str) {
-        stage.clone_into(&mut self.state.lock().unwrap_or_else(PoisonError::into_inner).stage);
+        stage.clone_into(
+            &mut self
+                .state
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .stage,
+        );
     }
 
     /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than before begins to count anew; threads may
@@ -64,15 +70,25 @@ impl Reporter {
     }
 
     fn state(&self) -> State {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.state
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 }
 
 impl Progress {
     /// Of a command; its part done is not known before the first `at`.
     pub fn new(what: &str) -> Self {
-        let state = State { stage: String::new(), done: None, since: Instant::now(), steps: 0 };
-        let reporter = Reporter { state: Arc::new(Mutex::new(state)) };
+        let state = State {
+            stage: String::new(),
+            done: None,
+            since: Instant::now(),
+            steps: 0,
+        };
+        let reporter = Reporter {
+            state: Arc::new(Mutex::new(state)),
+        };
         let (stop, stopped) = channel();
         let (own, what) = (reporter.clone(), what.to_owned());
         let thread = std::thread::spawn(move || {
@@ -94,7 +110,11 @@ impl Progress {
                 bar.finish_and_clear();
             }
         });
-        Self { reporter, stop: Some(stop), thread: Some(thread) }
+        Self {
+            reporter,
+            stop: Some(stop),
+            thread: Some(thread),
+        }
     }
 
     /// See [`Reporter::at`].
@@ -133,13 +153,24 @@ fn spinner() -> ProgressBar {
 
 /// `evaluate: virtual bench, 34 %, about 1 min 10 s left`.
 fn line(what: &str, state: &State, elapsed: Duration, now: Instant) -> String {
-    let stage = if state.stage.is_empty() { String::new() } else { format!(" {},", state.stage) };
+    let stage = if state.stage.is_empty() {
+        String::new()
+    } else {
+        format!(" {},", state.stage)
+    };
     match state.done {
         Some(done) if done >= MIN_DONE && state.steps >= MIN_STEPS => {
             let left_s = now.duration_since(state.since).as_secs_f64() * (1.0 - done) / done;
-            format!("{what}:{stage} {:.0} %, about {} left", 100.0 * done, duration(left_s))
+            format!(
+                "{what}:{stage} {:.0} %, about {} left",
+                100.0 * done,
+                duration(left_s)
+            )
         }
-        _ => format!("{what}:{stage} running for {}", duration(elapsed.as_secs_f64())),
+        _ => format!(
+            "{what}:{stage} running for {}",
+            duration(elapsed.as_secs_f64())
+        ),
     }
 }
 
@@ -160,13 +191,35 @@ mod tests {
     #[test]
     fn a_line_states_stage_part_and_time_left() {
         let since = Instant::now();
-        let at = |done| State { stage: "tables".to_owned(), done, since, steps: 2 };
-        let shown =
-            |done, s| line("evaluate", &at(done), Duration::from_secs(s), since + Duration::from_secs(s));
-        assert_eq!(shown(Some(0.25), 30), "evaluate: tables, 25 %, about 1 min 30 s left");
+        let at = |done| State {
+            stage: "tables".to_owned(),
+            done,
+            since,
+            steps: 2,
+        };
+        let shown = |done, s| {
+            line(
+                "evaluate",
+                &at(done),
+                Duration::from_secs(s),
+                since + Duration::from_secs(s),
+            )
+        };
+        assert_eq!(
+            shown(Some(0.25), 30),
+            "evaluate: tables, 25 %, about 1 min 30 s left"
+        );
         // Nothing is extrapolated from next to nothing, nor from a single step.
-        let first = State { steps: 1, ..at(Some(0.25)) };
-        let said = line("evaluate", &first, Duration::from_secs(30), since + Duration::from_secs(30));
+        let first = State {
+            steps: 1,
+            ..at(Some(0.25))
+        };
+        let said = line(
+            "evaluate",
+            &first,
+            Duration::from_secs(30),
+            since + Duration::from_secs(30),
+        );
         assert_eq!(said, "evaluate: tables, running for 30 s");
         assert_eq!(shown(Some(0.001), 30), "evaluate: tables, running for 30 s");
         assert_eq!(shown(None, 7300), "evaluate: tables, running for 2 h 1 min");

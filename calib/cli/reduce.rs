@@ -121,7 +121,11 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
             camera_pairs: result.pairs[0],
             camera_pairs_refused: result.pairs[1],
             clocks: result.clocks.iter().map(|c| clock(c, None)).collect(),
-            camera_clocks: result.camera_clocks.iter().map(|(name, c)| clock(c, Some(name))).collect(),
+            camera_clocks: result
+                .camera_clocks
+                .iter()
+                .map(|(name, c)| clock(c, Some(name)))
+                .collect(),
         };
         println!("{}", serde_json::to_string(&document)?);
         return Ok(());
@@ -131,7 +135,10 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
         result.rows, result.holdout, result.scans, result.lost, result.outliers, result.cut_off
     );
     if result.repeated > 0 {
-        eprintln!("{} messages stand in a recording more than once; each counts once", result.repeated);
+        eprintln!(
+            "{} messages stand in a recording more than once; each counts once",
+            result.repeated
+        );
     }
     Ok(())
 }

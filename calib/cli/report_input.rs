@@ -21,7 +21,11 @@ fn simulated_by(session: &LoadedSession) -> Option<String> {
 }
 
 /// A report with nothing but the document.
-pub fn of_document(session: &LoadedSession, document: VerifyDocument, provenance: Provenance) -> ReportInput {
+pub fn of_document(
+    session: &LoadedSession,
+    document: VerifyDocument,
+    provenance: Provenance,
+) -> ReportInput {
     ReportInput {
         title: session.id.clone(),
         simulated_by: simulated_by(session),
@@ -67,9 +71,15 @@ pub fn of_whisker(
         ],
         residuals: done.assessment.residuals.clone(),
         further_errors: (done.decision.left_out().errors.further.iter())
-            .map(|(name, error)| NamedError { name: name.clone(), error: error.clone() })
+            .map(|(name, error)| NamedError {
+                name: name.clone(),
+                error: error.clone(),
+            })
             .collect(),
-        gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),
+        gate: gates(
+            [found.first_test.p_values(), found.last_test.p_values()],
+            after,
+        ),
         twin: twin(done),
         evidence: evidence(&found.evidence),
         versions: versions(),
@@ -100,26 +110,39 @@ pub fn of_scalar(
     let mut facts = vec![
         Fact::new("declared model", model),
         Fact::new("units", units),
-        Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed)),
+        Fact::new(
+            "readings",
+            format!("{} fitted, {} held out", rows.len(), sealed),
+        ),
     ];
     for (name, p) in [("declared model", &done.declared), (after, &done.accepted)] {
         if let Some(p) = p {
             let terms = p.coefficients.iter().zip(&p.standard_errors).enumerate();
-            let terms: Vec<String> = terms.map(|(k, (b, se))| format!("b{k} = {b:.9e} ± {se:.2e}")).collect();
+            let terms: Vec<String> = terms
+                .map(|(k, (b, se))| format!("b{k} = {b:.9e} ± {se:.2e}"))
+                .collect();
             facts.push(Fact::new(
                 format!("coefficients, {name}"),
                 format!("{}; residual sd {:.6e}", terms.join(", "), p.residual_sd),
             ));
         }
     }
-    let mut gate = done.gates.map_or(Vec::new(), |p_values| gates(p_values, after));
-    for (name, lack) in [("declared model", done.lack_of_fit_before), (after, done.lack_of_fit_after)] {
+    let mut gate = done
+        .gates
+        .map_or(Vec::new(), |p_values| gates(p_values, after));
+    for (name, lack) in [
+        ("declared model", done.lack_of_fit_before),
+        (after, done.lack_of_fit_after),
+    ] {
         if let Some(l) = lack {
             gate.push(GateTest {
                 name: format!("{name}: lack of fit F"),
                 statistic: Some(l.f),
                 p_value: l.p_value,
-                detail: format!("against repetitions, {} and {} degrees of freedom", l.dof, l.pure_dof),
+                detail: format!(
+                    "against repetitions, {} and {} degrees of freedom",
+                    l.dof, l.pure_dof
+                ),
             });
         }
     }
@@ -128,9 +151,9 @@ pub fn of_scalar(
             name: data.declared().format_text("spread against stimulus"),
             statistic: Some(s.correlation),
             p_value: Some(s.p_value),
-            detail: data
-                .declared()
-                .format_text("correlation of the residuals' size with the stimulus, by permutation"),
+            detail: data.declared().format_text(
+                "correlation of the residuals' size with the stimulus, by permutation",
+            ),
         });
     }
     if let Some(s) = &done.stationarity {
@@ -157,7 +180,8 @@ pub fn of_scalar(
 fn evidence_of(data: ScalarData<'_>, found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
     let mut rows = evidence(found);
     if data.declared() == Declared::Axis {
-        rows.iter_mut().for_each(|row| row.law = row.law.replace("stimulus", "position"));
+        rows.iter_mut()
+            .for_each(|row| row.law = row.law.replace("stimulus", "position"));
     }
     rows
 }
@@ -165,8 +189,14 @@ fn evidence_of(data: ScalarData<'_>, found: &[RankedHypothesis]) -> Vec<Evidence
 /// The gate's families on the declared model and on the one after.
 fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
     let families = [
-        ("catalogue", "smallest p over all signatures, family-wise by simulation"),
-        ("generic drivers", "any covariate, family-wise by simulation"),
+        (
+            "catalogue",
+            "smallest p over all signatures, family-wise by simulation",
+        ),
+        (
+            "generic drivers",
+            "any covariate, family-wise by simulation",
+        ),
         ("serial correlation", "neighbouring readings of a sweep"),
     ];
     let of_model = |(model, p_values): (&str, [f64; 3])| {
@@ -176,9 +206,17 @@ fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
             p_value: Some(p),
             detail: detail.to_owned(),
         };
-        families.into_iter().zip(p_values).map(test).collect::<Vec<_>>()
+        families
+            .into_iter()
+            .zip(p_values)
+            .map(test)
+            .collect::<Vec<_>>()
     };
-    ["declared model", after].into_iter().zip(p_values).flat_map(of_model).collect()
+    ["declared model", after]
+        .into_iter()
+        .zip(p_values)
+        .flat_map(of_model)
+        .collect()
 }
 
 fn evidence(found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
@@ -206,7 +244,11 @@ fn twin(done: &WhiskerVerification) -> Vec<TwinTrajectory> {
                 .checks
                 .iter()
                 .filter(|c| c.trajectory == *id)
-                .map(|c| TwinMark { point: c.point, stage_mm: c.stage_mm, moment_nmm: c.label_nmm })
+                .map(|c| TwinMark {
+                    point: c.point,
+                    stage_mm: c.stage_mm,
+                    moment_nmm: c.label_nmm,
+                })
                 .collect(),
         })
         .collect()

@@ -35,8 +35,15 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
     if !session.is_file() || session.file_name().is_some_and(|n| n == "session.toml") {
         return Ok(());
     }
-    if let Some(folder) = session.parent().filter(|f| f.join("session.toml").is_file()) {
-        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    if let Some(folder) = session
+        .parent()
+        .filter(|f| f.join("session.toml").is_file())
+    {
+        let folder = if folder.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            folder
+        };
         bail!(
             "{shown}: expected a session folder, found a table of one; use wcal {command} {}",
             folder.display()
@@ -55,40 +62,71 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
 
 /// Where there is no session: the one that is meant, if any is below.
 fn no_session(folder: &Path, command: &str) -> anyhow::Error {
-    let found = if folder.exists() { "a folder without session.toml" } else { "no such folder" };
-    let below = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let meant = below.filter(|path| path.join("session.toml").is_file()).min();
+    let found = if folder.exists() {
+        "a folder without session.toml"
+    } else {
+        "no such folder"
+    };
+    let below = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path());
+    let meant = below
+        .filter(|path| path.join("session.toml").is_file())
+        .min();
     let way_out = meant.map_or_else(
         || "wcal import makes one of a table, wcal stage-sweep on the bench".to_owned(),
         |session| format!("wcal {command} {}", quoted(&session.display().to_string())),
     );
-    anyhow!("{}: expected a session folder, with session.toml, found {found}; {way_out}", folder.display())
+    anyhow!(
+        "{}: expected a session folder, with session.toml, found {found}; {way_out}",
+        folder.display()
+    )
 }
 
 /// `cell.csv` becomes the session `cell`.
 fn target(table: &Path) -> String {
-    let name = table.file_stem().map_or_else(|| "session".into(), |s| s.to_string_lossy().into_owned());
-    if Path::new(&name).exists() { name + "-session" } else { name }
+    let name = table
+        .file_stem()
+        .map_or_else(|| "session".into(), |s| s.to_string_lossy().into_owned());
+    if Path::new(&name).exists() {
+        name + "-session"
+    } else {
+        name
+    }
 }
 
 /// Whether two columns are one length, as commanded and as measured: both in mm, with a slope of 1 to a twentieth.
 fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
-    let in_mm = |name: &str| name.split(|c: char| !c.is_alphanumeric()).any(|word| word == "mm");
+    let in_mm = |name: &str| {
+        name.split(|c: char| !c.is_alphanumeric())
+            .any(|word| word == "mm")
+    };
     let mean = |k: usize| pairs.iter().map(|p| p[k]).sum::<f64>() / pairs.len() as f64;
     let [x, y] = [mean(0), mean(1)];
-    let product = |k: usize| pairs.iter().map(|p| (p[0] - x) * (p[k] - [x, y][k])).sum::<f64>();
+    let product = |k: usize| {
+        pairs
+            .iter()
+            .map(|p| (p[0] - x) * (p[k] - [x, y][k]))
+            .sum::<f64>()
+    };
     names.into_iter().all(in_mm) && (product(1) / product(0) - 1.0).abs() < 0.05
 }
 
 /// The command that imports a table with this header and these rows; what they do not tell is left in capitals.
 fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
-    let separator = ['\t', ';', ','].into_iter().max_by_key(|s| header.matches(*s).count()).unwrap_or(',');
+    let separator = ['\t', ';', ',']
+        .into_iter()
+        .max_by_key(|s| header.matches(*s).count())
+        .unwrap_or(',');
     let cells: Vec<&str> = header.split(separator).map(str::trim).collect();
     let number = |cell: &str| cell.trim().replace(',', ".").parse::<f64>().ok();
     let is_number = |cell: &&str| number(cell).is_some();
     let headless = cells.iter().all(is_number);
-    let row: Vec<&str> =
-        rows.first().map_or_else(Vec::new, |row| row.split(separator).map(str::trim).collect());
+    let row: Vec<&str> = rows.first().map_or_else(Vec::new, |row| {
+        row.split(separator).map(str::trim).collect()
+    });
     let has = |name: &str| cells.contains(&name);
     let mut line = format!("wcal import {}", quoted(&table.display().to_string()));
     // With a header both are found by the names of the columns, below lines of units, too.
@@ -129,15 +167,28 @@ fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
     } else {
         let mut values = measured.into_iter().map(|k| cells[k]);
         let mut column = |own: &str, unknown: &str| {
-            if has(own) { own.to_owned() } else { quoted(values.next().unwrap_or(unknown)) }
+            if has(own) {
+                own.to_owned()
+            } else {
+                quoted(values.next().unwrap_or(unknown))
+            }
         };
         if headless {
             line += " --columns STIMULUS,RESPONSE";
         }
-        let (stimulus, response) = (column("stimulus", "STIMULUS"), column("response", "RESPONSE"));
-        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response} --model linear");
+        let (stimulus, response) = (
+            column("stimulus", "STIMULUS"),
+            column("response", "RESPONSE"),
+        );
+        let _ = write!(
+            line,
+            " --kind transducer --stimulus {stimulus} --response {response} --model linear"
+        );
     }
-    for name in cells.iter().filter(|name| !headless && !BESIDE.contains(name)) {
+    for name in cells
+        .iter()
+        .filter(|name| !headless && !BESIDE.contains(name))
+    {
         let taken = option_of(name).filter(|option| !line.contains(option));
         line += &taken.map_or_else(String::new, |option| format!(" {option} {}", quoted(name)));
     }
@@ -158,7 +209,10 @@ mod tests {
         std::fs::create_dir(&session).unwrap();
         std::fs::write(session.join("session.toml"), "").unwrap();
         assert!(said(place.path()).contains(&format!("wcal verify {}", session.display())));
-        assert!(expect_session(&session, "verify").is_ok(), "negative control");
+        assert!(
+            expect_session(&session, "verify").is_ok(),
+            "negative control"
+        );
     }
 
     #[test]
@@ -171,7 +225,9 @@ mod tests {
         };
         let axis = line(1.0);
         assert!(
-            axis.contains("--kind axis --commanded target_mm --measured encoder_mm --temperature T_C"),
+            axis.contains(
+                "--kind axis --commanded target_mm --measured encoder_mm --temperature T_C"
+            ),
             "{axis}"
         );
         assert!(!axis.contains("--model"));

@@ -9,21 +9,36 @@ const MARKER: &str = "SIMULATED";
 /// named SIMULATED in its folder or the one above.
 pub fn is_simulated(path: &Path) -> bool {
     // A folder stands for what lies in it.
-    let own = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) };
-    let marked_folder =
-        || [Some(own), own.parent()].into_iter().flatten().any(|folder| folder.join(MARKER).is_file());
+    let own = if path.is_dir() {
+        path
+    } else {
+        path.parent().unwrap_or(Path::new(""))
+    };
+    let marked_folder = || {
+        [Some(own), own.parent()]
+            .into_iter()
+            .flatten()
+            .any(|folder| folder.join(MARKER).is_file())
+    };
     let says_so = || {
         let json = path.extension().is_some_and(|e| e == "json");
-        let document = json.then(|| wcal_core::files::read_text(path).ok()).flatten();
+        let document = json
+            .then(|| wcal_core::files::read_text(path).ok())
+            .flatten();
         let document = document.and_then(|text| wcal_core::document::json(&text).ok());
-        let marks =
-            |d: &serde_json::Value| [&d["simulated"], &d["provenance"]["simulated"]].map(|v| v == true);
+        let marks = |d: &serde_json::Value| {
+            [&d["simulated"], &d["provenance"]["simulated"]].map(|v| v == true)
+        };
         document.is_some_and(|d| marks(&d).contains(&true))
     };
     let in_session = || {
         let session = wcal_core::files::read_text(own.join("session.toml")).ok();
         let session = session.and_then(|text| text.parse::<toml::Table>().ok());
-        session.is_some_and(|t| t.get("provenance").and_then(|p| p.get("simulated")?.as_bool()) == Some(true))
+        session.is_some_and(|t| {
+            t.get("provenance")
+                .and_then(|p| p.get("simulated")?.as_bool())
+                == Some(true)
+        })
     };
     marked_folder() || says_so() || in_session()
 }
@@ -33,7 +48,8 @@ pub fn mark_table(csv: &str, simulated: bool) -> String {
     if !simulated {
         return csv.to_owned();
     }
-    let marked = |(k, line): (usize, &str)| format!("{line},{}\n", if k == 0 { "simulated" } else { "1" });
+    let marked =
+        |(k, line): (usize, &str)| format!("{line},{}\n", if k == 0 { "simulated" } else { "1" });
     csv.lines().enumerate().map(marked).collect()
 }
 
@@ -56,7 +72,10 @@ mod tests {
             path
         };
         let picture = write("scene/left/1.png", "");
-        let (measured, other) = (write("a/stereo.json", "{\"provenance\":{}}"), write("b/points.csv", ""));
+        let (measured, other) = (
+            write("a/stereo.json", "{\"provenance\":{}}"),
+            write("b/points.csv", ""),
+        );
         for path in [&picture, &measured, &other] {
             assert!(!is_simulated(path), "{}", path.display());
         }
@@ -70,7 +89,10 @@ mod tests {
 
     #[test]
     fn a_table_of_simulated_data_says_so_in_every_row() {
-        assert_eq!(mark_table("a,b\n1,2\n3,4\n", true), "a,b,simulated\n1,2,1\n3,4,1\n");
+        assert_eq!(
+            mark_table("a,b\n1,2\n3,4\n", true),
+            "a,b,simulated\n1,2,1\n3,4,1\n"
+        );
         assert_eq!(mark_table("a,b\n1,2\n", false), "a,b\n1,2\n");
     }
 }

@@ -70,14 +70,21 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let read = |path: &Path| {
         wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
     };
-    let rig_file =
-        if arguments.rig.is_dir() { arguments.rig.join("rig.toml") } else { arguments.rig.clone() };
+    let rig_file = if arguments.rig.is_dir() {
+        arguments.rig.join("rig.toml")
+    } else {
+        arguments.rig.clone()
+    };
     let (mut rig, plan) = (read(&rig_file)?, read(&arguments.plan)?);
     if let Some(bench) = &arguments.bench {
         rig = with_addresses(&rig, &read(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
-    let own_bench = arguments.scenario.as_deref().map(crate::virtual_bench::load).transpose()?;
+    let own_bench = arguments
+        .scenario
+        .as_deref()
+        .map(crate::virtual_bench::load)
+        .transpose()?;
     if let Some((scenario, _)) = &own_bench {
         let own_rig = bench_rig::in_this_process(&rig, scenario.interrogator.rate_hz);
         rig = own_rig.with_context(|| rig_file.display().to_string())?;
@@ -88,7 +95,11 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let (resume, folder) = match (&arguments.resume, &arguments.out) {
         (Some(folder), _) => (true, folder.clone()),
         (None, Some(folder)) => (false, folder.clone()),
-        (None, None) => return Err(anyhow!("expected --out SESSION or --resume SESSION, found neither")),
+        (None, None) => {
+            return Err(anyhow!(
+                "expected --out SESSION or --resume SESSION, found neither"
+            ));
+        }
     };
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
@@ -116,11 +127,25 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
                 let bench = bench.clone();
                 move |time: Duration| bench.pause(time)
             };
-            record(&order, &mut bench, &mut ByHand, &interrupt, &mut pause, &mut progress)?
+            record(
+                &order,
+                &mut bench,
+                &mut ByHand,
+                &interrupt,
+                &mut pause,
+                &mut progress,
+            )?
         }
         None => {
             let mut devices = Drivers::new(&interrupt);
-            record(&order, &mut devices, &mut ByHand, &interrupt, &mut std::thread::sleep, &mut progress)?
+            record(
+                &order,
+                &mut devices,
+                &mut ByHand,
+                &interrupt,
+                &mut std::thread::sleep,
+                &mut progress,
+            )?
         }
     };
     view.end();
@@ -130,7 +155,9 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
 
 /// Now, to the microsecond: the session's identifier is made of it, and two sessions of one second have different ones.
 fn created() -> String {
-    jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.6fZ").to_string()
+    jiff::Timestamp::now()
+        .strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
+        .to_string()
 }
 
 /// The steps of a plan on a rig.
@@ -204,9 +231,14 @@ struct CauseDocument {
 }
 
 fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<ExitCode> {
-    let (rig, plan, steps) =
-        plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
-    let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
+    let (rig, plan, steps) = plan_only(
+        (&rig.0.display().to_string(), rig.1),
+        (&plan.0.display().to_string(), plan.1),
+    )?;
+    let readings = steps
+        .iter()
+        .filter(|s| matches!(s, Step::Settled(_)))
+        .count();
     let time_s = duration_s(&steps, &rig, &plan);
     // A path can be driven although the wire has no equilibrium on it.
     let shows = crate::plan_check::of_plan(&rig, &plan, &steps);
@@ -214,11 +246,19 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
         eprintln!("warning: what the plan can show is not known: {why:#}");
     }
     if as_json {
-        let document =
-            PathDocument { format: "wcal-path/1", readings, duration_s: time_s, steps, shows: shows.ok() };
+        let document = PathDocument {
+            format: "wcal-path/1",
+            readings,
+            duration_s: time_s,
+            steps,
+            shows: shows.ok(),
+        };
         println!("{}", serde_json::to_string(&document)?);
     } else {
-        println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
+        println!(
+            "{readings} settled readings, about {:.0} min; limits hold",
+            (time_s / 60.0).ceil()
+        );
         if let Ok(shows) = &shows {
             print!("{}", crate::plan_check::text(shows)?);
         }
@@ -251,7 +291,10 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
             simulated: recorded.simulated,
             ending,
             warnings,
-            cause: cause.map(|c| CauseDocument { kind: c.kind.name(), text: c.to_string() }),
+            cause: cause.map(|c| CauseDocument {
+                kind: c.kind.name(),
+                text: c.to_string(),
+            }),
             stage_stopped,
             steps_done: sweep.done,
             unsettled: sweep.unsettled,
@@ -272,17 +315,32 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
     if let Some(cause) = cause {
         eprintln!("stage-sweep: stopped: {cause}");
         match sweep.ending {
-            Ending::Stopped { stage: StageEnd::Unknown, .. } => {
-                eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
+            Ending::Stopped {
+                stage: StageEnd::Unknown,
+                ..
+            } => {
+                eprintln!(
+                    "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
+                );
             }
-            Ending::Stopped { stage: StageEnd::Stands, .. } => {
+            Ending::Stopped {
+                stage: StageEnd::Stands,
+                ..
+            } => {
                 eprintln!("stage-sweep: the stage stands where it was stopped, perhaps in contact");
             }
             _ => eprintln!("stage-sweep: the stage stands, retracted from the wire"),
         }
         // A bench in this process has ended with it: the next one has no reference.
-        let bench = if arguments.scenario.is_some() { ", scenario, --home" } else { "" };
-        eprintln!("go on with the same rig and plan{bench} and --resume {}", folder.display());
+        let bench = if arguments.scenario.is_some() {
+            ", scenario, --home"
+        } else {
+            ""
+        };
+        eprintln!(
+            "go on with the same rig and plan{bench} and --resume {}",
+            folder.display()
+        );
     }
     if recorded.simulated {
         eprintln!("SIMULATED: recorded on a virtual bench; session.toml and run.json say so");
@@ -304,7 +362,13 @@ const ENTER_POLL: Duration = Duration::from_millis(50);
 
 /// Nobody turned the mount.
 fn not_turned(kind: DeviceErrorKind, found: &str) -> DeviceError {
-    DeviceError::new(kind, "mount", "turn by hand", "a person at the terminal", found)
+    DeviceError::new(
+        kind,
+        "mount",
+        "turn by hand",
+        "a person at the terminal",
+        found,
+    )
 }
 
 /// Asks a person to turn the mount and waits for Enter.
@@ -339,7 +403,10 @@ impl Mount for ByHand {
     fn check(&mut self, trajectories: &[u32], _: Permission) -> Result<(), DeviceError> {
         let several = trajectories.iter().any(|t| Some(t) != trajectories.first());
         match several && !std::io::stdin().is_terminal() {
-            true => Err(not_turned(DeviceErrorKind::Configuration, "an input that is no terminal")),
+            true => Err(not_turned(
+                DeviceErrorKind::Configuration,
+                "an input that is no terminal",
+            )),
             false => Ok(()),
         }
     }
@@ -365,11 +432,20 @@ struct View {
 
 impl View {
     fn new() -> Self {
-        Self { start: Instant::now(), shown: None, first: None, live: std::io::stderr().is_terminal() }
+        Self {
+            start: Instant::now(),
+            shown: None,
+            first: None,
+            live: std::io::stderr().is_terminal(),
+        }
     }
 
     fn show(&mut self, p: &Progress) {
-        let period = if self.live { Duration::from_millis(200) } else { Duration::from_secs(10) };
+        let period = if self.live {
+            Duration::from_millis(200)
+        } else {
+            Duration::from_secs(10)
+        };
         if self.shown.is_some_and(|t| t.elapsed() < period) {
             return;
         }
@@ -389,7 +465,11 @@ impl View {
             "step {}/{} at {:+.3} mm  ref {reference} fbg {first} {second} nm  {rate:.0}/s  {} lost  {left} left",
             p.step, p.steps, p.stage_mm, p.counts.lost
         );
-        let text = if self.live { format!("\r{line}\x1b[K") } else { format!("{line}\n") };
+        let text = if self.live {
+            format!("\r{line}\x1b[K")
+        } else {
+            format!("{line}\n")
+        };
         // A view that cannot be shown must not stop a sweep.
         let _ = std::io::stderr().write_all(text.as_bytes());
     }

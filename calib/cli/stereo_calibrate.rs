@@ -17,7 +17,9 @@ use wcal_vision::pairs::list_pictures;
 
 /// Names of all patterns.
 fn patterns() -> impl Iterator<Item = &'static str> {
-    ["chessboard", "charuco", "charuco-legacy"].into_iter().chain(TagOrder::all().map(|o| o.0))
+    ["chessboard", "charuco", "charuco-legacy"]
+        .into_iter()
+        .chain(TagOrder::all().map(|o| o.0))
 }
 
 /// Arguments of `wcal stereo-calibrate`.
@@ -65,9 +67,14 @@ pub struct StereoCalibrateArgs {
 }
 
 fn board_size(text: &str) -> Result<BoardSize, String> {
-    let (columns, rows) = text.split_once(['x', 'X']).ok_or("expected CxR, e.g. 9x6")?;
+    let (columns, rows) = text
+        .split_once(['x', 'X'])
+        .ok_or("expected CxR, e.g. 9x6")?;
     let number = |t: &str| t.trim().parse::<usize>().map_err(|e| format!("{t}: {e}"));
-    let size = BoardSize { columns: number(columns)?, rows: number(rows)? };
+    let size = BoardSize {
+        columns: number(columns)?,
+        rows: number(rows)?,
+    };
     if size.columns < 2 || size.rows < 2 || size.columns > 100 || size.rows > 100 {
         return Err(format!("expected 2 to 100 columns and rows, found {size}"));
     }
@@ -107,7 +114,10 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         1e3 * args.square_mm
     );
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    let marker = || args.marker_mm.context("--marker-mm is needed for this pattern");
+    let marker = || {
+        args.marker_mm
+            .context("--marker-mm is needed for this pattern")
+    };
     let pattern = match args.pattern.as_str() {
         "chessboard" => Pattern::Chessboard,
         charuco @ ("charuco" | "charuco-legacy") => Pattern::Charuco {
@@ -123,15 +133,24 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
             order: TagOrder {
                 first: args.first_tag,
-                ..TagOrder::all().find(|o| o.0 == aprilgrid).map(|o| o.1).unwrap_or_default()
+                ..TagOrder::all()
+                    .find(|o| o.0 == aprilgrid)
+                    .map(|o| o.1)
+                    .unwrap_or_default()
             },
         },
     };
     let lens = lens_named(&args.lens, Lens::model).map_err(anyhow::Error::msg)?;
-    let board = Board { size: args.board, square_mm: args.square_mm, pattern };
+    let board = Board {
+        size: args.board,
+        square_mm: args.square_mm,
+        pattern,
+    };
     let (mut document, _) = {
         let progress = Progress::new("stereo-calibrate");
-        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.stage(stage))?
+        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| {
+            progress.stage(stage)
+        })?
     };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
     document.provenance = provenance(pictures.iter().map(PathBuf::as_path));
@@ -174,5 +193,9 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         println!("{text}");
     }
     let clean = document.rejected_views.is_empty() && document.warnings.is_empty() && !far;
-    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    Ok(if clean {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(3)
+    })
 }

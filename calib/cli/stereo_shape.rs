@@ -30,9 +30,14 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         Some(folder) => Some(OutputFolder::open(&RESULT, folder, args.overwrite.force)?),
         None => None,
     };
-    let rig_file = args.rig.clone().unwrap_or_else(|| Path::new(&args.left).join("rig.toml"));
+    let rig_file = args
+        .rig
+        .clone()
+        .unwrap_or_else(|| Path::new(&args.left).join("rig.toml"));
     let shaper = Shaper::new(args, rig_file)?;
-    let Some(right) = &args.right else { return session::run(args, &shaper, out) };
+    let Some(right) = &args.right else {
+        return session::run(args, &shaper, out);
+    };
     let files = pair_files(&list_pictures(&args.left)?, &list_pictures(right)?)?;
     let result = shaper.shapes(&files, None)?;
     let text = serde_json::to_string(&result.document)?;
@@ -47,5 +52,9 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         "expected at least one usable pair, found none; {} states each reason",
         place.display()
     );
-    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    Ok(if clean {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(3)
+    })
 }

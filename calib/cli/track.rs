@@ -49,7 +49,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
-        Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
+        Some((_, rig)) => rig
+            .interrogator
+            .whiskers()
+            .iter()
+            .map(|w| (*w).to_owned())
+            .collect(),
         None => vec![String::new()],
     };
     let folders = match args.model[..] {
@@ -62,7 +67,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     };
     let mut checked = Vec::new();
     for (name, place) in by_whisker("--calibration", &args.calibration, &names)? {
-        let card = folders.get(&name).map(|folder| read_card(folder)).transpose()?;
+        let card = folders
+            .get(&name)
+            .map(|folder| read_card(folder))
+            .transpose()?;
         checked.push(WhiskerModel::read(&name, &place, card)?);
     }
     let step_s = match &source {
@@ -83,23 +91,35 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         return Ok(ExitCode::from(4));
     }
     // A stream or a network takes no zero by itself.
-    let own_zero = !args.model.is_empty() || matches!(source, Source::Recordings(_) | Source::Interrogator);
-    for one in checked.iter().filter(|_| own_zero && args.tare_s.is_none_or(|s| s == 0.0)) {
+    let own_zero =
+        !args.model.is_empty() || matches!(source, Source::Recordings(_) | Source::Interrogator);
+    for one in checked
+        .iter()
+        .filter(|_| own_zero && args.tare_s.is_none_or(|s| s == 0.0))
+    {
         if one.file.model.whisker().is_some_and(|w| !w.knows_zero()) {
             bail!("{}: {}", one.place.display(), table::NO_ZERO);
         }
     }
     let trackers = trackers(&folders)?;
     for one in &mut checked {
-        one.tracker = folders.get(&one.name).and_then(|folder| trackers.get(folder));
+        one.tracker = folders
+            .get(&one.name)
+            .and_then(|folder| trackers.get(folder));
     }
     match (source, rig, session) {
-        (Source::Table(path), ..) => {
-            table::track(args, &path, table::of_table(args, &path, &checked[0])?, &checked[0])
-        }
-        (Source::Session(folder), _, Some(session)) => {
-            table::track(args, &folder, table::of_session(&session, &checked[0])?, &checked[0])
-        }
+        (Source::Table(path), ..) => table::track(
+            args,
+            &path,
+            table::of_table(args, &path, &checked[0])?,
+            &checked[0],
+        ),
+        (Source::Session(folder), _, Some(session)) => table::track(
+            args,
+            &folder,
+            table::of_session(&session, &checked[0])?,
+            &checked[0],
+        ),
         (Source::Recordings(parts), Some((place, rig)), _) => {
             live::replay(args, &parts, &place, &rig, &checked)
         }
@@ -111,19 +131,30 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 /// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.
 fn trusted(args: &TrackArgs, checked: &[WhiskerModel<'_>]) -> bool {
     for one in checked {
-        let whose = if one.name.is_empty() { String::new() } else { format!("whisker {}: ", one.name) };
+        let whose = if one.name.is_empty() {
+            String::new()
+        } else {
+            format!("whisker {}: ", one.name)
+        };
         if one.file.whisker.is_none() && !args.model.is_empty() {
             let place = one.place.display();
-            eprintln!("warning: {place}: it does not say of which whisker; the model is taken to fit");
+            eprintln!(
+                "warning: {place}: it does not say of which whisker; the model is taken to fit"
+            );
         }
         for doubt in one.doubts.messages() {
-            eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
+            eprintln!(
+                "{}: {whose}{doubt}",
+                if args.force { "warning" } else { "refused" }
+            );
         }
     }
     if checked.iter().any(|c| !c.doubts.messages().is_empty()) && !args.force {
         return false;
     }
-    checked.iter().for_each(|one| say_calibration(&one.name, &one.file));
+    checked
+        .iter()
+        .for_each(|one| say_calibration(&one.name, &one.file));
     true
 }
 
@@ -142,7 +173,11 @@ fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tra
 
 /// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
 fn say_calibration(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
-    let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
+    let whose = if whisker.is_empty() {
+        String::new()
+    } else {
+        format!("whisker {whisker}: ")
+    };
     if let Some(contact) = &file.contact_uncertainty {
         eprintln!("{whose}{}", contact_sentence(contact));
     }
@@ -182,7 +217,10 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
             }
             let parts = wcal_acquisition::reduce::recordings(path);
             if parts.is_empty() {
-                bail!("{}: expected a session folder with recording.mcap, found none", path.display());
+                bail!(
+                    "{}: expected a session folder with recording.mcap, found none",
+                    path.display()
+                );
             }
             (Source::Recordings(parts), Some(path.join("rig.toml")))
         }
@@ -191,8 +229,16 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
         }
         Some(path) => return Ok((Source::Table(path.clone()), None)),
     };
-    let named = args.rig.as_ref().map(|r| if r.is_dir() { r.join("rig.toml") } else { r.clone() });
-    let file = named.or(own_rig).ok_or_else(|| anyhow!("expected --rig RIG for a stream, found none"))?;
+    let named = args.rig.as_ref().map(|r| {
+        if r.is_dir() {
+            r.join("rig.toml")
+        } else {
+            r.clone()
+        }
+    });
+    let file = named
+        .or(own_rig)
+        .ok_or_else(|| anyhow!("expected --rig RIG for a stream, found none"))?;
     let mut text = read(&file)?;
     if let Some(bench) = &args.bench {
         text = crate::stage_sweep::with_addresses(&text, &read(bench)?)
@@ -204,11 +250,18 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
 }
 
 /// Values of a repeated option by whisker; one without ID serves all whiskers.
-fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeMap<String, PathBuf>> {
+fn by_whisker(
+    option: &str,
+    given: &[String],
+    names: &[String],
+) -> Result<BTreeMap<String, PathBuf>> {
     let mut all = BTreeMap::new();
     let mut common = None;
     for value in given {
-        match value.split_once('=').filter(|(id, _)| names.iter().any(|n| n == id)) {
+        match value
+            .split_once('=')
+            .filter(|(id, _)| names.iter().any(|n| n == id))
+        {
             Some((id, path)) => {
                 if all.insert(id.to_owned(), PathBuf::from(path)).is_some() {
                     bail!("{option}: expected one for whisker {id}, found two");
@@ -216,7 +269,9 @@ fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeM
             }
             None if common.is_none() => common = Some(PathBuf::from(value)),
             None => {
-                bail!("{option}: expected one, or ID=... with whiskers {names:?} of the rig, found {value}")
+                bail!(
+                    "{option}: expected one, or ID=... with whiskers {names:?} of the rig, found {value}"
+                )
             }
         }
     }

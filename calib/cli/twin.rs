@@ -69,11 +69,19 @@ const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,bran
 /// # Errors
 /// A session of another kind, or a file that cannot be read or written.
 pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
-    check_file(&args.out, "twin", |first| first == COLUMNS, args.overwrite.force)?;
+    check_file(
+        &args.out,
+        "twin",
+        |first| first == COLUMNS,
+        args.overwrite.force,
+    )?;
     expect_session(&args.session, "twin")?;
     let session = load(&args.session)?;
     let SessionData::Whisker(data) = &session.data else {
-        bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);
+        bail!(
+            "twin: expected a session of kind \"whisker\", found {:?}",
+            session.kind
+        );
     };
     let lines = match args.engine {
         Engine::Rod => {
@@ -112,7 +120,10 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     if missing.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
-    eprintln!("twin: warning: no certain equilibrium at points {}", missing.join(", "));
+    eprintln!(
+        "twin: warning: no certain equilibrium at points {}",
+        missing.join(", ")
+    );
     Ok(ExitCode::from(3))
 }
 
@@ -121,12 +132,21 @@ fn by_rod(data: &WhiskerData) -> anyhow::Result<Vec<Text>> {
     let mut lines: Vec<Text> = vec![None; data.rows.len()];
     for trajectory in &data.trajectories {
         let at = of_trajectory(data, trajectory.id);
-        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
+        let line = Line {
+            origin_mm: trajectory.origin_mm,
+            direction: trajectory.direction,
+        };
         let xs: Vec<f64> = at.iter().map(|a| a.1).collect();
         for (outcome, &(k, _)) in rod.follow(&line, &xs).iter().zip(&at) {
             let branch = match outcome {
                 Outcome::Held(held) => {
-                    let row = row(data, &held.moment_nmm, Some(held.arclength_mm), "first-touch", true);
+                    let row = row(
+                        data,
+                        &held.moment_nmm,
+                        Some(held.arclength_mm),
+                        "first-touch",
+                        true,
+                    );
                     lines[k] = Some((row, true));
                     continue;
                 }

@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
-    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
+    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance,
+    seal,
 };
 use wcal_contact::groove_comparison::{self, Compared};
 use wcal_contact::session_groove;
@@ -89,7 +90,12 @@ pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
     format_prefix: "wcal-verify/",
-    files: &["predictions.csv", "report.html", "calibration.json", "judged-calibration.json"],
+    files: &[
+        "predictions.csv",
+        "report.html",
+        "calibration.json",
+        "judged-calibration.json",
+    ],
     kept: &["unsealed.json"],
     resumes: false,
     made_of: |folder| text_of(folder, "verify.json", "session"),
@@ -123,10 +129,23 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
     }
-    let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
+    let given = args
+        .calibration
+        .as_deref()
+        .map(|path| GivenCalibration::read(path, &session))
+        .transpose()?;
     let progress = Progress::new(&format!("verify {}", session.id));
-    let request = VerifyRequest { accept: args.accept.clone(), ..searching(args.seed, Some(&progress)) };
-    let done = verify_session(session, &mut out, request, given.as_ref(), args.sweep.as_deref())?;
+    let request = VerifyRequest {
+        accept: args.accept.clone(),
+        ..searching(args.seed, Some(&progress))
+    };
+    let done = verify_session(
+        session,
+        &mut out,
+        request,
+        given.as_ref(),
+        args.sweep.as_deref(),
+    )?;
     out.finish()?;
     drop(progress);
     if args.json {
@@ -143,14 +162,21 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
 
 /// `SESSION-verified`, beside the session.
 fn beside(session: &Path) -> anyhow::Result<PathBuf> {
-    let named = if session.is_file() { folder_of(session) } else { session };
+    let named = if session.is_file() {
+        folder_of(session)
+    } else {
+        session
+    };
     // `.` and `..` have no name of their own.
     let named = match named.file_name() {
         Some(_) => named.to_owned(),
-        None => named.canonicalize().with_context(|| format!("reading {}", session.display()))?,
+        None => named
+            .canonicalize()
+            .with_context(|| format!("reading {}", session.display()))?,
     };
-    let name =
-        named.file_name().with_context(|| format!("{}: expected a session folder", session.display()))?;
+    let name = named
+        .file_name()
+        .with_context(|| format!("{}: expected a session folder", session.display()))?;
     let mut verified = name.to_owned();
     verified.push("-verified");
     Ok(named.with_file_name(verified))
@@ -158,25 +184,39 @@ fn beside(session: &Path) -> anyhow::Result<PathBuf> {
 
 /// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result of the same session. A session
 /// whose identifier cannot be read gets none: it would stand in the way of the next one there.
-fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionError) -> anyhow::Error {
-    let SessionError::Content(_) = &why else { return why.into() };
+fn refuse_unusable(
+    args: &VerifyArgs,
+    mut out: OutputFolder<'_>,
+    why: SessionError,
+) -> anyhow::Error {
+    let SessionError::Content(_) = &why else {
+        return why.into();
+    };
     let read = wcal_core::files::read_text(args.session.join("session.toml")).ok();
-    let table = read.and_then(|text| wcal_core::document::toml(&text).ok()).unwrap_or_default();
+    let table = read
+        .and_then(|text| wcal_core::document::toml(&text).ok())
+        .unwrap_or_default();
     let text = |key: &str| Some(table.get(key)?.as_str()?.to_owned());
-    let Some(name) = text("id") else { return why.into() };
+    let Some(name) = text("id") else {
+        return why.into();
+    };
     if let Err(other) = out.refuse_other(&name) {
         return anyhow::Error::from(why).context(other.to_string());
     }
     let kind = text("kind").unwrap_or_else(|| "unknown".to_owned());
     let mut document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
     document.simulated = is_simulated(&args.session.join("session.toml"));
-    let written = serde_json::to_vec_pretty(&document).map_err(anyhow::Error::from).and_then(|text| {
-        out.put("verify.json", text);
-        out.finish()
-    });
+    let written = serde_json::to_vec_pretty(&document)
+        .map_err(anyhow::Error::from)
+        .and_then(|text| {
+            out.put("verify.json", text);
+            out.finish()
+        });
     match written {
         Ok(()) => why.into(),
-        Err(e) => anyhow::Error::from(why).context(format!("and verify.json could not be written: {e}")),
+        Err(e) => {
+            anyhow::Error::from(why).context(format!("and verify.json could not be written: {e}"))
+        }
     }
 }
 
@@ -200,17 +240,19 @@ fn exit_code(verify: &VerifyDocument, doubtful: bool) -> (u8, &'static str) {
             4,
             "the sealed readings contradict the accepted model, and no calibration was written; measure again, or look for what changed between",
         ),
-        _ if verify.calibration.as_ref().is_some_and(|c| !c.holds) => {
-            (4, "the given calibration does not hold on these readings; calibrate anew, or find what changed")
-        }
+        _ if verify.calibration.as_ref().is_some_and(|c| !c.holds) => (
+            4,
+            "the given calibration does not hold on these readings; calibrate anew, or find what changed",
+        ),
         _ if !verify.cautions.is_empty() => (3, "the calibration stands within the cautions above"),
         _ if verify.after_trimmed.is_some() => (
             3,
             "single sealed readings lie far outside the noise; look at them (predictions.csv) before the calibration is used",
         ),
-        _ if doubtful => {
-            (3, "the session was read with the warnings above; look at them before the calibration is used")
-        }
+        _ if doubtful => (
+            3,
+            "the session was read with the warnings above; look at them before the calibration is used",
+        ),
         _ => (0, ""),
     }
 }
@@ -235,7 +277,14 @@ pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyRequest {
         ProgressListener::new(move |stage, done| reporter.at(stage, done))
     };
     let progress = progress.map(listener).unwrap_or_default();
-    VerifyRequest { search: Options { seed, progress, ..Options::default() }, ..VerifyRequest::default() }
+    VerifyRequest {
+        search: Options {
+            seed,
+            progress,
+            ..Options::default()
+        },
+        ..VerifyRequest::default()
+    }
 }
 
 /// Runs the loop and gathers every result; shared with `demo`. `given`: a calibration to be judged; `sweep`: folder of a sweep that judges the
@@ -249,25 +298,52 @@ pub fn verify_session(
 ) -> anyhow::Result<ReportInput> {
     let provenance = provenance(&session, request.search.seed);
     let ledger = SessionLedger::new(&session, out.folder(), &provenance).ledger();
-    let claims = given.iter().map(|g| g.content_sha256().to_owned()).collect();
-    let request = VerifyRequest { ledger, claims, ..request };
+    let claims = given
+        .iter()
+        .map(|g| g.content_sha256().to_owned())
+        .collect();
+    let request = VerifyRequest {
+        ledger,
+        claims,
+        ..request
+    };
     let sealed = std::mem::take(&mut session.sealed);
     let (session, made) = (&session, provenance.clone());
-    let Outcome { mut report, predictions, model, contact, judged } = match &session.data {
+    let Outcome {
+        mut report,
+        predictions,
+        model,
+        contact,
+        judged,
+    } = match &session.data {
         SessionData::Whisker(data) => {
             let sweep = sweep.map(|folder| witness(folder, data)).transpose()?;
-            let witnesses: Vec<&dyn Witness<WhiskerSystem>> = sweep.iter().map(|s| s as _).collect();
+            let witnesses: Vec<&dyn Witness<WhiskerSystem>> =
+                sweep.iter().map(|s| s as _).collect();
             of_whisker_session(session, data, sealed, &request, (given, &witnesses), made)?
         }
         _ if sweep.is_some() => {
-            bail!("--sweep: expected a session of kind whisker, found {}", session.data.kind())
+            bail!(
+                "--sweep: expected a session of kind whisker, found {}",
+                session.data.kind()
+            )
         }
-        SessionData::Transducer(data) => {
-            of_scalar_session(session, ScalarData::Transducer(data), sealed, &request, given, made)?
-        }
-        SessionData::Axis(data) => {
-            of_scalar_session(session, ScalarData::Axis(data), sealed, &request, given, made)?
-        }
+        SessionData::Transducer(data) => of_scalar_session(
+            session,
+            ScalarData::Transducer(data),
+            sealed,
+            &request,
+            given,
+            made,
+        )?,
+        SessionData::Axis(data) => of_scalar_session(
+            session,
+            ScalarData::Axis(data),
+            sealed,
+            &request,
+            given,
+            made,
+        )?,
     };
     let later = report.verify.holdout.look > 1;
     add_notes(&mut report.verify, session, later);
@@ -280,18 +356,34 @@ pub fn verify_session(
         && asserts_validity(report.verify.verdict, !request.accept.is_empty());
     if let Some(model) = model.filter(|_| verified) {
         let wire = match &session.data {
-            SessionData::Whisker(data) => {
-                Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact })
-            }
+            SessionData::Whisker(data) => Some(WireParts {
+                whisker: &data.whisker,
+                moments: &data.moments,
+                contact,
+            }),
             _ => None,
         };
-        let status = if later { VerificationStatus::Reverified } else { VerificationStatus::Verified };
-        let file = seal(&session.id, status, Some(valid_until()?), model, provenance, wire)?;
+        let status = if later {
+            VerificationStatus::Reverified
+        } else {
+            VerificationStatus::Verified
+        };
+        let file = seal(
+            &session.id,
+            status,
+            Some(valid_until()?),
+            model,
+            provenance,
+            wire,
+        )?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {
         if !judged.holds {
-            out.put("judged-calibration.json", serde_json::to_vec_pretty(&given.failed()?)?);
+            out.put(
+                "judged-calibration.json",
+                serde_json::to_vec_pretty(&given.failed()?)?,
+            );
         }
         report.verify.calibration = Some(judged);
     }
@@ -309,11 +401,24 @@ fn of_whisker_session(
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
     let count = sealed.len();
-    let verified = verify_whisker(&session.id, data, sealed.whisker(), &session.inputs, witnesses, request)?;
+    let verified = verify_whisker(
+        &session.id,
+        data,
+        sealed.whisker(),
+        &session.inputs,
+        witnesses,
+        request,
+    )?;
     let done = match verified {
         Verified::Refused(document) => {
             let report = of_document(session, *document, provenance);
-            return Ok(Outcome { report, predictions: None, model: None, contact: None, judged: None });
+            return Ok(Outcome {
+                report,
+                predictions: None,
+                model: None,
+                contact: None,
+                judged: None,
+            });
         }
         Verified::Done(done) => done,
     };
@@ -326,13 +431,23 @@ fn of_whisker_session(
     let contact = groove_comparison::groove_tracking(&own, "fit")
         .as_ref()
         .and_then(groove_comparison::calibration_contact);
-    let split = if count > 0 { (whole, "holdout") } else { (open, "fit") };
-    let after = if count > 0 { groove_places(&done, calibration, split)? } else { own };
+    let split = if count > 0 {
+        (whole, "holdout")
+    } else {
+        (open, "fit")
+    };
+    let after = if count > 0 {
+        groove_places(&done, calibration, split)?
+    } else {
+        own
+    };
     let before = groove_places(&done, &done.decision.declared_calibration(), split)?;
     report.verify.contact = groove_comparison::contact_comparison(&before, &after);
     report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
-        judged: given.map(|g| g.judge(SessionSystem::Whisker(whole))).transpose()?,
+        judged: given
+            .map(|g| g.judge(SessionSystem::Whisker(whole)))
+            .transpose()?,
         predictions: Some(predictions_csv(&done)?),
         model: Some(CalibrationModel::Physical(calibration.clone())),
         contact,
@@ -342,10 +457,18 @@ fn of_whisker_session(
 
 /// The sweep in a folder as a witness of a session's whisker.
 fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
-    let sweep = SweepSession::of(folder)?
-        .with_context(|| format!("--sweep {}: expected a session of kind sweep", folder.display()))?;
+    let sweep = SweepSession::of(folder)?.with_context(|| {
+        format!(
+            "--sweep {}: expected a session of kind sweep",
+            folder.display()
+        )
+    })?;
     let poses = data.rows.iter().filter(|r| r.trajectory.is_some()).count();
-    Ok(SweepWitness::new(sweep, (&data.whisker, &data.moments), poses)?)
+    Ok(SweepWitness::new(
+        sweep,
+        (&data.whisker, &data.moments),
+        poses,
+    )?)
 }
 
 /// Places that the tracker finds through `model` beside the groove's, on the readings of a system: all of them (`fit`), or those that were sealed
@@ -358,11 +481,17 @@ fn groove_places(
     let readings = 0..system.path.readings.len();
     let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
     let accepted = asserts_validity(done.document.verdict, false);
-    let motion = model.groove_motion(system).filter(|_| accepted && readings.clone().all(way_known));
-    let Some(motion) = motion else { return Ok(Vec::new()) };
+    let motion = model
+        .groove_motion(system)
+        .filter(|_| accepted && readings.clone().all(way_known));
+    let Some(motion) = motion else {
+        return Ok(Vec::new());
+    };
     let [sealed, _] = system.held_out();
     let chosen = |i: usize| sealed[i] == (split == "holdout");
-    Ok(session_groove::compared(system, motion, chosen, |i| system.row(i).groove_mm)?)
+    Ok(session_groove::compared(system, motion, chosen, |i| {
+        system.row(i).groove_mm
+    })?)
 }
 
 fn of_scalar_session(
@@ -382,7 +511,10 @@ fn of_scalar_session(
             _ => None,
         },
         model: done.model.clone().map(|model| {
-            CalibrationModel::Scalar(ScalarModel { columns: session.imported.clone(), ..model })
+            CalibrationModel::Scalar(ScalarModel {
+                columns: session.imported.clone(),
+                ..model
+            })
         }),
         contact: None,
         report: of_scalar(session, (data, count), &done, provenance),
@@ -390,7 +522,9 @@ fn of_scalar_session(
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
-    document.notes.extend(session.warnings.iter().map(ToString::to_string));
+    document
+        .notes
+        .extend(session.warnings.iter().map(ToString::to_string));
     if seen {
         document.notes.push(
             "This holdout has met another decision before: its error is no longer that of a first look."

@@ -100,8 +100,14 @@ struct RodPlant {
 impl RodPlant {
     fn new(scenario: &Scenario) -> Result<Self> {
         let (w, effects) = (&scenario.whisker, &scenario.effects);
-        let mut wire =
-            Wire::new(w.diameter_mm, w.length_mm, w.straight_mm, w.arc_radius_mm, w.youngs_gpa, w.shear_gpa);
+        let mut wire = Wire::new(
+            w.diameter_mm,
+            w.length_mm,
+            w.straight_mm,
+            w.arc_radius_mm,
+            w.youngs_gpa,
+            w.shear_gpa,
+        );
         wire.root_compliance = [effects.root_turn_rad_per_nmm; 2];
         let table = |t: &wcal_drivers::bench::scenario::TrajectoryScenario| {
             let arclength_mm = rest_arclength_mm(w, t.origin_mm);
@@ -113,10 +119,24 @@ impl RodPlant {
             };
             let table = Table::build(&wire, &path, REACH * arclength_mm, &[0.0], NODES)
                 .with_context(|| format!("trajectory {}", t.id))?;
-            Ok((ScenePath { id: t.id, path, touch_mm: table.touch_mm() }, table))
+            Ok((
+                ScenePath {
+                    id: t.id,
+                    path,
+                    touch_mm: table.touch_mm(),
+                },
+                table,
+            ))
         };
-        let built = scenario.trajectories().iter().map(table).collect::<Result<Vec<_>>>()?;
-        let tables = built.iter().map(|(p, table)| (p.id, table.clone())).collect();
+        let built = scenario
+            .trajectories()
+            .iter()
+            .map(table)
+            .collect::<Result<Vec<_>>>()?;
+        let tables = built
+            .iter()
+            .map(|(p, table)| (p.id, table.clone()))
+            .collect();
         let paths = built.into_iter().map(|(path, _)| path).collect();
         let scene = Arc::new(BenchScene::new(wire, w, paths, &scenario.cameras));
         Ok(Self { tables, scene })

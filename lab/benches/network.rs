@@ -24,8 +24,14 @@ const ROWS: u32 = 2000;
 fn rows(c: &mut Criterion) {
     let two = FeatureExtractor::width(NODES, true);
     let sizes = [
-        ("paper", NetworkConfig::paper(FeatureExtractor::width(NODES, false))),
-        ("compact", NetworkConfig::compact(two, knots(NODES).len(), true)),
+        (
+            "paper",
+            NetworkConfig::paper(FeatureExtractor::width(NODES, false)),
+        ),
+        (
+            "compact",
+            NetworkConfig::compact(two, knots(NODES).len(), true),
+        ),
     ];
     let mut group = c.benchmark_group("network");
     for (name, config) in sizes {
@@ -33,18 +39,28 @@ fn rows(c: &mut Criterion) {
         device.seed(7);
         let net = TrainableNet::new(&config, &device).expect("sizes that fit");
         let (net, _) = runnable(&net, &config).expect("weights that are written");
-        let inputs: Vec<f32> = (0..config.inputs).map(|k| (k as f32 * 0.37).sin()).collect();
+        let inputs: Vec<f32> = (0..config.inputs)
+            .map(|k| (k as f32 * 0.37).sin())
+            .collect();
         let (mut cache, mut k) = (KvCache::default(), 0_u32);
         let mut row = || {
             k += 1;
-            net.step(black_box(&inputs), 0.1 * f64::from(k), config.context, &mut cache)
+            net.step(
+                black_box(&inputs),
+                0.1 * f64::from(k),
+                config.context,
+                &mut cache,
+            )
         };
         // A full context: what a stream costs in the long run.
         (0..config.context).for_each(|_| drop(row()));
         // By the processor's time: on a busy machine the clock's is not the network's.
         let begin_s = thread_s();
         (0..ROWS).for_each(|_| drop(black_box(row())));
-        println!("{name}: {:.0} rows a second of one core", f64::from(ROWS) / (thread_s() - begin_s));
+        println!(
+            "{name}: {:.0} rows a second of one core",
+            f64::from(ROWS) / (thread_s() - begin_s)
+        );
         group.throughput(Throughput::Elements(1));
         group.bench_function(name, |b| b.iter(&mut row));
     }

@@ -31,8 +31,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
     println!("{:>6} {:>12} {:>12}", "links", "point", "base moment");
     for links in [10, 20, 40, 80] {
-        let found = statics(&mut engine, &whisker, &MjcfOptions { links, ..options.clone() })?;
-        println!("{links:>6} {:>11.4}% {:>11.4}%", found.point_error * 100.0, found.moment_error * 100.0);
+        let found = statics(
+            &mut engine,
+            &whisker,
+            &MjcfOptions {
+                links,
+                ..options.clone()
+            },
+        )?;
+        println!(
+            "{links:>6} {:>11.4}% {:>11.4}%",
+            found.point_error * 100.0,
+            found.moment_error * 100.0
+        );
     }
     let mut bodies = Vec::new();
     for name in ["ball", "can", "star-bar"] {
@@ -51,10 +62,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut cable = CableEngine::start(&whisker, &options)?;
     let mut sum = ComparisonSum::new(SPEEDS_MM_S.map(|v| [v; 2]).to_vec());
     for speed in SPEEDS_MM_S {
-        let plan = SweepPlan { speed_mm_s: [speed; 2], acceleration_mm_s2: 0.0, ..SweepPlan::default() };
+        let plan = SweepPlan {
+            speed_mm_s: [speed; 2],
+            acceleration_mm_s2: 0.0,
+            ..SweepPlan::default()
+        };
         for (mesh, convex) in &bodies {
             for index in 0..sweeps.parse()? {
-                let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else { continue };
+                let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else {
+                    continue;
+                };
                 let quasi = rod.run(mesh, &sweep, &plan);
                 let dynamic = cable.run(mesh, &convex.corners(), &sweep, &plan)?;
                 sum.add(&dynamic, &quasi);

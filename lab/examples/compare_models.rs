@@ -32,7 +32,10 @@ fn main() -> Result<(), Failure> {
         return Err("compare_models MESHES OBJECTS SWEEPS_EACH SEED MODEL...".into());
     };
     let (count, each, seed): (usize, usize, u64) = (count.parse()?, each.parse()?, seed.parse()?);
-    let all: Vec<(Tracker, Card)> = models.iter().map(|m| load(Path::new(m))).collect::<Result<_, _>>()?;
+    let all: Vec<(Tracker, Card)> = models
+        .iter()
+        .map(|m| load(Path::new(m)))
+        .collect::<Result<_, _>>()?;
     let first = &all.first().ok_or("expected a model")?.1;
     if all.iter().any(|(_, card)| card.objects != first.objects) {
         return Err("expected models of one split".into());
@@ -42,20 +45,33 @@ fn main() -> Result<(), Failure> {
         names.iter().take(count).map(named).collect()
     };
     let sets = [of(&first.objects.training)?, of(&first.objects.unseen)?];
-    println!("{:<34} {:<24} {:<26} {:<26} regions", "sweeps (SIMULATED)", "model", "seen, mm", "unseen, mm");
+    println!(
+        "{:<34} {:<24} {:<26} {:<26} regions",
+        "sweeps (SIMULATED)", "model", "seen, mm", "unseen, mm"
+    );
     for (kind, whisker, plan, each) in kinds(&first.whisker, each) {
-        let request = SweepRequest { whisker: &whisker, plan: &plan, seed: seed ^ DRAWN_ANEW, sweeps: each };
+        let request = SweepRequest {
+            whisker: &whisker,
+            plan: &plan,
+            seed: seed ^ DRAWN_ANEW,
+            sweeps: each,
+        };
         let series = [swept(&sets[0], &request)?, swept(&sets[1], &request)?];
         for known in [true, false] {
             for ((tracker, _), name) in all.iter().zip(models) {
                 let method = Method::Network(tracker, known);
-                let score = |k: usize| score_objects(&|c: &SweepSeries| method.run(c), &series[k], &sets[k]);
+                let score = |k: usize| {
+                    score_objects(&|c: &SweepSeries| method.run(c), &series[k], &sets[k])
+                };
                 let rows = [score(0)?, score(1)?];
                 let speed = if known { "known" } else { "not known" };
                 let [seen, unseen] = [0, 1].map(|k| mean(&rows[k]));
                 let held = rows.iter().flatten().filter_map(|o| o.all.coverage90);
                 let held = held.sum::<f64>() / (rows[0].len() + rows[1].len()) as f64;
-                let name = Path::new(name).file_name().unwrap_or_default().to_string_lossy();
+                let name = Path::new(name)
+                    .file_name()
+                    .unwrap_or_default()
+                    .to_string_lossy();
                 println!(
                     "{:<34} {name:<24} {seen:<26} {unseen:<26} {held:.2}",
                     format!("{kind}, speed {speed}")
@@ -68,19 +84,44 @@ fn main() -> Result<(), Failure> {
 
 /// Name, wire, plan, and sweeps over an object.
 fn kinds(whisker: &WhiskerSpec, each: usize) -> [(&'static str, WhiskerSpec, SweepPlan, usize); 3] {
-    let random = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-    let upright = SweepPlan { turn: Turn::Faces, keep_jumps: false, step_mm: 0.1, ..random.clone() };
-    let physics =
-        PhysicsPlan { friction: [0.05, 0.25], medium: Medium::Air, weight: true, ..PhysicsPlan::default() };
+    let random = SweepPlan {
+        rate_hz: 10.0,
+        ..SweepPlan::default()
+    };
+    let upright = SweepPlan {
+        turn: Turn::Faces,
+        keep_jumps: false,
+        step_mm: 0.1,
+        ..random.clone()
+    };
+    let physics = PhysicsPlan {
+        friction: [0.05, 0.25],
+        medium: Medium::Air,
+        weight: true,
+        ..PhysicsPlan::default()
+    };
     let mut other = whisker.clone();
-    if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut other.rest_shape {
+    if let RestShape::StraightArc {
+        straight_mm,
+        arc_radius_mm,
+        ..
+    } = &mut other.rest_shape
+    {
         (*straight_mm, *arc_radius_mm) = (*straight_mm - 0.1, *arc_radius_mm + 0.15);
     }
     (other.youngs_gpa, other.shear_gpa) = (other.youngs_gpa * 0.985, other.shear_gpa * 0.985);
-    let friction = SweepPlan { physics, ..random.clone() };
+    let friction = SweepPlan {
+        physics,
+        ..random.clone()
+    };
     [
         ("random turns", whisker.clone(), random, each),
-        ("upright", whisker.clone(), upright, each.next_multiple_of(4)),
+        (
+            "upright",
+            whisker.clone(),
+            upright,
+            each.next_multiple_of(4),
+        ),
         ("other wire, friction", other, friction, each),
     ]
 }
@@ -96,6 +137,8 @@ fn swept(meshes: &Meshes, request: &SweepRequest<'_>) -> Result<Series, Failure>
 
 fn mean(rows: &[ObjectScores]) -> String {
     let mean = rows.iter().map(|o| o.all.rmse_mm).sum::<f64>() / rows.len().max(1) as f64;
-    mean_interval95(rows, |s| s.surface)
-        .map_or_else(|| format!("{mean:.2}"), |[low, high]| format!("{mean:.2} [{low:.2}, {high:.2}]"))
+    mean_interval95(rows, |s| s.surface).map_or_else(
+        || format!("{mean:.2}"),
+        |[low, high]| format!("{mean:.2} [{low:.2}, {high:.2}]"),
+    )
 }

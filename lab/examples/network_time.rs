@@ -35,15 +35,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&folder)?;
     let device = Device::flex();
     device.seed(7);
-    let config =
-        NetworkConfig { dropout: 0.0, ..NetworkConfig::paper(FeatureExtractor::width(NODES, false)) };
+    let config = NetworkConfig {
+        dropout: 0.0,
+        ..NetworkConfig::paper(FeatureExtractor::width(NODES, false))
+    };
     let case = Case::new(&config, &device);
     let net = TrainableNet::new(&config, &device)?;
     let mut store = SafetensorsStore::from_file(folder.join("net.safetensors")).overwrite(true);
     net.save_into(&mut store)?;
     case.write(&folder, &net)?;
     // The paper's dropout is part of the step that is timed, not of the comparison.
-    let with_dropout = NetworkConfig { dropout: 0.1, ..config };
+    let with_dropout = NetworkConfig {
+        dropout: 0.1,
+        ..config
+    };
     let (step_s, step_cpu_s, losses) = train(&with_dropout, &case, steps, &device)?;
     let (token_us, token_cpu_us) = stream(&runnable(&net, &config)?.0, &config, tokens);
     let document = serde_json::json!({
@@ -67,14 +72,23 @@ impl Case {
         let times_s = vec![(0..TIME).map(|k| 0.1 * k as f64).collect(); BATCH];
         Self {
             config: *config,
-            inputs: Tensor::random([BATCH, TIME, config.inputs], Distribution::Normal(0.0, 1.0), device),
+            inputs: Tensor::random(
+                [BATCH, TIME, config.inputs],
+                Distribution::Normal(0.0, 1.0),
+                device,
+            ),
             targets: Tensor::random([BATCH, TIME, 3], Distribution::Normal(0.0, 1.0), device),
             times_s,
         }
     }
 
     fn bias(&self, device: &Device) -> Tensor<4> {
-        attention_bias(&self.times_s, self.config.heads, self.config.context, device)
+        attention_bias(
+            &self.times_s,
+            self.config.heads,
+            self.config.context,
+            device,
+        )
     }
 
     /// What a peer compares itself with: raw little-endian single precision, one file a tensor.
@@ -103,7 +117,10 @@ fn train(
     let learning = device.clone().autodiff();
     let mut net = TrainableNet::new(config, &learning)?;
     let mut optimizer = AdamConfig::new().with_epsilon(1e-8).init();
-    let (inputs, targets) = (case.inputs.clone().into_data(), case.targets.clone().into_data());
+    let (inputs, targets) = (
+        case.inputs.clone().into_data(),
+        case.targets.clone().into_data(),
+    );
     let (mut wall, mut cpu, mut losses) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..steps {
         let (begin, begin_cpu_s) = (Instant::now(), cpu_s());
@@ -123,7 +140,9 @@ fn train(
 /// Time of each streamed token with a full cache, and CPU time a token over all, us.
 fn stream(net: &WhiskerNet, config: &NetworkConfig, tokens: usize) -> (Vec<f64>, f64) {
     let mut memory = KvCache::default();
-    let values: Vec<f32> = (0..config.inputs).map(|k| (k as f32 * 0.37).sin()).collect();
+    let values: Vec<f32> = (0..config.inputs)
+        .map(|k| (k as f32 * 0.37).sin())
+        .collect();
     let mut push = |k: usize| {
         std::hint::black_box(net.step(&values, 0.1 * k as f64, config.context, &mut memory));
     };
@@ -135,13 +154,21 @@ fn stream(net: &WhiskerNet, config: &NetworkConfig, tokens: usize) -> (Vec<f64>,
         push(config.context + k);
         times_us.push(begin.elapsed().as_secs_f64() * 1e6);
     }
-    (times_us, (cpu_s() - begin_cpu_s) * 1e6 / tokens.max(1) as f64)
+    (
+        times_us,
+        (cpu_s() - begin_cpu_s) * 1e6 / tokens.max(1) as f64,
+    )
 }
 
 /// CPU time of this process, s (Linux, in steps of 10 ms).
 fn cpu_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after_name = stat.rsplit(')').next().unwrap_or_default();
-    let fields: Vec<f64> = after_name.split_whitespace().skip(11).take(2).flat_map(str::parse).collect();
+    let fields: Vec<f64> = after_name
+        .split_whitespace()
+        .skip(11)
+        .take(2)
+        .flat_map(str::parse)
+        .collect();
     fields.iter().sum::<f64>() / 100.0
 }

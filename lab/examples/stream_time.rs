@@ -30,8 +30,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let rows: usize = rows.parse()?;
     let (tracker, card) = load(Path::new(model))?;
-    let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-    let order = SweepRequest { whisker: &card.whisker, plan: &plan, seed: SEED, sweeps: SWEEPS };
+    let plan = SweepPlan {
+        rate_hz: 10.0,
+        ..SweepPlan::default()
+    };
+    let order = SweepRequest {
+        whisker: &card.whisker,
+        plan: &plan,
+        seed: SEED,
+        sweeps: SWEEPS,
+    };
     let mut all = Vec::new();
     for name in OBJECTS {
         all.extend(generate_sweeps(&objects::built_in(name)?, &order)?);

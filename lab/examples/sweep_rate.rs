@@ -10,12 +10,21 @@ use wcal_sim::Mesh;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
-    let count: u64 = words.next().ok_or("expected the number of sweeps an object")?.parse()?;
+    let count: u64 = words
+        .next()
+        .ok_or("expected the number of sweeps an object")?
+        .parse()?;
     let files: Vec<String> = words.collect();
     let meshes: Vec<Mesh> = if files.is_empty() {
-        objects::NAMES.iter().map(|n| objects::built_in(n)).collect::<Result<_, _>>()?
+        objects::NAMES
+            .iter()
+            .map(|n| objects::built_in(n))
+            .collect::<Result<_, _>>()?
     } else {
-        files.iter().map(|f| Mesh::read(f.as_ref())).collect::<Result<_, _>>()?
+        files
+            .iter()
+            .map(|f| Mesh::read(f.as_ref()))
+            .collect::<Result<_, _>>()?
     };
     let whisker = WhiskerSpec::nominal();
     let (engine, plan) = (RodEngine::new(&whisker, LINKS)?, SweepPlan::default());
@@ -24,11 +33,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let begin_s = wcal_lab::dataset::thread_s();
     for mesh in &meshes {
         for index in 0..count {
-            let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, engine.reach_mm()) else { continue };
+            let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, engine.reach_mm()) else {
+                continue;
+            };
             let run = engine.run(mesh, &sweep, &plan);
             sweeps += 1;
-            (samples, solves, iterations) =
-                (samples + run.samples.len(), solves + run.solves, iterations + run.iterations);
+            (samples, solves, iterations) = (
+                samples + run.samples.len(),
+                solves + run.solves,
+                iterations + run.iterations,
+            );
             *verdicts.entry(run.verdict.name()).or_default() += 1;
         }
     }
@@ -42,6 +56,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         seconds * 1e6 / iterations as f64
     );
     let minutes = 15_600.0 * seconds / f64::from(sweeps) / 60.0;
-    println!("15,600 sweeps: {minutes:.1} core minutes, {:.1} minutes on 2 cores", minutes / 2.0);
+    println!(
+        "15,600 sweeps: {minutes:.1} core minutes, {:.1} minutes on 2 cores",
+        minutes / 2.0
+    );
     Ok(())
 }

@@ -26,21 +26,34 @@ pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     }
     let each: Vec<f64> = rows.iter().map(|r| rmse_of(&r.sweeps, of)).collect();
     let n = each.len();
-    interval95(n, |rng| redrawn(n, rng).map(|k| each[k]).sum::<f64>() / n as f64)
+    interval95(n, |rng| {
+        redrawn(n, rng).map(|k| each[k]).sum::<f64>() / n as f64
+    })
 }
 
 /// 95 % interval of the largest RMSE of these objects, mm: sweeps are resampled within each.
 pub fn worst_interval95(rows: &[&ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     let smallest = rows.iter().map(|r| r.sweeps.len()).min()?;
-    interval95(smallest, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
+    interval95(smallest, |rng| {
+        rows.iter()
+            .map(|r| resampled_rmse(&r.sweeps, of, rng))
+            .fold(0.0, f64::max)
+    })
 }
 
 fn rmse_of(sweeps: &[SweepSums], of: ErrorOf) -> f64 {
-    sweeps.iter().map(of).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
+    sweeps
+        .iter()
+        .map(of)
+        .fold(SquareSum::default(), SquareSum::plus)
+        .rmse_mm()
 }
 
 fn resampled_rmse(sweeps: &[SweepSums], of: ErrorOf, rng: &mut ChaCha8Rng) -> f64 {
-    redrawn(sweeps.len(), rng).map(|k| of(&sweeps[k])).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
+    redrawn(sweeps.len(), rng)
+        .map(|k| of(&sweeps[k]))
+        .fold(SquareSum::default(), SquareSum::plus)
+        .rmse_mm()
 }
 
 /// Of a statistic of `units` resampled units.
@@ -56,13 +69,19 @@ mod tests {
     use rand_distr::{Distribution, LogNormal};
 
     fn object(rmse_mm: f64) -> ObjectScores {
-        let sum = SquareSum { count: 10.0, squares_mm2: 10.0 * rmse_mm * rmse_mm };
+        let sum = SquareSum {
+            count: 10.0,
+            squares_mm2: 10.0 * rmse_mm * rmse_mm,
+        };
         ObjectScores {
             name: String::new(),
             all: Scores::default(),
             followed: Scores::default(),
             detection: Detection::default(),
-            sweeps: vec![SweepSums { surface: sum, ..SweepSums::default() }],
+            sweeps: vec![SweepSums {
+                surface: sum,
+                ..SweepSums::default()
+            }],
         }
     }
 
@@ -88,12 +107,29 @@ mod tests {
     #[test]
     fn sweeps_stay_whole() {
         // Two sweeps, one good and one bad: every draw is one of three values, however many samples they have.
-        let good =
-            SweepSums { surface: SquareSum { count: 1e6, squares_mm2: 1e6 * 0.01 }, ..SweepSums::default() };
-        let bad =
-            SweepSums { surface: SquareSum { count: 1e6, squares_mm2: 1e6 * 4.0 }, ..SweepSums::default() };
+        let good = SweepSums {
+            surface: SquareSum {
+                count: 1e6,
+                squares_mm2: 1e6 * 0.01,
+            },
+            ..SweepSums::default()
+        };
+        let bad = SweepSums {
+            surface: SquareSum {
+                count: 1e6,
+                squares_mm2: 1e6 * 4.0,
+            },
+            ..SweepSums::default()
+        };
         let [low, high] = object_interval95(&[good, bad], |s| s.surface).unwrap();
-        assert!((low - 0.1).abs() < 1e-9 && (high - 2.0).abs() < 1e-9, "{low} {high}");
-        assert_eq!(object_interval95(&[good], |s| s.surface), None, "one sweep says nothing of its like");
+        assert!(
+            (low - 0.1).abs() < 1e-9 && (high - 2.0).abs() < 1e-9,
+            "{low} {high}"
+        );
+        assert_eq!(
+            object_interval95(&[good], |s| s.surface),
+            None,
+            "one sweep says nothing of its like"
+        );
     }
 }

@@ -74,11 +74,23 @@ impl LabError {
         path: &std::path::Path,
     ) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
-        move |e| Self::File { action, path, detail: e.to_string() }
+        move |e| Self::File {
+            action,
+            path,
+            detail: e.to_string(),
+        }
     }
 
     /// A value that cannot be used.
-    pub fn value(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), expected: expected.into(), found: found.into() }
+    pub fn value(
+        what: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Value {
+            what: what.into(),
+            expected: expected.into(),
+            found: found.into(),
+        }
     }
 }

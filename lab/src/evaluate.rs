@@ -52,7 +52,9 @@ impl Method<'_> {
     pub fn run(&self, series: &SweepSeries) -> Vec<Estimate> {
         let size = |m: [f64; 2]| m[0].hypot(m[1]);
         match self {
-            Self::Network(tracker, known) => network_estimates(tracker, tracker.filters, series, *known),
+            Self::Network(tracker, known) => {
+                network_estimates(tracker, tracker.filters, series, *known)
+            }
             Self::Bayes(inverse, known, settings) => {
                 let mut filter = BayesFilter::new(inverse, **settings);
                 let mut last_s = 0.0;
@@ -109,14 +111,20 @@ fn network_estimates(
         covariance_mm2: (tracker.config.nodes > 0)
             .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
     };
-    tracker.track_series_with(filters, &samples).into_iter().map(answer).collect()
+    tracker
+        .track_series_with(filters, &samples)
+        .into_iter()
+        .map(answer)
+        .collect()
 }
 
 fn static_point(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let off = |k: &usize| (inverse.nodes[*k].arclength_mm - arclength_mm).abs();
-    let nearest = (0..solutions.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
+    let nearest = (0..solutions.len())
+        .min_by(|a, b| off(a).total_cmp(&off(b)))
+        .unwrap_or(0);
     solutions[nearest].point_mm
 }
 
@@ -175,7 +183,9 @@ pub fn held_out_regions(
     all_series: &[SweepSeries],
     base_known: bool,
 ) -> Vec<(String, EstimateError)> {
-    let all = all_series.par_iter().flat_map_iter(|c| regions(tracker, tracker.filters, c, base_known));
+    let all = all_series
+        .par_iter()
+        .flat_map_iter(|c| regions(tracker, tracker.filters, c, base_known));
     all.collect()
 }
 
@@ -209,8 +219,9 @@ pub fn score_objects(
     all_series
         .iter()
         .map(|(name, all_series)| {
-            let mesh =
-                meshes.get(name).ok_or_else(|| LabError::value("meshes", name.clone(), "no such object"))?;
+            let mesh = meshes
+                .get(name)
+                .ok_or_else(|| LabError::value("meshes", name.clone(), "no such object"))?;
             let one = |series: &SweepSeries| compare_with_truth(series, mesh, &run(series));
             let parts: Vec<_> = all_series.par_iter().map(one).collect();
             let compared = || parts.iter().flat_map(|p| &p.0);
@@ -222,7 +233,11 @@ pub fn score_objects(
                 all: scores(&all),
                 followed: scores(&followed),
                 detection: detection(&calls),
-                sweeps: parts.iter().map(|p| SweepSums::of(&p.0)).filter(|s| s.surface.count > 0.0).collect(),
+                sweeps: parts
+                    .iter()
+                    .map(|p| SweepSums::of(&p.0))
+                    .filter(|s| s.surface.count > 0.0)
+                    .collect(),
             })
         })
         .collect()

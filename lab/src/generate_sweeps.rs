@@ -30,7 +30,10 @@ const MAX_TRIES: usize = 6;
 ///
 /// # Errors
 /// Where whisker or plan cannot be used.
-pub fn generate_sweeps(mesh: &Mesh, request: &SweepRequest<'_>) -> Result<Vec<SweepSeries>, LabError> {
+pub fn generate_sweeps(
+    mesh: &Mesh,
+    request: &SweepRequest<'_>,
+) -> Result<Vec<SweepSeries>, LabError> {
     request.plan.check()?;
     let engine = RodEngine::new(request.whisker, LINKS)?;
     let one = |index: u64| {
@@ -41,7 +44,8 @@ pub fn generate_sweeps(mesh: &Mesh, request: &SweepRequest<'_>) -> Result<Vec<Sw
     let mut kept = Vec::new();
     let chunk = request.sweeps.max(1) as u64;
     for from in (0..chunk * MAX_TRIES as u64).step_by(request.sweeps.max(1)) {
-        let tried: Vec<Option<SweepSeries>> = (from..from + chunk).into_par_iter().map(one).collect();
+        let tried: Vec<Option<SweepSeries>> =
+            (from..from + chunk).into_par_iter().map(one).collect();
         kept.extend(tried.into_iter().flatten());
         if kept.len() >= request.sweeps {
             break;
@@ -57,7 +61,15 @@ fn series(mesh: &Mesh, sweep: &Sweep, run: &Run) -> SweepSeries {
         let touched: Vec<_> = s
             .contacts
             .iter()
-            .map(|c| (Contact { point_mm: c.point_mm, arclength_mm: c.arclength_mm }, c.force_n))
+            .map(|c| {
+                (
+                    Contact {
+                        point_mm: c.point_mm,
+                        arclength_mm: c.arclength_mm,
+                    },
+                    c.force_n,
+                )
+            })
             .collect();
         SweepSample {
             t_s: s.t_s,

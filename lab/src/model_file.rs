@@ -103,7 +103,11 @@ impl Split {
     ///
     /// # Errors
     /// Where none is left to train on, or none is held out.
-    pub fn draw(mut names: Vec<String>, [held_out, unseen]: [usize; 2], seed: u64) -> Result<Self, LabError> {
+    pub fn draw(
+        mut names: Vec<String>,
+        [held_out, unseen]: [usize; 2],
+        seed: u64,
+    ) -> Result<Self, LabError> {
         if held_out == 0 || held_out + unseen >= names.len() {
             let found = format!("{held_out} held out and {unseen} unseen of {}", names.len());
             return Err(LabError::value(
@@ -118,7 +122,11 @@ impl Split {
         for part in [&mut training, &mut unseen, &mut names] {
             part.sort_unstable();
         }
-        Ok(Self { training, held_out: names, unseen })
+        Ok(Self {
+            training,
+            held_out: names,
+            unseen,
+        })
     }
 }
 
@@ -126,11 +134,17 @@ impl Split {
 ///
 /// # Errors
 /// Where the weights cannot be written, or one is not finite.
-pub fn runnable(net: &TrainableNet, config: &NetworkConfig) -> Result<(WhiskerNet, Vec<u8>), LabError> {
+pub fn runnable(
+    net: &TrainableNet,
+    config: &NetworkConfig,
+) -> Result<(WhiskerNet, Vec<u8>), LabError> {
     let unwritten = |e: String| LabError::value("weights", "a network that can be written", e);
     // Several entries come in any order: the same weights would have several hashes.
-    let mut store = SafetensorsStore::from_bytes(None).clear_metadata().metadata("producer", "wcal");
-    net.save_into(&mut store).map_err(|e| unwritten(e.to_string()))?;
+    let mut store = SafetensorsStore::from_bytes(None)
+        .clear_metadata()
+        .metadata("producer", "wcal");
+    net.save_into(&mut store)
+        .map_err(|e| unwritten(e.to_string()))?;
     let bytes = store.get_bytes().map_err(|e| unwritten(e.to_string()))?;
     Ok((WhiskerNet::read(config, &bytes)?, bytes))
 }
@@ -141,8 +155,11 @@ pub fn runnable(net: &TrainableNet, config: &NetworkConfig) -> Result<(WhiskerNe
 /// Where a file cannot be written.
 pub fn save(folder: &Path, net: &TrainableNet, card: &mut Card) -> Result<(), LabError> {
     std::fs::create_dir_all(folder).map_err(LabError::file("creating", folder))?;
-    let refused =
-        |e: FileError| LabError::File { action: e.action, path: e.path, detail: e.source.to_string() };
+    let refused = |e: FileError| LabError::File {
+        action: e.action,
+        path: e.path,
+        detail: e.source.to_string(),
+    };
     let (_, bytes) = runnable(net, &card.network)?;
     write_atomic(&folder.join(WEIGHTS), &bytes).map_err(refused)?;
     card.weights_sha256 = sha256_hex(&bytes);
@@ -192,8 +209,12 @@ pub fn put_weights(net: &mut TrainableNet, folder: &Path) -> Result<u64, LabErro
     let weights = folder.join(WEIGHTS);
     let bytes = wcal_core::files::read(&weights).map_err(LabError::file("reading", &weights))?;
     let mut store = SafetensorsStore::from_bytes(Some(bytes));
-    net.load_from(&mut store).map_err(LabError::file("reading", &weights))?;
-    let first = card.weights_sha256.get(..16).and_then(|hex| u64::from_str_radix(hex, 16).ok());
+    net.load_from(&mut store)
+        .map_err(LabError::file("reading", &weights))?;
+    let first = card
+        .weights_sha256
+        .get(..16)
+        .and_then(|hex| u64::from_str_radix(hex, 16).ok());
     first.ok_or_else(|| {
         let what = format!("{}: weights_sha256", folder.join(CARD).display());
         LabError::value(what, "64 hexadecimal digits", &card.weights_sha256)
@@ -202,19 +223,32 @@ pub fn put_weights(net: &mut TrainableNet, folder: &Path) -> Result<u64, LabErro
 
 /// Grid of the curve that the networks are built on: a node every half millimetre.
 pub fn network_grid() -> InverseGrid {
-    InverseGrid { step_mm: 1.0, refine: 2, tilts: 8, ..InverseGrid::default() }
+    InverseGrid {
+        step_mm: 1.0,
+        refine: 2,
+        tilts: 8,
+        ..InverseGrid::default()
+    }
 }
 
 /// Sizes of a preset on a curve; the compact one weighs two filters.
 ///
 /// # Errors
 /// Names the presets.
-pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<NetworkConfig, LabError> {
+pub fn preset(
+    name: &str,
+    inverse: &StaticInverse,
+    two_filters: bool,
+) -> Result<NetworkConfig, LabError> {
     let nodes = inverse.nodes.len();
     match name {
         "compact" => {
             let inputs = FeatureExtractor::width(nodes, two_filters);
-            Ok(NetworkConfig::compact(inputs, knots(nodes).len(), two_filters))
+            Ok(NetworkConfig::compact(
+                inputs,
+                knots(nodes).len(),
+                two_filters,
+            ))
         }
         "paper" => Ok(NetworkConfig::paper(FeatureExtractor::width(nodes, false))),
         _ => Err(LabError::value("preset", "compact or paper", name)),

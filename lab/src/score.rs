@@ -51,10 +51,18 @@ impl EstimateError {
         covariance: Option<&Matrix3<f64>>,
     ) -> Self {
         // (p - c)^T C^-1 (p - c); a covariance that is not positive definite states nothing.
-        let mahalanobis2 = covariance.and_then(|c| c.cholesky()).map(|c| error_mm.dot(&c.solve(&error_mm)));
+        let mahalanobis2 = covariance
+            .and_then(|c| c.cholesky())
+            .map(|c| error_mm.dot(&c.solve(&error_mm)));
         let along_mm = path.try_normalize(1e-9).map_or(0.0, |w| w.dot(&error_mm));
         let stated_spread_mm = covariance.map(|c| c.trace().max(0.0).sqrt());
-        Self { surface_mm, error_mm, mahalanobis2, stated_spread_mm, along_mm }
+        Self {
+            surface_mm,
+            error_mm,
+            mahalanobis2,
+            stated_spread_mm,
+            along_mm,
+        }
     }
 }
 
@@ -69,11 +77,17 @@ pub struct SquareSum {
 
 impl SquareSum {
     fn of(values: impl Iterator<Item = f64>) -> Self {
-        values.fold(Self::default(), |s, x| Self { count: s.count + 1.0, squares_mm2: s.squares_mm2 + x * x })
+        values.fold(Self::default(), |s, x| Self {
+            count: s.count + 1.0,
+            squares_mm2: s.squares_mm2 + x * x,
+        })
     }
 
     pub(crate) fn plus(self, other: Self) -> Self {
-        Self { count: self.count + other.count, squares_mm2: self.squares_mm2 + other.squares_mm2 }
+        Self {
+            count: self.count + other.count,
+            squares_mm2: self.squares_mm2 + other.squares_mm2,
+        }
     }
 
     pub(crate) fn rmse_mm(self) -> f64 {
@@ -99,7 +113,8 @@ pub struct SweepSums {
 impl SweepSums {
     /// Of the estimates of a sweep; `true`: tracked for a while.
     pub fn of(pairs: &[(EstimateError, bool)]) -> Self {
-        let all = |value: fn(&EstimateError) -> f64| SquareSum::of(pairs.iter().map(|p| value(&p.0)));
+        let all =
+            |value: fn(&EstimateError) -> f64| SquareSum::of(pairs.iter().map(|p| value(&p.0)));
         let followed = |value: fn(&EstimateError) -> f64| {
             SquareSum::of(pairs.iter().filter(|p| p.1).map(|p| value(&p.0)))
         };
@@ -189,8 +204,10 @@ pub struct Detection {
 
 /// Factors on stated standard deviations from estimates with their own covariances, in groups of equal number by the spread (`wcal_track::sd_factors`).
 pub fn calibrated(all: &[EstimateError]) -> SdFactors {
-    let mut stated: Vec<(f64, EstimateError)> =
-        all.iter().filter_map(|c| Some((c.stated_spread_mm?, *c))).collect();
+    let mut stated: Vec<(f64, EstimateError)> = all
+        .iter()
+        .filter_map(|c| Some((c.stated_spread_mm?, *c)))
+        .collect();
     stated.sort_by(|a, b| a.0.total_cmp(&b.0));
     let groups = (stated.len() / MIN_GROUP_SIZE).clamp(1, MAX_GROUPS);
     let of_group = stated.len().div_ceil(groups).max(1);
@@ -199,20 +216,40 @@ pub fn calibrated(all: &[EstimateError]) -> SdFactors {
         let middle_mm = group[group.len() / 2].0;
         if at_mm.last().is_none_or(|last| *last < middle_mm) {
             at_mm.push(middle_mm);
-            factors.push(calibrating_factor(&group.iter().map(|g| g.1).collect::<Vec<_>>()));
+            factors.push(calibrating_factor(
+                &group.iter().map(|g| g.1).collect::<Vec<_>>(),
+            ));
         }
     }
-    if at_mm.is_empty() { SdFactors::constant(1.0) } else { SdFactors { at_mm, factors } }
+    if at_mm.is_empty() {
+        SdFactors::constant(1.0)
+    } else {
+        SdFactors { at_mm, factors }
+    }
 }
 
 /// Detection from pairs of called and true.
 pub fn detection(pairs: &[(bool, bool)]) -> Detection {
     let count = |a: bool, b: bool| pairs.iter().filter(|p| **p == (a, b)).count() as f64;
     let (hits, false_calls, missed) = (count(true, true), count(true, false), count(false, true));
-    let share = |part: f64, rest: f64| if part + rest > 0.0 { part / (part + rest) } else { 0.0 };
+    let share = |part: f64, rest: f64| {
+        if part + rest > 0.0 {
+            part / (part + rest)
+        } else {
+            0.0
+        }
+    };
     let (precision, recall) = (share(hits, false_calls), share(hits, missed));
-    let f1 = if precision + recall > 0.0 { 2.0 * precision * recall / (precision + recall) } else { 0.0 };
-    Detection { precision, recall, f1 }
+    let f1 = if precision + recall > 0.0 {
+        2.0 * precision * recall / (precision + recall)
+    } else {
+        0.0
+    };
+    Detection {
+        precision,
+        recall,
+        f1,
+    }
 }
 
 #[cfg(test)]
@@ -223,7 +260,8 @@ mod tests {
 
     fn drawn(sd_mm: f64, stated_spread_mm: f64) -> Vec<EstimateError> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-        let mut normal = || sd_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
+        let mut normal =
+            || sd_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
         let stated = Matrix3::identity() * stated_spread_mm.powi(2);
         (0..4000)
             .map(|_| {
@@ -237,8 +275,14 @@ mod tests {
     #[test]
     fn true_spreads_cover_and_wrong_ones_do_not_until_they_are_calibrated() {
         let honest = scores(&drawn(0.3, 0.3));
-        assert!((honest.coverage90.unwrap() - 0.9).abs() < 0.015, "{honest:?}");
-        assert!((honest.rmse_mm - 0.3).abs() < 0.01 && (honest.true_contact_rmse_mm - 0.52).abs() < 0.01);
+        assert!(
+            (honest.coverage90.unwrap() - 0.9).abs() < 0.015,
+            "{honest:?}"
+        );
+        assert!(
+            (honest.rmse_mm - 0.3).abs() < 0.01
+                && (honest.true_contact_rmse_mm - 0.52).abs() < 0.01
+        );
         assert!((honest.along_track_mm - 0.3).abs() < 0.01);
         let bold = drawn(0.3, 0.1);
         assert!(scores(&bold).coverage90.unwrap() < 0.3);
@@ -247,21 +291,37 @@ mod tests {
 
     #[test]
     fn detection_counts_misses_and_false_calls() {
-        let pairs = [(true, true), (true, true), (true, false), (false, true), (false, false)];
+        let pairs = [
+            (true, true),
+            (true, true),
+            (true, false),
+            (false, true),
+            (false, false),
+        ];
         let d = detection(&pairs);
         assert!((d.precision - 2.0 / 3.0).abs() < 1e-12 && (d.recall - 2.0 / 3.0).abs() < 1e-12);
         assert_eq!(detection(&[(false, false)]), Detection::default());
     }
 
     /// Estimates: some sure with half the stated error, the others lost with twice the stated error; widened by the `factor` of their spread.
-    fn sure_and_lost(sure: usize, lost: usize, seed: u64, factor: &SdFactors) -> Vec<EstimateError> {
+    fn sure_and_lost(
+        sure: usize,
+        lost: usize,
+        seed: u64,
+        factor: &SdFactors,
+    ) -> Vec<EstimateError> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let mut normal =
             |sd: f64| sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
         let mut one = |stated_mm: f64, sd_mm: f64| {
             let off = Vector3::new(normal(sd_mm), normal(sd_mm), normal(sd_mm));
             let widened = stated_mm * factor.at(stated_mm * 3.0_f64.sqrt());
-            EstimateError::new(0.0, off, &Vector3::y(), Some(&(Matrix3::identity() * widened.powi(2))))
+            EstimateError::new(
+                0.0,
+                off,
+                &Vector3::y(),
+                Some(&(Matrix3::identity() * widened.powi(2))),
+            )
         };
         let mut all: Vec<EstimateError> = (0..sure).map(|_| one(0.1, 0.05)).collect();
         all.extend((0..lost).map(|_| one(3.0, 6.0)));
@@ -275,7 +335,11 @@ mod tests {
         let by_spread = calibrated(&sure_and_lost(2000, 2000, 1, &own));
         let one = SdFactors::constant(calibrating_factor(&sure_and_lost(2000, 2000, 1, &own)));
         let coverage = |f: &SdFactors| scores(&sure_and_lost(3800, 200, 2, f)).coverage90.unwrap();
-        assert!((coverage(&by_spread) - 0.9).abs() < 0.02, "{by_spread:?}: {}", coverage(&by_spread));
+        assert!(
+            (coverage(&by_spread) - 0.9).abs() < 0.02,
+            "{by_spread:?}: {}",
+            coverage(&by_spread)
+        );
         // Control: one factor for all holds for the mixture that it comes from only.
         assert!(coverage(&one) > 0.97, "{}", coverage(&one));
     }

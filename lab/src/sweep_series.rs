@@ -68,14 +68,22 @@ pub(crate) fn count_contacts(arclengths_mm: impl Iterator<Item = f64>) -> usize 
 /// Where the force of the first contact acts, of touched points in rising order along the wire with their forces, N.
 pub(crate) fn nearest_contact(touched: &[(Contact, f64)]) -> Option<Contact> {
     let begins_mm = touched.first()?.0.arclength_mm;
-    let one = || touched.iter().take_while(|(c, _)| c.arclength_mm - begins_mm < MIN_SEPARATION_MM);
+    let one = || {
+        touched
+            .iter()
+            .take_while(|(c, _)| c.arclength_mm - begins_mm < MIN_SEPARATION_MM)
+    };
     let carried: f64 = one().map(|(_, force_n)| force_n).sum();
     if !(carried > 0.0) {
         return Some(touched[0].0);
     }
     Some(Contact {
-        point_mm: one().map(|(c, force_n)| c.point_mm * (force_n / carried)).sum(),
-        arclength_mm: one().map(|(c, force_n)| c.arclength_mm * (force_n / carried)).sum(),
+        point_mm: one()
+            .map(|(c, force_n)| c.point_mm * (force_n / carried))
+            .sum(),
+        arclength_mm: one()
+            .map(|(c, force_n)| c.arclength_mm * (force_n / carried))
+            .sum(),
     })
 }
 
@@ -87,7 +95,11 @@ const TARE_S: f64 = 0.5;
 impl SweepSeries {
     /// With the zero of the free wire at the start: its own weight is no push. What begins in contact stays as it is.
     pub(crate) fn tared(mut self) -> Self {
-        let free = self.samples.iter().take_while(|i| i.contact.is_none()).count();
+        let free = self
+            .samples
+            .iter()
+            .take_while(|i| i.contact.is_none())
+            .count();
         let mut tare = Tare::new(TARE_S);
         let mut zero_nmm = [0.0; 2];
         for i in &self.samples[..free] {
@@ -115,14 +127,19 @@ impl SweepSeries {
     ) -> Vector3<f64> {
         mesh.closest_point(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM)
             .map_or(*point_mm, |n| {
-                self.base_from_object.transform_point(&n.point_mm.into()).coords - Vector3::z() * travel_mm
+                self.base_from_object
+                    .transform_point(&n.point_mm.into())
+                    .coords
+                    - Vector3::z() * travel_mm
             })
     }
 
     /// A point of the base frame after a travel of the base, mm, in the object's.
     fn to_object_frame(&self, travel_mm: f64, point_mm: &Vector3<f64>) -> Vector3<f64> {
         let at_start = nalgebra::Point3::from(point_mm + Vector3::z() * travel_mm);
-        self.base_from_object.inverse_transform_point(&at_start).coords
+        self.base_from_object
+            .inverse_transform_point(&at_start)
+            .coords
     }
 }
 
@@ -142,9 +159,14 @@ pub fn read_sweep_series(
         }
     }
     if all.is_empty() {
-        return Err(LabError::value(folder.display().to_string(), "shards of `wcal-lab simulate`", "none"));
+        return Err(LabError::value(
+            folder.display().to_string(),
+            "shards of `wcal-lab simulate`",
+            "none",
+        ));
     }
-    all.values_mut().for_each(|all_series| all_series.sort_by_key(|c| c.sweep));
+    all.values_mut()
+        .for_each(|all_series| all_series.sort_by_key(|c| c.sweep));
     Ok(all)
 }
 
@@ -156,11 +178,17 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<SweepSeries
         .map(|k| sweeps.maybe(&format!("base_from_object_{k}")))
         .collect::<Result<_, _>>()?;
     let mut all_series: BTreeMap<i64, SweepSeries> = BTreeMap::new();
-    for (row, (sweep, kept)) in sweeps.whole("sweep")?.iter().zip(sweeps.whole("kept")?).enumerate() {
+    for (row, (sweep, kept)) in sweeps
+        .whole("sweep")?
+        .iter()
+        .zip(sweeps.whole("kept")?)
+        .enumerate()
+    {
         let pose: Option<Vec<f64>> = pose.iter().map(|c| c[row]).collect();
         if let (1, Some(p)) = (kept, pose) {
             let turn = UnitQuaternion::new_normalize(Quaternion::new(p[0], p[1], p[2], p[3]));
-            let base_from_object = nalgebra::Isometry3::from_parts(Translation3::new(p[4], p[5], p[6]), turn);
+            let base_from_object =
+                nalgebra::Isometry3::from_parts(Translation3::new(p[4], p[5], p[6]), turn);
             let series = SweepSeries {
                 object: object.to_owned(),
                 sweep: *sweep as u64,
@@ -171,7 +199,11 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<SweepSeries
         }
     }
     let number = samples.whole("sweep")?;
-    let (t, travel, speed) = (samples.real("t_s")?, samples.real("travel_mm")?, samples.real("speed_mm_s")?);
+    let (t, travel, speed) = (
+        samples.real("t_s")?,
+        samples.real("travel_mm")?,
+        samples.real("speed_mm_s")?,
+    );
     let (my, mz) = (samples.real("moment_y_nmm")?, samples.real("moment_z_nmm")?);
     let (settled, event) = (samples.whole("settled")?, samples.text("event")?);
     let mut touched: BTreeMap<(i64, i64), Vec<(Contact, f64)>> = BTreeMap::new();
@@ -180,11 +212,20 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<SweepSeries
         let [x, y, z, along, force_n] =
             ["x_mm", "y_mm", "z_mm", "arclength_mm", "force_n"].map(|k| contacts.real(k));
         let (x, y, z, along, force_n) = (x?, y?, z?, along?, force_n?);
-        let at = contacts.whole("sweep")?.iter().zip(contacts.whole("sample")?);
+        let at = contacts
+            .whole("sweep")?
+            .iter()
+            .zip(contacts.whole("sample")?);
         for (row, (sweep, sample)) in at.enumerate() {
             let point_mm = Vector3::new(x[row], y[row], z[row]);
-            let contact = Contact { point_mm, arclength_mm: along[row] };
-            touched.entry((*sweep, *sample)).or_default().push((contact, force_n[row]));
+            let contact = Contact {
+                point_mm,
+                arclength_mm: along[row],
+            };
+            touched
+                .entry((*sweep, *sample))
+                .or_default()
+                .push((contact, force_n[row]));
         }
         for of in touched.values_mut() {
             of.sort_by(|a, b| a.0.arclength_mm.total_cmp(&b.0.arclength_mm));
@@ -192,8 +233,12 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<SweepSeries
     }
     let sample = samples.whole("sample")?;
     for (row, number) in number.iter().enumerate() {
-        let Some(series) = all_series.get_mut(number) else { continue };
-        let touched = touched.get(&(*number, sample[row])).map_or(&[][..], Vec::as_slice);
+        let Some(series) = all_series.get_mut(number) else {
+            continue;
+        };
+        let touched = touched
+            .get(&(*number, sample[row]))
+            .map_or(&[][..], Vec::as_slice);
         series.samples.push(SweepSample {
             t_s: t[row],
             travel_mm: travel[row],
@@ -226,13 +271,22 @@ mod tests {
     #[test]
     fn touched_points_that_are_one_contact_are_where_their_forces_act() {
         let at = |mm: f64, force_n: f64| {
-            (Contact { point_mm: Vector3::new(mm, 0.0, 2.0 * mm), arclength_mm: mm }, force_n)
+            (
+                Contact {
+                    point_mm: Vector3::new(mm, 0.0, 2.0 * mm),
+                    arclength_mm: mm,
+                },
+                force_n,
+            )
         };
         assert_eq!(nearest_contact(&[]), None);
         assert_eq!(nearest_contact(&[at(31.0, 0.2)]), Some(at(31.0, 0.0).0));
         let mean = nearest_contact(&[at(31.0, 0.3), at(32.0, 0.1), at(36.0, 4.0)]).unwrap();
         // What is farther away does not count, however hard it presses.
         assert!((mean.arclength_mm - 31.25).abs() < 1e-12, "{mean:?}");
-        assert!((mean.point_mm - Vector3::new(31.25, 0.0, 62.5)).norm() < 1e-12, "{mean:?}");
+        assert!(
+            (mean.point_mm - Vector3::new(31.25, 0.0, 62.5)).norm() < 1e-12,
+            "{mean:?}"
+        );
     }
 }

@@ -60,9 +60,19 @@ pub fn train(
     device: &Device,
     mut on_pass: impl FnMut(&Pass),
 ) -> Result<(TrainableNet, Vec<Pass>), LabError> {
-    let TrainingData { all_series, held_out, inverse, meshes, from } = *material;
+    let TrainingData {
+        all_series,
+        held_out,
+        inverse,
+        meshes,
+        from,
+    } = *material;
     if all_series.is_empty() || held_out.is_empty() {
-        return Err(LabError::value("training", "series to train on and to hold out", "none"));
+        return Err(LabError::value(
+            "training",
+            "series to train on and to hold out",
+            "none",
+        ));
     }
     config.check_filters(&settings.filters())?;
     let learning = device.clone().autodiff();
@@ -74,21 +84,36 @@ pub fn train(
         seed ^= put_weights(&mut net, folder)?;
     }
     let optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
-    let mut state = State { best: net.valid(), net, optimizer, passes: Vec::new() };
+    let mut state = State {
+        best: net.valid(),
+        net,
+        optimizer,
+        passes: Vec::new(),
+    };
     if let Some(folder) = folder {
         state = checkpoint::resume(folder, config, settings, state)?;
     }
     let batches = all_series.len().div_ceil(settings.batch);
-    let before = state.passes.last().map_or([0.0; 2], |p| [p.seconds, p.cpu_s.unwrap_or(0.0)]);
+    let before = state
+        .passes
+        .last()
+        .map_or([0.0; 2], |p| [p.seconds, p.cpu_s.unwrap_or(0.0)]);
     let (begin, begin_cpu_s) = (std::time::Instant::now(), process_s());
-    let maker = WindowMaker { config, inverse, meshes };
+    let maker = WindowMaker {
+        config,
+        inverse,
+        meshes,
+    };
     let held_out = maker.make(held_out, &settings.without_disturbances(), settings.seed);
     let mut windows: (usize, Vec<Window<'_>>) = (0, Vec::new());
     while !finished(&state.passes, settings) {
         let epoch = state.passes.len() + 1;
         let draw = (epoch - 1) / settings.passes_per_draw.max(1) + 1;
         if windows.0 != draw {
-            windows = (draw, maker.make(all_series, settings, seed ^ (draw as u64) << 20));
+            windows = (
+                draw,
+                maker.make(all_series, settings, seed ^ (draw as u64) << 20),
+            );
         }
         if settings.mirror && inverse.flat {
             mirror_half(&mut windows.1, seed ^ (epoch as u64) << 40);
@@ -102,7 +127,10 @@ pub fn train(
             let loss = loss(&state.net, config, &of_batch, &learning).loss;
             sum += f64::from(loss.clone().into_scalar::<f32>());
             let gradients = GradientsParams::from_grads(loss.backward(), &state.net);
-            let rate = learning_rate(settings.rate, number as f64 / (settings.epochs * batches) as f64);
+            let rate = learning_rate(
+                settings.rate,
+                number as f64 / (settings.epochs * batches) as f64,
+            );
             state.net = state.optimizer.step(rate, state.net, gradients);
         }
         let valid = state.net.valid();
@@ -111,7 +139,15 @@ pub fn train(
         let seconds = before[0] + begin.elapsed().as_secs_f64();
         let cpu_s = Some(before[1] + process_s() - begin_cpu_s);
         let loss = sum / batches as f64;
-        let pass = Pass { epoch, loss, held_out_loss, held_out_mm, held_out_surface_mm, seconds, cpu_s };
+        let pass = Pass {
+            epoch,
+            loss,
+            held_out_loss,
+            held_out_mm,
+            held_out_surface_mm,
+            seconds,
+            cpu_s,
+        };
         if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
             state.best = valid;
         }
@@ -153,7 +189,8 @@ fn evaluate(
     all: &[Window<'_>],
     device: &Device,
 ) -> (f64, f64, Option<f64>) {
-    let (mut sum, mut squares, mut on_surface, mut count, mut batches) = (0.0, 0.0, Some(0.0), 0.0, 0.0);
+    let (mut sum, mut squares, mut on_surface, mut count, mut batches) =
+        (0.0, 0.0, Some(0.0), 0.0, 0.0);
     let total = |t: Tensor<1>| f64::from(t.sum().into_scalar::<f32>());
     for windows in all.chunks(batch) {
         let of_batch: Vec<&Window<'_>> = windows.iter().collect();
@@ -162,8 +199,16 @@ fn evaluate(
         batches += 1.0;
         squares += total(lost.contact);
         on_surface = on_surface.zip(lost.surface).map(|(s, t)| s + total(t));
-        count += of_batch.iter().flat_map(|w| &w.touching).map(|t| f64::from(*t)).sum::<f64>();
+        count += of_batch
+            .iter()
+            .flat_map(|w| &w.touching)
+            .map(|t| f64::from(*t))
+            .sum::<f64>();
     }
     let rmse = |squares: f64| (squares / f64::max(count, 1.0)).sqrt();
-    (sum / f64::max(batches, 1.0), rmse(squares), on_surface.map(rmse))
+    (
+        sum / f64::max(batches, 1.0),
+        rmse(squares),
+        on_surface.map(rmse),
+    )
 }

@@ -42,18 +42,32 @@ pub fn train_model(
     on_pass: impl FnMut(&Pass),
 ) -> Result<Card, LabError> {
     let stopwatch = Stopwatch::start();
-    for folder in std::iter::once(request.sweeps).chain(request.additional.iter().map(PathBuf::as_path)) {
+    for folder in
+        std::iter::once(request.sweeps).chain(request.additional.iter().map(PathBuf::as_path))
+    {
         refuse_test_objects(folder)?;
     }
-    let SplitSeries { objects, training: all_series, held_out, sweeps_trained } = SplitSeries::read(request)?;
+    let SplitSeries {
+        objects,
+        training: all_series,
+        held_out,
+        sweeps_trained,
+    } = SplitSeries::read(request)?;
     let inverse = StaticInverse::new(&request.whisker, network_grid())?;
-    let network = preset(request.preset, &inverse, request.settings.filter_frictionless.is_some())?;
+    let network = preset(
+        request.preset,
+        &inverse,
+        request.settings.filter_frictionless.is_some(),
+    )?;
     let mut settings = request.settings;
     if !network.two_filters && settings.filter_frictionless.is_some() {
         // What weighs none against another has one for all objects.
         (settings.filter, settings.filter_frictionless) = (BayesSettings::multi_mu(), None);
     }
-    let request = &TrainingRequest { settings, ..request.clone() };
+    let request = &TrainingRequest {
+        settings,
+        ..request.clone()
+    };
     let from = request
         .from
         .map(|folder| check_start_model(folder, &network, &objects, sweeps_trained))
@@ -67,7 +81,14 @@ pub fn train_model(
     };
     let checkpoint = request.out.join("checkpoint");
     let reading = stopwatch.elapsed();
-    let (net, passes) = train(&network, &request.settings, &material, Some(&checkpoint), device, on_pass)?;
+    let (net, passes) = train(
+        &network,
+        &request.settings,
+        &material,
+        Some(&checkpoint),
+        device,
+        on_pass,
+    )?;
     let stopwatch = Stopwatch::start();
     let tracker = Tracker {
         config: network,
@@ -83,24 +104,38 @@ pub fn train_model(
         Vec::new()
     };
     let on_bench = [false, true].map(|known| {
-        let of = |(series, filters): &(SweepSeries, FilterBank)| regions(&tracker, *filters, series, known);
-        let all: Vec<EstimateError> = shifted_sweeps.par_iter().flat_map_iter(of).map(|r| r.1).collect();
+        let of = |(series, filters): &(SweepSeries, FilterBank)| {
+            regions(&tracker, *filters, series, known)
+        };
+        let all: Vec<EstimateError> = shifted_sweeps
+            .par_iter()
+            .flat_map_iter(of)
+            .map(|r| r.1)
+            .collect();
         calibrated(&all)
     });
     let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
     // With these factors the 90 % regions have their coverage on held-out sweeps.
-    let sd_factors =
-        held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
+    let sd_factors = held_out_regions
+        .each_ref()
+        .map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, LabError> {
-        Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
+        Ok(manifests(folder)?
+            .into_iter()
+            .map(|(_, m)| (m.object, m.made_from))
+            .collect())
     };
     // A training that was finished before took what its card says.
-    let finished = read_card(request.out).ok().filter(|card| card.passes == passes);
-    let cost = finished.and_then(|card| card.cost).unwrap_or_else(|| TrainingCost {
-        sweeps: request.sweeps_cost,
-        training: reading + cost::of_passes(&passes) + stopwatch.elapsed(),
-        cores: rayon::current_num_threads(),
-    });
+    let finished = read_card(request.out)
+        .ok()
+        .filter(|card| card.passes == passes);
+    let cost = finished
+        .and_then(|card| card.cost)
+        .unwrap_or_else(|| TrainingCost {
+            sweeps: request.sweeps_cost,
+            training: reading + cost::of_passes(&passes) + stopwatch.elapsed(),
+            cores: rayon::current_num_threads(),
+        });
     let mut card = Card {
         format: FORMAT.to_owned(),
         trained_on_simulation: true,
@@ -114,7 +149,11 @@ pub fn train_model(
         passes,
         objects,
         data: made_from(request.sweeps)?,
-        data_beside: request.additional.iter().map(|f| made_from(f)).collect::<Result<_, _>>()?,
+        data_beside: request
+            .additional
+            .iter()
+            .map(|f| made_from(f))
+            .collect::<Result<_, _>>()?,
         began_with: from,
         sweeps_trained,
         command: request.command.clone(),
@@ -137,12 +176,23 @@ impl SplitSeries {
     fn read(request: &TrainingRequest<'_>) -> Result<Self, LabError> {
         let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
         let eighth = (all.len() / 8).max(1);
-        let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
+        let counts = [
+            request.held_out.unwrap_or(eighth),
+            request.unseen.unwrap_or(eighth),
+        ];
         let objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
-        let sweeps = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+        let sweeps = all
+            .values()
+            .flatten()
+            .map(|c| c.sweep + 1)
+            .max()
+            .unwrap_or(0);
         let sweeps_trained = (sweeps as f64 * TRAINED) as u64;
         let mut of = |names: &[String]| -> Vec<SweepSeries> {
-            names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
+            names
+                .iter()
+                .flat_map(|name| all.remove(name).unwrap_or_default())
+                .collect()
         };
         let (mut training, held_out) = (of(&objects.training), of(&objects.held_out));
         training.retain(|c| c.sweep < sweeps_trained);
@@ -150,20 +200,31 @@ impl SplitSeries {
             let more = sweep_series::read_sweep_series(folder, &objects.training)?;
             training.extend(more.into_values().flatten());
         }
-        Ok(Self { objects, training, held_out, sweeps_trained })
+        Ok(Self {
+            objects,
+            training,
+            held_out,
+            sweeps_trained,
+        })
     }
 }
 
 /// Objects that are set aside for tests are not trained on: a number on them must stay one on objects that chose no design.
 fn refuse_test_objects(folder: &Path) -> Result<(), LabError> {
     let objects = manifests(folder)?.into_iter().map(|(_, m)| m.object);
-    let set_aside: BTreeSet<String> = objects.filter(|name| TEST_NAMES.contains(&name.as_str())).collect();
+    let set_aside: BTreeSet<String> = objects
+        .filter(|name| TEST_NAMES.contains(&name.as_str()))
+        .collect();
     if set_aside.is_empty() {
         return Ok(());
     }
     let found = set_aside.into_iter().collect::<Vec<_>>().join(", ");
     let expected = "none of the test objects, which no training may see (fixtures/test_objects)";
-    Err(LabError::value(format!("{}: objects", folder.display()), expected, found))
+    Err(LabError::value(
+        format!("{}: objects", folder.display()),
+        expected,
+        found,
+    ))
 }
 
 /// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.
@@ -175,10 +236,18 @@ fn check_start_model(
 ) -> Result<String, LabError> {
     let card = read_card(folder)?;
     let refuse = |what: &str, expected: &str, found: String| {
-        Err(LabError::value(format!("{}: {what}", folder.display()), expected, found))
+        Err(LabError::value(
+            format!("{}: {what}", folder.display()),
+            expected,
+            found,
+        ))
     };
     if card.network != *network {
-        return refuse("network", "that of this training", format!("{:?}", card.network));
+        return refuse(
+            "network",
+            "that of this training",
+            format!("{:?}", card.network),
+        );
     }
     if card.objects != *objects {
         return refuse(

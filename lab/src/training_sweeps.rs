@@ -29,21 +29,39 @@ pub struct SweepKind {
 
 /// Sweeps turned at random, with friction, weight and the drag of air.
 pub fn friction_plan() -> SweepPlan {
-    let physics =
-        PhysicsPlan { friction: FRICTION, medium: Medium::Air, weight: true, ..PhysicsPlan::default() };
-    SweepPlan { physics, ..clean_plan() }
+    let physics = PhysicsPlan {
+        friction: FRICTION,
+        medium: Medium::Air,
+        weight: true,
+        ..PhysicsPlan::default()
+    };
+    SweepPlan {
+        physics,
+        ..clean_plan()
+    }
 }
 
 fn clean_plan() -> SweepPlan {
-    SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() }
+    SweepPlan {
+        rate_hz: RATE_HZ,
+        ..SweepPlan::default()
+    }
 }
 
 /// The three kinds, `clean` first, with so many sweeps over an object in each of the first two.
 pub fn sweep_kinds(sweeps: u64, seed: u64) -> [SweepKind; 3] {
-    let upright = SweepPlan { turn: Turn::Faces, ..clean_plan() };
+    let upright = SweepPlan {
+        turn: Turn::Faces,
+        ..clean_plan()
+    };
     let kind = |name, plan, sweeps, number: u64| {
         let seed = seed.wrapping_add(SEED_STEP * number);
-        SweepKind { name, plan, sweeps, seed }
+        SweepKind {
+            name,
+            plan,
+            sweeps,
+            seed,
+        }
     };
     [
         kind("clean", clean_plan(), sweeps, 0),

@@ -47,10 +47,18 @@ fn calibrated(seed: u64) -> StereoCameras {
         left_from_board: (0..12)
             .map(|k| {
                 let t = f64::from(k);
-                let place =
-                    V3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 292.0 + 8.0 * (0.7 * t).sin());
-                let tilt = turn(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.2 * (t - 6.0).sin());
-                Isometry3::from_parts(place.into(), tilt) * Isometry3::translation(-24.0, -15.0, 0.0)
+                let place = V3::new(
+                    8.0 * (1.3 * t).sin(),
+                    6.0 * (2.1 * t).cos(),
+                    292.0 + 8.0 * (0.7 * t).sin(),
+                );
+                let tilt = turn(
+                    0.45 * (1.9 * t).sin(),
+                    0.45 * (1.1 * t + 1.0).cos(),
+                    0.2 * (t - 6.0).sin(),
+                );
+                Isometry3::from_parts(place.into(), tilt)
+                    * Isometry3::translation(-24.0, -15.0, 0.0)
             })
             .collect(),
     };
@@ -78,7 +86,12 @@ fn calibrated(seed: u64) -> StereoCameras {
     StereoCameras {
         cameras: found.state.cameras.clone(),
         right_from_left: found.state.right_from_left,
-        covariance: Some(found.shared_covariance.view((0, 0), (count, count)).into_owned()),
+        covariance: Some(
+            found
+                .shared_covariance
+                .view((0, 0), (count, count))
+                .into_owned(),
+        ),
     }
 }
 
@@ -92,7 +105,11 @@ struct Truth {
 /// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair that is rejected says why and is left out.
 fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     let place = tempfile::tempdir().unwrap();
-    let (rig, look, lenses) = (RigGeometry::default(), Appearance::default(), default_pair(SIZE));
+    let (rig, look, lenses) = (
+        RigGeometry::default(),
+        Appearance::default(),
+        default_pair(SIZE),
+    );
     let wire = Wire::new(0.3, 60.0, 30.0, 20.0, 75.0, 28.2);
     let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
     let unit = Uniform::new(0.0, 1.0).unwrap();
@@ -105,11 +122,20 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
         let up = V3::y().cross(&tangent).normalize() * -1.0;
         let direction = up * angle.cos() + V3::y() * angle.sin();
         let depth_mm = 1.7 + 3.3 * unit.sample(&mut rng);
-        let path = GroovePath { origin_mm, direction, arclength_mm, offset_mm: V3::zeros() };
+        let path = GroovePath {
+            origin_mm,
+            direction,
+            arclength_mm,
+            offset_mm: V3::zeros(),
+        };
         let at = path.at(depth_mm);
         let found = equilibrium(&wire, &path, 0.4 * arclength_mm, depth_mm).unwrap();
         let line_mm = wire.centre_line(Some((&at, &found)), 0.1);
-        let groove = Groove { position_mm: at, axis: found.tangent, push: direction };
+        let groove = Groove {
+            position_mm: at,
+            axis: found.tangent,
+            push: direction,
+        };
         let view = rig.scene(line_mm.clone(), Some(&groove));
         let side = |camera: usize| {
             let grey = exposed(
@@ -128,11 +154,20 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
             right: side(1),
             ..PairFiles::default()
         });
-        truths.push(Truth { groove_mm: at, arclength_mm: found.arclength_mm, line_mm });
+        truths.push(Truth {
+            groove_mm: at,
+            arclength_mm: found.arclength_mm,
+            line_mm,
+        });
     }
     let rig_file = fixture("stereo_bench/rig.toml");
-    let mut document =
-        shapes_of_pairs(&calibrated(seed), &Rig::read(&rig_file).unwrap(), &files, &|_| {}).document;
+    let mut document = shapes_of_pairs(
+        &calibrated(seed),
+        &Rig::read(&rig_file).unwrap(),
+        &files,
+        &|_| {},
+    )
+    .document;
     let good: Vec<bool> = document.pairs.iter().map(|p| p.status == "ok").collect();
     for pair in document.pairs.iter().filter(|p| p.status != "ok") {
         println!("folder {seed}: {} rejected: {}", pair.name, pair.why);
@@ -145,11 +180,19 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
 }
 
 fn four(c: &ErrorColumn) -> [f64; 4] {
-    [c.groove_mm[0], c.groove_mm[1], c.groove_mm[2], c.contact_arclength_mm]
+    [
+        c.groove_mm[0],
+        c.groove_mm[1],
+        c.groove_mm[2],
+        c.contact_arclength_mm,
+    ]
 }
 
 /// Errors of all pairs against the truth (groove, arc length), own covariance, and derivatives by the shared parameters.
-fn stacked(document: &ShapesDocument, truths: &[Truth]) -> (DVector<f64>, DMatrix<f64>, DMatrix<f64>) {
+fn stacked(
+    document: &ShapesDocument,
+    truths: &[Truth],
+) -> (DVector<f64>, DMatrix<f64>, DMatrix<f64>) {
     let n = 4 * truths.len();
     let mut errors = DVector::zeros(n);
     let mut own = DMatrix::zeros(n, n);
@@ -168,7 +211,9 @@ fn stacked(document: &ShapesDocument, truths: &[Truth]) -> (DVector<f64>, DMatri
             own[(4 * k + i, 4 * k + i)] += stated.floor_mm.powi(2);
         }
         for (p, column) in stated.shared.iter().enumerate() {
-            shared.view_mut((4 * k, p), (4, 1)).copy_from_slice(&four(column));
+            shared
+                .view_mut((4 * k, p), (4, 1))
+                .copy_from_slice(&four(column));
         }
     }
     (errors, own, shared)
@@ -208,7 +253,10 @@ impl Mean {
         let n = values.len() as f64;
         let value = values.iter().sum::<f64>() / n;
         let squares: f64 = values.iter().map(|v| (v - value).powi(2)).sum();
-        Self { value, error: (squares / (n * (n - 1.0))).sqrt() }
+        Self {
+            value,
+            error: (squares / (n * (n - 1.0))).sqrt(),
+        }
     }
 }
 
@@ -253,7 +301,10 @@ fn judged(seed: u64, count: usize) -> [f64; 13] {
     found[6] /= points;
     found[7] /= points;
     found[12] = pairs / count as f64;
-    println!("folder {seed}: chi2 a value {:.2}, without what pairs share {:.1}", found[0], found[1]);
+    println!(
+        "folder {seed}: chi2 a value {:.2}, without what pairs share {:.1}",
+        found[0], found[1]
+    );
     found
 }
 
@@ -282,17 +333,38 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
     };
     for axis in 0..3 {
         let sd = total(&|e| e.groove_mm[axis]);
-        assert!((sd - groove.sd_mm[axis]).abs() < 0.02 * sd + 3e-4, "{} {sd} {:?}", pair.name, groove.sd_mm);
+        assert!(
+            (sd - groove.sd_mm[axis]).abs() < 0.02 * sd + 3e-4,
+            "{} {sd} {:?}",
+            pair.name,
+            groove.sd_mm
+        );
     }
     let sd = total(&|e| e.contact_arclength_mm);
-    assert!((sd - groove.contact_arclength_sd_mm).abs() < 0.02 * sd + 3e-4, "{} {sd}", pair.name);
+    assert!(
+        (sd - groove.contact_arclength_sd_mm).abs() < 0.02 * sd + 3e-4,
+        "{} {sd}",
+        pair.name
+    );
     let sd = total(&|e| e.length_mm);
-    assert!(sd > 0.9 * pair.length_sd_mm, "{} {sd} {}", pair.name, pair.length_sd_mm);
+    assert!(
+        sd > 0.9 * pair.length_sd_mm,
+        "{} {sd} {}",
+        pair.name,
+        pair.length_sd_mm
+    );
     // Across the line; uneven light is taken as a shift in depth there, and as one in any direction in the circle.
     for (k, station) in stated.stations.iter().enumerate().skip(1) {
-        let along: f64 = (0..3).map(|d| total(&|e| e.centreline_mm[k][d]).powi(2)).sum::<f64>().sqrt();
+        let along: f64 = (0..3)
+            .map(|d| total(&|e| e.centreline_mm[k][d]).powi(2))
+            .sum::<f64>()
+            .sqrt();
         let circle = pair.centreline_sd_mm[*station];
-        assert!(along > 0.7 * circle && along < 2.5 * circle, "{} station {k}: {along} {circle}", pair.name);
+        assert!(
+            along > 0.7 * circle && along < 2.5 * circle,
+            "{} station {k}: {along} {circle}",
+            pair.name
+        );
     }
 }
 
@@ -301,13 +373,19 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
 const RMS_LIMITS_MM: [f64; 4] = [0.016, 0.052, 0.005, 0.015];
 
 fn within(rms_mm: &[f64; 4]) -> bool {
-    rms_mm.iter().zip(RMS_LIMITS_MM).all(|(r, limit)| *r < limit)
+    rms_mm
+        .iter()
+        .zip(RMS_LIMITS_MM)
+        .all(|(r, limit)| *r < limit)
 }
 
 #[test]
 fn stated_errors_hold_on_the_plants_pictures() {
     let s = survey(0..3, 4);
-    assert!(s.chi2[0].value < 1.5 && s.used == 1.0 && within(&s.rms_mm), "{s:?}");
+    assert!(
+        s.chi2[0].value < 1.5 && s.used == 1.0 && within(&s.rms_mm),
+        "{s:?}"
+    );
     assert!(s.squares.iter().all(|m| m.value < 2.0), "{s:?}");
     assert!(s.inside[0].value > 0.95, "{s:?}");
     // Negative control: a twentieth of a millimetre more in any one of them.
@@ -331,7 +409,10 @@ fn survey_of_stated_errors() {
     assert!(s.squares.iter().all(|m| sound(m, 1.0)), "{s:?}");
     assert!(s.inside[0].value + 2.0 * s.inside[0].error >= 0.95, "{s:?}");
     // Negative controls: standard deviations of half the size, the pairs' own errors alone, a third of the circle.
-    assert!(!sound(&s.chi2[0], 4.0) && !s.squares.iter().all(|m| sound(m, 4.0)), "{s:?}");
+    assert!(
+        !sound(&s.chi2[0], 4.0) && !s.squares.iter().all(|m| sound(m, 4.0)),
+        "{s:?}"
+    );
     assert!(!sound(&s.chi2[1], 1.0), "{s:?}");
     assert!(s.inside[1].value + 2.0 * s.inside[1].error < 0.95, "{s:?}");
 }

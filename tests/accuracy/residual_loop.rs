@@ -26,7 +26,15 @@ fn verify(session: &Path) -> (i32, Value) {
 fn points(v: &Value, kind: &str) -> Vec<i64> {
     let faults = v["twin"]["faults"].as_array().expect("faults");
     let of_kind = faults.iter().filter(|f| f["kind"] == kind);
-    of_kind.flat_map(|f| f["points"].as_array().expect("points").iter().filter_map(Value::as_i64)).collect()
+    of_kind
+        .flat_map(|f| {
+            f["points"]
+                .as_array()
+                .expect("points")
+                .iter()
+                .filter_map(Value::as_i64)
+        })
+        .collect()
 }
 
 #[test]
@@ -37,7 +45,10 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     assert_eq!(points(&v, "branch"), [11, 14, 17, 20, 23, 26]);
     let before = v["before"]["wavelength_rmse_pm"].as_f64().expect("before");
     let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
-    assert!((before - 24.1).abs() < 0.2, "released labels with K and zero leave about 24 pm, found {before}");
+    assert!(
+        (before - 24.1).abs() < 0.2,
+        "released labels with K and zero leave about 24 pm, found {before}"
+    );
     assert!(after < 0.5 * before, "{before} -> {after}");
     // The guide quotes this run and nothing else (README's row: tests/contracts/results.rs).
     let page = |name: &str| std::fs::read_to_string(repository(name)).expect("page");
@@ -46,7 +57,10 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
         "| {before:.1} pm | {after:.1} pm | 11, 14, 17, 20, 23, 26 | {} |",
         v["verdict"].as_str().expect("verdict")
     );
-    assert!(guide.contains(&quoted), "the guide lacks the line that this run prints: {quoted}");
+    assert!(
+        guide.contains(&quoted),
+        "the guide lacks the line that this run prints: {quoted}"
+    );
 }
 
 /// Every row of `points.csv` with `edit` applied to the cell of `column`.
@@ -55,7 +69,13 @@ fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tem
     copy_folder(from, folder.path());
     let path = folder.path().join("points.csv");
     let text = std::fs::read_to_string(&path).expect("points");
-    let index = text.lines().next().expect("header").split(',').position(|c| c == column).expect("column");
+    let index = text
+        .lines()
+        .next()
+        .expect("header")
+        .split(',')
+        .position(|c| c == column)
+        .expect("column");
     let lines: Vec<String> = text
         .lines()
         .enumerate()
@@ -75,12 +95,24 @@ fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tem
 fn a_perturbed_pose_is_noticed() {
     // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4 mm deeper than it was.
     let moved = |i: usize, mm: f64| {
-        format!("{:.6}", if i.is_multiple_of(7) && i < 40 && mm > 0.0 { mm + 0.4 } else { mm })
+        format!(
+            "{:.6}",
+            if i.is_multiple_of(7) && i < 40 && mm > 0.0 {
+                mm + 0.4
+            } else {
+                mm
+            }
+        )
     };
     let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
     let folder = edited(stage.path(), "groove_z_mm", moved);
     let (code, v) = verify(folder.path());
-    assert_eq!((code, v["verdict"].as_str()), (0, Some("effect")), "{}", v["reason"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (0, Some("effect")),
+        "{}",
+        v["reason"]
+    );
     assert_eq!(v["effects"][0]["id"], "slip-outliers");
 }
 
@@ -90,27 +122,53 @@ fn the_rods_own_labels_are_taken_without_a_fault() {
     copy_folder(&fixture("practice/case-004"), folder.path());
     let table = folder.path().join("twin.csv");
     let twin = |session: &Path| {
-        let run = program().arg("twin").arg(session).arg("--out").arg(&table).output();
+        let run = program()
+            .arg("twin")
+            .arg(session)
+            .arg("--out")
+            .arg(&table)
+            .output();
         run.expect("wcal runs").status.code()
     };
     assert_eq!(twin(folder.path()), Some(0));
     let text = std::fs::read_to_string(&table).expect("twin.csv");
     let header = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled";
     assert_eq!(text.lines().next(), Some(header));
-    assert!(text.lines().filter(|l| l.ends_with("first-touch,true")).count() > 20, "{text}");
+    assert!(
+        text.lines()
+            .filter(|l| l.ends_with("first-touch,true"))
+            .count()
+            > 20,
+        "{text}"
+    );
     let description = folder.path().join("session.toml");
     let declared = std::fs::read_to_string(&description).expect("session.toml");
-    std::fs::write(&description, declared.replace("[files]", "[files]\ntwin = \"twin.csv\""))
-        .expect("written");
+    std::fs::write(
+        &description,
+        declared.replace("[files]", "[files]\ntwin = \"twin.csv\""),
+    )
+    .expect("written");
     let (_, v) = verify(folder.path());
-    assert_eq!(v["twin"]["faults"].as_array().map(Vec::len), Some(0), "{}", v["twin"]);
+    assert_eq!(
+        v["twin"]["faults"].as_array().map(Vec::len),
+        Some(0),
+        "{}",
+        v["twin"]
+    );
     // One pose at the end of the reach, where the wire has run out of the groove: no moment, no label, and it is said.
-    let moved = |i: usize, mm: f64| format!("{:.6}", if i == 14 && mm > 0.0 { mm + 56.0 } else { mm });
+    let moved =
+        |i: usize, mm: f64| format!("{:.6}", if i == 14 && mm > 0.0 { mm + 56.0 } else { mm });
     let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
     let far = edited(stage.path(), "groove_z_mm", moved);
     assert_eq!(twin(far.path()), Some(3));
     let text = std::fs::read_to_string(&table).expect("twin.csv");
-    assert_eq!(text.lines().filter(|l| l.contains(",,,s") && l.ends_with(",false")).count(), 1, "{text}");
+    assert_eq!(
+        text.lines()
+            .filter(|l| l.contains(",,,s") && l.ends_with(",false"))
+            .count(),
+        1,
+        "{text}"
+    );
 }
 
 #[test]
@@ -133,13 +191,21 @@ fn labels_in_another_unit_are_named_so() {
 
 #[test]
 fn wavelengths_in_picometres_are_refused() {
-    let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| format!("{:.4}", nm * 1000.0));
+    let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| {
+        format!("{:.4}", nm * 1000.0)
+    });
     let out = tempfile::tempdir().expect("temporary folder");
-    let run =
-        program().arg("verify").arg(folder.path()).arg("--out").arg(out.path()).output().expect("wcal runs");
+    let run = program()
+        .arg("verify")
+        .arg(folder.path())
+        .arg("--out")
+        .arg(out.path())
+        .output()
+        .expect("wcal runs");
     assert_eq!(run.status.code(), Some(1));
-    let v: Value = serde_json::from_slice(&std::fs::read(out.path().join("verify.json")).expect("written"))
-        .expect("json");
+    let v: Value =
+        serde_json::from_slice(&std::fs::read(out.path().join("verify.json")).expect("written"))
+            .expect("json");
     assert_eq!(v["verdict"], "refused");
 }
 
@@ -152,7 +218,13 @@ fn a_perturbed_label_is_found() {
     // Point 4 sits on a symmetric trajectory: a large first moment is impossible there.
     let changed: Vec<String> = text
         .lines()
-        .map(|l| if l.starts_with("4,") { "4,0.9,-1.0".to_owned() } else { l.to_owned() })
+        .map(|l| {
+            if l.starts_with("4,") {
+                "4,0.9,-1.0".to_owned()
+            } else {
+                l.to_owned()
+            }
+        })
         .collect();
     assert_ne!(changed.join("\n"), text.trim_end());
     std::fs::write(&path, changed.join("\n") + "\n").expect("written");
@@ -163,7 +235,12 @@ fn a_perturbed_label_is_found() {
 #[test]
 fn a_simulated_null_session_is_adequate() {
     let (code, v) = verify(&fixture("practice/case-004"));
-    assert_eq!((code, v["verdict"].as_str()), (0, Some("adequate")), "{}", v["reason"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (0, Some("adequate")),
+        "{}",
+        v["reason"]
+    );
     assert_eq!(v["effects"].as_array().map(Vec::len), Some(0));
     assert_eq!(v["simulated"], true);
 }
@@ -172,15 +249,22 @@ fn a_simulated_null_session_is_adequate() {
 #[test]
 fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
     let place = tempfile::tempdir().expect("temporary folder");
-    let demo =
-        || program().args(["demo", "--out", "demo"]).current_dir(place.path()).output().expect("wcal runs");
+    let demo = || {
+        program()
+            .args(["demo", "--out", "demo"])
+            .current_dir(place.path())
+            .output()
+            .expect("wcal runs")
+    };
     let out = place.path().join("demo");
     // As an earlier one left it: an explanation was accepted then.
     let earlier = out.join("whiskerfbg");
     std::fs::create_dir_all(&earlier).expect("made");
-    for (name, text) in
-        [("verify.json", "wcal-verify/2"), ("calibration.json", "{}"), ("../report.html", "wcal demo")]
-    {
+    for (name, text) in [
+        ("verify.json", "wcal-verify/2"),
+        ("calibration.json", "{}"),
+        ("../report.html", "wcal demo"),
+    ] {
         std::fs::write(earlier.join(name), text).expect("written");
     }
     // Control: beside a file that is no demonstration's it is refused.
@@ -188,11 +272,17 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     let run = demo();
     let said = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(1));
-    assert!(said.contains("notes.txt") && !out.join("practice-004").exists(), "{said}");
+    assert!(
+        said.contains("notes.txt") && !out.join("practice-004").exists(),
+        "{said}"
+    );
     std::fs::remove_file(earlier.join("notes.txt")).expect("removed");
     let run = demo();
     let said = String::from_utf8_lossy(&run.stdout);
-    assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
+    assert!(
+        run.status.success() && said.contains("case-004 (SIMULATED): adequate"),
+        "{said}"
+    );
     // What it is all for: contacts in the groove before and after, first in the output, on the page and in the overview.
     let bench = std::fs::read_to_string(out.join("bench-clamp/verify.json")).expect("file");
     let contact: Value = serde_json::from_str::<Value>(&bench).expect("JSON")["contact"].clone();
@@ -203,24 +293,50 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         rms("before"),
         rms("after")
     );
-    assert!(said.lines().take(3).any(|line| line.trim_start().starts_with("contact: ")), "{said}");
+    assert!(
+        said.lines()
+            .take(3)
+            .any(|line| line.trim_start().starts_with("contact: ")),
+        "{said}"
+    );
     let read = |name: &str| std::fs::read_to_string(out.join(name)).expect(name);
     let accepted = read("whiskerfbg/verify.json");
-    assert!(!accepted.contains("\"effect\"") && !earlier.join("calibration.json").exists(), "{accepted}");
+    assert!(
+        !accepted.contains("\"effect\"") && !earlier.join("calibration.json").exists(),
+        "{accepted}"
+    );
     let v: Value = serde_json::from_str(&read("pontius/verify.json")).expect("JSON");
     let rmse = |side: &str| v[side]["response_rmse"].as_f64().expect("rmse");
-    assert_eq!((v["verdict"].as_str(), v["simulated"].as_bool()), (Some("effect"), Some(false)));
-    assert!(2.0 * rmse("after") <= rmse("before"), "{} -> {}", rmse("before"), rmse("after"));
+    assert_eq!(
+        (v["verdict"].as_str(), v["simulated"].as_bool()),
+        (Some("effect"), Some(false))
+    );
+    assert!(
+        2.0 * rmse("after") <= rmse("before"),
+        "{} -> {}",
+        rmse("before"),
+        rmse("after")
+    );
     let first = read("report.html");
-    assert!(first.contains("<svg") && first.contains("case-004 (SIMULATED)"), "a chart, marked");
+    assert!(
+        first.contains("<svg") && first.contains("case-004 (SIMULATED)"),
+        "a chart, marked"
+    );
     assert!(
         first.contains("contact (mm)")
             && read("bench-clamp/report.html").contains("Contact beside the groove")
     );
-    for (page, marked) in
-        [("bench-clamp", true), ("practice-004", true), ("pontius", false), ("whiskerfbg", false)]
-    {
-        assert_eq!(read(&format!("{page}/report.html")).contains("SIMULATED"), marked, "{page}");
+    for (page, marked) in [
+        ("bench-clamp", true),
+        ("practice-004", true),
+        ("pontius", false),
+        ("whiskerfbg", false),
+    ] {
+        assert_eq!(
+            read(&format!("{page}/report.html")).contains("SIMULATED"),
+            marked,
+            "{page}"
+        );
     }
     let whisker = read("whiskerfbg/report.html");
     // Six labels on another branch, two moments each; the others are off by the discretisation only.
@@ -235,10 +351,16 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         whisker.contains("dead-zone with hysteresis") && whisker.contains("<td>refuted</td>"),
         "the sweep's table"
     );
-    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted"));
+    assert!(
+        whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted")
+    );
     let tracked = read("bottle/track.csv");
     assert!(
-        tracked.lines().count() == 98 && tracked.lines().next().is_some_and(|l| l.contains("world_x_mm"))
+        tracked.lines().count() == 98
+            && tracked
+                .lines()
+                .next()
+                .is_some_and(|l| l.contains("world_x_mm"))
     );
     assert!(!whisker.contains("No map was fitted"));
     let null = read("practice-004/report.html");
@@ -249,7 +371,12 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
 #[test]
 fn another_zero_at_rest_is_named_and_nothing_without_it() {
     let (code, v) = verify(&fixture("practice/case-004"));
-    assert_eq!((code, v["verdict"].as_str()), (0, Some("adequate")), "{}", v["reason"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (0, Some("adequate")),
+        "{}",
+        v["reason"]
+    );
     let folder = tempfile::tempdir().expect("temporary folder");
     copy_folder(&fixture("practice/case-004"), folder.path());
     let points = std::fs::read_to_string(folder.path().join("points.csv")).expect("points");
@@ -264,14 +391,29 @@ fn another_zero_at_rest_is_named_and_nothing_without_it() {
         }
         cells.join(",") + "\n"
     };
-    std::fs::write(folder.path().join("points.csv"), points.lines().map(moved).collect::<String>())
-        .expect("written");
+    std::fs::write(
+        folder.path().join("points.csv"),
+        points.lines().map(moved).collect::<String>(),
+    )
+    .expect("written");
     let (code, v) = verify(folder.path());
-    assert_eq!((code, v["verdict"].as_str()), (0, Some("effect")), "{}", v["reason"]);
-    assert_eq!(v["effects"].as_array().map(|e| e.len()), Some(1), "{}", v["effects"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (0, Some("effect")),
+        "{}",
+        v["reason"]
+    );
+    assert_eq!(
+        v["effects"].as_array().map(|e| e.len()),
+        Some(1),
+        "{}",
+        v["effects"]
+    );
     assert_eq!(v["effects"][0]["id"], "rest-zero");
     for (k, true_pm) in [8.0, -4.0].into_iter().enumerate() {
-        let value = v["effects"][0]["parameters"][k]["value"].as_f64().expect("value");
+        let value = v["effects"][0]["parameters"][k]["value"]
+            .as_f64()
+            .expect("value");
         assert!((value - true_pm).abs() < 0.25, "{value} for {true_pm}");
     }
 }
@@ -279,10 +421,20 @@ fn another_zero_at_rest_is_named_and_nothing_without_it() {
 #[test]
 fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     let (code, v) = verify(&fixture("practice/case-008"));
-    assert_eq!((code, v["verdict"].as_str()), (0, Some("effect")), "{}", v["reason"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (0, Some("effect")),
+        "{}",
+        v["reason"]
+    );
     assert_eq!(v["effects"][0]["id"], "groove-friction");
-    let mu = v["effects"][0]["parameters"][0]["value"].as_f64().expect("value");
-    assert!((mu - 0.1746).abs() < 0.03, "true coefficient 0.1746 (fixtures/practice/truth.json), found {mu}");
+    let mu = v["effects"][0]["parameters"][0]["value"]
+        .as_f64()
+        .expect("value");
+    assert!(
+        (mu - 0.1746).abs() < 0.03,
+        "true coefficient 0.1746 (fixtures/practice/truth.json), found {mu}"
+    );
 
     // Negative control: sealed rows that were in the fit.
     let folder = tempfile::tempdir().expect("temporary folder");
@@ -291,9 +443,17 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     let copied: Vec<String> = points
         .lines()
         .take(20)
-        .map(|l| l.replace("verification", "holdout").replace("calibration", "holdout"))
+        .map(|l| {
+            l.replace("verification", "holdout")
+                .replace("calibration", "holdout")
+        })
         .collect();
     std::fs::write(folder.path().join("holdout.csv"), copied.join("\n") + "\n").expect("written");
     let (code, v) = verify(folder.path());
-    assert_eq!((code, v["verdict"].as_str()), (1, Some("refused")), "{}", v["reason"]);
+    assert_eq!(
+        (code, v["verdict"].as_str()),
+        (1, Some("refused")),
+        "{}",
+        v["reason"]
+    );
 }

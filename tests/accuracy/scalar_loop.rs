@@ -20,7 +20,9 @@ fn disturbed(name: &str, change: impl Fn(usize, &[&str]) -> String) -> tempfile:
     let text = fs::read_to_string(nist(name).join("points.csv")).unwrap();
     let mut lines = text.lines();
     let header = lines.next().unwrap().to_owned();
-    let rows = lines.enumerate().map(|(k, line)| change(k, &line.split(',').collect::<Vec<_>>()));
+    let rows = lines
+        .enumerate()
+        .map(|(k, line)| change(k, &line.split(',').collect::<Vec<_>>()));
     let table: Vec<String> = std::iter::once(header).chain(rows).collect();
     let toml = fs::read_to_string(nist(name).join("session.toml")).unwrap();
     session(&toml, &table.join("\n"))
@@ -46,15 +48,32 @@ struct Run {
 
 fn verify(folder: &Path) -> Run {
     let out = tempfile::tempdir().unwrap();
-    let run = wcal(&["verify", folder.to_str().unwrap(), "--out", out.path().to_str().unwrap(), "--json"]);
+    let run = wcal(&[
+        "verify",
+        folder.to_str().unwrap(),
+        "--out",
+        out.path().to_str().unwrap(),
+        "--json",
+    ]);
     let stderr = String::from_utf8_lossy(&run.stderr).into_owned();
-    let verify: Value = serde_json::from_slice(&run.stdout).unwrap_or_else(|e| panic!("{e}: {stderr}"));
-    let written: Value = serde_json::from_slice(&fs::read(out.path().join("verify.json")).unwrap()).unwrap();
+    let verify: Value =
+        serde_json::from_slice(&run.stdout).unwrap_or_else(|e| panic!("{e}: {stderr}"));
+    let written: Value =
+        serde_json::from_slice(&fs::read(out.path().join("verify.json")).unwrap()).unwrap();
     assert_eq!(verify, written, "--json prints what is written");
-    assert!(fs::read_to_string(out.path().join("report.html")).unwrap().contains("Residuals"));
+    assert!(
+        fs::read_to_string(out.path().join("report.html"))
+            .unwrap()
+            .contains("Residuals")
+    );
     let calibration = fs::read(out.path().join("calibration.json")).ok();
     let calibration = calibration.map(|bytes| serde_json::from_slice(&bytes).unwrap());
-    Run { code: run.status.code().unwrap(), verify, calibration, out }
+    Run {
+        code: run.status.code().unwrap(),
+        verify,
+        calibration,
+        out,
+    }
 }
 
 impl Run {
@@ -62,17 +81,29 @@ impl Run {
         self.verify["verdict"].as_str().unwrap()
     }
     fn effects(&self) -> Vec<&str> {
-        self.verify["effects"].as_array().unwrap().iter().map(|e| e["id"].as_str().unwrap()).collect()
+        self.verify["effects"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|e| e["id"].as_str().unwrap())
+            .collect()
     }
     fn rmse(&self, when: &str, key: &str) -> f64 {
         self.verify[when][key].as_f64().unwrap()
     }
     fn polynomial(&self, field: &str) -> Vec<f64> {
         let values = &self.calibration.as_ref().unwrap()["model"]["polynomial"][field];
-        values.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        values
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|v| v.as_f64().unwrap())
+            .collect()
     }
     fn lack_of_fit(&self, model: usize, field: &str) -> f64 {
-        self.calibration.as_ref().unwrap()["model"]["lack_of_fit"][model][field].as_f64().unwrap()
+        self.calibration.as_ref().unwrap()["model"]["lack_of_fit"][model][field]
+            .as_f64()
+            .unwrap()
     }
 }
 
@@ -88,13 +119,19 @@ fn axis_table(n: usize, error_um: impl Fn(f64, f64) -> f64) -> String {
     let rows: Vec<String> = (0..n)
         .map(|k| {
             let place = k % 40;
-            let (x, way) =
-                if place < 20 { (0.5 * place as f64, 1.0) } else { (0.5 * (40 - place) as f64, -1.0) };
+            let (x, way) = if place < 20 {
+                (0.5 * place as f64, 1.0)
+            } else {
+                (0.5 * (40 - place) as f64, -1.0)
+            };
             let measured = x + 1e-3 * (4.0 + error_um(x, way) + scatter(k));
             format!("{k},calibration,{x},{measured},{},{way}", 2 * k)
         })
         .collect();
-    format!("point,role,commanded_mm,measured_mm,t_s,direction\n{}", rows.join("\n"))
+    format!(
+        "point,role,commanded_mm,measured_mm,t_s,direction\n{}",
+        rows.join("\n")
+    )
 }
 
 fn line_table(n: usize, header: &str, row: impl Fn(usize, f64, f64) -> String) -> String {
@@ -117,6 +154,12 @@ fn bent_table(rows: usize) -> String {
 /// Columns of a table by name.
 fn column(csv: &str, name: &str) -> Vec<f64> {
     let header: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
-    let index = header.iter().position(|h| *h == name).unwrap_or_else(|| panic!("{name} in {header:?}"));
-    csv.lines().skip(1).map(|l| l.split(',').nth(index).unwrap().parse().unwrap_or(f64::NAN)).collect()
+    let index = header
+        .iter()
+        .position(|h| *h == name)
+        .unwrap_or_else(|| panic!("{name} in {header:?}"));
+    csv.lines()
+        .skip(1)
+        .map(|l| l.split(',').nth(index).unwrap().parse().unwrap_or(f64::NAN))
+        .collect()
 }

@@ -7,7 +7,13 @@ use wcal_core::verify_document::Verdict;
 use wcal_plant::shapes::Fault;
 
 fn of(effect: &[wcal_plant::Effect], fault: Fault, pictures: bool, seed: u64) -> Answer {
-    answer(&Draw { effects: effect.to_vec(), fault, pictures, stated: 1.0, seed })
+    answer(&Draw {
+        effects: effect.to_vec(),
+        fault,
+        pictures,
+        stated: 1.0,
+        seed,
+    })
 }
 
 #[test]
@@ -16,15 +22,24 @@ fn pictures_tell_a_contact_offset_from_a_root_that_turns() {
     for seed in 1..=3 {
         let with = of(&[offset()], Fault::None, true, seed);
         assert!(with.names_only("contact-offset"), "{seed}: {with:?}");
-        for (sum, error) in squares.iter_mut().zip([with.contact_after_mm, with.contact_floor_mm]) {
+        for (sum, error) in squares
+            .iter_mut()
+            .zip([with.contact_after_mm, with.contact_floor_mm])
+        {
             *sum += error * error;
         }
-        assert!(with.contact_before_mm > 1.5 * with.contact_floor_mm, "{seed}: {with:?}");
+        assert!(
+            with.contact_before_mm > 1.5 * with.contact_floor_mm,
+            "{seed}: {with:?}"
+        );
         let with = of(&[compliance()], Fault::None, true, seed);
         assert!(with.names_only("base-compliance"), "{seed}: {with:?}");
         // Control: wavelengths alone do not part them.
         let alone = [offset(), compliance()].map(|e| of(&[e], Fault::None, false, seed));
-        assert!(alone.iter().any(|a| a.verdict != Verdict::Effect), "{seed}: {alone:?}");
+        assert!(
+            alone.iter().any(|a| a.verdict != Verdict::Effect),
+            "{seed}: {alone:?}"
+        );
         assert!(!alone[1].names_only("base-compliance"), "{seed}: {alone:?}");
     }
     // Contacts are where they are seen, as well as the shapes state it; what pairs share moves a session as a whole.
@@ -45,7 +60,13 @@ fn nothing_is_named_where_nothing_acts() {
 #[test]
 fn pairs_that_state_too_much_raise_no_alarm_and_hide_no_effect() {
     let under = |effects: Vec<wcal_plant::Effect>, stated, seed| {
-        answer(&Draw { effects, fault: Fault::None, pictures: true, stated, seed })
+        answer(&Draw {
+            effects,
+            fault: Fault::None,
+            pictures: true,
+            stated,
+            seed,
+        })
     };
     for seed in 11..=13 {
         for stated in [0.9, 1.6] {
@@ -62,7 +83,10 @@ fn pairs_that_state_too_much_raise_no_alarm_and_hide_no_effect() {
 fn a_fault_of_the_cameras_is_called_one() {
     for seed in 1..=2 {
         let a = of(&[], BOARD, true, seed);
-        assert!(a.names_only("board-scale") && a.witness.contains("pictures decided"), "{seed}: {a:?}");
+        assert!(
+            a.names_only("board-scale") && a.witness.contains("pictures decided"),
+            "{seed}: {a:?}"
+        );
         let a = of(&[], Fault::RigTag([0.3, 0.0, 0.0]), true, seed);
         assert!(a.names_only("rig-tag"), "{seed}: {a:?}");
         let a = of(&[], Fault::Moved([0.0, 0.15, 0.1], 0.5), true, seed);
@@ -77,15 +101,38 @@ const RIGHT: f64 = 0.8;
 #[test]
 #[ignore = "some minutes"]
 fn rates() {
-    let draws: u64 = std::env::var("WCAL_DRAWS").ok().and_then(|d| d.parse().ok()).unwrap_or(30);
+    let draws: u64 = std::env::var("WCAL_DRAWS")
+        .ok()
+        .and_then(|d| d.parse().ok())
+        .unwrap_or(30);
     let kinds: [(&str, Vec<wcal_plant::Effect>, Fault, Option<&str>); 7] = [
         ("null", vec![], Fault::None, None),
-        ("contact-offset", vec![offset()], Fault::None, Some("contact-offset")),
-        ("base-compliance", vec![compliance()], Fault::None, Some("base-compliance")),
+        (
+            "contact-offset",
+            vec![offset()],
+            Fault::None,
+            Some("contact-offset"),
+        ),
+        (
+            "base-compliance",
+            vec![compliance()],
+            Fault::None,
+            Some("base-compliance"),
+        ),
         ("offset + compliance", both(), Fault::None, None),
         ("board-scale", vec![], BOARD, Some("board-scale")),
-        ("rig-tag", vec![], Fault::RigTag([0.3, 0.0, 0.0]), Some("rig-tag")),
-        ("camera-pose", vec![], Fault::Moved([0.0, 0.15, 0.1], 0.5), Some("camera-pose")),
+        (
+            "rig-tag",
+            vec![],
+            Fault::RigTag([0.3, 0.0, 0.0]),
+            Some("rig-tag"),
+        ),
+        (
+            "camera-pose",
+            vec![],
+            Fault::Moved([0.0, 0.15, 0.1], 0.5),
+            Some("camera-pose"),
+        ),
     ];
     let mut missed = Vec::new();
     for (name, effects, fault, wanted) in kinds {
@@ -94,8 +141,9 @@ fn rates() {
                 continue;
             }
             let started = std::time::Instant::now();
-            let answers: Vec<Answer> =
-                (0..draws).map(|seed| of(&effects, fault, pictures, 100 + seed)).collect();
+            let answers: Vec<Answer> = (0..draws)
+                .map(|seed| of(&effects, fault, pictures, 100 + seed))
+                .collect();
             let right = |a: &&Answer| match wanted {
                 Some(id) => a.names_only(id),
                 None if effects.is_empty() => a.verdict == Verdict::Adequate,
@@ -106,7 +154,9 @@ fn rates() {
             // By chance alone: two standard deviations of a count whose share is `RIGHT`.
             let least = RIGHT * draws as f64 - 2.0 * (RIGHT * (1.0 - RIGHT) * draws as f64).sqrt();
             if (pictures || effects.is_empty()) && effects.len() < 2 && (all_right as f64) < least {
-                missed.push(format!("{name}, pictures {pictures}: {all_right} of {draws}"));
+                missed.push(format!(
+                    "{name}, pictures {pictures}: {all_right} of {draws}"
+                ));
             }
             // Negative control: wavelengths alone do not tell a root that turns from a contact that is off.
             if name == "base-compliance" && !pictures && (all_right as f64) >= least {

@@ -9,15 +9,28 @@ use wcal_plant::ScalarNoise;
 fn rows(widened: f64, statement: &str) -> Vec<StatementRow> {
     let folder = tempfile::tempdir().unwrap();
     let program = program().get_program().into();
-    let auditor = Auditor { program, folder: folder.path().to_path_buf(), jobs: 2, widened };
-    let all = auditor.audit(&[ScalarNoise::White], &LAYOUTS[1..2], 12, 7).unwrap();
-    all.into_iter().filter(|r| r.statement.starts_with(statement)).collect()
+    let auditor = Auditor {
+        program,
+        folder: folder.path().to_path_buf(),
+        jobs: 2,
+        widened,
+    };
+    let all = auditor
+        .audit(&[ScalarNoise::White], &LAYOUTS[1..2], 12, 7)
+        .unwrap();
+    all.into_iter()
+        .filter(|r| r.statement.starts_with(statement))
+        .collect()
 }
 
 #[test]
 fn predictions_of_a_new_sweep_hold_as_often_as_they_say() {
     let stated = rows(1.0, "prediction");
-    assert_eq!(stated.len(), 3, "at places, at the ends, between: {stated:?}");
+    assert_eq!(
+        stated.len(),
+        3,
+        "at places, at the ends, between: {stated:?}"
+    );
     assert!(stated.iter().all(StatementRow::agrees), "{stated:?}");
     // Half of the stated width holds about two thirds of the readings.
     let halved = rows(0.5, "prediction at places");

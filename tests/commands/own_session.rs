@@ -8,8 +8,13 @@ use std::path::Path;
 /// A rig without cameras and a bench without effects, as files in a folder.
 fn rig_and_scenario(folder: &Path, seed: u64) {
     let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
-    let of_stage = rig.replace("rate_hz = 2000.0", "rate_hz = 500.0").replace("clock_scale = 4.0\n", "");
-    let (head, cameras) = (of_stage.split("[[camera]]").next().unwrap(), of_stage.contains("[[camera]]"));
+    let of_stage = rig
+        .replace("rate_hz = 2000.0", "rate_hz = 500.0")
+        .replace("clock_scale = 4.0\n", "");
+    let (head, cameras) = (
+        of_stage.split("[[camera]]").next().unwrap(),
+        of_stage.contains("[[camera]]"),
+    );
     assert!(cameras, "the rig's cameras come last");
     std::fs::write(folder.join("rig.toml"), head).unwrap();
     let scenario = format!(
@@ -23,11 +28,15 @@ fn rig_and_scenario(folder: &Path, seed: u64) {
 fn settled_inside(points: &Path, track: &Path) -> [u64; 2] {
     let read = |path: &Path| -> Vec<Vec<String>> {
         let text = std::fs::read_to_string(path).unwrap();
-        text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
+        text.lines()
+            .map(|line| line.split(',').map(str::to_owned).collect())
+            .collect()
     };
     let (points, track) = (read(points), read(track));
     let number = |table: &[Vec<String>], row: usize, name: &str| -> Option<f64> {
-        table[row][table[0].iter().position(|n| n == name).unwrap()].parse().ok()
+        table[row][table[0].iter().position(|n| n == name).unwrap()]
+            .parse()
+            .ok()
     };
     let mut counts = [0, 0];
     for row in (1..track.len()).filter(|row| number(&points, *row, "speed_mm_s") == Some(0.0)) {
@@ -36,15 +45,25 @@ fn settled_inside(points: &Path, track: &Path) -> [u64; 2] {
             let groove = number(&points, row, &format!("groove_{a}_mm"))?;
             Some(number(&track, row, &format!("contact_{a}_mm"))? - groove)
         });
-        let [Some(x), Some(y), Some(z)] = off else { continue };
+        let [Some(x), Some(y), Some(z)] = off else {
+            continue;
+        };
         let covariance = Matrix3::from_fn(|i, j| {
             let of = [axis[i.min(j)], axis[i.max(j)]].concat();
-            let name = if i == j { format!("var_{of}_mm2") } else { format!("cov_{of}_mm2") };
+            let name = if i == j {
+                format!("var_{of}_mm2")
+            } else {
+                format!("cov_{of}_mm2")
+            };
             number(&track, row, &name).unwrap()
         });
         let off = Vector3::new(x, y, z);
         // Chi-squared with three degrees of freedom, 95 %.
-        counts[0] += u64::from(covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) <= 7.815));
+        counts[0] += u64::from(
+            covariance
+                .cholesky()
+                .is_some_and(|c| off.dot(&c.solve(&off)) <= 7.815),
+        );
         counts[1] += 1;
     }
     counts
@@ -53,12 +72,25 @@ fn settled_inside(points: &Path, track: &Path) -> [u64; 2] {
 /// Rows, flagged rows, and trajectories whose region holds the groove; with the exit code.
 fn tracked(session: &str, calibration: &str, out: &Path) -> (i32, [u64; 4]) {
     let table = out.display().to_string();
-    let (code, text) = code_and_messages(&["track", session, "--calibration", calibration, "--out", &table]);
-    let document = std::fs::read(out.with_extension("json")).unwrap_or_else(|e| panic!("{e}: {text}"));
+    let (code, text) = code_and_messages(&[
+        "track",
+        session,
+        "--calibration",
+        calibration,
+        "--out",
+        &table,
+    ]);
+    let document =
+        std::fs::read(out.with_extension("json")).unwrap_or_else(|e| panic!("{e}: {text}"));
     let v: Value = serde_json::from_slice(&document).unwrap();
     let number = |v: &Value| v.as_u64().unwrap_or_else(|| panic!("{v}"));
     let groove = &v["groove_tracking"];
-    let counts = [&v["rows"], &v["flagged_rows"], &groove["trajectories"], &groove["trajectories_held"]];
+    let counts = [
+        &v["rows"],
+        &v["flagged_rows"],
+        &groove["trajectories"],
+        &groove["trajectories_held"],
+    ];
     (code, counts.map(number))
 }
 
@@ -72,7 +104,16 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
         rig_and_scenario(folder.path(), seed);
         let plan = repository("rigs/plans/rich.toml").display().to_string();
         let (rig, scenario, session) = (at("rig.toml"), at("scenario.toml"), at("session"));
-        let sweep = ["--rig", &rig, "--plan", &plan, "--scenario", &scenario, "--out", &session];
+        let sweep = [
+            "--rig",
+            &rig,
+            "--plan",
+            &plan,
+            "--scenario",
+            &scenario,
+            "--out",
+            &session,
+        ];
         let (code, text) = code_and_messages(&[&["stage-sweep", "--home"][..], &sweep].concat());
         assert_eq!(code, 0, "{text}");
         let verified = at("verified");
@@ -81,19 +122,30 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
         let calibration = format!("{verified}/calibration.json");
         let (code, [rows, flagged, trajectories, inside]) =
             tracked(&session, &calibration, &folder.path().join("track.csv"));
-        let [within, of] =
-            settled_inside(&folder.path().join("session/points.csv"), &folder.path().join("track.csv"));
+        let [within, of] = settled_inside(
+            &folder.path().join("session/points.csv"),
+            &folder.path().join("track.csv"),
+        );
         println!(
             "SIMULATED: seed {seed}: {flagged} of {rows} rows flagged, {inside} of {trajectories} held, {within} of {of} settled rows inside"
         );
         settled = [settled[0] + within, settled[1] + of];
-        assert!(code == 0 && 20 * flagged <= rows, "seed {seed}: exit {code}, {flagged} of {rows} flagged");
+        assert!(
+            code == 0 && 20 * flagged <= rows,
+            "seed {seed}: exit {code}, {flagged} of {rows} flagged"
+        );
         held = [held[0] + inside, held[1] + trajectories];
         // Control: rows on the fly that claim as many samples as settled ones contradict the motion.
         if seed == 11 {
             let points = folder.path().join("session/points.csv");
             let text = std::fs::read_to_string(&points).unwrap();
-            let place = text.lines().next().unwrap().split(',').position(|c| c == "samples").unwrap();
+            let place = text
+                .lines()
+                .next()
+                .unwrap()
+                .split(',')
+                .position(|c| c == "samples")
+                .unwrap();
             let claimed = text.lines().enumerate().map(|(k, line)| {
                 let mut cells: Vec<&str> = line.split(',').collect();
                 if k > 0 {
@@ -113,5 +165,8 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
     // Of 27 regions with 95 % each at most five miss (once in 400 such tests).
     assert!(held[1] == 27 && held[0] >= 22, "{held:?}");
     // The rows of a trajectory share their errors: as many as five of its 27 shares may miss here, too.
-    assert!(settled[1] > 1000 && settled[0] * 27 >= settled[1] * 22, "{settled:?}");
+    assert!(
+        settled[1] > 1000 && settled[0] * 27 >= settled[1] * 22,
+        "{settled:?}"
+    );
 }

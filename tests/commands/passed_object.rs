@@ -22,7 +22,12 @@ impl Tracked {
     /// Cells of a column.
     fn column(&self, name: &str) -> Vec<&str> {
         let mut lines = self.table.lines();
-        let at = lines.next().unwrap().split(',').position(|c| c == name).unwrap();
+        let at = lines
+            .next()
+            .unwrap()
+            .split(',')
+            .position(|c| c == name)
+            .unwrap();
         lines.map(|l| l.split(',').nth(at).unwrap()).collect()
     }
 }
@@ -34,9 +39,18 @@ fn path(at: &Path) -> &str {
 /// The map of the 27 measured poses by the rod's labels, made once for all tests.
 fn map() -> &'static str {
     static MAP: LazyLock<String> = LazyLock::new(|| {
-        let (session, out) =
-            (fixture("whiskerfbg"), Path::new(env!("CARGO_TARGET_TMPDIR")).join("passed-object-map"));
-        let run = wcal(&["fit-gpr", path(&session), "--labels", "rod", "--out", path(&out)]);
+        let (session, out) = (
+            fixture("whiskerfbg"),
+            Path::new(env!("CARGO_TARGET_TMPDIR")).join("passed-object-map"),
+        );
+        let run = wcal(&[
+            "fit-gpr",
+            path(&session),
+            "--labels",
+            "rod",
+            "--out",
+            path(&out),
+        ]);
         assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
         assert!(
             text(&run.stdout).contains("another zero than the loaded poses: left out"),
@@ -50,13 +64,27 @@ fn map() -> &'static str {
 
 fn track(calibration: &str, source: &Path, more: &[&str]) -> Tracked {
     let out = source.with_extension("track.csv");
-    let arguments =
-        ["track", path(source), "--calibration", calibration, "--force", "--out", path(&out), "--json"];
+    let arguments = [
+        "track",
+        path(source),
+        "--calibration",
+        calibration,
+        "--force",
+        "--out",
+        path(&out),
+        "--json",
+    ];
     let run = wcal(&[&arguments[..], more].concat());
     let said = text(&run.stderr);
-    let summary = serde_json::from_slice(&run.stdout).unwrap_or_else(|e| unreachable!("{e}: {said}"));
+    let summary =
+        serde_json::from_slice(&run.stdout).unwrap_or_else(|e| unreachable!("{e}: {said}"));
     let table = std::fs::read_to_string(out).unwrap();
-    Tracked { code: run.status.code().unwrap(), said, summary, table }
+    Tracked {
+        code: run.status.code().unwrap(),
+        said,
+        summary,
+        table,
+    }
 }
 
 /// The bottle's sweep with changed rows.
@@ -72,7 +100,9 @@ fn changed(folder: &Path, name: &str, change: impl Fn(Vec<Row>) -> Vec<Row>) -> 
     };
     let rows = change(lines.map(row).collect());
     let line = |r: &Row| r.map(|v| v.to_string()).join(",");
-    let lines: Vec<String> = std::iter::once(header.to_owned()).chain(rows.iter().map(line)).collect();
+    let lines: Vec<String> = std::iter::once(header.to_owned())
+        .chain(rows.iter().map(line))
+        .collect();
     std::fs::write(sweep.join("points.csv"), lines.join("\n") + "\n").unwrap();
     sweep
 }
@@ -85,20 +115,40 @@ fn distances_from_the_bottle_are_stated() {
     let own = track(calibration, &sweep, &[]);
     println!("{}", own.said);
     // The column is the distance of the wire's surface; the summary is made of it.
-    let stated: Vec<f64> = own.column("object_distance_mm").iter().filter_map(|c| c.parse().ok()).collect();
+    let stated: Vec<f64> = own
+        .column("object_distance_mm")
+        .iter()
+        .filter_map(|c| c.parse().ok())
+        .collect();
     let object = &own.summary["object"];
     let of = |v: &Value, key: &str| v[key].as_f64().unwrap();
     assert_eq!(stated.len() as f64, of(object, "points"));
     let mean = stated.iter().map(|d| d.abs()).sum::<f64>() / stated.len() as f64;
-    assert!((mean - of(object, "mean_mm")).abs() < 1e-3, "{mean} {object}");
+    assert!(
+        (mean - of(object, "mean_mm")).abs() < 1e-3,
+        "{mean} {object}"
+    );
     // From the outside of the bottle, which the wire touched: what 27 poses do not tell of the gain, and what is not known of the bottle's place.
     let median = of(object, "median_mm");
     assert!((1.0..3.0).contains(&median), "{object}");
-    assert!(own.said.contains("contacts and object do not belong together"), "{}", own.said);
+    assert!(
+        own.said
+            .contains("contacts and object do not belong together"),
+        "{}",
+        own.said
+    );
     // A calibration that does not know the zero of the free wire refuses a beginning in contact.
     let late = changed(folder.path(), "in", |rows| rows[20..].to_vec());
     let out = folder.path().join("refused.csv");
-    let run = wcal(&["track", path(&late), "--calibration", calibration, "--force", "--out", path(&out)]);
+    let run = wcal(&[
+        "track",
+        path(&late),
+        "--calibration",
+        calibration,
+        "--force",
+        "--out",
+        path(&out),
+    ]);
     let said = text(&run.stderr);
     assert!(
         run.status.code() == Some(1) && said.contains("expected free readings at the beginning"),
@@ -112,7 +162,14 @@ fn contacts_that_lie_off_their_object_are_doubted() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     SweepCase::draw(501).unwrap().write(folder.path()).unwrap();
-    let run = wcal(&["fit-gpr", path(&at("session")), "--labels", "rod", "--out", path(&at("map"))]);
+    let run = wcal(&[
+        "fit-gpr",
+        path(&at("session")),
+        "--labels",
+        "rod",
+        "--out",
+        path(&at("map")),
+    ]);
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let run = wcal(&[
         "import",
@@ -140,7 +197,9 @@ fn contacts_that_lie_off_their_object_are_doubted() {
         let mut rows: Vec<Vec<f64>> = points.lines().skip(1).step_by(2).map(numbers).collect();
         change(&mut rows);
         let line = |r: &Vec<f64>| r.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-        let lines: Vec<String> = std::iter::once(header.join(",")).chain(rows.iter().map(line)).collect();
+        let lines: Vec<String> = std::iter::once(header.join(","))
+            .chain(rows.iter().map(line))
+            .collect();
         let sweep = at(name);
         copy_folder(&at("sweep"), &sweep);
         std::fs::write(sweep.join("points.csv"), lines.join("\n") + "\n").unwrap();
@@ -152,20 +211,33 @@ fn contacts_that_lie_off_their_object_are_doubted() {
     let doubted = |name: &str, run: &Tracked| {
         println!("{name}: exit {}: {}", run.code, run.said);
         let said = run.said.contains(APART) || run.said.contains("moments and motion disagree");
-        assert!(said && (run.code == 3 || run.code == 4), "{name}: exit {}: {}", run.code, run.said);
+        assert!(
+            said && (run.code == 3 || run.code == 4),
+            "{name}: exit {}: {}",
+            run.code,
+            run.said
+        );
     };
     let metres = with("metres", &|rows| {
-        rows.iter_mut().for_each(|r| r[base..base + 3].iter_mut().for_each(|v| *v *= 1e-3))
+        rows.iter_mut()
+            .for_each(|r| r[base..base + 3].iter_mut().for_each(|v| *v *= 1e-3))
     });
     doubted("metres", &metres);
     // The arm's log of another sweep, to the end of which it stands still.
-    let other: Vec<_> = SweepCase::draw(506).unwrap().readings.iter().map(|r| r.base_mm).collect();
+    let other: Vec<_> = SweepCase::draw(506)
+        .unwrap()
+        .readings
+        .iter()
+        .map(|r| r.base_mm)
+        .collect();
     let foreign = with("another sweep's motion", &|rows| {
         for (k, r) in rows.iter_mut().enumerate() {
             r[base..base + 3].copy_from_slice(other[(2 * k).min(other.len() - 1)].as_slice());
         }
     });
     doubted("another sweep's motion", &foreign);
-    let axis = with("axis", &|rows| rows.iter_mut().for_each(|r| r.swap(base + 1, base + 2)));
+    let axis = with("axis", &|rows| {
+        rows.iter_mut().for_each(|r| r.swap(base + 1, base + 2))
+    });
     doubted("axis", &axis);
 }

@@ -10,7 +10,13 @@ fn pneumatic(name: &str) -> PathBuf {
 
 fn verify(folder: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
-    let run = program().arg("verify").arg(folder).args(["--json", "--out"]).arg(out.path()).output().unwrap();
+    let run = program()
+        .arg("verify")
+        .arg(folder)
+        .args(["--json", "--out"])
+        .arg(out.path())
+        .output()
+        .unwrap();
     serde_json::from_slice(&run.stdout).unwrap()
 }
 
@@ -36,18 +42,37 @@ fn effect<'a>(v: &'a Value, id: &str) -> Option<&'a Value> {
 fn friction_by_direction_is_named_with_its_size() {
     for name in ["pk-7bar", "nap310-1bar"] {
         let v = verify(&pneumatic(name));
-        let half = half_difference(&std::fs::read_to_string(pneumatic(name).join("points.csv")).unwrap());
-        let hysteresis = effect(&v, "hysteresis").unwrap_or_else(|| panic!("{name}: {}", v["effects"]));
-        let size =
-            hysteresis["parameters"].as_array().unwrap().iter().find(|p| p["name"] == "half_loop").unwrap();
+        let half =
+            half_difference(&std::fs::read_to_string(pneumatic(name).join("points.csv")).unwrap());
+        let hysteresis =
+            effect(&v, "hysteresis").unwrap_or_else(|| panic!("{name}: {}", v["effects"]));
+        let size = hysteresis["parameters"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|p| p["name"] == "half_loop")
+            .unwrap();
         let stated = size["value"].as_f64().unwrap();
         // The plain difference of means also holds what the ends of the strokes add.
-        assert!((stated / half - 1.0).abs() < 0.05, "{name}: {stated} against {half} N");
+        assert!(
+            (stated / half - 1.0).abs() < 0.05,
+            "{name}: {stated} against {half} N"
+        );
         let rmse = |when: &str| v[when]["response_rmse"].as_f64().unwrap();
-        assert!(rmse("after") < 0.1 * rmse("before"), "{name}: {} to {}", rmse("before"), rmse("after"));
+        assert!(
+            rmse("after") < 0.1 * rmse("before"),
+            "{name}: {} to {}",
+            rmse("before"),
+            rmse("after")
+        );
         // A wave that repeats with the strokes is no period of its own.
         assert!(effect(&v, "periodic").is_none_or(|p| {
-            let period = p["parameters"].as_array().unwrap().iter().find(|p| p["name"] == "period").unwrap();
+            let period = p["parameters"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .find(|p| p["name"] == "period")
+                .unwrap();
             period["unit"] != "readings"
         }));
     }
@@ -56,22 +81,33 @@ fn friction_by_direction_is_named_with_its_size() {
 #[test]
 fn without_the_difference_no_hysteresis_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::copy(pneumatic("pk-7bar").join("session.toml"), folder.path().join("session.toml")).unwrap();
+    std::fs::copy(
+        pneumatic("pk-7bar").join("session.toml"),
+        folder.path().join("session.toml"),
+    )
+    .unwrap();
     let text = std::fs::read_to_string(pneumatic("pk-7bar").join("points.csv")).unwrap();
     let half = half_difference(&text);
     let header: Vec<&str> = text.lines().next().unwrap().split(',').collect();
     let column = |name: &str| header.iter().position(|h| *h == name).unwrap();
     let level = |line: &str| {
         let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
-        if let (Ok(force), Ok(direction)) =
-            (cells[column("response")].parse::<f64>(), cells[column("direction")].parse::<f64>())
-        {
+        if let (Ok(force), Ok(direction)) = (
+            cells[column("response")].parse::<f64>(),
+            cells[column("direction")].parse::<f64>(),
+        ) {
             cells[column("response")] = format!("{:.4}", force - half * direction);
         }
         cells.join(",") + "\n"
     };
-    std::fs::write(folder.path().join("points.csv"), text.lines().map(level).collect::<String>()).unwrap();
+    std::fs::write(
+        folder.path().join("points.csv"),
+        text.lines().map(level).collect::<String>(),
+    )
+    .unwrap();
     let v = verify(folder.path());
-    let loops = effect(&v, "hysteresis").and_then(|e| e["parameters"][0]["value"].as_f64()).unwrap_or(0.0);
+    let loops = effect(&v, "hysteresis")
+        .and_then(|e| e["parameters"][0]["value"].as_f64())
+        .unwrap_or(0.0);
     assert!(loops.abs() < 0.1 * half, "{loops} of {half} N");
 }

@@ -55,8 +55,17 @@ fn calibration(folder: &Path) -> String {
         [[trajectory]]\nid = 1\norigin_mm = [30.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n[provenance]\nsimulated = true\n";
     std::fs::write(session.join("session.toml"), description).unwrap();
     let out = folder.join("fit");
-    let run = wcal(&["fit-gpr", session.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    assert!(run.status.code().is_some_and(|c| c == 0 || c == 3), "{}", text(&run.stderr));
+    let run = wcal(&[
+        "fit-gpr",
+        session.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert!(
+        run.status.code().is_some_and(|c| c == 0 || c == 3),
+        "{}",
+        text(&run.stderr)
+    );
     out.join("calibration.json").to_str().unwrap().to_owned()
 }
 
@@ -68,7 +77,11 @@ fn stl(mesh: &Mesh) -> Vec<u8> {
     for t in mesh.triangles() {
         bytes.extend([0_u8; 12]);
         for corner in t {
-            bytes.extend(points[*corner as usize].iter().flat_map(|x| ((x * 1e-3) as f32).to_le_bytes()));
+            bytes.extend(
+                points[*corner as usize]
+                    .iter()
+                    .flat_map(|x| ((x * 1e-3) as f32).to_le_bytes()),
+            );
         }
         bytes.extend([0_u8; 2]);
     }
@@ -80,7 +93,10 @@ fn record(series: &SweepSeries, sign: f64) -> (String, String) {
     let first_s = series.samples[0].t_s;
     let last_s = series.samples[series.samples.len() - 1].t_s;
     let at = |t_s: f64| {
-        let after = series.samples.partition_point(|s| s.t_s < t_s).clamp(1, series.samples.len() - 1);
+        let after = series
+            .samples
+            .partition_point(|s| s.t_s < t_s)
+            .clamp(1, series.samples.len() - 1);
         let (a, b) = (&series.samples[after - 1], &series.samples[after]);
         let u = ((t_s - a.t_s) / (b.t_s - a.t_s)).clamp(0.0, 1.0);
         let mix = |x: f64, y: f64| x + (y - x) * u;
@@ -94,7 +110,14 @@ fn record(series: &SweepSeries, sign: f64) -> (String, String) {
         let [a, b] = shifts(m.map(|m| sign * m));
         // The laboratory warms up: 20 pm over the record.
         let warm = 0.02 * i as f64 / samples as f64;
-        writeln!(optic, "{:.7},{:.7},{:.7}", 1545.0 + warm + a, 1542.0 + warm, 1543.0 + warm + b).unwrap();
+        writeln!(
+            optic,
+            "{:.7},{:.7},{:.7}",
+            1545.0 + warm + a,
+            1542.0 + warm,
+            1543.0 + warm + b
+        )
+        .unwrap();
         if i >= LEAD - 1000 && i.is_multiple_of(200) {
             writeln!(action, "{},{:.9},{i}", i / 200, 1e-3 * (travel_mm - 107.0)).unwrap();
         }
@@ -104,8 +127,16 @@ fn record(series: &SweepSeries, sign: f64) -> (String, String) {
 
 /// The fixture's script.
 fn as_tables(optic: &str, action: &str, out: &Path) -> std::process::Output {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/whiskerfbg_bottle/release_layout.py");
-    std::process::Command::new("python3").arg(script).args([optic, action]).arg(out).output().unwrap()
+    let script = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/fixtures/whiskerfbg_bottle/release_layout.py"
+    );
+    std::process::Command::new("python3")
+        .arg(script)
+        .args([optic, action])
+        .arg(out)
+        .output()
+        .unwrap()
 }
 
 #[test]
@@ -114,8 +145,16 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let calibration = calibration(folder.path());
     let mesh = objects::built_in("can").unwrap();
-    let plan = SweepPlan { rate_hz: 20.0, ..SweepPlan::default() };
-    let request = SweepRequest { whisker: &WhiskerSpec::nominal(), plan: &plan, seed: 7, sweeps: 1 };
+    let plan = SweepPlan {
+        rate_hz: 20.0,
+        ..SweepPlan::default()
+    };
+    let request = SweepRequest {
+        whisker: &WhiskerSpec::nominal(),
+        plan: &plan,
+        seed: 7,
+        sweeps: 1,
+    };
     let series = generate_sweeps(&mesh, &request).unwrap();
     std::fs::write(path("can.stl"), stl(&mesh)).unwrap();
     let model = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker");
@@ -133,7 +172,11 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         std::fs::write(&files[0], optic).unwrap();
         std::fs::write(&files[1], action).unwrap();
         let (session, out) = (path(name), path(&format!("{name}-track.csv")));
-        assert!(as_tables(&files[0], &files[1], folder.path()).status.success());
+        assert!(
+            as_tables(&files[0], &files[1], folder.path())
+                .status
+                .success()
+        );
         std::fs::write(path("SIMULATED"), "").unwrap();
         let run = wcal(&[
             "import",
@@ -151,9 +194,16 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
             &session,
         ]);
         assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
-        assert!(text(&run.stderr).contains("taken as metres"), "{}", text(&run.stderr));
+        assert!(
+            text(&run.stderr).contains("taken as metres"),
+            "{}",
+            text(&run.stderr)
+        );
         let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
-        assert_eq!((&document["kind"], &document["simulated"]), (&"sweep".into(), &true.into()));
+        assert_eq!(
+            (&document["kind"], &document["simulated"]),
+            (&"sweep".into(), &true.into())
+        );
         let run = wcal(&[
             "track",
             &session,
@@ -166,15 +216,31 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
             &out,
             "--json",
         ]);
-        assert!(run.status.code().is_some_and(|c| c != 1), "{}", text(&run.stderr));
+        assert!(
+            run.status.code().is_some_and(|c| c != 1),
+            "{}",
+            text(&run.stderr)
+        );
         println!("{name}: {}", text(&run.stderr));
         let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
         assert_eq!(summary["simulated"], true);
         // Without a network: physics, along the arm's log.
         let physics = path(&format!("{name}-physics.csv"));
-        let run =
-            wcal(&["track", &session, "--calibration", &calibration, "--force", "--out", &physics, "--json"]);
-        assert!(run.status.code().is_some_and(|c| c != 1), "{}", text(&run.stderr));
+        let run = wcal(&[
+            "track",
+            &session,
+            "--calibration",
+            &calibration,
+            "--force",
+            "--out",
+            &physics,
+            "--json",
+        ]);
+        assert!(
+            run.status.code().is_some_and(|c| c != 1),
+            "{}",
+            text(&run.stderr)
+        );
         println!("{name}, without a network: {}", text(&run.stderr));
         let by_physics: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
         by_motion.borrow_mut().push(by_physics);
@@ -187,15 +253,31 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     assert!(of(&right, "rmse_mm") < 1.5, "{right}");
     // Control: moments of the other sign are no sweep over this object.
     let wrong = score("wrong", -1.0);
-    assert!(wrong.is_null() || of(&wrong, "rmse_mm") > 3.0 * of(&right, "rmse_mm"), "{right} {wrong}");
+    assert!(
+        wrong.is_null() || of(&wrong, "rmse_mm") > 3.0 * of(&right, "rmse_mm"),
+        "{right} {wrong}"
+    );
     {
         // Without a network: the contact slides over the can, and the motion predicts its moments; with the other sign it does not.
         let of = by_motion.borrow();
         let slides = |d: &serde_json::Value| {
-            d["contacts"].as_array().unwrap().iter().any(|c| c["contact"] == "sliding")
+            d["contacts"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .any(|c| c["contact"] == "sliding")
         };
-        assert!(slides(&of[0]) && !slides(&of[1]), "{} {}", of[0]["contacts"], of[1]["contacts"]);
-        assert!(of[0]["object"]["rmse_mm"].as_f64().unwrap() < 1.5, "{}", of[0]["object"]);
+        assert!(
+            slides(&of[0]) && !slides(&of[1]),
+            "{} {}",
+            of[0]["contacts"],
+            of[1]["contacts"]
+        );
+        assert!(
+            of[0]["object"]["rmse_mm"].as_f64().unwrap() < 1.5,
+            "{}",
+            of[0]["object"]
+        );
     }
 }
 
@@ -207,14 +289,33 @@ fn what_is_no_such_record_is_named_and_nothing_is_written() {
     let optic = |rows: usize| format!("fbg_2,fbg_4,fbg_6\n{}", row.repeat(rows));
     let way = |unit: f64| {
         (0..4)
-            .map(|k| format!("{},{}\n", unit * (0.1 + 0.01 * f64::from(k)), 25_100 + 100 * k))
+            .map(|k| {
+                format!(
+                    "{},{}\n",
+                    unit * (0.1 + 0.01 * f64::from(k)),
+                    25_100 + 100 * k
+                )
+            })
             .collect::<String>()
     };
-    for (rows, metre, said) in [(1, 1.0, "1700 samples"), (26_000, 1e3, "metres"), (26_000, 1.0, "")] {
+    for (rows, metre, said) in [
+        (1, 1.0, "1700 samples"),
+        (26_000, 1e3, "metres"),
+        (26_000, 1.0, ""),
+    ] {
         std::fs::write(path("optic.csv"), optic(rows)).unwrap();
         std::fs::write(path("action.csv"), format!("py,ind\n{}", way(metre))).unwrap();
-        let run = as_tables(&path("optic.csv"), &path("action.csv"), &folder.path().join("out"));
-        assert_eq!(run.status.success(), said.is_empty(), "{}", text(&run.stderr));
+        let run = as_tables(
+            &path("optic.csv"),
+            &path("action.csv"),
+            &folder.path().join("out"),
+        );
+        assert_eq!(
+            run.status.success(),
+            said.is_empty(),
+            "{}",
+            text(&run.stderr)
+        );
         assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
         assert_eq!(folder.path().join("out").exists(), said.is_empty());
     }

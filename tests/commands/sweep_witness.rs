@@ -11,9 +11,20 @@ fn path(name: &str) -> String {
 fn judged(sweep: &str) -> (i32, Value) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out").display().to_string();
-    let run = wcal(&["verify", &path("whiskerfbg"), "--sweep", sweep, "--out", &out, "--json"]);
+    let run = wcal(&[
+        "verify",
+        &path("whiskerfbg"),
+        "--sweep",
+        sweep,
+        "--out",
+        &out,
+        "--json",
+    ]);
     let document = serde_json::from_slice(&run.stdout);
-    (run.status.code().unwrap(), document.unwrap_or_else(|e| unreachable!("{e}: {}", text(&run.stderr))))
+    (
+        run.status.code().unwrap(),
+        document.unwrap_or_else(|e| unreachable!("{e}: {}", text(&run.stderr))),
+    )
 }
 
 /// Every explanation by a dead zone is refuted, the declared model is not, and nothing with a dead zone stays named.
@@ -23,16 +34,47 @@ fn the_sweep_refutes_the_dead_zone() {
     let judged = v["tests"].as_array().unwrap();
     let has = |e: &Value, id: &str| e["effects"].as_array().unwrap().iter().any(|i| i == id);
     let by_dead_zone: Vec<&Value> = judged.iter().filter(|e| has(e, "dead-zone")).collect();
-    assert!(by_dead_zone.len() >= 2 && by_dead_zone.iter().all(|e| e["refuted"] == true), "{judged:#?}");
-    let declared = judged.iter().find(|e| e["effects"].as_array().unwrap().is_empty()).unwrap();
-    assert!(declared["refuted"] == false && declared["magnitude"].as_f64().unwrap() < 0.1, "{declared}");
-    let effects =
-        |list: &Value| -> Vec<Value> { list.as_array().unwrap().iter().map(|e| e["id"].clone()).collect() };
-    let accepted =
-        judged.iter().find(|e| e["effects"].as_array().unwrap() == &effects(&v["effects"])).unwrap();
-    assert!(accepted["refuted"] == false && accepted["magnitude"].as_f64().unwrap() < 0.5, "{accepted}");
-    assert!((code, v["verdict"].as_str()) == (4, Some("unknown-effect")), "{code} {}", v["verdict"]);
-    assert!(v["effects"].as_array().unwrap().iter().all(|e| e["id"] != "dead-zone"), "{}", v["effects"]);
+    assert!(
+        by_dead_zone.len() >= 2 && by_dead_zone.iter().all(|e| e["refuted"] == true),
+        "{judged:#?}"
+    );
+    let declared = judged
+        .iter()
+        .find(|e| e["effects"].as_array().unwrap().is_empty())
+        .unwrap();
+    assert!(
+        declared["refuted"] == false && declared["magnitude"].as_f64().unwrap() < 0.1,
+        "{declared}"
+    );
+    let effects = |list: &Value| -> Vec<Value> {
+        list.as_array()
+            .unwrap()
+            .iter()
+            .map(|e| e["id"].clone())
+            .collect()
+    };
+    let accepted = judged
+        .iter()
+        .find(|e| e["effects"].as_array().unwrap() == &effects(&v["effects"]))
+        .unwrap();
+    assert!(
+        accepted["refuted"] == false && accepted["magnitude"].as_f64().unwrap() < 0.5,
+        "{accepted}"
+    );
+    assert!(
+        (code, v["verdict"].as_str()) == (4, Some("unknown-effect")),
+        "{code} {}",
+        v["verdict"]
+    );
+    assert!(
+        v["effects"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|e| e["id"] != "dead-zone"),
+        "{}",
+        v["effects"]
+    );
     // The error before and after is stated for what stands: 24 pm before.
     let after = v["after"]["wavelength_rmse_pm"].as_f64().unwrap();
     assert!((10.0..18.0).contains(&after), "{after}");
@@ -44,7 +86,14 @@ fn a_refuted_explanation_is_not_accepted_on_request() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out").display().to_string();
     let (session, sweep) = (path("whiskerfbg"), path("whiskerfbg_bottle"));
-    let accept = ["verify", &session, "--accept", "dead-zone,contact-offset", "--out", &out];
+    let accept = [
+        "verify",
+        &session,
+        "--accept",
+        "dead-zone,contact-offset",
+        "--out",
+        &out,
+    ];
     let run = wcal(&[&accept[..], &["--sweep", &sweep]].concat());
     assert!(
         run.status.code() == Some(4) && text(&run.stdout).contains("refutes the accepted model"),
@@ -53,7 +102,10 @@ fn a_refuted_explanation_is_not_accepted_on_request() {
     );
     assert!(!folder.path().join("out/calibration.json").exists());
     // Control: without the sweep it is.
-    assert_eq!(wcal(&[&accept[..], &["--force"]].concat()).status.code(), Some(4));
+    assert_eq!(
+        wcal(&[&accept[..], &["--force"]].concat()).status.code(),
+        Some(4)
+    );
     assert!(folder.path().join("out/calibration.json").exists());
 }
 
@@ -66,7 +118,13 @@ fn a_bottle_elsewhere_refutes_the_declared_model() {
     let (readings, motion, object) = (at("readings.csv"), at("base.csv"), at("object.stl"));
     let import = |pose: &str, out: &str| {
         let place = ["--object", &object, "--object-pose", pose, "--out", out];
-        wcal(&[&["import", &readings, "--kind", "sweep", "--motion", &motion][..], &place].concat())
+        wcal(
+            &[
+                &["import", &readings, "--kind", "sweep", "--motion", &motion][..],
+                &place,
+            ]
+            .concat(),
+        )
     };
     let run = import("111.76475,18.7875,-22.46,1,0,0,0", &sweep);
     assert!(run.status.success(), "{}", text(&run.stderr));
@@ -80,7 +138,11 @@ fn a_bottle_elsewhere_refutes_the_declared_model() {
     assert!(declared["refuted"] == true, "{declared}");
     // The true place gives the fixture's table.
     let again = folder.path().join("again").display().to_string();
-    assert!(import("111.76475,10.7875,-22.46,1,0,0,0", &again).status.success());
+    assert!(
+        import("111.76475,10.7875,-22.46,1,0,0,0", &again)
+            .status
+            .success()
+    );
     let read = |folder: &str| std::fs::read_to_string(format!("{folder}/points.csv")).unwrap();
     assert_eq!(read(&again), read(&path("whiskerfbg_bottle")));
 }
@@ -91,14 +153,27 @@ fn what_cannot_judge_is_refused() {
     let refused = |arguments: &[&str], expected: &str| {
         let run = wcal(arguments);
         let said = text(&run.stderr);
-        assert!(run.status.code() == Some(1) && said.contains(expected), "{arguments:?}: {said}");
+        assert!(
+            run.status.code() == Some(1) && said.contains(expected),
+            "{arguments:?}: {said}"
+        );
     };
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).display().to_string();
     let (session, out) = (path("whiskerfbg"), at("out"));
-    refused(&["verify", &session, "--sweep", &session, "--out", &out], "expected a session of kind sweep");
     refused(
-        &["verify", &path("nist/pontius"), "--sweep", &path("whiskerfbg_bottle"), "--out", &out],
+        &["verify", &session, "--sweep", &session, "--out", &out],
+        "expected a session of kind sweep",
+    );
+    refused(
+        &[
+            "verify",
+            &path("nist/pontius"),
+            "--sweep",
+            &path("whiskerfbg_bottle"),
+            "--out",
+            &out,
+        ],
         "expected a session of kind whisker",
     );
     let (readings, motion, object) = (
@@ -106,16 +181,31 @@ fn what_cannot_judge_is_refused() {
         path("whiskerfbg_bottle/base.csv"),
         path("whiskerfbg_bottle/object.stl"),
     );
-    let import = ["import", &readings, "--kind", "sweep", "--motion", &motion, "--object", &object];
+    let import = [
+        "import", &readings, "--kind", "sweep", "--motion", &motion, "--object", &object,
+    ];
     let none = at("none");
     refused(
-        &[&import[..], &["--object-pose", "1,2,3,0,0,0,0", "--out", &none]].concat(),
+        &[
+            &import[..],
+            &["--object-pose", "1,2,3,0,0,0,0", "--out", &none],
+        ]
+        .concat(),
         "--object-pose: expected x,y,z (mm) and a unit quaternion",
     );
     assert!(!std::path::Path::new(&none).exists());
     // At the object from the first reading on.
     let near = at("near");
-    let run = wcal(&[&import[..], &["--object-pose", "95,10.7875,-22.46,1,0,0,0", "--out", &near]].concat());
+    let run = wcal(
+        &[
+            &import[..],
+            &["--object-pose", "95,10.7875,-22.46,1,0,0,0", "--out", &near],
+        ]
+        .concat(),
+    );
     assert!(run.status.success(), "{}", text(&run.stderr));
-    refused(&["verify", &session, "--sweep", &near, "--out", &out], "the sweep has no zero of its own");
+    refused(
+        &["verify", &session, "--sweep", &near, "--out", &out],
+        "the sweep has no zero of its own",
+    );
 }

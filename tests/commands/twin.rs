@@ -8,7 +8,11 @@ use std::process::Command;
 fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let engine = std::path::Path::new(PROGRAM).with_file_name("wcal-mujoco");
     let hello = Command::new("sh")
-        .args(["-c", "echo '{\"do\":\"hello\"}' | \"$0\"", engine.to_str().unwrap()])
+        .args([
+            "-c",
+            "echo '{\"do\":\"hello\"}' | \"$0\"",
+            engine.to_str().unwrap(),
+        ])
         .output();
     if !hello.is_ok_and(|o| String::from_utf8_lossy(&o.stdout).contains("mujoco")) {
         not_run(format!("{} has no MuJoCo", engine.display()));
@@ -35,10 +39,25 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
             let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("twin")).collect();
             std::fs::write(&path, without.join("\n")).unwrap();
         }
-        let args =
-            ["twin", folder.path().to_str().unwrap(), "--engine", "mujoco", "--preset", "released", "--out"];
-        let done = program().args(args).arg(&out).env("WCAL_MUJOCO", &engine).output().unwrap();
-        (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+        let args = [
+            "twin",
+            folder.path().to_str().unwrap(),
+            "--engine",
+            "mujoco",
+            "--preset",
+            "released",
+            "--out",
+        ];
+        let done = program()
+            .args(args)
+            .arg(&out)
+            .env("WCAL_MUJOCO", &engine)
+            .output()
+            .unwrap();
+        (
+            done.status.code(),
+            String::from_utf8_lossy(&done.stderr).into_owned(),
+        )
     };
     let (code, said) = run(true);
     assert_eq!(code, Some(3), "{said}");
@@ -50,10 +69,22 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
         assert!(said.contains(words), "{words}: {said}");
     }
     let table = std::fs::read_to_string(&out).unwrap();
-    let row = |point: &str| table.lines().find(|l| l.starts_with(point)).unwrap().to_owned();
-    assert!(row("9,").contains(",held,true") && row("11,").contains(",several,"), "{table}");
+    let row = |point: &str| {
+        table
+            .lines()
+            .find(|l| l.starts_with(point))
+            .unwrap()
+            .to_owned()
+    };
+    assert!(
+        row("9,").contains(",held,true") && row("11,").contains(",several,"),
+        "{table}"
+    );
     // The same without any label.
     let (code, said) = run(false);
-    assert!(code == Some(3) && said.contains("1 of 2 poses have no certain moment: 11"), "{said}");
+    assert!(
+        code == Some(3) && said.contains("1 of 2 poses have no certain moment: 11"),
+        "{said}"
+    );
     assert!(!said.contains("labels of the session,"), "{said}");
 }

@@ -35,13 +35,27 @@ fn poses(rig: &RigGeometry) -> Vec<Pose> {
         .map(|(s, direction, depth_mm)| {
             let (origin_mm, _) = wire.rest(*s);
             let direction = direction.normalize();
-            let path = GroovePath { origin_mm, direction, arclength_mm: *s, offset_mm: V3::zeros() };
+            let path = GroovePath {
+                origin_mm,
+                direction,
+                arclength_mm: *s,
+                offset_mm: V3::zeros(),
+            };
             let at = path.at(*depth_mm);
             let found = equilibrium(&wire, &path, 0.4 * s, *depth_mm).unwrap();
             let line_mm = wire.centre_line(Some((&at, &found)), 0.25);
-            let groove = Groove { position_mm: at, axis: found.tangent, push: direction };
+            let groove = Groove {
+                position_mm: at,
+                axis: found.tangent,
+                push: direction,
+            };
             let view = rig.scene(line_mm.clone(), Some(&groove));
-            Pose { groove_mm: at, arclength_mm: found.arclength_mm, line_mm, view }
+            Pose {
+                groove_mm: at,
+                arclength_mm: found.arclength_mm,
+                line_mm,
+                view,
+            }
         })
         .collect()
 }
@@ -52,7 +66,11 @@ fn draw(folder: &Path, name: &str, cameras: &[Lens; 2], view: &View, look: &Appe
         let grey = exposed(&clean(lens, view, look), look, 2 * seed + k as u64);
         let place = folder.join(side);
         std::fs::create_dir_all(&place).unwrap();
-        let bytes = [format!("P5 {} {} 255\n", SIZE[0], SIZE[1]).as_bytes(), &grey].concat();
+        let bytes = [
+            format!("P5 {} {} 255\n", SIZE[0], SIZE[1]).as_bytes(),
+            &grey,
+        ]
+        .concat();
         std::fs::write(place.join(format!("{name}.pgm")), bytes).unwrap();
     }
     std::fs::write(folder.join("SIMULATED"), "").unwrap();
@@ -76,23 +94,39 @@ fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Appearance) -> Result
     let poses = poses(rig);
     let later = [cameras[0].clone(), cameras[1].moved(&moved)];
     for (k, pose) in poses.iter().enumerate() {
-        draw(&place.path().join("scene"), &k.to_string(), &later, &pose.view, look, 100 + k as u64);
+        draw(
+            &place.path().join("scene"),
+            &k.to_string(),
+            &later,
+            &pose.view,
+            look,
+            100 + k as u64,
+        );
     }
     let (left, right, out) = (at("board/left"), at("board/right"), at("cameras"));
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &out];
-    let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
+    let (code, text) =
+        code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
     assert!(code == 0 || code == 3, "{text}");
     let rig_file = fixture("stereo_bench/rig.toml");
     let (left, right, shapes) = (at("scene/left"), at("scene/right"), at("shapes"));
     let stereo = at("cameras/stereo.json");
-    let rest = ["--cameras", &stereo, "--rig", rig_file.to_str().unwrap(), "--out", &shapes];
+    let rest = [
+        "--cameras",
+        &stereo,
+        "--rig",
+        rig_file.to_str().unwrap(),
+        "--out",
+        &shapes,
+    ];
     let (code, text) = code_and_messages(&[&["stereo-shape", &left, &right][..], &rest].concat());
     if code == 1 {
         return Err(text);
     }
     assert!(text.contains("SIMULATED"), "{text}");
     let document: Value =
-        serde_json::from_slice(&std::fs::read(Path::new(&shapes).join("shapes.json")).unwrap()).unwrap();
+        serde_json::from_slice(&std::fs::read(Path::new(&shapes).join("shapes.json")).unwrap())
+            .unwrap();
     let mut worst = [0.0_f64; 3];
     for (pair, pose) in document["pairs"].as_array().unwrap().iter().zip(&poses) {
         if pair["status"] != "ok" {
@@ -108,7 +142,10 @@ fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Appearance) -> Result
             .map(|p| distance(&vector(p), &pose.line_mm).powi(2))
             .collect();
         let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-        println!("groove {groove:.4} mm, arc length {:.4} mm, centre line RMS {rms:.4} mm", arc.abs());
+        println!(
+            "groove {groove:.4} mm, arc length {:.4} mm, centre line RMS {rms:.4} mm",
+            arc.abs()
+        );
         for (w, v) in worst.iter_mut().zip([groove, arc.abs(), rms]) {
             *w = w.max(v);
         }
@@ -126,7 +163,9 @@ fn distance(p: &V3, line: &[V3]) -> f64 {
 }
 
 fn good(found: &Result<[f64; 3], String>) -> bool {
-    found.as_ref().is_ok_and(|[groove, arc, rms]| *groove < 0.05 && *arc < 0.1 && *rms < 0.05)
+    found
+        .as_ref()
+        .is_ok_and(|[groove, arc, rms]| *groove < 0.05 && *arc < 0.1 && *rms < 0.05)
 }
 
 fn shift(mm: [f64; 3], deg: [f64; 3]) -> Isometry3<f64> {
@@ -136,21 +175,40 @@ fn shift(mm: [f64; 3], deg: [f64; 3]) -> Isometry3<f64> {
 
 #[test]
 fn the_program_finds_the_plants_wire_and_groove() {
-    let found = judged(&RigGeometry::default(), Isometry3::identity(), &Appearance::default());
+    let found = judged(
+        &RigGeometry::default(),
+        Isometry3::identity(),
+        &Appearance::default(),
+    );
     assert!(good(&found), "{found:?}");
 }
 
 #[test]
 fn moved_cameras_wrong_boards_askew_tags_and_overexposure_show() {
     let (rig, look) = (RigGeometry::default(), Appearance::default());
-    let with = |faults: CameraFaults| RigGeometry { faults, ..RigGeometry::default() };
+    let with = |faults: CameraFaults| RigGeometry {
+        faults,
+        ..RigGeometry::default()
+    };
     let none = CameraFaults::default();
     let still = Isometry3::identity();
-    let board = with(CameraFaults { board_scale: 1.01, ..none });
-    let askew = with(CameraFaults { rig_tag_moved: shift([0.1, 0.0, 0.0], [0.0, 0.0, 0.5]), ..none });
-    let bright = Appearance { exposure_dn: 3.0 * look.exposure_dn, ..look };
+    let board = with(CameraFaults {
+        board_scale: 1.01,
+        ..none
+    });
+    let askew = with(CameraFaults {
+        rig_tag_moved: shift([0.1, 0.0, 0.0], [0.0, 0.0, 0.5]),
+        ..none
+    });
+    let bright = Appearance {
+        exposure_dn: 3.0 * look.exposure_dn,
+        ..look
+    };
     for (name, found) in [
-        ("moved camera", judged(&rig, shift([0.3, 0.0, 0.0], [0.0, 0.1, 0.0]), &look)),
+        (
+            "moved camera",
+            judged(&rig, shift([0.3, 0.0, 0.0], [0.0, 0.1, 0.0]), &look),
+        ),
         ("board of 6.06 mm", judged(&board, still, &look)),
         ("askew tag", judged(&askew, still, &look)),
         ("overexposed", judged(&rig, still, &bright)),

@@ -7,8 +7,17 @@ use std::path::Path;
 use std::process::Command;
 
 /// Folders that a page's `path` in backticks may begin with.
-const ROOTS: [&str; 9] =
-    ["calib/", "rigs/", "tests/", "fixtures/", "docs/", "examples/", "firmware-notes/", "fuzz/", ".ci/"];
+const ROOTS: [&str; 9] = [
+    "calib/",
+    "rigs/",
+    "tests/",
+    "fixtures/",
+    "docs/",
+    "examples/",
+    "firmware-notes/",
+    "fuzz/",
+    ".ci/",
+];
 
 /// Files of the repository, by path; what a build writes and what git keeps are none.
 fn files() -> Vec<String> {
@@ -32,7 +41,9 @@ fn files() -> Vec<String> {
 /// Every page by its path in the repository: the book, and what stands beside code and data.
 fn pages() -> BTreeMap<String, String> {
     let pages = files().into_iter().filter(|n| n.ends_with(".md"));
-    pages.map(|n| (n.clone(), fs::read_to_string(repository(&n)).unwrap())).collect()
+    pages
+        .map(|n| (n.clone(), fs::read_to_string(repository(&n)).unwrap()))
+        .collect()
 }
 
 /// The page without its fenced blocks, and those blocks' lines.
@@ -50,7 +61,10 @@ fn parts(page: &str) -> (String, Vec<String>) {
 
 /// Anchors of a page's headings, as the book and GitHub make them.
 fn anchors(page: &str) -> BTreeSet<String> {
-    let headings = page.lines().filter(|l| l.starts_with('#')).map(|l| l.trim_start_matches('#').trim());
+    let headings = page
+        .lines()
+        .filter(|l| l.starts_with('#'))
+        .map(|l| l.trim_start_matches('#').trim());
     let slug = |h: &str| -> String {
         let kept = h
             .to_lowercase()
@@ -66,14 +80,25 @@ fn anchors(page: &str) -> BTreeSet<String> {
 fn dead_links(name: &str, page: &str) -> Vec<String> {
     let folder = repository(name).parent().unwrap().to_owned();
     let (prose, _) = parts(page);
-    let targets = prose.split("](").skip(1).filter_map(|t| t.split(')').next()).map(str::to_owned);
+    let targets = prose
+        .split("](")
+        .skip(1)
+        .filter_map(|t| t.split(')').next())
+        .map(str::to_owned);
     let dead = |target: &String| {
         if target.contains("://") {
             return false;
         }
-        let (path, anchor) = target.split_once('#').map_or((target.as_str(), None), |(p, a)| (p, Some(a)));
-        let file = if path.is_empty() { repository(name) } else { folder.join(path) };
-        let lacks = |a: &str| !fs::read_to_string(&file).is_ok_and(|text| anchors(&text).contains(a));
+        let (path, anchor) = target
+            .split_once('#')
+            .map_or((target.as_str(), None), |(p, a)| (p, Some(a)));
+        let file = if path.is_empty() {
+            repository(name)
+        } else {
+            folder.join(path)
+        };
+        let lacks =
+            |a: &str| !fs::read_to_string(&file).is_ok_and(|text| anchors(&text).contains(a));
         !file.exists() || anchor.is_some_and(lacks)
     };
     targets.filter(dead).collect()
@@ -85,7 +110,11 @@ fn no_link_is_dead() {
         assert_eq!(dead_links(&name, &page), Vec::<String>::new(), "{name}");
     }
     let bad = "[a](none.md) [b](README.md#nowhere) [c](README.md) [d](https://example.org/x)";
-    assert_eq!(dead_links("README.md", bad), ["none.md", "README.md#nowhere"], "negative control");
+    assert_eq!(
+        dead_links("README.md", bad),
+        ["none.md", "README.md#nowhere"],
+        "negative control"
+    );
 }
 
 #[test]
@@ -100,7 +129,11 @@ fn the_book_has_every_page() {
     };
     let all: Vec<String> = pages().into_keys().collect();
     assert_eq!(missing(&all), Vec::<String>::new());
-    assert_eq!(missing(&["docs/src/lost.md".to_owned()]), ["docs/src/lost.md"], "negative control");
+    assert_eq!(
+        missing(&["docs/src/lost.md".to_owned()]),
+        ["docs/src/lost.md"],
+        "negative control"
+    );
 }
 
 fn help(arguments: &[&str]) -> String {
@@ -111,9 +144,20 @@ fn help(arguments: &[&str]) -> String {
 /// The program's commands, each with its help.
 fn commands() -> BTreeMap<String, String> {
     let list = help(&["--help"]);
-    let list = list.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
-    let names = list.lines().filter(|l| l.starts_with("  ") && !l.starts_with("   "));
-    names.filter_map(|l| l.split_whitespace().next()).map(|n| (n.to_owned(), help(&[n, "--help"]))).collect()
+    let list = list
+        .split("Commands:")
+        .nth(1)
+        .unwrap()
+        .split("Options:")
+        .next()
+        .unwrap();
+    let names = list
+        .lines()
+        .filter(|l| l.starts_with("  ") && !l.starts_with("   "));
+    names
+        .filter_map(|l| l.split_whitespace().next())
+        .map(|n| (n.to_owned(), help(&[n, "--help"])))
+        .collect()
 }
 
 /// Commands and options in code that the program does not have.
@@ -122,10 +166,14 @@ fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<Stri
     code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));
     let mut unknown = Vec::new();
     for line in code.iter().flat_map(|c| c.split([';', '|'])).map(str::trim) {
-        let Some(rest) = line.strip_prefix("wcal ") else { continue };
+        let Some(rest) = line.strip_prefix("wcal ") else {
+            continue;
+        };
         let line = rest.split("    # ").next().unwrap();
         let mut words = line.split_whitespace();
-        let Some(name) = words.next().filter(|w| w.chars().all(|c| c.is_ascii_lowercase() || c == '-'))
+        let Some(name) = words
+            .next()
+            .filter(|w| w.chars().all(|c| c.is_ascii_lowercase() || c == '-'))
         else {
             continue;
         };
@@ -138,7 +186,9 @@ fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<Stri
         };
         let options = words.filter_map(|w| w.trim_start_matches('[').strip_prefix("--"));
         let option = |w: &str| w.split(['=', ']']).next().unwrap_or_default().to_owned();
-        let lacking = options.map(option).filter(|o| !help.contains(&format!("--{o}")) && o != "help");
+        let lacking = options
+            .map(option)
+            .filter(|o| !help.contains(&format!("--{o}")) && o != "help");
         unknown.extend(lacking.map(|o| format!("wcal {name} --{o}")));
     }
     unknown
@@ -150,21 +200,41 @@ fn every_command_and_option_that_a_page_names_is_there() {
     assert!(commands.len() > 12, "{:?}", commands.keys());
     // The changelog tells of what went.
     for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(unknown_commands(&page, &commands), Vec::<String>::new(), "{name}");
+        assert_eq!(
+            unknown_commands(&page, &commands),
+            Vec::<String>::new(),
+            "{name}"
+        );
     }
     let bad = "`wcal verify S --out D` `wcal brew tea`\n```sh\nwcal verify S --sugar 2\n```\n";
-    assert_eq!(unknown_commands(bad, &commands), ["wcal verify --sugar", "wcal brew"], "negative control");
+    assert_eq!(
+        unknown_commands(bad, &commands),
+        ["wcal verify --sugar", "wcal brew"],
+        "negative control"
+    );
 }
 
 /// Files and folders of the repository in backticks that are not there.
 fn missing_files(page: &str) -> Vec<String> {
     let (prose, code) = parts(page);
-    let spans = prose.split('`').skip(1).step_by(2).map(str::to_owned).chain(code);
-    let words: Vec<String> =
-        spans.flat_map(|s| s.split_whitespace().map(str::to_owned).collect::<Vec<_>>()).collect();
-    let of_ours = |w: &&String| ROOTS.iter().any(|root| w.starts_with(root)) && !w.contains(['*', '<']);
+    let spans = prose
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .map(str::to_owned)
+        .chain(code);
+    let words: Vec<String> = spans
+        .flat_map(|s| s.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
+        .collect();
+    let of_ours =
+        |w: &&String| ROOTS.iter().any(|root| w.starts_with(root)) && !w.contains(['*', '<']);
     let path = |w: &String| w.trim_end_matches([',', ';', ':', ')']).to_owned();
-    words.iter().filter(of_ours).map(path).filter(|p| !repository(p).exists()).collect()
+    words
+        .iter()
+        .filter(of_ours)
+        .map(path)
+        .filter(|p| !repository(p).exists())
+        .collect()
 }
 
 #[test]
@@ -187,31 +257,54 @@ fn every_file_that_a_page_names_is_there() {
 /// Source files that a page names without a folder of `ROOTS`, and that no file of the repository is called by.
 fn missing_sources(page: &str, files: &[String]) -> Vec<String> {
     let (prose, _) = parts(page);
-    let spans = prose.split('`').skip(1).step_by(2).filter_map(|s| s.split([' ', ':']).next());
-    let bare =
-        |s: &&str| s.ends_with(".rs") && !s.contains(['*', '<']) && !ROOTS.iter().any(|r| s.starts_with(r));
+    let spans = prose
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .filter_map(|s| s.split([' ', ':']).next());
+    let bare = |s: &&str| {
+        s.ends_with(".rs") && !s.contains(['*', '<']) && !ROOTS.iter().any(|r| s.starts_with(r))
+    };
     let lacking = |s: &&str| {
         let inner = format!("/{s}");
         !files.iter().any(|f| f == s || f.ends_with(&inner))
     };
-    spans.filter(bare).filter(lacking).map(str::to_owned).collect()
+    spans
+        .filter(bare)
+        .filter(lacking)
+        .map(str::to_owned)
+        .collect()
 }
 
 #[test]
 fn every_source_file_that_a_page_names_by_its_last_part_is_there() {
     let files = files();
     for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(missing_sources(&page, &files), Vec::<String>::new(), "{name}");
+        assert_eq!(
+            missing_sources(&page, &files),
+            Vec::<String>::new(),
+            "{name}"
+        );
     }
     let bad = "`method/fit.rs`, `nowhere/fit.rs`, `lost.rs` and `fit.rs:12`";
-    assert_eq!(missing_sources(bad, &files), ["nowhere/fit.rs", "lost.rs"], "negative control");
+    assert_eq!(
+        missing_sources(bad, &files),
+        ["nowhere/fit.rs", "lost.rs"],
+        "negative control"
+    );
 }
 
 /// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME` and so on, and the modules of a test:
 /// `--test NAME MODULE::`.
 fn targets() -> BTreeSet<String> {
     let metadata = Command::new(env!("CARGO"))
-        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .args([
+            "metadata",
+            "--no-deps",
+            "--offline",
+            "--format-version",
+            "1",
+        ])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
         .unwrap();
@@ -220,9 +313,16 @@ fn targets() -> BTreeSet<String> {
     let all = packages.flat_map(|p| p["targets"].as_array().unwrap());
     let mut names = BTreeSet::new();
     for target in all {
-        let name = format!("--{} {}", target["kind"][0].as_str().unwrap(), target["name"].as_str().unwrap());
-        let folder = Path::new(target["src_path"].as_str().unwrap()).parent().unwrap();
-        if name.starts_with("--test ") && target["src_path"].as_str().unwrap().ends_with("/main.rs") {
+        let name = format!(
+            "--{} {}",
+            target["kind"][0].as_str().unwrap(),
+            target["name"].as_str().unwrap()
+        );
+        let folder = Path::new(target["src_path"].as_str().unwrap())
+            .parent()
+            .unwrap();
+        if name.starts_with("--test ") && target["src_path"].as_str().unwrap().ends_with("/main.rs")
+        {
             let files = fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
             let stems = files.filter_map(|f| Some(f.file_stem()?.to_str()?.to_owned()));
             names.extend(stems.map(|stem| format!("{name} {stem}::")));
@@ -250,7 +350,9 @@ fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<Strin
                 missing.push(target);
             }
         }
-        let modules = words.windows(3).filter(|w| of_cargo && w[0] == "--test" && w[2].contains("::"));
+        let modules = words
+            .windows(3)
+            .filter(|w| of_cargo && w[0] == "--test" && w[2].contains("::"));
         for three in modules.filter(|w| w[2].contains(|c: char| c.is_lowercase())) {
             let module = three[2].split("::").next().unwrap_or_default();
             let target = format!("--test {} {module}::", three[1]);
@@ -277,13 +379,22 @@ fn every_target_that_a_page_names_is_there() {
         .filter_map(|l| Some(l.split_once(':')?.0.to_owned()))
         .collect();
     for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(missing_targets(&page, &targets, &make), Vec::<String>::new(), "{name}");
+        assert_eq!(
+            missing_targets(&page, &targets, &make),
+            Vec::<String>::new(),
+            "{name}"
+        );
     }
     let bad = "`cargo run --example brew_tea -- --draws 2`, `make tea`, `wcal verify --bench bench`\n```sh\ncargo test --test contracts docs:: --bench tea\ncargo test --test contracts tea::leaves\nmake docs\n```\n`--test NAME`";
     let found = missing_targets(bad, &targets, &make);
     assert_eq!(
         found,
-        ["--bench tea", "--test contracts tea::", "--example brew_tea", "make tea"],
+        [
+            "--bench tea",
+            "--test contracts tea::",
+            "--example brew_tea",
+            "make tea"
+        ],
         "negative control"
     );
 }
@@ -306,9 +417,13 @@ fn keys(table: &toml::Table, out: &mut BTreeSet<String>) {
 
 /// Whether the reference has a key or table in backticks.
 fn names(reference: &str, key: &str) -> bool {
-    [format!("`{key}`"), format!("`[{key}]`"), format!("`[[{key}]]`")]
-        .iter()
-        .any(|name| reference.contains(name))
+    [
+        format!("`{key}`"),
+        format!("`[{key}]`"),
+        format!("`[[{key}]]`"),
+    ]
+    .iter()
+    .any(|name| reference.contains(name))
 }
 
 /// Keys of a text that the reference does not have.
@@ -338,12 +453,29 @@ fn every_key_of_the_files_that_people_write_stands_in_the_reference() {
     ];
     for file in files {
         let text = fs::read_to_string(repository(file)).unwrap();
-        assert_eq!(unnamed_keys(&text, &reference), Vec::<String>::new(), "{file}");
+        assert_eq!(
+            unnamed_keys(&text, &reference),
+            Vec::<String>::new(),
+            "{file}"
+        );
         // Keys that a template only shows in a comment are keys, too.
-        let shown = text.lines().filter_map(|l| l.strip_prefix("# ")?.split_once(" = ")).map(|(key, _)| key);
-        let plain = |k: &&str| k.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
-        let lacking: Vec<&str> = shown.filter(plain).filter(|k| !names(&reference, k)).collect();
+        let shown = text
+            .lines()
+            .filter_map(|l| l.strip_prefix("# ")?.split_once(" = "))
+            .map(|(key, _)| key);
+        let plain = |k: &&str| {
+            k.chars()
+                .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+        };
+        let lacking: Vec<&str> = shown
+            .filter(plain)
+            .filter(|k| !names(&reference, k))
+            .collect();
         assert_eq!(lacking, Vec::<&str>::new(), "{file}, in comments");
     }
-    assert_eq!(unnamed_keys("[stage]\nshoe_size = 43", &reference), ["shoe_size"], "negative control");
+    assert_eq!(
+        unnamed_keys("[stage]\nshoe_size = 43", &reference),
+        ["shoe_size"],
+        "negative control"
+    );
 }

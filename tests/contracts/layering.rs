@@ -89,10 +89,16 @@ fn violations(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
             out.push(format!("{name}: not in the layering table"));
             continue;
         };
-        for (used, _) in NATIVE.iter().filter(|(used, owner)| uses.contains(*used) && name != owner) {
+        for (used, _) in NATIVE
+            .iter()
+            .filter(|(used, owner)| uses.contains(*used) && name != owner)
+        {
             out.push(format!("{name} -> {used}"));
         }
-        for used in uses.iter().filter(|u| u.starts_with("wcal") && !may.contains(&u.as_str())) {
+        for used in uses
+            .iter()
+            .filter(|u| u.starts_with("wcal") && !may.contains(&u.as_str()))
+        {
             out.push(format!("{name} -> {used}"));
         }
     }
@@ -115,8 +121,13 @@ fn graph() -> BTreeMap<String, BTreeSet<String>> {
         .iter()
         .map(|p| {
             let uses = p["dependencies"].as_array().expect("dependencies").iter();
-            let normal = uses.filter(|d| d["kind"].is_null()).filter_map(|d| d["name"].as_str());
-            (p["name"].as_str().unwrap_or_default().to_owned(), normal.map(str::to_owned).collect())
+            let normal = uses
+                .filter(|d| d["kind"].is_null())
+                .filter_map(|d| d["name"].as_str());
+            (
+                p["name"].as_str().unwrap_or_default().to_owned(),
+                normal.map(str::to_owned).collect(),
+            )
         })
         .collect()
 }
@@ -124,7 +135,11 @@ fn graph() -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn dependencies_point_the_way_of_the_design() {
     let graph = graph();
-    assert!(graph.contains_key("wcal-core"), "metadata lists the workspace: {:?}", graph.keys());
+    assert!(
+        graph.contains_key("wcal-core"),
+        "metadata lists the workspace: {:?}",
+        graph.keys()
+    );
     assert_eq!(violations(&graph), Vec::<String>::new());
 }
 
@@ -144,15 +159,30 @@ fn reached(graph: &BTreeMap<String, BTreeSet<String>>, from: &[String]) -> BTree
 fn the_default_build_has_nothing_of_the_lab() {
     let (graph, json) = (graph(), metadata());
     let packages = json["packages"].as_array().expect("packages");
-    let members = json["workspace_default_members"].as_array().expect("default members");
-    let names = packages.iter().filter(|p| members.contains(&p["id"])).filter_map(|p| p["name"].as_str());
+    let members = json["workspace_default_members"]
+        .as_array()
+        .expect("default members");
+    let names = packages
+        .iter()
+        .filter(|p| members.contains(&p["id"]))
+        .filter_map(|p| p["name"].as_str());
     let mut names: Vec<String> = names.map(str::to_owned).collect();
     names.sort_unstable();
     assert_eq!(names, ["wcal", "wcal-mujoco-engine"]);
-    let foreign = ["wcal-lab", "wcal-lab-sweeps", "wcal-plant", "wcal-exam", "burn", "parquet"];
+    let foreign = [
+        "wcal-lab",
+        "wcal-lab-sweeps",
+        "wcal-plant",
+        "wcal-exam",
+        "burn",
+        "parquet",
+    ];
     let of = |names: &[String]| {
         let all = reached(&graph, names);
-        foreign.into_iter().filter(|name| all.contains(*name)).collect::<Vec<_>>()
+        foreign
+            .into_iter()
+            .filter(|name| all.contains(*name))
+            .collect::<Vec<_>>()
     };
     assert_eq!(of(&names), Vec::<&str>::new());
     assert_eq!(of(&["wcal-lab".to_owned()]), foreign, "negative control");
@@ -161,15 +191,39 @@ fn the_default_build_has_nothing_of_the_lab() {
 #[test]
 fn a_wrong_direction_is_seen() {
     let mut graph = graph();
-    graph.entry("wcal-core".into()).or_default().insert("wcal-trace".into());
-    graph.entry("wcal-drivers".into()).or_default().insert("wcal-session".into());
-    graph.entry("wcal-acquisition".into()).or_default().insert("wcal-drivers".into());
-    graph.entry("wcal-trace".into()).or_default().insert("wcal-calibration".into());
-    graph.entry("wcal-report".into()).or_default().insert("opencv".into());
-    graph.entry("wcal-mujoco".into()).or_default().insert("mujoco-rs".into());
+    graph
+        .entry("wcal-core".into())
+        .or_default()
+        .insert("wcal-trace".into());
+    graph
+        .entry("wcal-drivers".into())
+        .or_default()
+        .insert("wcal-session".into());
+    graph
+        .entry("wcal-acquisition".into())
+        .or_default()
+        .insert("wcal-drivers".into());
+    graph
+        .entry("wcal-trace".into())
+        .or_default()
+        .insert("wcal-calibration".into());
+    graph
+        .entry("wcal-report".into())
+        .or_default()
+        .insert("opencv".into());
+    graph
+        .entry("wcal-mujoco".into())
+        .or_default()
+        .insert("mujoco-rs".into());
     // The simulated world knows no MuJoCo, and neither does what is trained on it.
-    graph.entry("wcal-sim".into()).or_default().insert("wcal-mujoco".into());
-    graph.entry("wcal-track".into()).or_default().insert("wcal-mujoco".into());
+    graph
+        .entry("wcal-sim".into())
+        .or_default()
+        .insert("wcal-mujoco".into());
+    graph
+        .entry("wcal-track".into())
+        .or_default()
+        .insert("wcal-mujoco".into());
     let found = violations(&graph);
     let expected = [
         "wcal-acquisition -> wcal-drivers",
@@ -190,10 +244,18 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let run = |arguments: &[&str]| {
         let mut command = std::process::Command::new("python3");
-        command.current_dir(root.join("tests/peers")).args(arguments).output().expect("python3 runs")
+        command
+            .current_dir(root.join("tests/peers"))
+            .args(arguments)
+            .output()
+            .expect("python3 runs")
     };
     let listed = run(&["run_all.py", "--list", "--ycb", "meshes"]);
-    assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
+    assert!(
+        listed.status.success(),
+        "{}",
+        String::from_utf8_lossy(&listed.stderr)
+    );
     let all: serde_json::Value = serde_json::from_slice(&listed.stdout).expect("JSON");
     let all: std::collections::BTreeMap<String, Vec<Vec<String>>> =
         serde_json::from_value(all).expect("commands");
@@ -204,16 +266,30 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
         .chain([root.to_owned()])
         .filter(|folder| folder.join("Cargo.toml").exists())
         .collect();
-    let example = |name: &str| manifests.iter().any(|m| m.join(format!("examples/{name}.rs")).exists());
-    let test = |name: &str| manifests.iter().any(|m| m.join(format!("tests/{name}/main.rs")).exists());
+    let example = |name: &str| {
+        manifests
+            .iter()
+            .any(|m| m.join(format!("examples/{name}.rs")).exists())
+    };
+    let test = |name: &str| {
+        manifests
+            .iter()
+            .any(|m| m.join(format!("tests/{name}/main.rs")).exists())
+    };
     let (mut examples, mut scripts) = (0, 0);
     for command in all.values().flatten() {
         // Another selection of packages would compile all third-party code anew.
-        assert!(command[0] != "cargo" || command.contains(&"--workspace".to_owned()), "{command:?}");
+        assert!(
+            command[0] != "cargo" || command.contains(&"--workspace".to_owned()),
+            "{command:?}"
+        );
         for pair in command.windows(2).filter(|pair| pair[0] == "--test") {
             assert!(test(&pair[1]), "test {}", pair[1]);
         }
-        for name in command.iter().filter_map(|word| word.strip_prefix("target/release/examples/")) {
+        for name in command
+            .iter()
+            .filter_map(|word| word.strip_prefix("target/release/examples/"))
+        {
             assert!(example(name), "example {name}");
             examples += 1;
         }
@@ -222,7 +298,10 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
             scripts += 1;
         }
     }
-    assert!(all.len() >= 10 && examples >= 6 && scripts >= 9, "{examples} examples, {scripts} scripts");
+    assert!(
+        all.len() >= 10 && examples >= 6 && scripts >= 9,
+        "{examples} examples, {scripts} scripts"
+    );
     assert!(!example("deleted") && !test("deleted"), "control");
     // One that fails is noted, and the next one runs.
     let folder = tempfile::tempdir().expect("temporary folder");
@@ -233,40 +312,69 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
         folder.path()
     );
     let failed = run(&["-c", &program]);
-    assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
+    assert_eq!(
+        failed.status.code(),
+        Some(1),
+        "{}",
+        String::from_utf8_lossy(&failed.stderr)
+    );
     let said = String::from_utf8_lossy(&failed.stdout).into_owned();
     assert!(said.contains("== good"), "{said}");
     let noted = std::fs::read_to_string(folder.path().join("peers-bad.json")).expect("its JSON");
-    assert!(noted.contains("exit status 7: torn") && noted.contains("\"met\": false"), "{noted}");
+    assert!(
+        noted.contains("exit status 7: torn") && noted.contains("\"met\": false"),
+        "{noted}"
+    );
     assert!(!folder.path().join("peers-good.json").exists());
 }
 
 /// Calls that open a file by a path. `wcal_core::files` does so for everybody: a pipe would hang the program, a device fill the memory.
-const OPENS: [&str; 4] = ["fs::read(", "fs::read_to_string(", "File::open(", "stl_io::read"];
+const OPENS: [&str; 4] = [
+    "fs::read(",
+    "fs::read_to_string(",
+    "File::open(",
+    "stl_io::read",
+];
 
 /// Lines of a source that open a file on their own; what stands below `#[cfg(test)]` may.
 fn opened(source: &str) -> Vec<&str> {
     let program = source.split("#[cfg(test)]").next().unwrap_or_default();
-    program.lines().filter(|line| OPENS.iter().any(|call| line.contains(call))).collect()
+    program
+        .lines()
+        .filter(|line| OPENS.iter().any(|call| line.contains(call)))
+        .collect()
 }
 
 #[test]
 fn every_path_is_opened_in_one_place() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut folders = ["calib", "lab/src", "rigs/drivers/src"].map(|d| root.join(d)).to_vec();
+    let mut folders = ["calib", "lab/src", "rigs/drivers/src"]
+        .map(|d| root.join(d))
+        .to_vec();
     let (mut seen, mut wrong) = (0, Vec::new());
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("a folder of sources") {
             let path = entry.expect("an entry").path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let name = path
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
             if path.is_dir() {
                 // A program of its own, which opens no path of a person.
                 if !["tests", "examples", "benches", "engine"].contains(&name.as_str()) {
                     folders.push(path);
                 }
-            } else if name.ends_with(".rs") && name != "tests.rs" && !path.ends_with("core/src/files.rs") {
+            } else if name.ends_with(".rs")
+                && name != "tests.rs"
+                && !path.ends_with("core/src/files.rs")
+            {
                 let text = std::fs::read_to_string(&path).expect("a source");
-                wrong.extend(opened(&text).iter().map(|line| format!("{}: {}", path.display(), line.trim())));
+                wrong.extend(
+                    opened(&text)
+                        .iter()
+                        .map(|line| format!("{}: {}", path.display(), line.trim())),
+                );
                 seen += 1;
             }
         }
@@ -282,8 +390,10 @@ fn every_path_is_opened_in_one_place() {
 
 /// Targets of tests that have a module `keeps_time`, by the folder of their `main.rs`.
 fn targets_that_keep_time() -> BTreeSet<String> {
-    let (mut found, mut folders) =
-        (BTreeSet::new(), ["calib", "lab", "rigs", "tests"].map(repository).to_vec());
+    let (mut found, mut folders) = (
+        BTreeSet::new(),
+        ["calib", "lab", "rigs", "tests"].map(repository).to_vec(),
+    );
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("a folder") {
             let path = entry.expect("an entry").path();
@@ -291,9 +401,22 @@ fn targets_that_keep_time() -> BTreeSet<String> {
                 folders.push(path);
             } else if path.extension().is_some_and(|e| e == "rs") {
                 let text = std::fs::read_to_string(&path).expect("a source file");
-                if text.lines().any(|l| l.trim_start().starts_with("mod keeps_time")) {
-                    assert!(path.ends_with("main.rs"), "{}: `make test` would leave it out", path.display());
-                    found.insert(folder.file_name().expect("a name").to_string_lossy().into_owned());
+                if text
+                    .lines()
+                    .any(|l| l.trim_start().starts_with("mod keeps_time"))
+                {
+                    assert!(
+                        path.ends_with("main.rs"),
+                        "{}: `make test` would leave it out",
+                        path.display()
+                    );
+                    found.insert(
+                        folder
+                            .file_name()
+                            .expect("a name")
+                            .to_string_lossy()
+                            .into_owned(),
+                    );
                 }
             }
         }
@@ -304,22 +427,35 @@ fn targets_that_keep_time() -> BTreeSet<String> {
 /// `make test` runs tests that keep time by their targets, and all tests but these by the name of their module, those in documentation with them. Targets
 /// of these that the script's run of what keeps time does not name.
 fn left_out(script: &str, keep_time: &BTreeSet<String>) -> Vec<String> {
-    for needed in
-        ["printf -- '--test %s ' $half", "--lib --bins $(printf -- '--test %s ' $rest)", "$tests --doc"]
-    {
+    for needed in [
+        "printf -- '--test %s ' $half",
+        "--lib --bins $(printf -- '--test %s ' $rest)",
+        "$tests --doc",
+    ] {
         assert!(script.contains(needed), "{needed}");
     }
     assert_eq!(script.matches("-- --skip keeps_time::").count(), 2);
-    let timed = script.lines().find(|l| l.ends_with("-- keeps_time::")).expect("the run of what keeps time");
-    keep_time.iter().filter(|name| !timed.contains(&format!("--test {name}"))).cloned().collect()
+    let timed = script
+        .lines()
+        .find(|l| l.ends_with("-- keeps_time::"))
+        .expect("the run of what keeps time");
+    keep_time
+        .iter()
+        .filter(|name| !timed.contains(&format!("--test {name}")))
+        .cloned()
+        .collect()
 }
 
 #[test]
 fn make_test_leaves_no_test_out() {
-    let read = |name: &str| std::fs::read_to_string(repository(name)).expect("a file of the repository");
+    let read =
+        |name: &str| std::fs::read_to_string(repository(name)).expect("a file of the repository");
     assert!(read("Makefile").contains("\ttests/run.sh\n"));
     let (script, keep_time) = (read("tests/run.sh"), targets_that_keep_time());
-    assert!(keep_time.contains("live") && keep_time.contains("drivers"), "{keep_time:?}");
+    assert!(
+        keep_time.contains("live") && keep_time.contains("drivers"),
+        "{keep_time:?}"
+    );
     assert_eq!(left_out(&script, &keep_time), Vec::<String>::new());
     let more = keep_time.into_iter().chain(["tea".to_owned()]).collect();
     assert_eq!(left_out(&script, &more), ["tea"], "negative control");

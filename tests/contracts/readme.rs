@@ -12,12 +12,21 @@ use std::time::{Duration, Instant};
 
 /// Not run, with the reason.
 const LEFT_OUT: [(&str, &str); 2] = [
-    ("wcal-lab train", "training: minutes to hours; lab/tests/commands/models.rs runs it on a small set"),
-    ("wcal-lab evaluate", "needs the model of the training above; lab/tests/commands/models.rs runs it"),
+    (
+        "wcal-lab train",
+        "training: minutes to hours; lab/tests/commands/models.rs runs it on a small set",
+    ),
+    (
+        "wcal-lab evaluate",
+        "needs the model of the training above; lab/tests/commands/models.rs runs it",
+    ),
 ];
 /// Run with other sizes, with the reason.
-const CUT: [(&str, &str, &str); 1] =
-    [("--sweeps 50", "--sweeps 2", "600 sweeps take minutes in the profile of the tests")];
+const CUT: [(&str, &str, &str); 1] = [(
+    "--sweeps 50",
+    "--sweeps 2",
+    "600 sweeps take minutes in the profile of the tests",
+)];
 /// Pages of the guide with commands, and how many each has at least. The blocks of README.md are blocks of the guide.
 const PAGES: [(&str, usize); 6] = [
     ("docs/src/guide/start.md", 2),
@@ -39,7 +48,14 @@ fn blocks(page: &str) -> Vec<Vec<String>> {
     let mut blocks = Vec::new();
     for block in page.split("```sh\n").skip(1) {
         let block = block.split("```").next().unwrap().replace("\\\n", " ");
-        blocks.push(block.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect());
+        blocks.push(
+            block
+                .lines()
+                .map(str::trim)
+                .filter(|l| !l.is_empty())
+                .map(str::to_owned)
+                .collect(),
+        );
     }
     blocks
 }
@@ -57,7 +73,10 @@ fn shell(folder: &Path, command: &str) -> Command {
     let program = Path::new(PROGRAM).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let mut shell = Command::new("sh");
-    shell.args(["-c", command]).current_dir(folder).env("PATH", path);
+    shell
+        .args(["-c", command])
+        .current_dir(folder)
+        .env("PATH", path);
     shell
 }
 
@@ -77,17 +96,27 @@ impl Running {
         }
         if let Some(mut bench) = self.bench {
             drop(bench.stdin.take());
-            judge("wcal virtual-bench", 0, bench.wait().unwrap().code(), b"", wrong);
+            judge(
+                "wcal virtual-bench",
+                0,
+                bench.wait().unwrap().code(),
+                b"",
+                wrong,
+            );
         }
     }
 }
 
 fn judge(command: &str, expected: i32, code: Option<i32>, stderr: &[u8], wrong: &mut Vec<String>) {
     let said = String::from_utf8_lossy(stderr);
-    let recorded = ["wcal stage-sweep", "wcal reduce"].iter().any(|c| command.starts_with(c));
+    let recorded = ["wcal stage-sweep", "wcal reduce"]
+        .iter()
+        .any(|c| command.starts_with(c));
     let late = recorded && code == Some(3) && only_late(&said);
     if code != Some(expected) && !late {
-        wrong.push(format!("{command}: expected exit code {expected}, found {code:?}:\n{said}"));
+        wrong.push(format!(
+            "{command}: expected exit code {expected}, found {code:?}:\n{said}"
+        ));
     }
 }
 
@@ -102,7 +131,10 @@ fn only_late(said: &str) -> bool {
             || (count == 0 && what.starts_with("rows with scans missing and"))
             || (count <= FEW_POSES && what == "poses without pictures")
     };
-    let mut warnings = said.lines().filter_map(|l| Some(l.split_once("warning: ")?.1)).peekable();
+    let mut warnings = said
+        .lines()
+        .filter_map(|l| Some(l.split_once("warning: ")?.1))
+        .peekable();
     warnings.peek().is_some() && warnings.all(late)
 }
 
@@ -113,19 +145,37 @@ fn run(page: &str, folder: &Path) -> Vec<String> {
         let mut running = Running::default();
         for line in block {
             let (command, remark) = line.split_once("    # ").unwrap_or((&line, ""));
-            let expected = remark.strip_prefix("exit ").map_or(0, |code| code.trim().parse().unwrap());
+            let expected = remark
+                .strip_prefix("exit ")
+                .map_or(0, |code| code.trim().parse().unwrap());
             if LEFT_OUT.iter().any(|(start, _)| command.starts_with(start)) {
                 continue;
             }
-            let command = CUT.iter().fold(command.to_owned(), |c, (long, short, _)| c.replace(long, short));
+            let command = CUT.iter().fold(command.to_owned(), |c, (long, short, _)| {
+                c.replace(long, short)
+            });
             if command.starts_with("wcal virtual-bench") {
                 running.bench = Some(bench(folder, &command));
             } else if let Some(command) = command.strip_suffix('&') {
-                let child = shell(folder, command).stdin(Stdio::null()).stderr(Stdio::piped()).spawn();
-                running.background.push((command.to_owned(), child.unwrap()));
+                let child = shell(folder, command)
+                    .stdin(Stdio::null())
+                    .stderr(Stdio::piped())
+                    .spawn();
+                running
+                    .background
+                    .push((command.to_owned(), child.unwrap()));
             } else {
-                let output = shell(folder, &command).stdin(Stdio::null()).output().unwrap();
-                judge(&command, expected, output.status.code(), &output.stderr, &mut wrong);
+                let output = shell(folder, &command)
+                    .stdin(Stdio::null())
+                    .output()
+                    .unwrap();
+                judge(
+                    &command,
+                    expected,
+                    output.status.code(),
+                    &output.stderr,
+                    &mut wrong,
+                );
             }
         }
         running.end(&mut wrong);
@@ -137,10 +187,16 @@ fn run(page: &str, folder: &Path) -> Vec<String> {
 fn bench(folder: &Path, command: &str) -> Child {
     let addresses = folder.join(command.rsplit('>').next().unwrap().trim());
     let _ = fs::remove_file(&addresses);
-    let child = shell(folder, command).stdin(Stdio::piped()).spawn().unwrap();
+    let child = shell(folder, command)
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
     let start = Instant::now();
     while !fs::read_to_string(&addresses).is_ok_and(|text| text.ends_with('\n')) {
-        assert!(start.elapsed() < PATIENCE, "{command}: no addresses within {PATIENCE:?}");
+        assert!(
+            start.elapsed() < PATIENCE,
+            "{command}: no addresses within {PATIENCE:?}"
+        );
         std::thread::sleep(Duration::from_millis(50));
     }
     child
@@ -172,14 +228,19 @@ fn near(document: &serde_json::Value, side: &str, said: f64, digits: f64) {
 }
 
 pub(crate) fn marked(folder: &Path, report: &str) -> bool {
-    fs::read_to_string(folder.join(report)).unwrap().contains("SIMULATED")
+    fs::read_to_string(folder.join(report))
+        .unwrap()
+        .contains("SIMULATED")
 }
 
 #[test]
 fn every_page_with_commands_is_run_and_says_what_is_not() {
     let listed: Vec<&str> = PAGES.iter().map(|p| p.0).collect();
     for entry in fs::read_dir(repository("docs/src/guide")).unwrap() {
-        let name = format!("docs/src/guide/{}", entry.unwrap().file_name().to_string_lossy());
+        let name = format!(
+            "docs/src/guide/{}",
+            entry.unwrap().file_name().to_string_lossy()
+        );
         assert_eq!(
             listed.contains(&name.as_str()),
             !blocks(&page(&name)).is_empty(),
@@ -194,16 +255,25 @@ fn every_page_with_commands_is_run_and_says_what_is_not() {
         );
         let others = listed.iter().filter(|n| **n != TRACKING);
         others.for_each(|n| {
-            assert!(!blocks(&page(n)).concat().iter().any(|l| l.contains(what)), "{what} in {n}")
+            assert!(
+                !blocks(&page(n)).concat().iter().any(|l| l.contains(what)),
+                "{what} in {n}"
+            )
         });
     }
-    assert!(tracking.replace('\n', " ").contains(SAID), "the page says what the test leaves out");
+    assert!(
+        tracking.replace('\n', " ").contains(SAID),
+        "the page says what the test leaves out"
+    );
 }
 
 /// Blocks of a page that no page of the guide has line for line.
 fn own_blocks(page_text: &str) -> Vec<Vec<String>> {
     let guide: Vec<Vec<String>> = PAGES.iter().flat_map(|p| blocks(&page(p.0))).collect();
-    blocks(page_text).into_iter().filter(|block| !guide.contains(block)).collect()
+    blocks(page_text)
+        .into_iter()
+        .filter(|block| !guide.contains(block))
+        .collect()
 }
 
 #[test]
@@ -222,16 +292,28 @@ fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
     ]
     .map(|start| place(start).unwrap_or_else(|| panic!("README.md has no {start}")));
     assert!(order.is_sorted(), "{commands:?}");
-    assert!(!commands.iter().any(|c| c.contains("--force")), "{commands:?}");
-    assert!(commands.iter().any(|c| c.contains("--calibration verify/calibration.json")));
-    assert_eq!(own_blocks("```sh\nwcal verify cell --out elsewhere\n```\n").len(), 1, "negative control");
+    assert!(
+        !commands.iter().any(|c| c.contains("--force")),
+        "{commands:?}"
+    );
+    assert!(
+        commands
+            .iter()
+            .any(|c| c.contains("--calibration verify/calibration.json"))
+    );
+    assert_eq!(
+        own_blocks("```sh\nwcal verify cell --out elsewhere\n```\n").len(),
+        1,
+        "negative control"
+    );
 }
 
 #[test]
 fn the_first_run_runs() {
     let folder = after("docs/src/guide/start.md");
     for place in ["", "practice-004/", "pontius/", "whiskerfbg/"] {
-        let page = fs::read_to_string(folder.path().join(format!("demo-out/{place}report.html"))).unwrap();
+        let page =
+            fs::read_to_string(folder.path().join(format!("demo-out/{place}report.html"))).unwrap();
         assert!(page.contains("<svg"), "{place}");
     }
 }
@@ -240,13 +322,24 @@ fn the_first_run_runs() {
 fn your_own_table_runs_and_gives_what_the_page_says() {
     let folder = after("docs/src/guide/own-table.md");
     let of = |name: &str| json(folder.path(), name);
-    let (cell, strokes) = (of("cell-verified/verify.json"), of("strokes-verified/verify.json"));
+    let (cell, strokes) = (
+        of("cell-verified/verify.json"),
+        of("strokes-verified/verify.json"),
+    );
     near(&cell, "before", 2.4e-3, 0.05e-3);
     near(&cell, "after", 2.1e-4, 0.05e-4);
     near(&strokes, "before", 10.2, 0.05);
     near(&strokes, "after", 0.16, 0.005);
-    assert_eq!((&cell["simulated"], &strokes["verdict"]), (&false.into(), &"unknown-effect".into()));
-    assert!(!folder.path().join("strokes-verified/calibration.json").exists());
+    assert_eq!(
+        (&cell["simulated"], &strokes["verdict"]),
+        (&false.into(), &"unknown-effect".into())
+    );
+    assert!(
+        !folder
+            .path()
+            .join("strokes-verified/calibration.json")
+            .exists()
+    );
     assert!(!marked(folder.path(), "cell-verified/report.html"));
 }
 
@@ -259,7 +352,11 @@ fn the_whisker_runs() {
 fn the_pictures_run_and_mark_what_they_leave() {
     let folder = after("docs/src/guide/pictures.md");
     for name in ["cameras/stereo.json", "shapes/shapes.json"] {
-        assert_eq!(json(folder.path(), name)["provenance"]["simulated"], true, "{name}");
+        assert_eq!(
+            json(folder.path(), name)["provenance"]["simulated"],
+            true,
+            "{name}"
+        );
     }
     assert!(marked(folder.path(), "shapes/report.html"));
 }
@@ -267,7 +364,10 @@ fn the_pictures_run_and_mark_what_they_leave() {
 #[test]
 fn the_sweeps_run_and_mark_what_they_leave() {
     let folder = after(TRACKING);
-    assert_eq!(json(folder.path(), "sweeps/dataset.json")["simulated"], true);
+    assert_eq!(
+        json(folder.path(), "sweeps/dataset.json")["simulated"],
+        true
+    );
 }
 
 #[test]
@@ -276,11 +376,19 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
     let page = "```sh\nwcal verify nothing\ntrue    # exit 4\nwcal verify fixtures/whiskerfbg \\\n    --out a    # exit 4\n```\n";
     let wrong = run(page, folder.path());
     assert_eq!(wrong.len(), 2, "{wrong:?}");
-    assert!(wrong[0].starts_with("wcal verify nothing") && wrong[1].contains("expected exit code 4"));
+    assert!(
+        wrong[0].starts_with("wcal verify nothing") && wrong[1].contains("expected exit code 4")
+    );
     // Exit code 3 of a sweep is taken for late scans alone.
     let judged = |said: &str| {
         let mut wrong = Vec::new();
-        judge("wcal stage-sweep --out s", 0, Some(3), said.as_bytes(), &mut wrong);
+        judge(
+            "wcal stage-sweep --out s",
+            0,
+            Some(3),
+            said.as_bytes(),
+            &mut wrong,
+        );
         wrong.is_empty()
     };
     let late = "stage-sweep: warning: 12 scans late, by up to 0.4 s of the bench's time: the bench or this computer fell behind\n\
@@ -292,7 +400,10 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
         "1 rows with scans missing and 2 with late scans",
         "7 poses without pictures",
     ] {
-        assert!(!judged(&format!("{late}stage-sweep: warning: {more}\n")), "{more}");
+        assert!(
+            !judged(&format!("{late}stage-sweep: warning: {more}\n")),
+            "{more}"
+        );
     }
     assert!(judged("stage-sweep: warning: 3 poses without pictures\n"));
     assert!(!judged("") && !judged("stage-sweep: warning: 2 camera pairs refused"));

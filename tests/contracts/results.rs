@@ -36,7 +36,10 @@ fn fixture(name: &str) -> Value {
 /// Held-out error of the answer on one side.
 fn rmse(document: &Value, side: &str) -> f64 {
     let rmse = &document[side];
-    rmse["response_rmse"].as_f64().or_else(|| rmse["wavelength_rmse_pm"].as_f64()).unwrap()
+    rmse["response_rmse"]
+        .as_f64()
+        .or_else(|| rmse["wavelength_rmse_pm"].as_f64())
+        .unwrap()
 }
 
 fn verdict(document: &Value) -> String {
@@ -49,7 +52,10 @@ fn verdict(document: &Value) -> String {
     let word = document["verdict"].as_str().unwrap();
     match (word, effects.is_empty()) {
         ("ambiguous", _) => {
-            format!("ambiguous between {} explanations", document["alternatives"].as_array().unwrap().len())
+            format!(
+                "ambiguous between {} explanations",
+                document["alternatives"].as_array().unwrap().len()
+            )
         }
         (_, true) => word.to_owned(),
         ("effect", false) => format!("effect: {}", effects.join(", ")),
@@ -91,7 +97,11 @@ fn actuator() -> Row {
 /// Error of the declared model where our rod takes the place of the released labels: one of the answer's notes.
 fn declared_by_our_rod(document: &Value) -> f64 {
     const SAYS: &str = "declared model, labels repaired by the rod: ";
-    let mut notes = document["notes"].as_array().unwrap().iter().filter_map(Value::as_str);
+    let mut notes = document["notes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter_map(Value::as_str);
     let said = notes.find_map(|n| Some(n.split_once(SAYS)?.1)).unwrap();
     said.split(' ').next().unwrap().parse().unwrap()
 }
@@ -107,7 +117,10 @@ fn whisker() -> Row {
     let faulty = branch["points"].as_array().unwrap().len();
     [
         "whisker of the paper: wavelengths of trajectories left out in turn".to_owned(),
-        format!("measured, one whisker, {} poses, no replicates", left_out(&v)),
+        format!(
+            "measured, one whisker, {} poses, no replicates",
+            left_out(&v)
+        ),
         format!(
             "{:.1} pm by the released labels, {faulty} of them on another branch; {:.1} pm by the declared model with our rod",
             rmse(&v, "before"),
@@ -118,7 +131,11 @@ fn whisker() -> Row {
             rmse(&v, "after"),
             rmse(&swept, "after")
         ),
-        format!("{}; the sweep refutes {refuted} of them, {} is left", verdict(&v), verdict(&swept)),
+        format!(
+            "{}; the sweep refutes {refuted} of them, {} is left",
+            verdict(&v),
+            verdict(&swept)
+        ),
     ]
 }
 
@@ -142,13 +159,23 @@ fn the_table_of_results_is_what_its_script_writes() {
     let readme = read("README.md");
     let stands = between(&readme).unwrap();
     if std::env::var_os("WCAL_WRITE_DOCS").is_some() {
-        let (head, tail) = (readme.split_once(BEGIN).unwrap().0, readme.split_once(END).unwrap().1);
-        fs::write(repository("README.md"), format!("{head}{BEGIN}{found}{END}{tail}")).unwrap();
+        let (head, tail) = (
+            readme.split_once(BEGIN).unwrap().0,
+            readme.split_once(END).unwrap().1,
+        );
+        fs::write(
+            repository("README.md"),
+            format!("{head}{BEGIN}{found}{END}{tail}"),
+        )
+        .unwrap();
     } else {
         assert_eq!(stands, found, "README.md: make results writes the table");
     }
     // Each row says what its data are.
-    assert!(rows.iter().all(|r| r[1].starts_with("measured, ")), "{rows:?}");
+    assert!(
+        rows.iter().all(|r| r[1].starts_with("measured, ")),
+        "{rows:?}"
+    );
     // Negative control: another result is another table.
     pontius["after"]["response_rmse"] = 3.0e-4.into();
     assert_ne!(table(&[load_cell(&pontius)]), table(&rows[..1]));
@@ -157,11 +184,15 @@ fn the_table_of_results_is_what_its_script_writes() {
 /// A row of a printed exam: its word, and what its interval says of its goal; none where nothing is to be said.
 fn judged(line: &str) -> Option<(String, &'static str)> {
     let (row, goal) = line.rsplit_once(" goal ")?;
-    let word = ["met ", "MISS", "open", "    "].into_iter().find(|w| line.starts_with(w))?;
+    let word = ["met ", "MISS", "open", "    "]
+        .into_iter()
+        .find(|w| line.starts_with(w))?;
     let (hits, trials) = row.split_whitespace().last()?.split_once('/')?;
     let (hits, trials): (u64, u64) = (hits.parse().ok()?, trials.parse().ok()?);
-    let bounds =
-        row.rsplit_once('[').and_then(|(_, b)| b.split_once(']')).and_then(|(b, _)| b.split_once(", "));
+    let bounds = row
+        .rsplit_once('[')
+        .and_then(|(_, b)| b.split_once(']'))
+        .and_then(|(b, _)| b.split_once(", "));
     let goal = goal.trim().trim_start_matches("upper bound ");
     let decided = |met: bool, missed: bool| {
         if met {
@@ -199,8 +230,11 @@ fn a_goal_on_the_page_of_the_exam_is_met_by_its_interval() {
     let page = read("docs/src/lab-notes/exam-tables.md");
     let rows: Vec<_> = page.lines().filter_map(|l| Some((judged(l)?, l))).collect();
     assert!(rows.len() > 100, "{}", rows.len());
-    let wrong: Vec<&str> =
-        rows.iter().filter(|((word, expected), _)| word != expected).map(|r| r.1).collect();
+    let wrong: Vec<&str> = rows
+        .iter()
+        .filter(|((word, expected), _)| word != expected)
+        .map(|r| r.1)
+        .collect();
     assert_eq!(wrong, Vec::<&str>::new());
     assert!(rows.iter().any(|r| r.0.0 == "met") && rows.iter().any(|r| r.0.0 == "MISS"));
     // Negative control: one of one.

@@ -17,10 +17,15 @@ const BY_HAND: [(&str, &str); 1] = [("submission", "needs Slurm: slurm_program")
 
 /// The schemas by name.
 fn schemas() -> BTreeMap<String, Value> {
-    let files = std::fs::read_dir(repository("docs/schemas")).unwrap().map(|e| e.unwrap().path());
+    let files = std::fs::read_dir(repository("docs/schemas"))
+        .unwrap()
+        .map(|e| e.unwrap().path());
     let of = |path: PathBuf| {
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-        (name, serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap())
+        (
+            name,
+            serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap(),
+        )
     };
     files.map(of).collect()
 }
@@ -29,8 +34,10 @@ fn schemas() -> BTreeMap<String, Value> {
 fn closed(schema: &Value) -> Value {
     match schema {
         Value::Object(map) => {
-            let mut map: serde_json::Map<String, Value> =
-                map.iter().map(|(key, value)| (key.clone(), closed(value))).collect();
+            let mut map: serde_json::Map<String, Value> = map
+                .iter()
+                .map(|(key, value)| (key.clone(), closed(value)))
+                .collect();
             if map.get("properties").is_some_and(Value::is_object)
                 && !map.contains_key("additionalProperties")
             {
@@ -45,7 +52,11 @@ fn closed(schema: &Value) -> Value {
 
 /// A value that is none of what stands there: a number for what holds others, an empty object for the rest.
 fn other_type(value: &Value) -> Value {
-    if value.is_object() || value.is_array() { 7.into() } else { json!({}) }
+    if value.is_object() || value.is_array() {
+        7.into()
+    } else {
+        json!({})
+    }
 }
 
 /// Changes that a reader must refuse, by name.
@@ -56,13 +67,20 @@ fn spoiled(schema: &Value, document: &Value) -> Vec<(String, Value)> {
         change(copy.as_object_mut().unwrap());
         all.push((what, copy));
     };
-    let required = schema["required"].as_array().unwrap().iter().map(|r| r.as_str().unwrap());
+    let required = schema["required"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|r| r.as_str().unwrap());
     for key in required {
         spoil(format!("without {key}"), &|d| drop(d.remove(key)));
         // A wire is described in more than one way: any value will do.
-        if schema["properties"][key].get("type").is_some() || schema["properties"][key].get("const").is_some()
+        if schema["properties"][key].get("type").is_some()
+            || schema["properties"][key].get("const").is_some()
         {
-            spoil(format!("{key} of another type"), &|d| drop(d.insert(key.to_owned(), other_type(&d[key]))));
+            spoil(format!("{key} of another type"), &|d| {
+                drop(d.insert(key.to_owned(), other_type(&d[key])))
+            });
         }
     }
     if let Some(format) = document["format"].as_str() {
@@ -80,11 +98,24 @@ fn the_schemas_are_schemas_and_name_their_format() {
     assert!(all.len() > 10, "{}", all.len());
     for (name, schema) in &all {
         assert_eq!(faults(schema), Vec::<String>::new(), "{name}");
-        assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema", "{name}");
-        assert!(closed(schema).to_string().contains("\"additionalProperties\":false"), "{name} is closed");
+        assert_eq!(
+            schema["$schema"], "https://json-schema.org/draft/2020-12/schema",
+            "{name}"
+        );
+        assert!(
+            closed(schema)
+                .to_string()
+                .contains("\"additionalProperties\":false"),
+            "{name} is closed"
+        );
     }
     let bad = json!({"type": "nothing", "properties": {"a": {"multipleOf": 2}, "b": {"$ref": "#/$defs/none"}}, "pattern": "x+"});
-    assert_eq!(faults(&bad).len(), 4, "negative control: {:?}", faults(&bad));
+    assert_eq!(
+        faults(&bad).len(),
+        4,
+        "negative control: {:?}",
+        faults(&bad)
+    );
 }
 
 /// Each rule of the validator on a value that keeps it and on one that does not.
@@ -96,22 +127,74 @@ fn the_validator_holds_values_against_every_keyword() {
         (json!({"type": ["string", "null"]}), json!(null), json!(1)),
         (json!({"const": 1}), json!(1.0), json!("1")),
         (json!({"enum": ["a", "b"]}), json!("b"), json!("c")),
-        (json!({"pattern": "^[0-9a-f]{64}$"}), json!(sha), json!(sha.replace('0', "G"))),
+        (
+            json!({"pattern": "^[0-9a-f]{64}$"}),
+            json!(sha),
+            json!(sha.replace('0', "G")),
+        ),
         (json!({"minimum": 0}), json!(0), json!(-1)),
         (json!({"maximum": 1}), json!(1), json!(1.5)),
         (json!({"exclusiveMinimum": 0}), json!(0.1), json!(0)),
-        (json!({"minItems": 2, "maxItems": 2}), json!([1, 2]), json!([1])),
-        (json!({"minItems": 2, "maxItems": 2}), json!([1, 2]), json!([1, 2, 3])),
-        (json!({"minProperties": 1, "maxProperties": 1}), json!({"a": 1}), json!({})),
-        (json!({"minProperties": 1, "maxProperties": 1}), json!({"a": 1}), json!({"a": 1, "b": 2})),
-        (json!({"required": ["a"]}), json!({"a": null}), json!({"b": 1})),
-        (json!({"items": {"type": "number"}}), json!([1, 2.5]), json!([1, "2"])),
-        (json!({"properties": {"a": {"type": "number"}}}), json!({"a": 1, "b": "c"}), json!({"a": "1"})),
-        (json!({"additionalProperties": {"type": "number"}}), json!({"a": 1}), json!({"a": "1"})),
-        (json!({"properties": {"a": {}}, "additionalProperties": false}), json!({"a": "1"}), json!({"b": 1})),
-        (json!({"anyOf": [{"type": "null"}, {"type": "number"}]}), json!(1), json!("1")),
-        (json!({"oneOf": [{"minimum": 1}, {"maximum": 3}]}), json!(4), json!(2)),
-        (json!({"$ref": "#/$defs/a", "$defs": {"a": {"type": "null"}}}), json!(null), json!(0)),
+        (
+            json!({"minItems": 2, "maxItems": 2}),
+            json!([1, 2]),
+            json!([1]),
+        ),
+        (
+            json!({"minItems": 2, "maxItems": 2}),
+            json!([1, 2]),
+            json!([1, 2, 3]),
+        ),
+        (
+            json!({"minProperties": 1, "maxProperties": 1}),
+            json!({"a": 1}),
+            json!({}),
+        ),
+        (
+            json!({"minProperties": 1, "maxProperties": 1}),
+            json!({"a": 1}),
+            json!({"a": 1, "b": 2}),
+        ),
+        (
+            json!({"required": ["a"]}),
+            json!({"a": null}),
+            json!({"b": 1}),
+        ),
+        (
+            json!({"items": {"type": "number"}}),
+            json!([1, 2.5]),
+            json!([1, "2"]),
+        ),
+        (
+            json!({"properties": {"a": {"type": "number"}}}),
+            json!({"a": 1, "b": "c"}),
+            json!({"a": "1"}),
+        ),
+        (
+            json!({"additionalProperties": {"type": "number"}}),
+            json!({"a": 1}),
+            json!({"a": "1"}),
+        ),
+        (
+            json!({"properties": {"a": {}}, "additionalProperties": false}),
+            json!({"a": "1"}),
+            json!({"b": 1}),
+        ),
+        (
+            json!({"anyOf": [{"type": "null"}, {"type": "number"}]}),
+            json!(1),
+            json!("1"),
+        ),
+        (
+            json!({"oneOf": [{"minimum": 1}, {"maximum": 3}]}),
+            json!(4),
+            json!(2),
+        ),
+        (
+            json!({"$ref": "#/$defs/a", "$defs": {"a": {"type": "null"}}}),
+            json!(null),
+            json!(0),
+        ),
     ];
     for (schema, good, bad) in rules {
         assert_eq!(faults(&schema), Vec::<String>::new(), "{schema}");
@@ -126,7 +209,11 @@ fn columns_stand_in_the_reference(folder: &Path) {
     for (table, header) in written::tables(folder) {
         assert_eq!(unnamed(&header, &reference), Vec::<&str>::new(), "{table}");
     }
-    assert_eq!(unnamed("point,shoe_size\n", &reference), ["shoe_size"], "negative control");
+    assert_eq!(
+        unnamed("point,shoe_size\n", &reference),
+        ["shoe_size"],
+        "negative control"
+    );
 }
 
 #[test]
@@ -137,13 +224,24 @@ fn what_the_program_writes_is_as_schemas_and_reference_say() {
     let mut wrong = Vec::new();
     for (name, from, document) in &documents {
         let found = errors(&closed(&all[*name]), document);
-        wrong.extend(found.iter().take(5).map(|e| format!("{name} ({from}): {e}")));
+        wrong.extend(
+            found
+                .iter()
+                .take(5)
+                .map(|e| format!("{name} ({from}): {e}")),
+        );
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     let seen: BTreeSet<&str> = documents.iter().map(|d| d.0).collect();
-    let expected: BTreeSet<&str> =
-        all.keys().map(String::as_str).filter(|n| BY_HAND.iter().all(|(by_hand, _)| n != by_hand)).collect();
-    assert_eq!(seen, expected, "every schema has a document that the program wrote");
+    let expected: BTreeSet<&str> = all
+        .keys()
+        .map(String::as_str)
+        .filter(|n| BY_HAND.iter().all(|(by_hand, _)| n != by_hand))
+        .collect();
+    assert_eq!(
+        seen, expected,
+        "every schema has a document that the program wrote"
+    );
 
     // Negative controls, on one document of each schema.
     let by_hand = [(
@@ -158,16 +256,29 @@ fn what_the_program_writes_is_as_schemas_and_reference_say() {
         let spoiled = spoiled(schema, document);
         assert!(!spoiled.is_empty(), "{name}");
         for (what, copy) in spoiled {
-            assert!(!errors(schema, &copy).is_empty(), "{name} {what} is not noticed");
+            assert!(
+                !errors(schema, &copy).is_empty(),
+                "{name} {what} is not noticed"
+            );
         }
         let mut further = document.clone();
         further["further"] = 1.into();
-        assert!(errors(schema, &further).is_empty(), "{name}: a reader takes further keys");
-        assert!(!errors(&closed(schema), &further).is_empty(), "{name}: this test does not");
+        assert!(
+            errors(schema, &further).is_empty(),
+            "{name}: a reader takes further keys"
+        );
+        assert!(
+            !errors(&closed(schema), &further).is_empty(),
+            "{name}: this test does not"
+        );
     }
 }
 
 /// Columns that a reference does not name, as `column` in backticks.
 fn unnamed<'a>(header: &'a str, reference: &str) -> Vec<&'a str> {
-    header.trim().split(',').filter(|c| !reference.contains(&format!("`{c}`"))).collect()
+    header
+        .trim()
+        .split(',')
+        .filter(|c| !reference.contains(&format!("`{c}`")))
+        .collect()
 }

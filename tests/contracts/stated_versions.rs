@@ -18,7 +18,9 @@ fn stated(text: &str) -> Vec<(u32, u32)> {
     text.split("Rust ")
         .skip(1)
         .filter_map(|rest| {
-            let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+            let end = rest
+                .find(|c: char| !c.is_ascii_digit() && c != '.')
+                .unwrap_or(rest.len());
             version(rest[..end].trim_end_matches('.'))
         })
         .collect()
@@ -26,7 +28,10 @@ fn stated(text: &str) -> Vec<(u32, u32)> {
 
 /// What does not agree with the pinned version.
 fn disagreements(pinned: (u32, u32), said: &[(String, (u32, u32))]) -> Vec<String> {
-    said.iter().filter(|(_, v)| *v != pinned).map(|(who, v)| format!("{who}: {}.{}", v.0, v.1)).collect()
+    said.iter()
+        .filter(|(_, v)| *v != pinned)
+        .map(|(who, v)| format!("{who}: {}.{}", v.0, v.1))
+        .collect()
 }
 
 #[test]
@@ -41,15 +46,31 @@ fn one_version_of_rust_is_stated_pinned_and_enough() {
     }
     let packages = packages::resolved();
     let own = packages.iter().filter(|p| p.source.is_none());
-    said.extend(own.map(|p| (p.name.clone(), p.rust_version.as_deref().and_then(version).unwrap_or((0, 0)))));
+    said.extend(own.map(|p| {
+        (
+            p.name.clone(),
+            p.rust_version
+                .as_deref()
+                .and_then(version)
+                .unwrap_or((0, 0)),
+        )
+    }));
     assert!(said.len() > 15, "{said:?}");
     assert_eq!(disagreements(pinned, &said), Vec::<String>::new());
     let newer: Vec<&str> = packages
         .iter()
-        .filter(|p| p.rust_version.as_deref().and_then(version).is_some_and(|v| v > pinned))
+        .filter(|p| {
+            p.rust_version
+                .as_deref()
+                .and_then(version)
+                .is_some_and(|v| v > pinned)
+        })
         .map(|p| p.name.as_str())
         .collect();
-    assert!(newer.is_empty(), "packages that ask for a newer compiler: {newer:?}");
+    assert!(
+        newer.is_empty(),
+        "packages that ask for a newer compiler: {newer:?}"
+    );
     // Negative controls.
     said.push(("a page".to_owned(), stated("with Rust 1.91 or later")[0]));
     assert_eq!(disagreements(pinned, &said), ["a page: 1.91"]);

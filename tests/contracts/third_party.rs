@@ -15,9 +15,16 @@ struct Rules {
 
 impl Rules {
     fn read() -> Self {
-        let deny: toml::Table = fs::read_to_string(repository("deny.toml")).unwrap().parse().unwrap();
+        let deny: toml::Table = fs::read_to_string(repository("deny.toml"))
+            .unwrap()
+            .parse()
+            .unwrap();
         let list = |v: &toml::Value| -> Vec<String> {
-            v.as_array().unwrap().iter().map(|v| v.as_str().unwrap().to_owned()).collect()
+            v.as_array()
+                .unwrap()
+                .iter()
+                .map(|v| v.as_str().unwrap().to_owned())
+                .collect()
         };
         Self {
             licences: list(&deny["licenses"]["allow"]),
@@ -28,12 +35,17 @@ impl Rules {
     /// Why a package may not be used.
     fn objection(&self, package: &Package) -> Option<String> {
         let who = format!("{} {}", package.name, package.version);
-        let Some(licence) = &package.licence else { return Some(format!("{who}: no licence")) };
+        let Some(licence) = &package.licence else {
+            return Some(format!("{who}: no licence"));
+        };
         if !allowed(licence, &self.licences) {
             return Some(format!("{who}: {licence}"));
         }
         let from = package.source.as_deref()?;
-        let known = self.registries.iter().any(|r| from == format!("registry+{r}"));
+        let known = self
+            .registries
+            .iter()
+            .any(|r| from == format!("registry+{r}"));
         (!known).then(|| format!("{who}: from {from}"))
     }
 }
@@ -72,7 +84,9 @@ fn one(text: &mut &str, licences: &[String]) -> bool {
         *text = text.trim_start().strip_prefix(')').unwrap_or("unbalanced");
         return met;
     }
-    let ends = [" OR ", " AND ", ")"].iter().filter_map(|end| text.find(end));
+    let ends = [" OR ", " AND ", ")"]
+        .iter()
+        .filter_map(|end| text.find(end));
     let (name, rest) = text.split_at(ends.min().unwrap_or(text.len()));
     *text = rest;
     licences.iter().any(|l| l == name.trim())
@@ -122,18 +136,32 @@ fn licences_and_sources_are_those_that_deny_toml_allows() {
     assert_eq!(objections, Vec::<String>::new());
     // Negative controls: a licence that is not allowed alone, with another, and one from elsewhere.
     let base = packages.iter().find(|p| p.source.is_some()).unwrap();
-    let with =
-        |licence: &str| rules.objection(&Package { licence: Some(licence.to_owned()), ..base.clone() });
+    let with = |licence: &str| {
+        rules.objection(&Package {
+            licence: Some(licence.to_owned()),
+            ..base.clone()
+        })
+    };
     assert!(with("LGPL-2.1-or-later").is_some() && with("MIT AND GPL-3.0-only").is_some());
     assert!(
-        with("(MIT OR GPL-3.0-only) AND ISC").is_none() && with("(MIT OR ISC) AND GPL-3.0-only").is_some()
+        with("(MIT OR GPL-3.0-only) AND ISC").is_none()
+            && with("(MIT OR ISC) AND GPL-3.0-only").is_some()
     );
     assert!(
-        with("MIT/Apache-2.0").is_none() && with("MIT OR GPL-3.0-only").is_none() && with("MIT (").is_some()
+        with("MIT/Apache-2.0").is_none()
+            && with("MIT OR GPL-3.0-only").is_none()
+            && with("MIT (").is_some()
     );
-    let git = Package { source: Some("git+https://example.org/x#1".to_owned()), ..base.clone() };
+    let git = Package {
+        source: Some("git+https://example.org/x#1".to_owned()),
+        ..base.clone()
+    };
     assert!(rules.objection(&git).is_some());
-    let silent = Package { name: "silent".to_owned(), licence: None, ..base.clone() };
+    let silent = Package {
+        name: "silent".to_owned(),
+        licence: None,
+        ..base.clone()
+    };
     assert!(rules.objection(&silent).is_some());
 }
 
@@ -180,7 +208,14 @@ fn last_line_of_ci(with_deny: bool) -> String {
     let stub = |name: &str| {
         let path = place.path().join(name);
         fs::write(&path, "#!/bin/sh\nexit 0\n").unwrap();
-        assert!(std::process::Command::new("chmod").arg("+x").arg(path).status().unwrap().success());
+        assert!(
+            std::process::Command::new("chmod")
+                .arg("+x")
+                .arg(path)
+                .status()
+                .unwrap()
+                .success()
+        );
     };
     stub("make");
     if with_deny {
@@ -188,15 +223,32 @@ fn last_line_of_ci(with_deny: bool) -> String {
     }
     // Where the shell's own tools are, and nothing of cargo.
     let path = format!("{}:/usr/bin:/bin", place.path().display());
-    let run =
-        std::process::Command::new("bash").arg(repository(".ci/run")).env("PATH", path).output().unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    String::from_utf8_lossy(&run.stdout).lines().next_back().unwrap_or_default().to_owned()
+    let run = std::process::Command::new("bash")
+        .arg(repository(".ci/run"))
+        .env("PATH", path)
+        .output()
+        .unwrap();
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    String::from_utf8_lossy(&run.stdout)
+        .lines()
+        .next_back()
+        .unwrap_or_default()
+        .to_owned()
 }
 
 #[test]
 fn the_last_line_of_ci_says_whether_known_vulnerabilities_were_looked_up() {
     let [with, without] = [true, false].map(last_line_of_ci);
-    assert!(with.contains("looked up") && !with.contains("NOT"), "{with}");
-    assert!(without.contains("NOT looked up") && without.contains("cargo-deny"), "{without}");
+    assert!(
+        with.contains("looked up") && !with.contains("NOT"),
+        "{with}"
+    );
+    assert!(
+        without.contains("NOT looked up") && without.contains("cargo-deny"),
+        "{without}"
+    );
 }

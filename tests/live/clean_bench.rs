@@ -16,23 +16,43 @@ fn verdict(seed: u64, effects: &str) -> Value {
         "format = \"wcal-scenario/1\"\nseed = {seed}\nspeed = 3.0\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n{effects}"
     );
     let bench = VirtualBench::serve(folder.path(), "", &scenario);
-    let addresses: Value = serde_json::from_slice(&std::fs::read(&bench.addresses).unwrap()).unwrap();
+    let addresses: Value =
+        serde_json::from_slice(&std::fs::read(&bench.addresses).unwrap()).unwrap();
     let board = folder.path().join("board");
-    board_pictures([0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()), &board, 12).unwrap();
+    board_pictures(
+        [0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()),
+        &board,
+        12,
+    )
+    .unwrap();
     let [rig, plan] =
         ["rig.toml", "plan.toml"].map(|name| fixture("pictured").join(name).display().to_string());
     let (session, cameras, out) = (at("session"), at("cameras"), at("verify"));
     let bench_file = at("bench.json");
-    let sweep = ["--rig", &rig, "--plan", &plan, "--bench", &bench_file, "--out", &session];
+    let sweep = [
+        "--rig",
+        &rig,
+        "--plan",
+        &plan,
+        "--bench",
+        &bench_file,
+        "--out",
+        &session,
+    ];
     let (code, text) = code_and_messages(&[&["stage-sweep", "--home"][..], &sweep].concat());
     assert!(code == 0 || code == 3, "{text}");
     drop(bench);
     let [left, right] = ["left", "right"].map(|side| board.join(side).display().to_string());
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &cameras];
-    let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
-    assert!(code == 0 || code == 3, "{text}");
     let (code, text) =
-        code_and_messages(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
+        code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
+    assert!(code == 0 || code == 3, "{text}");
+    let (code, text) = code_and_messages(&[
+        "stereo-shape",
+        &session,
+        "--cameras",
+        &format!("{cameras}/stereo.json"),
+    ]);
     assert!(code == 0 || code == 3, "{text}");
     let (_, text) = code_and_messages(&["verify", &session, "--out", &out]);
     let document = std::fs::read(Path::new(&out).join("verify.json"));
@@ -44,7 +64,10 @@ fn verdict(seed: u64, effects: &str) -> Value {
 #[test]
 fn clean_sessions_are_adequate() {
     let _turn = crate::beside_others();
-    let draws: u64 = std::env::var("WCAL_DRAWS").ok().and_then(|d| d.parse().ok()).unwrap_or(3);
+    let draws: u64 = std::env::var("WCAL_DRAWS")
+        .ok()
+        .and_then(|d| d.parse().ok())
+        .unwrap_or(3);
     let all: Vec<Value> = (0..draws).map(|seed| verdict(201 + seed, "")).collect();
     for v in &all {
         println!(
@@ -60,9 +83,17 @@ fn clean_sessions_are_adequate() {
     assert_eq!(faults(&all), Vec::<String>::new());
     // Controls: a groove that sits elsewhere is found, and would not pass as clean in one of the three; nor would its error without the name.
     let v = verdict(200, "[effects]\ngroove_offset_mm = [0.0, 0.06, 0.08]\n");
-    assert!(v["verdict"] == "effect" && v["effects"][0]["id"] == "contact-offset", "{}", v["effects"]);
+    assert!(
+        v["verdict"] == "effect" && v["effects"][0]["id"] == "contact-offset",
+        "{}",
+        v["effects"]
+    );
     assert!(!faults(&[all[0].clone(), all[1].clone(), v.clone()]).is_empty());
-    let unnamed = [over_floor(&all[0], "after"), over_floor(&all[1], "after"), over_floor(&v, "before")];
+    let unnamed = [
+        over_floor(&all[0], "after"),
+        over_floor(&all[1], "after"),
+        over_floor(&v, "before"),
+    ];
     assert!(pooled(&unnamed) > AT_FLOOR, "{unnamed:?}");
 }
 
@@ -84,9 +115,16 @@ const AT_FLOOR: f64 = 2.0;
 /// What speaks against these being sessions without an effect.
 fn faults(all: &[Value]) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
-    let named = all.iter().enumerate().filter(|(_, v)| v["verdict"] == "effect");
+    let named = all
+        .iter()
+        .enumerate()
+        .filter(|(_, v)| v["verdict"] == "effect");
     out.extend(named.map(|(k, v)| format!("session {k} names {}", v["effects"])));
-    let ratio = pooled(&all.iter().map(|v| over_floor(v, "after")).collect::<Vec<_>>());
+    let ratio = pooled(
+        &all.iter()
+            .map(|v| over_floor(v, "after"))
+            .collect::<Vec<_>>(),
+    );
     if !(ratio < AT_FLOOR) {
         out.push(format!("{ratio:.2} times the floor"));
     }

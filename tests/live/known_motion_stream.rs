@@ -36,7 +36,9 @@ impl Run {
     /// RMS error at the last reading of each contact: at the first depth the arc length is not known yet.
     #[track_caller]
     fn end_mm(&self) -> f64 {
-        self.whisker()["end_rmse_mm"].as_f64().unwrap_or_else(|| panic!("{}", self.said))
+        self.whisker()["end_rmse_mm"]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{}", self.said))
     }
 
     fn column(&self, name: &str) -> Vec<&str> {
@@ -45,13 +47,18 @@ impl Run {
     }
 
     fn with_status(&self, name: &str) -> usize {
-        self.column("status").iter().filter(|s| s.split('|').any(|s| s == name)).count()
+        self.column("status")
+            .iter()
+            .filter(|s| s.split('|').any(|s| s == name))
+            .count()
     }
 }
 
 impl Swept {
     fn new() -> Self {
-        let swept = Self { folder: tempfile::tempdir().unwrap() };
+        let swept = Self {
+            folder: tempfile::tempdir().unwrap(),
+        };
         let bench = Bench::start(swept.folder.path(), SPEED, 500.0);
         // The stage of a sweep carries the groove, not the base.
         let rig = std::fs::read_to_string(&bench.rig).unwrap();
@@ -77,12 +84,24 @@ impl Swept {
             .arg(swept.path("verify"))
             .output()
             .unwrap();
-        println!("verify: {:?} {}", verify.status.code(), text(&verify.stderr));
-        assert!(swept.path("verify/calibration.json").is_file(), "{}", text(&verify.stderr));
+        println!(
+            "verify: {:?} {}",
+            verify.status.code(),
+            text(&verify.stderr)
+        );
+        assert!(
+            swept.path("verify/calibration.json").is_file(),
+            "{}",
+            text(&verify.stderr)
+        );
         // The bench is without effects; a verdict that chance makes another does not matter here.
-        reseal(&swept.path("verify/calibration.json"), &swept.path("good.json"), |c| {
-            c.verification = wcal_core::VerificationStatus::Verified;
-        });
+        reseal(
+            &swept.path("verify/calibration.json"),
+            &swept.path("good.json"),
+            |c| {
+                c.verification = wcal_core::VerificationStatus::Verified;
+            },
+        );
         swept
     }
 
@@ -107,7 +126,9 @@ impl Swept {
             .output()
             .unwrap();
         let table = std::fs::read_to_string(&out).unwrap_or_default();
-        let mut lines = table.lines().map(|l| l.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let mut lines = table
+            .lines()
+            .map(|l| l.split(',').map(str::to_owned).collect::<Vec<_>>());
         Run {
             code: run.status.code(),
             said: text(&run.stderr),
@@ -124,26 +145,30 @@ impl Swept {
         let rig = Rig::parse("rig.toml", &rig).unwrap();
         let directions: BTreeMap<u32, [f64; 3]> =
             rig.trajectory.iter().map(|t| (t.id, t.direction)).collect();
-        let (mut clocks, mut origin, mut mounted, mut rows) = (ClockPair::default(), None, None, Vec::new());
-        read(&self.path("session/recording.mcap"), |message| match message {
-            Message::Scan(scan) => {
-                origin.get_or_insert(scan.device_s);
-                clocks.add(scan.host_s, scan.device_s);
-            }
-            Message::Event(event) if event.kind == "mount" => mounted = Some(event.trajectory),
-            Message::Stage(position) => {
-                if let (Some(id), Some(origin), Some(at)) =
-                    (mounted, origin, clocks.device_s(position.host_s))
-                {
-                    let way = position.measured_mm - rig.stage.zero_mm;
-                    let moved = directions[&id].map(|d: f64| d * way + 1e3 * f64::from(id));
-                    if rows.last().is_none_or(|(t, _)| at - origin > *t) {
-                        rows.push((at - origin, moved));
+        let (mut clocks, mut origin, mut mounted, mut rows) =
+            (ClockPair::default(), None, None, Vec::new());
+        read(
+            &self.path("session/recording.mcap"),
+            |message| match message {
+                Message::Scan(scan) => {
+                    origin.get_or_insert(scan.device_s);
+                    clocks.add(scan.host_s, scan.device_s);
+                }
+                Message::Event(event) if event.kind == "mount" => mounted = Some(event.trajectory),
+                Message::Stage(position) => {
+                    if let (Some(id), Some(origin), Some(at)) =
+                        (mounted, origin, clocks.device_s(position.host_s))
+                    {
+                        let way = position.measured_mm - rig.stage.zero_mm;
+                        let moved = directions[&id].map(|d: f64| d * way + 1e3 * f64::from(id));
+                        if rows.last().is_none_or(|(t, _)| at - origin > *t) {
+                            rows.push((at - origin, moved));
+                        }
                     }
                 }
-            }
-            _ => {}
-        })
+                _ => {}
+            },
+        )
         .unwrap();
         rows
     }
@@ -162,8 +187,17 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
     let _turn = crate::alone();
     let swept = Swept::new();
     let run = swept.track("rig.toml", "good.json", &[]);
-    println!("{} {} contacts", run.said, run.whisker()["contacts"].as_array().map_or(0, Vec::len));
-    assert!(matches!(run.code, Some(0 | 3)), "{:?}: {}", run.code, run.said);
+    println!(
+        "{} {} contacts",
+        run.said,
+        run.whisker()["contacts"].as_array().map_or(0, Vec::len)
+    );
+    assert!(
+        matches!(run.code, Some(0 | 3)),
+        "{:?}: {}",
+        run.code,
+        run.said
+    );
     let (whisker, groove) = (run.whisker(), &run.whisker()["known_groove"]);
     assert_eq!(
         (&whisker["method"], &run.summary["stream_motion"]["source"]),
@@ -172,16 +206,34 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
     // Nine trajectories, and the sync move before them.
     let contacts = whisker["contacts"].as_array().unwrap().len();
     // A busy computer asks the stage late: a loss of more than a second ends a contact.
-    let most = if run.with_status("motion-lost") == 0 { 10 } else { 13 };
+    let most = if run.with_status("motion-lost") == 0 {
+        10
+    } else {
+        13
+    };
     assert!((10..=most).contains(&contacts), "{contacts}: {}", run.said);
     assert!(groove["compared"].as_u64() >= Some(25), "{groove}");
-    assert!(run.end_mm() < 0.5 && groove["median_mm"].as_f64() < Some(0.5), "{groove}");
+    assert!(
+        run.end_mm() < 0.5 && groove["median_mm"].as_f64() < Some(0.5),
+        "{groove}"
+    );
     assert!(groove["coverage95"].as_f64() > Some(0.8), "{groove}");
-    assert!(run.with_status("motion-disagrees") * 20 <= run.cells.len(), "{}", run.said);
+    assert!(
+        run.with_status("motion-disagrees") * 20 <= run.cells.len(),
+        "{}",
+        run.said
+    );
     // In contact each row has its regions.
-    let (p, regions) = (run.column("contact_probability"), run.column("arclength_regions95"));
+    let (p, regions) = (
+        run.column("contact_probability"),
+        run.column("arclength_regions95"),
+    );
     let touched = |k: &usize| p[*k].parse::<f64>().is_ok_and(|p| p > 0.9);
-    assert!((0..p.len()).filter(touched).all(|k| regions[k].contains('@')));
+    assert!(
+        (0..p.len())
+            .filter(touched)
+            .all(|k| regions[k].contains('@'))
+    );
 
     // A busy computer may leave rows without the stage's position; nothing else is in doubt.
     let doubted = run.with_status("motion-lost") + run.with_status("motion-disagrees");
@@ -223,12 +275,23 @@ fn live(swept: &Swept) {
             for_rows(&swept.path("live.csv"), 12);
         }
         let run = child.wait_with_output().unwrap();
-        let (said, summary) = (text(&run.stderr), serde_json::from_slice::<Value>(&run.stdout).unwrap());
-        println!("live, {name}: {:?} {said} {}", run.status.code(), summary["whiskers"][0]["contacts"]);
+        let (said, summary) = (
+            text(&run.stderr),
+            serde_json::from_slice::<Value>(&run.stdout).unwrap(),
+        );
+        println!(
+            "live, {name}: {:?} {said} {}",
+            run.status.code(),
+            summary["whiskers"][0]["contacts"]
+        );
         assert_eq!(summary["stream_motion"]["source"], "stage carries the base");
         let contacts = summary["whiskers"][0]["contacts"].as_array().unwrap();
         assert_eq!(contacts.len(), 1, "{said}");
-        assert_eq!(contacts[0]["disagreement"].is_null(), agrees, "{name}: {said}");
+        assert_eq!(
+            contacts[0]["disagreement"].is_null(),
+            agrees,
+            "{name}: {said}"
+        );
         assert!(agrees || run.status.code() == Some(3), "{name}: {said}");
         // A region of 95 % misses one contact in twenty; widened by half of itself on either side, four standard deviations, none. Where motion
         // and moments disagree, it may lie anywhere.
@@ -237,7 +300,11 @@ fn live(swept: &Swept) {
             let [from, to] = ["from_mm", "to_mm"].map(|end| r[end].as_f64().unwrap());
             (1.5 * from - 0.5 * to..=1.5 * to - 0.5 * from).contains(&18.0)
         };
-        let held: f64 = regions.iter().filter(holds).filter_map(|r| r["probability"].as_f64()).sum();
+        let held: f64 = regions
+            .iter()
+            .filter(holds)
+            .filter_map(|r| r["probability"].as_f64())
+            .sum();
         assert!(held > 0.5 || !agrees, "{name}: {regions:?}");
     }
 }
@@ -247,16 +314,25 @@ fn controls(swept: &Swept, good: &Run) {
     let rig = std::fs::read_to_string(swept.path("rig.toml")).unwrap();
     let turned: Vec<String> = rig
         .lines()
-        .map(|line| match line.strip_prefix("direction = [").and_then(|l| l.strip_suffix(']')) {
-            Some(numbers) => {
-                let turned: Vec<String> =
-                    numbers.split(',').map(|n| (-n.trim().parse::<f64>().unwrap()).to_string()).collect();
-                // A whole number is no float in TOML.
-                let turned: Vec<String> =
-                    turned.into_iter().map(|n| if n.contains('.') { n } else { format!("{n}.0") }).collect();
-                format!("direction = [{}]", turned.join(", "))
+        .map(|line| {
+            match line
+                .strip_prefix("direction = [")
+                .and_then(|l| l.strip_suffix(']'))
+            {
+                Some(numbers) => {
+                    let turned: Vec<String> = numbers
+                        .split(',')
+                        .map(|n| (-n.trim().parse::<f64>().unwrap()).to_string())
+                        .collect();
+                    // A whole number is no float in TOML.
+                    let turned: Vec<String> = turned
+                        .into_iter()
+                        .map(|n| if n.contains('.') { n } else { format!("{n}.0") })
+                        .collect();
+                    format!("direction = [{}]", turned.join(", "))
+                }
+                None => line.to_owned(),
             }
-            None => line.to_owned(),
         })
         .collect();
     std::fs::write(swept.path("turned.toml"), turned.join("\n")).unwrap();
@@ -267,12 +343,19 @@ fn controls(swept: &Swept, good: &Run) {
         "{}",
         run.said
     );
-    assert!(matches!(run.code, Some(3 | 4)) && run.said.contains("reversed"), "{}", run.said);
+    assert!(
+        matches!(run.code, Some(3 | 4)) && run.said.contains("reversed"),
+        "{}",
+        run.said
+    );
 
     // A wire twice as sensitive.
     reseal(&swept.path("good.json"), &swept.path("other.json"), |c| {
         let coefficients = c.model["coefficients"].as_array_mut().unwrap();
-        for value in coefficients[1..3].iter_mut().flat_map(|c| c.as_array_mut().unwrap()) {
+        for value in coefficients[1..3]
+            .iter_mut()
+            .flat_map(|c| c.as_array_mut().unwrap())
+        {
             *value = (value.as_f64().unwrap() * 2.0).into();
         }
     });
@@ -288,32 +371,64 @@ fn logs(swept: &Swept, by_stage: &Run) {
     let log = swept.path("motion.csv");
     let along = |more: &[&str]| {
         let log = log.to_str().unwrap();
-        swept.track("rig.toml", "good.json", &[&["--motion", log][..], more].concat())
+        swept.track(
+            "rig.toml",
+            "good.json",
+            &[&["--motion", log][..], more].concat(),
+        )
     };
     write_log(&log, &rows, |_, t| t.to_string());
     let run = along(&[]);
     println!("log: {:?} {}", run.code, run.said);
-    assert!(matches!(run.code, Some(0 | 3)) && run.said.contains("jumps"), "{}", run.said);
+    assert!(
+        matches!(run.code, Some(0 | 3)) && run.said.contains("jumps"),
+        "{}",
+        run.said
+    );
     assert_eq!(run.summary["stream_motion"]["source"], "log");
-    assert!(run.end_mm() < 2.0 * by_stage.end_mm() + 0.2, "{} {}", run.end_mm(), by_stage.end_mm());
+    assert!(
+        run.end_mm() < 2.0 * by_stage.end_mm() + 0.2,
+        "{} {}",
+        run.end_mm(),
+        by_stage.end_mm()
+    );
     // Refused by name, and nothing is written.
     let refused = |what: &str, cell: &dyn Fn(usize, f64) -> String| {
         write_log(&log, &rows, cell);
         let run = along(&[]);
-        assert_eq!((run.code, run.cells.len()), (Some(1), 0), "{what}: {}", run.said);
+        assert_eq!(
+            (run.code, run.cells.len()),
+            (Some(1), 0),
+            "{what}: {}",
+            run.said
+        );
         assert!(run.said.contains(what), "{what}: {}", run.said);
     };
     refused("overlap", &|_, t| (t + 1e6).to_string());
     refused("seconds", &|_, t| (t * 1e3).to_string());
-    refused("line 5", &|k, t| if k == 3 { "nan".to_owned() } else { t.to_string() });
+    refused("line 5", &|k, t| {
+        if k == 3 {
+            "nan".to_owned()
+        } else {
+            t.to_string()
+        }
+    });
     // A log of the first half alone: the contacts after it have no motion.
     let half = &rows[..rows.len() / 2];
     write_log(&log, half, |_, t| t.to_string());
     let run = along(&[]);
     println!("half a log: {:?} {}", run.code, run.said);
     assert!(run.with_status("motion-lost") > 20, "{}", run.said);
-    assert!(matches!(run.code, Some(3 | 4)) && run.said.contains("outside"), "{}", run.said);
+    assert!(
+        matches!(run.code, Some(3 | 4)) && run.said.contains("outside"),
+        "{}",
+        run.said
+    );
     let regions = run.column("arclength_regions95");
     let lost = |k: &usize| run.column("status")[*k].contains("motion-lost");
-    assert!((0..regions.len()).filter(lost).all(|k| regions[k].contains('@')));
+    assert!(
+        (0..regions.len())
+            .filter(lost)
+            .all(|k| regions[k].contains('@'))
+    );
 }

@@ -28,7 +28,11 @@ impl Bench {
         let rig = folder.join(format!("{speed}-rig.toml"));
         std::fs::write(&rig, format!("{}\n{base}", rig_at(rate_hz))).unwrap();
         let served = VirtualBench::serve(folder, &format!("{speed}-"), &scenario);
-        Self { addresses: served.addresses.clone(), served, rig }
+        Self {
+            addresses: served.addresses.clone(),
+            served,
+            rig,
+        }
     }
 
     pub fn type_fault(&mut self, line: &str) {
@@ -37,9 +41,12 @@ impl Bench {
 
     /// The stage, homed, trajectory 1 presented, free of the wire.
     pub fn stage(&self, speed: f64) -> Box<dyn wcal_core::device::Stage> {
-        let addresses: Value = serde_json::from_slice(&std::fs::read(&self.addresses).unwrap()).unwrap();
+        let addresses: Value =
+            serde_json::from_slice(&std::fs::read(&self.addresses).unwrap()).unwrap();
         let port = format!("tcp://{}", addresses["stage_tcp"].as_str().unwrap());
-        let rig = std::fs::read_to_string(&self.rig).unwrap().replace("tcp://127.0.0.1:PORT", &port);
+        let rig = std::fs::read_to_string(&self.rig)
+            .unwrap()
+            .replace("tcp://127.0.0.1:PORT", &port);
         let rig = Rig::parse("rig.toml", &rig).unwrap();
         let clock = HostClock::start(speed);
         let mut devices = Drivers::default();
@@ -47,7 +54,12 @@ impl Bench {
         stage.start_home().unwrap();
         until_standing(stage.as_mut());
         let mut mount = devices.mount(&rig.mount, clock).unwrap().unwrap();
-        mount.prepare(Permission { home: true, clear_flags: false }).unwrap();
+        mount
+            .prepare(Permission {
+                home: true,
+                clear_flags: false,
+            })
+            .unwrap();
         mount.select(1).unwrap();
         go(stage.as_mut(), 18.0);
         stage
@@ -67,7 +79,10 @@ pub fn until_rows(table: &Path, rows: usize) {
 
 /// Waits until a run has written that many rows more. Rows reach the file every half second: some of them may be older than the call.
 pub fn for_rows(table: &Path, rows: usize) {
-    until_rows(table, rows + std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()));
+    until_rows(
+        table,
+        rows + std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()),
+    );
 }
 
 pub fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {
@@ -92,16 +107,25 @@ pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
         .output()
         .unwrap();
     assert_eq!(sweep.status.code(), Some(0), "{}", text(&sweep.stderr));
-    let run = program().arg("fit-gpr").arg(&session).arg("--out").arg(&fit).output().unwrap();
+    let run = program()
+        .arg("fit-gpr")
+        .arg(&session)
+        .arg("--out")
+        .arg(&fit)
+        .output()
+        .unwrap();
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let raw = fit.join("calibration.json");
     let good = folder.join("verified.json");
-    reseal(&raw, &good, |c| c.verification = wcal_core::VerificationStatus::Verified);
+    reseal(&raw, &good, |c| {
+        c.verification = wcal_core::VerificationStatus::Verified
+    });
     [raw, good]
 }
 
 pub fn reseal(from: &Path, to: &Path, change: impl FnOnce(&mut CalibrationFile<Value>)) {
-    let mut file: CalibrationFile<Value> = serde_json::from_slice(&std::fs::read(from).unwrap()).unwrap();
+    let mut file: CalibrationFile<Value> =
+        serde_json::from_slice(&std::fs::read(from).unwrap()).unwrap();
     change(&mut file);
     file.content_sha256 = file.compute_hash().unwrap();
     std::fs::write(to, serde_json::to_vec_pretty(&file).unwrap()).unwrap();

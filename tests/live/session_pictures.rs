@@ -34,7 +34,10 @@ impl Bench {
             "format = \"wcal-scenario/1\"\nseed = 3\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n"
         );
         std::fs::write(folder.path().join("rig.toml"), rig_at(500.0)).unwrap();
-        Self { served: VirtualBench::serve(folder.path(), "", &scenario), folder }
+        Self {
+            served: VirtualBench::serve(folder.path(), "", &scenario),
+            folder,
+        }
     }
 
     fn at(&self, name: &str) -> String {
@@ -46,8 +49,20 @@ impl Bench {
         let file = self.at(&format!("{session}.plan.toml"));
         std::fs::write(&file, plan).unwrap();
         program()
-            .args(["stage-sweep", "--home", "--rig", &self.at("rig.toml"), "--plan", &file])
-            .args(["--bench", &self.at("bench.json"), "--out", &self.at(session)])
+            .args([
+                "stage-sweep",
+                "--home",
+                "--rig",
+                &self.at("rig.toml"),
+                "--plan",
+                &file,
+            ])
+            .args([
+                "--bench",
+                &self.at("bench.json"),
+                "--out",
+                &self.at(session),
+            ])
             .stderr(Stdio::piped())
             .spawn()
             .unwrap()
@@ -59,7 +74,9 @@ impl Bench {
         let plan = plan[..plan.rfind("[[block]]").unwrap()].to_owned();
         let child = self.begin(session, &plan);
         let recording = PathBuf::from(self.at(session)).join("recording.mcap");
-        until(session, || completed_steps(&recording).map_or(0, |s| s.len()) >= after);
+        until(session, || {
+            completed_steps(&recording).map_or(0, |s| s.len()) >= after
+        });
         self.served.type_fault(fault);
         ended(child)
     }
@@ -78,11 +95,20 @@ fn shapes(session: &str, file: &str) -> ShapesDocument {
 fn grooves(session: &str, table: &str) -> Vec<Option<[f64; 3]>> {
     let text = std::fs::read_to_string(Path::new(session).join(table)).unwrap();
     let mut lines = text.lines();
-    let first = lines.next().unwrap().split(',').position(|c| c == "groove_x_mm").unwrap();
+    let first = lines
+        .next()
+        .unwrap()
+        .split(',')
+        .position(|c| c == "groove_x_mm")
+        .unwrap();
     lines
         .map(|l| {
             let cells: Vec<&str> = l.split(',').skip(first).take(3).collect();
-            Some([cells[0].parse().ok()?, cells[1].parse().ok()?, cells[2].parse().ok()?])
+            Some([
+                cells[0].parse().ok()?,
+                cells[1].parse().ok()?,
+                cells[2].parse().ok()?,
+            ])
         })
         .collect()
 }
@@ -97,7 +123,11 @@ fn distances(pairs: &[PairDocument], truth: &[Option<[f64; 3]>]) -> Vec<[f64; 2]
             [worst[0].max(off), worst[1].max(off / sd)]
         }))
     };
-    let mut all: Vec<[f64; 2]> = pairs.iter().filter(|p| p.status == "ok").filter_map(of).collect();
+    let mut all: Vec<[f64; 2]> = pairs
+        .iter()
+        .filter(|p| p.status == "ok")
+        .filter_map(of)
+        .collect();
     all.sort_by(|a, b| b[0].total_cmp(&a[0]));
     println!("distance in mm and in sd, by pair: {all:.4?}");
     all
@@ -110,9 +140,15 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let said = |what: &str| println!("{:5.1} s  {what}", start.elapsed().as_secs_f64());
     let mut bench = Bench::start();
     let (session, cameras) = (bench.at("session"), bench.at("cameras"));
-    let addresses: Value = serde_json::from_slice(&std::fs::read(&bench.served.addresses).unwrap()).unwrap();
+    let addresses: Value =
+        serde_json::from_slice(&std::fs::read(&bench.served.addresses).unwrap()).unwrap();
     let board = bench.folder.path().join("board");
-    board_pictures([0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()), &board, 12).unwrap();
+    board_pictures(
+        [0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()),
+        &board,
+        12,
+    )
+    .unwrap();
     said("board pictured");
     let (code, text) = ended(bench.begin("session", PLAN));
     assert!(code == 0, "{text}");
@@ -145,20 +181,35 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert_eq!(truth.iter().flatten().count(), 6);
     let found = distances(&document.pairs, &truth);
     // One pair of a sweep may be poorly seen, and says so: on a busy machine one in some dozens of runs had 0.71 mm with a standard deviation of 0.9.
-    assert!(found.len() == 6 && found[1][0] < 0.05 && found.iter().all(|f| f[1] < 4.0), "{found:?}");
+    assert!(
+        found.len() == 6 && found[1][0] < 0.05 && found.iter().all(|f| f[1] < 4.0),
+        "{found:?}"
+    );
     let sealed = shapes(&session, "shapes-holdout.json");
     assert_eq!(sealed.pairs.len(), 2);
     let of_sealed = distances(&sealed.pairs, &grooves(&session, "holdout.csv"));
-    assert!(of_sealed.iter().all(|f| f[0] < 0.1 && f[1] < 4.0), "{of_sealed:?}");
+    assert!(
+        of_sealed.iter().all(|f| f[0] < 0.1 && f[1] < 4.0),
+        "{of_sealed:?}"
+    );
     // The session names them, what they were made from, and still opens; its other entries stay.
     let toml = || std::fs::read_to_string(Path::new(&session).join("session.toml")).unwrap();
     let table: toml::Table = toml().parse().unwrap();
     assert_eq!(table["files"]["shapes"].as_str(), Some("shapes.json"));
-    assert_eq!(table["files"]["holdout_shapes"].as_str(), Some("shapes-holdout.json"));
+    assert_eq!(
+        table["files"]["holdout_shapes"].as_str(),
+        Some("shapes-holdout.json")
+    );
     let hash = sha256_hex(&std::fs::read(&stereo).unwrap());
     assert_eq!(document.source.cameras_sha256, hash);
-    assert_eq!(table["provenance"]["cameras_sha256"].as_str(), Some(hash.as_str()));
-    assert_eq!(table["provenance"]["shapes_rig_sha256"].as_str(), Some(document.source.rig_sha256.as_str()));
+    assert_eq!(
+        table["provenance"]["cameras_sha256"].as_str(),
+        Some(hash.as_str())
+    );
+    assert_eq!(
+        table["provenance"]["shapes_rig_sha256"].as_str(),
+        Some(document.source.rig_sha256.as_str())
+    );
     assert_eq!(document.source.session.as_deref(), table["id"].as_str());
     wcal_session::load(Path::new(&session)).unwrap();
     // Reducing again keeps what was added, and shapes are replaced by their own kind alone.
@@ -166,8 +217,12 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert_eq!(toml().parse::<toml::Table>().unwrap(), table);
     std::fs::write(Path::new(&session).join("shapes-holdout.json"), "{}").unwrap();
     let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &stereo]);
-    assert!(code == 1 && text.contains("shapes-holdout.json") && text.contains("--force"), "{text}");
-    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &stereo, "--force"]);
+    assert!(
+        code == 1 && text.contains("shapes-holdout.json") && text.contains("--force"),
+        "{text}"
+    );
+    let (code, text) =
+        code_and_messages(&["stereo-shape", &session, "--cameras", &stereo, "--force"]);
     assert_eq!(code, 0, "{text}");
     said("again");
     spoilt_pictures_are_named(&session, &bench.at("spoilt"), &stereo);
@@ -179,13 +234,22 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
 fn faulty_cameras_are_named(bench: &mut Bench, stereo: &str, said: &dyn Fn(&str)) {
     // From here on the white of the tags saturates: those poses are named, the others used.
     let (code, text) = bench.with_fault("bright", "{\"kind\":\"exposure\",\"factor\":3}", 2);
-    assert!(code == 0 || (code == 3 && text.contains("device clock drifts")), "{code} {text}");
+    assert!(
+        code == 0 || (code == 3 && text.contains("device clock drifts")),
+        "{code} {text}"
+    );
     let bright = bench.at("bright");
     let (code, text) = code_and_messages(&["stereo-shape", &bright, "--cameras", stereo]);
     assert!(code == 3 && text.contains("saturated"), "{text}");
-    let used = shapes(&bright, "shapes.json").pairs.iter().filter(|p| p.status == "ok").count();
+    let used = shapes(&bright, "shapes.json")
+        .pairs
+        .iter()
+        .filter(|p| p.status == "ok")
+        .count();
     assert!((1..3).contains(&used), "{text}");
-    bench.served.type_fault("{\"kind\":\"exposure\",\"factor\":1}");
+    bench
+        .served
+        .type_fault("{\"kind\":\"exposure\",\"factor\":1}");
     said("overexposed");
 
     // Somebody knocked a camera: what it shows is not where the stage has the groove, by far more than stated.
@@ -193,23 +257,37 @@ fn faulty_cameras_are_named(bench: &mut Bench, stereo: &str, said: &dyn Fn(&str)
     bench.served.type_fault(knock);
     // On a busy machine pictures come late, and the sweep says that the camera's clock drifts (exit code 3).
     let (code, text) = bench.with_fault("moved", knock, 0);
-    assert!(code == 0 || (code == 3 && text.contains("device clock drifts")), "{code} {text}");
+    assert!(
+        code == 0 || (code == 3 && text.contains("device clock drifts")),
+        "{code} {text}"
+    );
     let moved = bench.at("moved");
     let (code, text) = code_and_messages(&["stereo-shape", &moved, "--cameras", stereo]);
     if code != 1 {
-        let off = distances(&shapes(&moved, "shapes.json").pairs, &grooves(&moved, "points.csv"));
+        let off = distances(
+            &shapes(&moved, "shapes.json").pairs,
+            &grooves(&moved, "points.csv"),
+        );
         assert!(off.iter().any(|o| o[1] > 8.0), "{off:?} {text}");
     }
-    bench.served.type_fault("{\"kind\":\"camera-moved\",\"mm\":[0,0,0],\"deg\":[0,0,0]}");
+    bench
+        .served
+        .type_fault("{\"kind\":\"camera-moved\",\"mm\":[0,0,0],\"deg\":[0,0,0]}");
     said("moved");
 
     // A camera that is lost ends the sweep; what was pictured until then is used.
     let (code, text) = bench.with_fault("lost", "{\"kind\":\"lost-frames\",\"count\":100000}", 2);
-    assert!(code == 1 && text.contains("camera") && text.contains("--resume"), "{text}");
+    assert!(
+        code == 1 && text.contains("camera") && text.contains("--resume"),
+        "{text}"
+    );
     let lost = bench.at("lost");
     let (code, text) = code_and_messages(&["stereo-shape", &lost, "--cameras", stereo]);
     assert!(code == 0 || code == 3, "{text}");
-    assert!((1..3).contains(&shapes(&lost, "shapes.json").pairs.len()), "{text}");
+    assert!(
+        (1..3).contains(&shapes(&lost, "shapes.json").pairs.len()),
+        "{text}"
+    );
     said("lost");
 }
 
@@ -221,10 +299,16 @@ fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
     let mut table = std::fs::read_to_string(&list).unwrap();
     // Pictures of the board as those of a pose, with hashes of their own: nobody exchanged the files, and no tag is in them.
     for side in ["left", "right"] {
-        let board = Path::new(session).with_file_name("board").join(side).join("03.png");
+        let board = Path::new(session)
+            .with_file_name("board")
+            .join(side)
+            .join("03.png");
         let board = std::fs::read(board).unwrap();
         let own = place.join(format!("pictures/{side}/00001.png"));
-        table = table.replace(&sha256_hex(&std::fs::read(&own).unwrap()), &sha256_hex(&board));
+        table = table.replace(
+            &sha256_hex(&std::fs::read(&own).unwrap()),
+            &sha256_hex(&board),
+        );
         std::fs::write(&own, board).unwrap();
     }
     std::fs::remove_file(place.join("pictures/right/00002.png")).unwrap();
@@ -239,7 +323,9 @@ fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
         lines.collect::<Vec<_>>().join("\n")
     };
     table = change(table, "4,right,", 6, &|_| "\"another\"".to_owned());
-    table = change(table, "5,left,", 3, &|t_s| format!("{}", t_s.parse::<f64>().unwrap() + 30.0));
+    table = change(table, "5,left,", 3, &|t_s| {
+        format!("{}", t_s.parse::<f64>().unwrap() + 30.0)
+    });
     std::fs::write(&list, table).unwrap();
     let (code, text) = code_and_messages(&["stereo-shape", to, "--cameras", stereo]);
     assert_eq!(code, 3, "{text}");
@@ -251,11 +337,20 @@ fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
         (5, "clocks that disagree"),
     ] {
         let pair = &document.pairs[point];
-        assert!(pair.status == "rejected" && pair.why.contains(why), "{point}: {} {}", pair.status, pair.why);
+        assert!(
+            pair.status == "rejected" && pair.why.contains(why),
+            "{point}: {} {}",
+            pair.status,
+            pair.why
+        );
         assert!(text.contains(why), "{text}");
     }
     for point in [0, 3, 6, 7, 8] {
-        assert_eq!(document.pairs[point].status, "ok", "{point}: {}", document.pairs[point].why);
+        assert_eq!(
+            document.pairs[point].status, "ok",
+            "{point}: {}",
+            document.pairs[point].why
+        );
     }
     let found: Value = serde_json::to_value(&document.source).unwrap();
     assert_eq!(

@@ -40,7 +40,12 @@ impl Bench {
         }
         let rig = folder.path().join("rig.toml");
         std::fs::write(&rig, rig_at(500.0)).expect("rig");
-        Self { _turn: turn, served, rig, folder }
+        Self {
+            _turn: turn,
+            served,
+            rig,
+            folder,
+        }
     }
 
     fn type_fault(&mut self, line: &str) {
@@ -55,18 +60,28 @@ impl Bench {
     fn sweep(&self, arguments: &[&str]) -> Command {
         let mut command = program();
         command.arg("stage-sweep").arg("--rig").arg(&self.rig);
-        command.arg("--plan").arg(repository("rigs/plans/paper-27.toml"));
-        command.arg("--bench").arg(&self.served.addresses).args(["--home", "--json"]).args(arguments);
+        command
+            .arg("--plan")
+            .arg(repository("rigs/plans/paper-27.toml"));
+        command
+            .arg("--bench")
+            .arg(&self.served.addresses)
+            .args(["--home", "--json"])
+            .args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
 
     fn begin(&self) -> Child {
-        self.sweep(&["--out", &self.session().display().to_string()]).spawn().expect("wcal runs")
+        self.sweep(&["--out", &self.session().display().to_string()])
+            .spawn()
+            .expect("wcal runs")
     }
 
     fn go(&self, how: &str) -> Output {
-        self.sweep(&[how, &self.session().display().to_string()]).output().expect("wcal runs")
+        self.sweep(&[how, &self.session().display().to_string()])
+            .output()
+            .expect("wcal runs")
     }
 }
 
@@ -82,7 +97,12 @@ fn until_done(session: &Path, steps: usize) {
 }
 
 fn check(session: &Path) -> i32 {
-    let run = program().arg("verify").arg(session).arg("--check").output().expect("wcal runs");
+    let run = program()
+        .arg("verify")
+        .arg(session)
+        .arg("--check")
+        .output()
+        .expect("wcal runs");
     run.status.code().unwrap_or(-1)
 }
 
@@ -92,14 +112,28 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let run = bench.go("--out");
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let sweep = document(&run);
-    assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &36.into()), "{sweep}");
-    assert_eq!((&sweep["lost_scans"], &sweep["unsettled"]), (&0.into(), &0.into()), "{sweep}");
-    assert!(sweep["camera_pairs"].as_u64() > Some(50) && sweep["camera_pairs_refused"] == 0, "{sweep}");
-    let session = std::fs::read_to_string(bench.session().join("session.toml")).expect("session.toml");
+    assert_eq!(
+        (&sweep["ending"], &sweep["rows"]),
+        (&"finished".into(), &36.into()),
+        "{sweep}"
+    );
+    assert_eq!(
+        (&sweep["lost_scans"], &sweep["unsettled"]),
+        (&0.into(), &0.into()),
+        "{sweep}"
+    );
+    assert!(
+        sweep["camera_pairs"].as_u64() > Some(50) && sweep["camera_pairs_refused"] == 0,
+        "{sweep}"
+    );
+    let session =
+        std::fs::read_to_string(bench.session().join("session.toml")).expect("session.toml");
     let session: toml::Table = session.parse().expect("TOML");
     let stream = &session["devices"]["stream"];
     let offset_s = |fit: &toml::Value| fit["device_minus_host_s"].as_float().expect("offset");
-    let cameras = stream["camera_clocks"].as_array().expect("clocks of the cameras");
+    let cameras = stream["camera_clocks"]
+        .as_array()
+        .expect("clocks of the cameras");
     assert_eq!(cameras.len(), 2, "{cameras:?}");
     // Interrogator and cameras stamp in bench time: their clocks agree to what the host is late at 20 x real time.
     let apart_s = offset_s(&cameras[0]) - offset_s(&stream["clocks"][0]);
@@ -107,13 +141,24 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     // The same tables from the raw streams, by the program alone.
     let points = || std::fs::read(bench.session().join("points.csv")).expect("points");
     let before = points();
-    let reduced = program().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    let reduced = program()
+        .arg("reduce")
+        .arg(bench.session())
+        .arg("--json")
+        .output()
+        .expect("wcal runs");
     assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
     assert_eq!(before, points(), "reducing again changes nothing");
     marked_as_simulated(&bench, &sweep);
     // Fit and verify what was recorded.
     let out = bench.folder.path().join("fit");
-    let fit = program().arg("fit-gpr").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let fit = program()
+        .arg("fit-gpr")
+        .arg(bench.session())
+        .arg("--out")
+        .arg(&out)
+        .arg("--json")
+        .output();
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
@@ -132,14 +177,20 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let of = |code: i32, word: &str| (code, word.to_owned());
     let good = of(0, "adequate");
     assert!(!clean(&[good.clone(), good.clone(), of(0, "effect")]));
-    assert!(!clean(&[good.clone(), of(4, "ambiguous"), of(4, "unknown-effect")]));
+    assert!(!clean(&[
+        good.clone(),
+        of(4, "ambiguous"),
+        of(4, "unknown-effect")
+    ]));
     assert!(!clean(&[good.clone(), good, of(3, "adequate")]));
 }
 
 /// None of the runs names an effect, and at most one is called anything but adequate.
 fn clean(verdicts: &[(i32, String)]) -> bool {
     let other: Vec<_> = verdicts.iter().filter(|v| v.1 != "adequate").collect();
-    let codes = verdicts.iter().all(|v| v.0 == if v.1 == "adequate" { 0 } else { 4 });
+    let codes = verdicts
+        .iter()
+        .all(|v| v.0 == if v.1 == "adequate" { 0 } else { 4 });
     codes && other.len() <= 1 && other.iter().all(|v| v.1 != "effect")
 }
 
@@ -149,39 +200,73 @@ fn marked_as_simulated(bench: &Bench, sweep: &Value) {
     let read = |name: &str| std::fs::read_to_string(bench.session().join(name)).expect(name);
     let mark = |text: &str| {
         let session: toml::Table = text.parse().expect("TOML");
-        session["provenance"].get("simulated").and_then(toml::Value::as_bool)
+        session["provenance"]
+            .get("simulated")
+            .and_then(toml::Value::as_bool)
     };
     assert_eq!(mark(&read("session.toml")), Some(true));
     let mut run: Value = serde_json::from_str(&read("run.json")).expect("JSON");
     let reduce = |run: &Value| {
         std::fs::write(bench.session().join("run.json"), run.to_string()).expect("written");
-        let reduced = program().arg("reduce").arg(bench.session()).output().expect("wcal runs");
+        let reduced = program()
+            .arg("reduce")
+            .arg(bench.session())
+            .output()
+            .expect("wcal runs");
         assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
         mark(&read("session.toml"))
     };
     let whole = run.clone();
-    assert_eq!(run.as_object_mut().and_then(|r| r.remove("simulated")), Some(true.into()));
-    assert_eq!(reduce(&run), Some(true), "by what the devices call themselves");
+    assert_eq!(
+        run.as_object_mut().and_then(|r| r.remove("simulated")),
+        Some(true.into())
+    );
+    assert_eq!(
+        reduce(&run),
+        Some(true),
+        "by what the devices call themselves"
+    );
     // Negative control: devices that do not, in real time, are taken as real.
     run["clock_scale"] = 1.0.into();
     for (_, device) in run["devices"].as_object_mut().expect("devices") {
         device["model"] = "a unit".into();
     }
     assert_eq!(reduce(&run), None);
-    assert!(!read("points.csv").contains("simulated"), "negative control");
+    assert!(
+        !read("points.csv").contains("simulated"),
+        "negative control"
+    );
     assert_eq!(reduce(&whole), Some(true));
     let points = read("points.csv");
-    assert!(points.lines().next().is_some_and(|head| head.ends_with(",simulated")), "{points}");
-    assert!(points.lines().skip(1).all(|row| row.ends_with(",1")), "{points}");
+    assert!(
+        points
+            .lines()
+            .next()
+            .is_some_and(|head| head.ends_with(",simulated")),
+        "{points}"
+    );
+    assert!(
+        points.lines().skip(1).all(|row| row.ends_with(",1")),
+        "{points}"
+    );
 }
 
 /// Exit code and verdict of `verify` on what a bench recorded.
 fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
-    let verify = program().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let verify = program()
+        .arg("verify")
+        .arg(bench.session())
+        .arg("--out")
+        .arg(&out)
+        .arg("--json")
+        .output();
     let verify = verify.expect("wcal runs");
     let found = document(&verify);
-    println!("{} {} {}", found["verdict"], found["before"], found["reason"]);
+    println!(
+        "{} {} {}",
+        found["verdict"], found["before"], found["reason"]
+    );
     let word = found["verdict"].as_str().expect("a verdict").to_owned();
     (verify.status.code().unwrap_or(-1), word)
 }
@@ -194,21 +279,37 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
     // SIGKILL: nothing can be tidied up.
     child.kill().expect("killed");
     child.wait().expect("gone");
-    let reduced = program().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    let reduced = program()
+        .arg("reduce")
+        .arg(bench.session())
+        .arg("--json")
+        .output()
+        .expect("wcal runs");
     assert_eq!(reduced.status.code(), Some(3), "{}", text(&reduced.stderr));
     let first = document(&reduced);
     let rows = first["rows"].as_u64().expect("rows");
     assert!(first["cut_off"] == 1 && (1..36).contains(&rows), "{first}");
-    assert!(text(&reduced.stderr).contains("cut off"), "{}", text(&reduced.stderr));
+    assert!(
+        text(&reduced.stderr).contains("cut off"),
+        "{}",
+        text(&reduced.stderr)
+    );
     // A new sweep into the same folder is refused; going on is not.
     let again = bench.go("--out");
     assert_eq!(again.status.code(), Some(1));
-    assert!(text(&again.stderr).contains("--resume"), "{}", text(&again.stderr));
+    assert!(
+        text(&again.stderr).contains("--resume"),
+        "{}",
+        text(&again.stderr)
+    );
     let resumed = bench.go("--resume");
     assert_eq!(resumed.status.code(), Some(0), "{}", text(&resumed.stderr));
     let second = document(&resumed);
     assert_eq!(second["rows"], 36, "{second}");
-    assert!(second["steps_done"].as_u64().expect("steps") < 38, "{second}");
+    assert!(
+        second["steps_done"].as_u64().expect("steps") < 38,
+        "{second}"
+    );
     assert_ne!(check(&bench.session()), 1);
 }
 
@@ -218,14 +319,26 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let child = bench.begin();
     until_done(&bench.session(), 8);
     let id = child.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &id])
+            .status()
+            .expect("kill")
+            .success()
+    );
     let run = child.wait_with_output().expect("ends");
     assert_eq!(run.status.code(), Some(130), "{}", text(&run.stderr));
     let sweep = document(&run);
-    assert_eq!((&sweep["ending"], &sweep["cause"]["kind"]), (&"stopped".into(), &"interrupted".into()));
+    assert_eq!(
+        (&sweep["ending"], &sweep["cause"]["kind"]),
+        (&"stopped".into(), &"interrupted".into())
+    );
     assert_eq!(sweep["stage_stopped"], true);
     let cause = sweep["cause"]["text"].as_str().expect("text");
-    assert!(cause.contains("interrupted by Ctrl-C") && !cause.contains("expected"), "{cause}");
+    assert!(
+        cause.contains("interrupted by Ctrl-C") && !cause.contains("expected"),
+        "{cause}"
+    );
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
     assert_ne!(check(&bench.session()), 1);
 }
@@ -239,7 +352,10 @@ fn a_lost_connection_is_named_and_the_stage_is_said_to_be_unreached() {
     let run = child.wait_with_output().expect("ends");
     assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
     let sweep = document(&run);
-    assert_eq!((&sweep["cause"]["kind"], &sweep["stage_stopped"]), (&"disconnected".into(), &false.into()));
+    assert_eq!(
+        (&sweep["cause"]["kind"], &sweep["stage_stopped"]),
+        (&"disconnected".into(), &false.into())
+    );
     assert_ne!(check(&bench.session()), 1);
     // Plugged in again it goes on; the reference was not lost.
     bench.type_fault("plug-stage");
@@ -252,14 +368,26 @@ fn a_lost_connection_is_named_and_the_stage_is_said_to_be_unreached() {
 fn a_virtual_bench_that_falls_behind_its_clock_says_so() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let scenario = folder.path().join("scenario.toml");
-    std::fs::write(&scenario, "format = \"wcal-scenario/1\"\n[cameras]\ncount = 0\n").expect("written");
+    std::fs::write(
+        &scenario,
+        "format = \"wcal-scenario/1\"\n[cameras]\ncount = 0\n",
+    )
+    .expect("written");
     let run = |speed: &str| {
         let mut command = program();
-        command.args(["virtual-bench", "--speed", speed, "--scenario"]).arg(&scenario);
-        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        command
+            .args(["virtual-bench", "--speed", speed, "--scenario"])
+            .arg(&scenario);
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn();
         let child = child.as_mut().expect("the bench starts");
         let mut line = String::new();
-        BufReader::new(child.stdout.take().expect("stdout")).read_line(&mut line).expect("addresses");
+        BufReader::new(child.stdout.take().expect("stdout"))
+            .read_line(&mut line)
+            .expect("addresses");
         std::thread::sleep(Duration::from_millis(300));
         drop(child.stdin.take());
         let mut said = String::new();
@@ -269,7 +397,13 @@ fn a_virtual_bench_that_falls_behind_its_clock_says_so() {
     };
     let (code, said) = run("100000");
     assert_eq!(code, Some(3), "{said}");
-    assert!(said.contains("fell behind its clock") && said.contains("use a lower speed"), "{said}");
+    assert!(
+        said.contains("fell behind its clock") && said.contains("use a lower speed"),
+        "{said}"
+    );
     let (code, said) = run("1");
-    assert!(code == Some(0) && !said.contains("fell behind"), "control: {said}");
+    assert!(
+        code == Some(0) && !said.contains("fell behind"),
+        "control: {said}"
+    );
 }

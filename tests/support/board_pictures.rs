@@ -15,11 +15,17 @@ fn frame(link: &mut TcpStream, skip: usize) -> Result<CameraFrame> {
     for _ in 0..=skip {
         let mut header = [0; HEADER];
         link.read_exact(&mut header)?;
-        let [width_px, height_px] =
-            [4, 8].map(|at| [0, 1, 2, 3].map(|k| header[at + k])).map(u32::from_le_bytes);
+        let [width_px, height_px] = [4, 8]
+            .map(|at| [0, 1, 2, 3].map(|k| header[at + k]))
+            .map(u32::from_le_bytes);
         let mut grey = vec![0; width_px as usize * height_px as usize];
         link.read_exact(&mut grey)?;
-        found = CameraFrame { width_px, height_px, grey, ..CameraFrame::default() };
+        found = CameraFrame {
+            width_px,
+            height_px,
+            grey,
+            ..CameraFrame::default()
+        };
     }
     Ok(found)
 }
@@ -32,7 +38,12 @@ const OTHER: f64 = 3.0;
 /// The second frame that shows something else than `before`.
 fn next_view(link: &mut TcpStream, before: &CameraFrame) -> Result<CameraFrame> {
     let difference = |a: &CameraFrame| {
-        let sum: f64 = a.grey.iter().zip(&before.grey).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+        let sum: f64 = a
+            .grey
+            .iter()
+            .zip(&before.grey)
+            .map(|(a, b)| f64::from(a.abs_diff(*b)))
+            .sum();
         sum / a.grey.len() as f64
     };
     for _ in 0..MAX_LATE {

@@ -42,9 +42,17 @@ pub fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
             return None;
         }
         let (column, row) = (u.round().clamp(0.0, 3.0), v.round().clamp(0.0, 2.0));
-        let i = if order.from_right { 3.0 - column } else { column } as usize;
+        let i = if order.from_right {
+            3.0 - column
+        } else {
+            column
+        } as usize;
         let j = if order.from_top { row } else { 2.0 - row } as usize;
-        let tag = &tags[if order.by_columns { 3 * i + j } else { 4 * j + i }];
+        let tag = &tags[if order.by_columns {
+            3 * i + j
+        } else {
+            4 * j + i
+        }];
         // Ten cells with the white margin, eight between the corners.
         let cell = |d: f64| (d * 33.8 / 26.0 * 8.0 + 5.0).floor();
         let (p, q) = (cell(u - column), cell(v - row));
@@ -60,8 +68,10 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
         .map(|k| {
             let t = f64::from(k);
             let tilt = Vector3::new(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.0);
-            let turn =
-                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll * (0.9 * (2.3 * t).sin() + 0.07));
+            let turn = UnitQuaternion::from_axis_angle(
+                &Vector3::z_axis(),
+                roll * (0.9 * (2.3 * t).sin() + 0.07),
+            );
             let (x, y) = (24.0 + 12.0 * (1.3 * t).sin(), 10.0 * (2.1 * t).cos());
             let place = Vector3::new(x, y, 240.0 + 20.0 * (0.7 * t).sin());
             Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt) * turn)
@@ -70,13 +80,22 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
 }
 
 /// Writes the pairs into `left` and `right` of a folder as 40.pgm and following.
-pub fn write_pairs(folder: &Path, print: &Print, views: &[Isometry3<f64>], right_from_left: &Isometry3<f64>) {
+pub fn write_pairs(
+    folder: &Path,
+    print: &Print,
+    views: &[Isometry3<f64>],
+    right_from_left: &Isometry3<f64>,
+) {
     for side in ["left", "right"] {
         std::fs::create_dir_all(folder.join(side)).unwrap();
     }
     views.par_iter().enumerate().for_each(|(k, left)| {
         for (camera, side) in ["left", "right"].into_iter().enumerate() {
-            let pose = if camera == 0 { *left } else { right_from_left * left };
+            let pose = if camera == 0 {
+                *left
+            } else {
+                right_from_left * left
+            };
             let data = drawn(print, &pose, (2 * k + camera) as u64);
             let mut bytes = format!("P5\n{WIDTH} {HEIGHT}\n255\n").into_bytes();
             bytes.extend(data);
@@ -90,12 +109,19 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     let at = camera_from_board.translation.vector;
     let (cx, cy) = (0.5 * WIDTH as f64 - 0.5, 0.5 * HEIGHT as f64 - 0.5);
     let k = Matrix3::new(FOCAL_PX, 0.0, cx, 0.0, FOCAL_PX, cy, 0.0, 0.0, 1.0);
-    let plane = Matrix3::from_columns(&[turn.matrix().column(0).into(), turn.matrix().column(1).into(), at]);
+    let plane = Matrix3::from_columns(&[
+        turn.matrix().column(0).into(),
+        turn.matrix().column(1).into(),
+        at,
+    ]);
     let back = (k * plane).try_inverse().unwrap();
     let m: [f64; 9] = std::array::from_fn(|i| back[(i / 3, i % 3)]);
     let level = |x: f64, y: f64| {
         let w = m[6] * x + m[7] * y + m[8];
-        let (u, v) = ((m[0] * x + m[1] * y + m[2]) / w, (m[3] * x + m[4] * y + m[5]) / w);
+        let (u, v) = (
+            (m[0] * x + m[1] * y + m[2]) / w,
+            (m[3] * x + m[4] * y + m[5]) / w,
+        );
         f64::from(print(u, v).unwrap_or(120))
     };
     let mut sharp = vec![0.0; WIDTH * HEIGHT];
@@ -116,7 +142,8 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     }
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let blurred = |p: usize| {
-        let at = |q: isize| sharp[(p as isize + q).clamp(0, (WIDTH * HEIGHT - 1) as isize) as usize];
+        let at =
+            |q: isize| sharp[(p as isize + q).clamp(0, (WIDTH * HEIGHT - 1) as isize) as usize];
         let row = |q: isize| 0.25 * at(q - 1) + 0.5 * at(q) + 0.25 * at(q + 1);
         let w = WIDTH as isize;
         0.25 * row(-w) + 0.5 * row(0) + 0.25 * row(w)
@@ -124,7 +151,9 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     (0..WIDTH * HEIGHT)
         .map(|p| {
             // A uniform draw of 10 DN on either side: sd 5.8 DN.
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let draw = (state >> 40) as f64 / (1u64 << 24) as f64;
             (blurred(p) + 20.0 * draw - 10.0).round().clamp(0.0, 255.0) as u8
         })

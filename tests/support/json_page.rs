@@ -37,8 +37,15 @@ const ORDER: [&str; 21] = [
 /// The page; schemas that `ORDER` lacks come last.
 pub fn render(schemas: &BTreeMap<String, Value>) -> String {
     let mut out = HEAD.to_owned();
-    let further = schemas.keys().map(String::as_str).filter(|n| !ORDER.contains(n));
-    for name in ORDER.into_iter().filter(|n| schemas.contains_key(*n)).chain(further) {
+    let further = schemas
+        .keys()
+        .map(String::as_str)
+        .filter(|n| !ORDER.contains(n));
+    for name in ORDER
+        .into_iter()
+        .filter(|n| schemas.contains_key(*n))
+        .chain(further)
+    {
         let schema = &schemas[name];
         let text = |key: &str| schema[key].as_str().unwrap_or_default();
         let format = schema["properties"]["format"]["const"].as_str();
@@ -68,7 +75,11 @@ fn table(schema: &Value, out: &mut String) {
         lines.iter().for_each(|line| out.push_str(line));
     }
     let variants = alternatives(schema);
-    let words: Vec<&Value> = variants.iter().copied().filter(|v| v.get("properties").is_none()).collect();
+    let words: Vec<&Value> = variants
+        .iter()
+        .copied()
+        .filter(|v| v.get("properties").is_none())
+        .collect();
     if !words.is_empty() {
         out.push_str("\n| value | meaning |\n|---|---|\n");
         for word in &words {
@@ -85,11 +96,17 @@ fn table(schema: &Value, out: &mut String) {
 }
 
 fn alternatives(schema: &Value) -> Vec<&Value> {
-    ["anyOf", "oneOf"].iter().flat_map(|key| schema[*key].as_array().into_iter().flatten()).collect()
+    ["anyOf", "oneOf"]
+        .iter()
+        .flat_map(|key| schema[*key].as_array().into_iter().flatten())
+        .collect()
 }
 
 fn about(schema: &Value) -> String {
-    schema["description"].as_str().unwrap_or_default().replace('|', "\\|")
+    schema["description"]
+        .as_str()
+        .unwrap_or_default()
+        .replace('|', "\\|")
 }
 
 fn or<'a>(text: &'a str, other: &'a str) -> &'a str {
@@ -97,11 +114,23 @@ fn or<'a>(text: &'a str, other: &'a str) -> &'a str {
 }
 
 fn rows(prefix: &str, schema: &Value, out: &mut Vec<String>) {
-    let required: Vec<&str> =
-        schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let required: Vec<&str> = schema["required"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .collect();
     for (key, value) in schema["properties"].as_object().into_iter().flatten() {
-        let absent = if required.contains(&key.as_str()) { "" } else { " May be absent." };
-        out.push(format!("| `{prefix}{key}` | {} | {}{absent} |\n", kind(value), about(value)));
+        let absent = if required.contains(&key.as_str()) {
+            ""
+        } else {
+            " May be absent."
+        };
+        out.push(format!(
+            "| `{prefix}{key}` | {} | {}{absent} |\n",
+            kind(value),
+            about(value)
+        ));
         inside(&format!("{prefix}{key}"), value, out);
     }
 }
@@ -115,7 +144,9 @@ fn inside(path: &str, value: &Value, out: &mut Vec<String>) {
     if value["additionalProperties"].is_object() {
         inside(&format!("{path}.NAME"), &value["additionalProperties"], out);
     }
-    alternatives(value).into_iter().for_each(|one| inside(path, one, out));
+    alternatives(value)
+        .into_iter()
+        .for_each(|one| inside(path, one, out));
 }
 
 /// What a value is, in words.
@@ -135,13 +166,21 @@ fn kind(value: &Value) -> String {
         other => other.as_str().into_iter().collect(),
     };
     let words: Vec<String> = types.iter().map(|t| word(t, value)).collect();
-    if words.is_empty() { "any".to_owned() } else { words.join(" or ") }
+    if words.is_empty() {
+        "any".to_owned()
+    } else {
+        words.join(" or ")
+    }
 }
 
 fn word(name: &str, value: &Value) -> String {
     match name {
         "string" if value["enum"].is_array() => {
-            let all = value["enum"].as_array().into_iter().flatten().filter_map(Value::as_str);
+            let all = value["enum"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_str);
             all.map(|e| format!("`{e}`")).collect::<Vec<_>>().join(", ")
         }
         "string" => "text".to_owned(),

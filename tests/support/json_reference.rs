@@ -13,7 +13,9 @@ use std::path::{Path, PathBuf};
 
 /// Schema of what `T` writes. `title`: the file or command that the document is known by.
 pub fn schema<T: JsonSchema>(name: &str, title: &str) -> (String, Value) {
-    let generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
+    let generator = SchemaSettings::draft2020_12()
+        .for_serialize()
+        .into_generator();
     let mut schema = generator.into_root_schema_for::<T>().to_value();
     let parts = schema["$defs"].clone();
     plain(&mut schema, &parts);
@@ -44,7 +46,9 @@ fn plain(schema: &mut Value, parts: &Value) {
                     Value::Object(named) if ["properties", "$defs"].contains(&key.as_str()) => {
                         named.values_mut().for_each(|s| plain(s, parts));
                     }
-                    inner if !["const", "enum", "required"].contains(&key.as_str()) => plain(inner, parts),
+                    inner if !["const", "enum", "required"].contains(&key.as_str()) => {
+                        plain(inner, parts)
+                    }
                     _ => {}
                 }
             }
@@ -55,7 +59,9 @@ fn plain(schema: &mut Value, parts: &Value) {
 }
 
 fn merge_reference(map: &mut Map<String, Value>, parts: &Value) {
-    let name = map.remove("$ref").and_then(|r| r.as_str().map(|r| r.rsplit('/').next().unwrap().to_owned()));
+    let name = map
+        .remove("$ref")
+        .and_then(|r| r.as_str().map(|r| r.rsplit('/').next().unwrap().to_owned()));
     let part = &parts[name.unwrap()];
     for (key, value) in part.as_object().unwrap() {
         match (key.as_str(), map.get_mut(key)) {
@@ -73,7 +79,9 @@ fn merge_reference(map: &mut Map<String, Value>, parts: &Value) {
 fn drop_unused(schema: &mut Value) {
     loop {
         let text = schema.to_string();
-        let Some(parts) = schema.get_mut("$defs").and_then(Value::as_object_mut) else { return };
+        let Some(parts) = schema.get_mut("$defs").and_then(Value::as_object_mut) else {
+            return;
+        };
         let before = parts.len();
         parts.retain(|name, _| text.contains(&format!("\"#/$defs/{name}\"")));
         if parts.len() == before {
@@ -98,7 +106,10 @@ pub fn hold(repository: &Path, own: Vec<(String, Value)>) {
     let mut texts: Vec<(PathBuf, String)> = own
         .iter()
         .map(|(name, schema)| {
-            (folder.join(format!("{name}.json")), serde_json::to_string_pretty(schema).unwrap() + "\n")
+            (
+                folder.join(format!("{name}.json")),
+                serde_json::to_string_pretty(schema).unwrap() + "\n",
+            )
         })
         .collect();
     all.extend(own);
@@ -107,16 +118,34 @@ pub fn hold(repository: &Path, own: Vec<(String, Value)>) {
         if std::env::var_os("WCAL_WRITE_DOCS").is_some() {
             std::fs::write(&path, &text).unwrap();
         }
-        assert!(read(&path) == text, "{} is not what the types say: see json_reference.rs", path.display());
+        assert!(
+            read(&path) == text,
+            "{} is not what the types say: see json_reference.rs",
+            path.display()
+        );
     }
     // A key more is a line more, and each is said what it is.
     let mut more = all.clone();
-    more.get_mut("run").unwrap()["properties"]["weather"] = json!({"type": "string", "description": "Rain."});
-    assert!(page::render(&more).contains("| `weather` |") && !page::render(&all).contains("weather"));
-    let silent: Vec<String> = all.iter().flat_map(|(name, schema)| undescribed(name, schema)).collect();
-    assert!(silent.is_empty(), "keys without a doc comment: {}", silent.join(", "));
+    more.get_mut("run").unwrap()["properties"]["weather"] =
+        json!({"type": "string", "description": "Rain."});
+    assert!(
+        page::render(&more).contains("| `weather` |") && !page::render(&all).contains("weather")
+    );
+    let silent: Vec<String> = all
+        .iter()
+        .flat_map(|(name, schema)| undescribed(name, schema))
+        .collect();
+    assert!(
+        silent.is_empty(),
+        "keys without a doc comment: {}",
+        silent.join(", ")
+    );
     more.get_mut("run").unwrap()["properties"]["weather"] = json!({"type": "string"});
-    assert_eq!(undescribed("run", &more["run"]), ["run.weather"], "negative control");
+    assert_eq!(
+        undescribed("run", &more["run"]),
+        ["run.weather"],
+        "negative control"
+    );
 }
 
 /// Keys that say nothing of themselves.

@@ -6,7 +6,10 @@ use std::collections::BTreeSet;
 use std::process::Command;
 
 /// One package.
-#[allow(dead_code, reason = "not every test that includes this file reads all of it")]
+#[allow(
+    dead_code,
+    reason = "not every test that includes this file reads all of it"
+)]
 #[derive(Debug, Clone)]
 pub struct Package {
     /// Name.
@@ -28,9 +31,16 @@ pub struct Package {
 /// What cargo prints. Offline: what is tested was built, so it is here.
 fn cargo(arguments: &[&str]) -> String {
     let mut cargo = Command::new(env!("CARGO"));
-    cargo.args(arguments).args(["--locked", "--offline"]).current_dir(env!("CARGO_MANIFEST_DIR"));
+    cargo
+        .args(arguments)
+        .args(["--locked", "--offline"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"));
     let out = cargo.output().unwrap();
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(
+        out.status.success(),
+        "{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
     String::from_utf8(out.stdout).unwrap()
 }
 
@@ -39,22 +49,42 @@ const PLATFORM: &str = "x86_64-unknown-linux-gnu";
 
 /// Name and version of each package that the workspace reaches over such edges.
 fn tree(edges: &str) -> BTreeSet<String> {
-    cargo(&["tree", "--workspace", "-e", edges, "--prefix", "none", "--format", "{p}", "--target", PLATFORM])
-        .lines()
-        .filter_map(|line| {
-            let mut words = line.split(' ');
-            Some(format!("{} {}", words.next()?, words.next()?.trim_start_matches('v')))
-        })
-        .collect()
+    cargo(&[
+        "tree",
+        "--workspace",
+        "-e",
+        edges,
+        "--prefix",
+        "none",
+        "--format",
+        "{p}",
+        "--target",
+        PLATFORM,
+    ])
+    .lines()
+    .filter_map(|line| {
+        let mut words = line.split(' ');
+        Some(format!(
+            "{} {}",
+            words.next()?,
+            words.next()?.trim_start_matches('v')
+        ))
+    })
+    .collect()
 }
 
 /// Every package that this platform builds or tests with, by name and version.
 pub fn resolved() -> Vec<Package> {
     let used = tree("normal,build,dev");
     let shipped = tree("normal");
-    let all: Value =
-        serde_json::from_str(&cargo(&["metadata", "--format-version", "1", "--filter-platform", PLATFORM]))
-            .unwrap();
+    let all: Value = serde_json::from_str(&cargo(&[
+        "metadata",
+        "--format-version",
+        "1",
+        "--filter-platform",
+        PLATFORM,
+    ]))
+    .unwrap();
     let text = |v: &Value| v.as_str().map(str::to_owned);
     let mut packages: Vec<Package> = all["packages"]
         .as_array()

@@ -17,7 +17,10 @@ pub fn with_number(recording: &Path, from: f64, to: f64) {
         }
         at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
     }
-    let place = bytes.windows(8).position(|b| b == from.to_le_bytes()).unwrap();
+    let place = bytes
+        .windows(8)
+        .position(|b| b == from.to_le_bytes())
+        .unwrap();
     bytes[place..place + 8].copy_from_slice(&to.to_le_bytes());
     std::fs::write(recording, bytes).unwrap();
 }

@@ -25,9 +25,14 @@ impl VirtualBench {
             .spawn()
             .unwrap();
         let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        BufReader::new(child.stdout.take().unwrap())
+            .read_line(&mut line)
+            .unwrap();
         std::fs::write(path("bench.json"), line).unwrap();
-        Self { child, addresses: path("bench.json") }
+        Self {
+            child,
+            addresses: path("bench.json"),
+        }
     }
 
     /// Types a fault into it.
@@ -37,7 +42,9 @@ impl VirtualBench {
 
     /// Sends it a signal.
     pub fn signal(&self, name: &str) {
-        let kill = std::process::Command::new("kill").args([name, &self.child.id().to_string()]).status();
+        let kill = std::process::Command::new("kill")
+            .args([name, &self.child.id().to_string()])
+            .status();
         assert!(kill.unwrap().success(), "{name}");
     }
 

@@ -19,11 +19,19 @@ pub fn spec(rest_shape: RestShape) -> WhiskerSpec {
 }
 
 pub fn straight_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: LENGTH_MM, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
+    RestShape::StraightArc {
+        straight_mm: LENGTH_MM,
+        arc_radius_mm: 20.0,
+        length_mm: LENGTH_MM,
+    }
 }
 
 pub fn bent_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
+    RestShape::StraightArc {
+        straight_mm: 30.0,
+        arc_radius_mm: 20.0,
+        length_mm: LENGTH_MM,
+    }
 }
 
 pub fn bent(step_mm: f64) -> Rod {

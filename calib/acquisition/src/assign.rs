@@ -38,7 +38,14 @@ pub struct ChannelMap {
 impl ChannelMap {
     /// The map of a rig.
     pub fn new(rig: &Rig) -> Self {
-        Self::of(&rig.interrogator, rig.interrogator.whiskers().first().copied().unwrap_or_default())
+        Self::of(
+            &rig.interrogator,
+            rig.interrogator
+                .whiskers()
+                .first()
+                .copied()
+                .unwrap_or_default(),
+        )
     }
 
     /// The map of a whisker's gratings.
@@ -47,7 +54,9 @@ impl ChannelMap {
             let g = interrogator.grating_of(whisker, name)?;
             Some((g.channel - 1, g.nominal_nm, g.window_nm))
         };
-        Self { gratings: [find("fbg_ref"), find("fbg_1"), find("fbg_2")] }
+        Self {
+            gratings: [find("fbg_ref"), find("fbg_1"), find("fbg_2")],
+        }
     }
 
     /// Assigns the peaks of a scan: nearest to the nominal wavelength, inside the window.
@@ -55,22 +64,39 @@ impl ChannelMap {
         let mut found = [None; 3];
         let mut crossing = false;
         for (slot, grating) in found.iter_mut().zip(&self.gratings) {
-            let Some((channel, nominal, window)) = grating else { continue };
-            let peaks = reading.peaks_nm.get(*channel).map_or(&[][..], Vec::as_slice);
-            let inside = || peaks.iter().copied().filter(|nm| (nm - nominal).abs() <= *window);
+            let Some((channel, nominal, window)) = grating else {
+                continue;
+            };
+            let peaks = reading
+                .peaks_nm
+                .get(*channel)
+                .map_or(&[][..], Vec::as_slice);
+            let inside = || {
+                peaks
+                    .iter()
+                    .copied()
+                    .filter(|nm| (nm - nominal).abs() <= *window)
+            };
             *slot = inside().min_by(|a, b| (a - nominal).abs().total_cmp(&(b - nominal).abs()));
             // A second peak in the window: a neighbour has strayed into it.
             crossing |= inside().nth(1).is_some();
         }
         for a in 0..3 {
             for b in 0..a {
-                let same = self.gratings[a].zip(self.gratings[b]).is_some_and(|(x, y)| x.0 == y.0);
-                let close =
-                    found[a].zip(found[b]).is_some_and(|(x, y): (f64, f64)| (x - y).abs() < SEPARATION_NM);
+                let same = self.gratings[a]
+                    .zip(self.gratings[b])
+                    .is_some_and(|(x, y)| x.0 == y.0);
+                let close = found[a]
+                    .zip(found[b])
+                    .is_some_and(|(x, y): (f64, f64)| (x - y).abs() < SEPARATION_NM);
                 crossing |= same && close;
             }
         }
-        Assigned { reference_nm: found[0], sensing_nm: [found[1], found[2]], crossing }
+        Assigned {
+            reference_nm: found[0],
+            sensing_nm: [found[1], found[2]],
+            crossing,
+        }
     }
 }
 
@@ -83,7 +109,10 @@ mod tests {
     }
 
     fn scan(peaks: &[f64]) -> FbgReading {
-        FbgReading { peaks_nm: vec![peaks.to_vec()], ..FbgReading::default() }
+        FbgReading {
+            peaks_nm: vec![peaks.to_vec()],
+            ..FbgReading::default()
+        }
     }
 
     #[test]
@@ -95,7 +124,10 @@ mod tests {
 
     #[test]
     fn a_lost_peak_is_missing_and_never_replaced_by_a_neighbour() {
-        assert_eq!(map().assign(&scan(&[1535.9, 1537.31])).sensing_nm, [None, Some(1535.9)]);
+        assert_eq!(
+            map().assign(&scan(&[1535.9, 1537.31])).sensing_nm,
+            [None, Some(1535.9)]
+        );
         assert_eq!(map().assign(&scan(&[])).usable(), None);
         assert_eq!(map().assign(&scan(&[1530.0, 1541.0])).sensing_nm[1], None);
     }
@@ -103,7 +135,11 @@ mod tests {
     #[test]
     fn crossing_gratings_are_seen() {
         assert!(map().assign(&scan(&[1535.8, 1535.801, 1537.3])).crossing);
-        assert!(map().assign(&scan(&[1535.8, 1536.4, 1537.3, 1541.0])).crossing);
+        assert!(
+            map()
+                .assign(&scan(&[1535.8, 1536.4, 1537.3, 1541.0]))
+                .crossing
+        );
         assert!(!map().assign(&scan(&[1535.8, 1537.3, 1541.0])).crossing);
     }
 }

@@ -43,10 +43,17 @@ pub fn watch(
                 refused = 0;
                 lock(monitor).pair(Some(found.skew_ms));
                 let wanted = lock(monitor).wanted_picture();
-                let shows =
-                    |since_s: f64| eyes.iter().zip(&found.frames).all(|(e, f)| e.exposed_after(since_s, f));
-                let step = wanted.filter(|(_, since_s)| shows(*since_s)).map(|(step, _)| step);
-                eyes.iter_mut().zip(&found.frames).for_each(|(eye, frame)| eye.note(frame));
+                let shows = |since_s: f64| {
+                    eyes.iter()
+                        .zip(&found.frames)
+                        .all(|(e, f)| e.exposed_after(since_s, f))
+                };
+                let step = wanted
+                    .filter(|(_, since_s)| shows(*since_s))
+                    .map(|(step, _)| step);
+                eyes.iter_mut()
+                    .zip(&found.frames)
+                    .for_each(|(eye, frame)| eye.note(frame));
                 let host_s = found.frames[0].clocks.host_s;
                 let show = host_s - shown_s >= PREVIEW_PERIOD_S;
                 if show {
@@ -66,7 +73,14 @@ pub fn watch(
                     lock(monitor).fail_with(e);
                 }
                 let kind = "pair-refused".to_owned();
-                recorder.event(pair.host_s(), &SweepEvent { kind, detail, ..SweepEvent::default() })
+                recorder.event(
+                    pair.host_s(),
+                    &SweepEvent {
+                        kind,
+                        detail,
+                        ..SweepEvent::default()
+                    },
+                )
             }
             // The sweep hears of it by itself.
             Err(e) if e.kind == DeviceErrorKind::Interrupted => {
@@ -106,14 +120,21 @@ struct CameraClock {
 
 impl CameraClock {
     fn new(clock_scale: f64) -> Self {
-        Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
+        Self {
+            clocks: ClockPair::new(clock_scale),
+            last_host_s: f64::NEG_INFINITY,
+        }
     }
 
     /// Whether the exposure began after a host time. Frames may wait in a queue, so that their arrival does not give their exposure. Even the
     /// least delayed arrival is late by the exposure itself, which is added. Without a clock of the camera's own a frame is accepted only
     /// when the previous one arrived after that time, too.
     fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
-        let exposure_s = frame.measured_exposure_ms.or(frame.commanded_exposure_ms).unwrap_or(0.0) * 1e-3;
+        let exposure_s = frame
+            .measured_exposure_ms
+            .or(frame.commanded_exposure_ms)
+            .unwrap_or(0.0)
+            * 1e-3;
         match (frame.clocks.device_s, self.clocks.device_s(host_s)) {
             (Some(begin_s), Some(wanted_s)) => begin_s >= wanted_s + exposure_s,
             _ => self.last_host_s >= host_s,

@@ -52,10 +52,17 @@ impl fmt::Display for ClockFault {
         match self {
             Self::Step { step_s, serial } => {
                 let way = if *step_s < 0.0 { "back" } else { "ahead" };
-                write!(f, "a clock step: {:.3} s {way} at scan {serial}", step_s.abs())
+                write!(
+                    f,
+                    "a clock step: {:.3} s {way} at scan {serial}",
+                    step_s.abs()
+                )
             }
             Self::Stopped { at_s, serial } => {
-                write!(f, "a stopped clock: it stands at {at_s:.3} s since scan {serial}")
+                write!(
+                    f,
+                    "a stopped clock: it stands at {at_s:.3} s since scan {serial}"
+                )
             }
         }
     }
@@ -65,7 +72,13 @@ impl ClockFault {
     /// As an error of the interrogator.
     pub fn error(&self) -> DeviceError {
         let (kind, expected) = (DeviceErrorKind::Clock, "a device clock that runs on");
-        DeviceError::new(kind, "interrogator", "read the stream", expected, self.to_string())
+        DeviceError::new(
+            kind,
+            "interrogator",
+            "read the stream",
+            expected,
+            self.to_string(),
+        )
     }
 }
 
@@ -127,7 +140,11 @@ impl ClockWatch {
 
     /// Takes the next reading in order of arrival; what its clock has done, once each time.
     pub fn take(&mut self, serial: u64, host_s: f64, device_s: f64) -> Option<ClockFault> {
-        let now = TimedReading { serial, host_s, device_s };
+        let now = TimedReading {
+            serial,
+            host_s,
+            device_s,
+        };
         let Some(last) = self.last.replace(now) else {
             self.begin_anew(now);
             return None;
@@ -176,7 +193,13 @@ impl ClockWatch {
         // A jump ahead is one only where scans were counted and their time is known.
         let ahead = off_s > STEP_S && scans > 0.0 && self.period_s.is_some();
         if rise_s < -STEP_S || ahead {
-            let doubt = Doubt { before: last, at: now, step_s: off_s, count: 0, too_early: false };
+            let doubt = Doubt {
+                before: last,
+                at: now,
+                step_s: off_s,
+                count: 0,
+                too_early: false,
+            };
             return self.settle(doubt, now);
         }
         match self.period_s {
@@ -201,9 +224,15 @@ impl ClockWatch {
         let too_early = doubt.too_early || now.device_s - now.host_s > self.earliest_s + half_s;
         let is_step = count > CONFIRMED && (half_s < 0.0 || too_early);
         // A wrong stamp is over with its scan, a gap in the stream when no reading comes too early.
-        self.doubt = (!back_on_course && !settled).then_some(Doubt { count, too_early, ..doubt });
-        (is_step && !back_on_course)
-            .then_some(ClockFault::Step { step_s: doubt.step_s, serial: doubt.at.serial })
+        self.doubt = (!back_on_course && !settled).then_some(Doubt {
+            count,
+            too_early,
+            ..doubt
+        });
+        (is_step && !back_on_course).then_some(ClockFault::Step {
+            step_s: doubt.step_s,
+            serial: doubt.at.serial,
+        })
     }
 
     fn stands_still(&mut self, now: TimedReading) -> Option<ClockFault> {
@@ -216,9 +245,12 @@ impl ClockWatch {
             }
             return None;
         }
-        let still = now.host_s - risen.host_s > STILL_S * self.clock_scale && now.serial != risen.serial;
-        (still && !std::mem::replace(&mut self.stopped, true))
-            .then_some(ClockFault::Stopped { at_s: risen.device_s, serial: risen.serial })
+        let still =
+            now.host_s - risen.host_s > STILL_S * self.clock_scale && now.serial != risen.serial;
+        (still && !std::mem::replace(&mut self.stopped, true)).then_some(ClockFault::Stopped {
+            at_s: risen.device_s,
+            serial: risen.serial,
+        })
     }
 }
 
@@ -229,7 +261,11 @@ mod tests {
     const RATE_HZ: f64 = 100.0;
 
     /// What is said of `seconds` of scans whose device and host time are `at` their number and true time.
-    fn said(seconds: u64, scale: f64, at: impl Fn(u64, f64) -> Option<(u64, f64, f64)>) -> Vec<ClockFault> {
+    fn said(
+        seconds: u64,
+        scale: f64,
+        at: impl Fn(u64, f64) -> Option<(u64, f64, f64)>,
+    ) -> Vec<ClockFault> {
         let mut watch = ClockWatch::new(scale);
         (0..seconds * RATE_HZ as u64)
             .filter_map(|k| at(k, k as f64 / RATE_HZ))
@@ -246,22 +282,52 @@ mod tests {
     fn steps_of_either_sign_are_named_once_with_their_size() {
         for step_s in [-3600.0, -0.5, -0.05, 0.5, 3600.0] {
             let found = said(40, 1.0, |k, t| {
-                Some((k, 1e9 + t + delay_s(k), t + if t > 20.0 { step_s } else { 0.0 }))
+                Some((
+                    k,
+                    1e9 + t + delay_s(k),
+                    t + if t > 20.0 { step_s } else { 0.0 },
+                ))
             });
-            let [ClockFault::Step { step_s: own, serial }] = found[..] else { panic!("{step_s}: {found:?}") };
-            assert!((own - step_s).abs() < 1e-6 && serial == 2001, "{step_s}: {found:?}");
+            let [
+                ClockFault::Step {
+                    step_s: own,
+                    serial,
+                },
+            ] = found[..]
+            else {
+                panic!("{step_s}: {found:?}")
+            };
+            assert!(
+                (own - step_s).abs() < 1e-6 && serial == 2001,
+                "{step_s}: {found:?}"
+            );
         }
     }
 
     #[test]
     fn a_stopped_clock_is_named_once_and_may_go_on() {
-        let found = said(40, 1.0, |k, t| Some((k, t + delay_s(k), if t > 20.0 { 20.0 } else { t })));
-        assert!(matches!(found[..], [ClockFault::Stopped { .. }]), "{found:?}");
+        let found = said(40, 1.0, |k, t| {
+            Some((k, t + delay_s(k), if t > 20.0 { 20.0 } else { t }))
+        });
+        assert!(
+            matches!(found[..], [ClockFault::Stopped { .. }]),
+            "{found:?}"
+        );
         // It goes on with the right time, or where it stopped: nothing steps.
-        let found = said(60, 1.0, |k, t| Some((k, t, if (20.0..30.0).contains(&t) { 20.0 } else { t })));
-        assert!(matches!(found[..], [ClockFault::Stopped { .. }]), "{found:?}");
-        let found = said(60, 1.0, |k, t| Some((k, t, t.min(20.0) + (t - 30.0).max(0.0))));
-        assert!(matches!(found[..], [ClockFault::Stopped { .. }]), "{found:?}");
+        let found = said(60, 1.0, |k, t| {
+            Some((k, t, if (20.0..30.0).contains(&t) { 20.0 } else { t }))
+        });
+        assert!(
+            matches!(found[..], [ClockFault::Stopped { .. }]),
+            "{found:?}"
+        );
+        let found = said(60, 1.0, |k, t| {
+            Some((k, t, t.min(20.0) + (t - 30.0).max(0.0)))
+        });
+        assert!(
+            matches!(found[..], [ClockFault::Stopped { .. }]),
+            "{found:?}"
+        );
     }
 
     /// Everything that a slow computer, a slow unit and a working clock do.
@@ -275,8 +341,12 @@ mod tests {
         quiet("a computer that stands still for 20 s", &|k, t| {
             Some((k, if (50.0..70.0).contains(&t) { 70.0 } else { t }, t))
         });
-        quiet("a bench that falls behind more and more", &|k, t| Some((k, 1.5 * t, t)));
-        quiet("a delay that ends", &|k, t| Some((k, t + if t < 60.0 { 5.0 } else { 0.0 }, t)));
+        quiet("a bench that falls behind more and more", &|k, t| {
+            Some((k, 1.5 * t, t))
+        });
+        quiet("a delay that ends", &|k, t| {
+            Some((k, t + if t < 60.0 { 5.0 } else { 0.0 }, t))
+        });
         quiet("scans lost and counted", &|k, t| {
             (!(50.0..60.0).contains(&t)).then_some((k, t + delay_s(k), t))
         });
@@ -288,13 +358,21 @@ mod tests {
         quiet("a clock that drifts by 20,000 ppm", &|k, t| {
             Some((k, t + delay_s(k), t + (t - 30.0).max(0.0) * 0.02))
         });
-        quiet("stamps of 10 ms", &|k, t| Some((k, t, (t * 20.0).floor() / 20.0)));
+        quiet("stamps of 10 ms", &|k, t| {
+            Some((k, t, (t * 20.0).floor() / 20.0))
+        });
         for wrong_s in [-5.0, -1.0, 1.0, 5.0] {
             quiet("single wrong stamps", &|k, t| {
-                Some((k, t + delay_s(k), t + if k % 1700 == 900 { wrong_s } else { 0.0 }))
+                Some((
+                    k,
+                    t + delay_s(k),
+                    t + if k % 1700 == 900 { wrong_s } else { 0.0 },
+                ))
             });
         }
-        quiet("a unit that counts anew", &|k, t| Some((if t < 60.0 { k } else { k - 6000 }, t, t)));
+        quiet("a unit that counts anew", &|k, t| {
+            Some((if t < 60.0 { k } else { k - 6000 }, t, t))
+        });
         let fast = said(600, 20.0, |k, t| Some((k, t + 20.0 * delay_s(k), t)));
         assert!(fast.is_empty(), "{fast:?}");
     }

@@ -119,13 +119,21 @@ impl ClockPair {
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
         let (host0, device0) = self.origin?;
         let recent = self.best.iter().rev().take(RECENT).map(|p| p.1);
-        let offset = recent.chain(self.current.map(|c| c.2)).fold(f64::NEG_INFINITY, f64::max);
-        Some(self.fit()?.device_s(host_s).max(host_s - host0 + device0 + offset))
+        let offset = recent
+            .chain(self.current.map(|c| c.2))
+            .fold(f64::NEG_INFINITY, f64::max);
+        Some(
+            self.fit()?
+                .device_s(host_s)
+                .max(host_s - host0 + device0 + offset),
+        )
     }
 
     /// How much later a reading arrived than the least delayed one, s, less what a working clock may have drifted between the two.
     pub fn delay_s(&self, host_s: f64, device_s: f64) -> f64 {
-        let Some((host0, device0)) = self.origin else { return 0.0 };
+        let Some((host0, device0)) = self.origin else {
+            return 0.0;
+        };
         self.delay_of((host_s - host0, device_s - device0 - (host_s - host0)))
     }
 
@@ -161,10 +169,20 @@ impl ClockPair {
             let (slope, at_zero) = upper_line(&points, mean_x);
             (slope, at_zero, scatter_s / sxx.sqrt())
         } else {
-            (0.0, points.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max), f64::INFINITY)
+            (
+                0.0,
+                points.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max),
+                f64::INFINITY,
+            )
         };
         let offset_s = device0 - host0 + offset_s;
-        Some(ClockFit { origin_host_s: host0, offset_s, drift, drift_sd, scatter_s })
+        Some(ClockFit {
+            origin_host_s: host0,
+            offset_s,
+            drift,
+            drift_sd,
+            scatter_s,
+        })
     }
 }
 
@@ -179,7 +197,9 @@ fn upper_line(points: &[(f64, f64)], middle: f64) -> (f64, f64) {
         }
         hull.push(p);
     }
-    let after = hull.partition_point(|p| p.0 < middle).clamp(1, hull.len() - 1);
+    let after = hull
+        .partition_point(|p| p.0 < middle)
+        .clamp(1, hull.len() - 1);
     let (a, b) = (hull[after - 1], hull[after]);
     let slope = (b.1 - a.1) / (b.0 - a.0);
     (slope, a.1 - slope * a.0)
@@ -207,16 +227,23 @@ mod tests {
             pair.add(host + late, device);
         }
         let fit = pair.fit().unwrap();
-        assert!((fit.drift - 50e-6).abs() < 5e-6 && fit.drift_sd < 5e-6 && !fit.broken(), "{fit:?}");
+        assert!(
+            (fit.drift - 50e-6).abs() < 5e-6 && fit.drift_sd < 5e-6 && !fit.broken(),
+            "{fit:?}"
+        );
         assert!((fit.host_s(fit.device_s(1.7e9 + 20.0)) - (1.7e9 + 20.0)).abs() < 1e-6);
-        assert!((fit.device_s(1.7e9 + 20.0) - (1000.0 + 20.0 * (1.0 + 50e-6))).abs() < 1e-3, "{fit:?}");
+        assert!(
+            (fit.device_s(1.7e9 + 20.0) - (1000.0 + 20.0 * (1.0 + 50e-6))).abs() < 1e-3,
+            "{fit:?}"
+        );
     }
 
     #[test]
     fn a_clock_that_runs_away_is_called_broken_and_a_short_recording_never_is() {
         let run = |drift: f64, seconds: u64| {
             let mut pair = ClockPair::default();
-            (0..seconds * 100).for_each(|k| pair.add(k as f64 / 100.0, k as f64 / 100.0 * (1.0 + drift)));
+            (0..seconds * 100)
+                .for_each(|k| pair.add(k as f64 / 100.0, k as f64 / 100.0 * (1.0 + drift)));
             pair.fit().unwrap().broken()
         };
         assert!(run(1e-3, 60) && !run(1e-4, 60) && !run(1e-3, 3));
@@ -229,15 +256,26 @@ mod tests {
         for k in 0..6000_u32 {
             let device = f64::from(k) * 0.01;
             let second = k / 100;
-            let late = if second % 3 == 0 { 0.0 } else { 0.1 + 0.4 * f64::from(second * 7 % 10) / 10.0 };
+            let late = if second % 3 == 0 {
+                0.0
+            } else {
+                0.1 + 0.4 * f64::from(second * 7 % 10) / 10.0
+            };
             pair.add(device + late, device);
         }
         let fit = pair.fit().unwrap();
-        assert!(fit.drift.abs() < 1e-4 && (fit.device_s(30.0) - 30.0).abs() < 2e-3, "{fit:?}");
+        assert!(
+            fit.drift.abs() < 1e-4 && (fit.device_s(30.0) - 30.0).abs() < 2e-3,
+            "{fit:?}"
+        );
         assert!((pair.device_s(61.0).unwrap() - 61.0).abs() < 1e-2);
         // Half a minute of late arrivals only: the earlier fit remains.
         (6000..9000).for_each(|k| pair.add(f64::from(k) * 0.01 + 4.0, f64::from(k) * 0.01));
-        assert!((pair.device_s(94.0).unwrap() - 94.0).abs() < 0.1, "{:?}", pair.device_s(94.0));
+        assert!(
+            (pair.device_s(94.0).unwrap() - 94.0).abs() < 0.1,
+            "{:?}",
+            pair.device_s(94.0)
+        );
     }
 
     #[test]
@@ -245,7 +283,10 @@ mod tests {
         let mut pair = ClockPair::default();
         for k in 0..4000_u32 {
             let host = f64::from(k) * 0.01;
-            pair.add(host + f64::from(k * 37 % 11) * 2e-3, host + (host - 25.0).max(0.0) * 0.02);
+            pair.add(
+                host + f64::from(k * 37 % 11) * 2e-3,
+                host + (host - 25.0).max(0.0) * 0.02,
+            );
         }
         assert!(pair.fit().unwrap().broken());
     }
@@ -254,8 +295,19 @@ mod tests {
     #[test]
     fn a_stream_that_falls_behind_moves_neither_the_line_nor_hides() {
         let mut pair = ClockPair::new(1.0);
-        let late = |k: u32| if k < 5000 { 0.0 } else { 5.0 + f64::from(k - 5000) * 0.005 };
-        let at = |k: u32| (f64::from(k) * 0.01 + late(k), f64::from(k) * 0.01 * (1.0 + 50e-6));
+        let late = |k: u32| {
+            if k < 5000 {
+                0.0
+            } else {
+                5.0 + f64::from(k - 5000) * 0.005
+            }
+        };
+        let at = |k: u32| {
+            (
+                f64::from(k) * 0.01 + late(k),
+                f64::from(k) * 0.01 * (1.0 + 50e-6),
+            )
+        };
         (0..10_000).for_each(|k| pair.add(at(k).0, at(k).1));
         let fit = pair.fit().unwrap();
         assert!((fit.drift - 50e-6).abs() < 5e-6, "{fit:?}");
@@ -271,7 +323,9 @@ mod tests {
     fn a_stream_that_falls_behind_more_and_more_cannot_be_aligned() {
         let run = |behind: f64| {
             let mut pair = ClockPair::new(60.0);
-            (0..13_000).map(|k| f64::from(k) * 0.01).for_each(|t| pair.add(t * (1.0 + behind), t));
+            (0..13_000)
+                .map(|k| f64::from(k) * 0.01)
+                .for_each(|t| pair.add(t * (1.0 + behind), t));
             pair.is_unaligned()
         };
         assert!(run(0.6) && run(0.1));

@@ -39,28 +39,51 @@ pub enum AcquisitionError {
 
 impl From<wcal_core::files::FileError> for AcquisitionError {
     fn from(error: wcal_core::files::FileError) -> Self {
-        Self::Io { action: error.action, path: error.path, source: error.source }
+        Self::Io {
+            action: error.action,
+            path: error.path,
+            source: error.source,
+        }
     }
 }
 
 impl AcquisitionError {
     /// An input error.
-    pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Input { place: place.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
+    pub fn input(
+        place: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Input {
+            place: place.into(),
+            expected: brief(&expected.into()),
+            found: brief(&found.into()),
+        }
     }
 
     /// The error of a document: a key by its name, anything else as the wrong kind of file.
     pub(crate) fn document(place: &str, expected: &str, error: DocumentError) -> Self {
         match error {
-            DocumentError::Range(e) => Self::input(format!("{place}: {}", e.key), e.expected, e.found),
-            DocumentError::Format(e) => {
-                Self::input(format!("{place}: format"), e.expected, e.found.replace('"', ""))
+            DocumentError::Range(e) => {
+                Self::input(format!("{place}: {}", e.key), e.expected, e.found)
             }
+            DocumentError::Format(e) => Self::input(
+                format!("{place}: format"),
+                e.expected,
+                e.found.replace('"', ""),
+            ),
             other => Self::input(place, expected, other.to_string()),
         }
     }
 
-    pub(crate) fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> Self + 'a {
-        move |source| Self::Io { action, path: path.to_owned(), source }
+    pub(crate) fn io<'a>(
+        action: &'static str,
+        path: &'a Path,
+    ) -> impl FnOnce(std::io::Error) -> Self + 'a {
+        move |source| Self::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
     }
 }

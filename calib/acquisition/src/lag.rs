@@ -13,8 +13,14 @@ const STEP_S: f64 = 0.002;
 
 /// Delay (s) that best explains `signal` (device time, two wavelengths in nm) by the depth of the groove (mm).
 /// Positive: the signal comes after the stage. `None` where the signal hardly moves or the minimum is at the border.
-pub fn estimate_s(signal: &[(f64, f64, f64)], depth_mm: impl Fn(f64) -> Option<f64>) -> Option<f64> {
-    let thinned: Vec<&(f64, f64, f64)> = signal.iter().step_by((signal.len() / 1500).max(1)).collect();
+pub fn estimate_s(
+    signal: &[(f64, f64, f64)],
+    depth_mm: impl Fn(f64) -> Option<f64>,
+) -> Option<f64> {
+    let thinned: Vec<&(f64, f64, f64)> = signal
+        .iter()
+        .step_by((signal.len() / 1500).max(1))
+        .collect();
     if thinned.len() < 50 {
         return None;
     }
@@ -25,7 +31,9 @@ pub fn estimate_s(signal: &[(f64, f64, f64)], depth_mm: impl Fn(f64) -> Option<f
         let mut n = 0.0;
         let (a0, b0) = (thinned[0].1, thinned[0].2);
         for (t, a, b) in thinned.iter().copied() {
-            let Some(depth) = depth_mm(t - lag_s) else { continue };
+            let Some(depth) = depth_mm(t - lag_s) else {
+                continue;
+            };
             let x = depth.max(0.0);
             n += 1.0;
             for (sum, y) in sums.iter_mut().zip([a - a0, b - b0]) {
@@ -40,11 +48,17 @@ pub fn estimate_s(signal: &[(f64, f64, f64)], depth_mm: impl Fn(f64) -> Option<f
         let rss = sums.map(|[x, y, xx, xy, yy]| {
             let (sxx, sxy, syy) = (xx - x * x / n, xy - x * y / n, yy - y * y / n);
             // RSS of the line y = a + b x from its sums.
-            if sxx > 0.0 { syy - sxy * sxy / sxx } else { syy }
+            if sxx > 0.0 {
+                syy - sxy * sxy / sxx
+            } else {
+                syy
+            }
         });
         Some((rss[0] + rss[1]) / n)
     };
-    let grid: Vec<f64> = (-count..=count).map(|k| misfit(f64::from(k) * STEP_S)).collect::<Option<_>>()?;
+    let grid: Vec<f64> = (-count..=count)
+        .map(|k| misfit(f64::from(k) * STEP_S))
+        .collect::<Option<_>>()?;
     let best = (0..grid.len()).min_by(|a, b| grid[*a].total_cmp(&grid[*b]))?;
     let worst = grid.iter().copied().fold(0.0, f64::max);
     if best == 0 || best + 1 == grid.len() || grid[best] > 0.5 * worst {
@@ -75,9 +89,14 @@ mod tests {
                     (t, 1541.2 + 0.03 * x + noise, 1535.8 - 0.01 * x)
                 })
                 .collect();
-            assert!((estimate_s(&signal, depth).unwrap() - lag).abs() < 1e-3, "{lag}");
+            assert!(
+                (estimate_s(&signal, depth).unwrap() - lag).abs() < 1e-3,
+                "{lag}"
+            );
         }
-        let flat: Vec<_> = (0..4000).map(|k| (f64::from(k) * 5e-4, 1541.2, 1535.8)).collect();
+        let flat: Vec<_> = (0..4000)
+            .map(|k| (f64::from(k) * 5e-4, 1541.2, 1535.8))
+            .collect();
         assert_eq!(estimate_s(&flat, depth), None);
     }
 }

@@ -20,7 +20,11 @@ impl Limits {
     /// The limits of a rig's stage on a unit with this travel, mm.
     pub fn new(rig: &StageRig, travel_mm: [f64; 2]) -> Self {
         let [low, high] = rig.soft_limits_mm;
-        Self { low_mm: low.max(travel_mm[0]), high_mm: high.min(travel_mm[1]), zero_mm: rig.zero_mm }
+        Self {
+            low_mm: low.max(travel_mm[0]),
+            high_mm: high.min(travel_mm[1]),
+            zero_mm: rig.zero_mm,
+        }
     }
 
     /// The same as depths, mm from the stage's zero.
@@ -31,7 +35,12 @@ impl Limits {
     /// What is allowed, where `position_mm` is not.
     fn refusal(&self, position_mm: f64) -> Option<String> {
         let inside = (self.low_mm..=self.high_mm).contains(&position_mm);
-        (!inside).then(|| format!("a stage position in {:.3}..{:.3} mm", self.low_mm, self.high_mm))
+        (!inside).then(|| {
+            format!(
+                "a stage position in {:.3}..{:.3} mm",
+                self.low_mm, self.high_mm
+            )
+        })
     }
 
     /// Checks a depth, mm from the stage's zero.
@@ -42,7 +51,11 @@ impl Limits {
         let position_mm = self.zero_mm + depth_mm;
         match self.refusal(position_mm) {
             None => Ok(()),
-            Some(expected) => Err(AcquisitionError::input(what, expected, format!("{position_mm:.3} mm"))),
+            Some(expected) => Err(AcquisitionError::input(
+                what,
+                expected,
+                format!("{position_mm:.3} mm"),
+            )),
         }
     }
 }
@@ -57,7 +70,10 @@ pub struct LimitedStage {
 impl LimitedStage {
     /// A stage behind its limits.
     pub fn new(stage: Box<dyn Stage>, limits: Limits) -> Self {
-        Self { stage: Some(stage), limits }
+        Self {
+            stage: Some(stage),
+            limits,
+        }
     }
 
     /// Closes the link: a serial port can be opened again only when nobody holds it. Every later call is refused.
@@ -70,7 +86,10 @@ impl LimitedStage {
             let (kind, device) = (DeviceErrorKind::Disconnected, "stage");
             DeviceError::new(kind, device, "command", "an open link", "none: it was lost")
         };
-        self.stage.as_deref_mut().map(|s| s as &mut dyn Stage).ok_or_else(closed)
+        self.stage
+            .as_deref_mut()
+            .map(|s| s as &mut dyn Stage)
+            .ok_or_else(closed)
     }
 }
 

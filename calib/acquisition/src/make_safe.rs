@@ -57,7 +57,10 @@ impl Sweep<'_, '_, '_> {
     fn note_stop(&mut self, cause: &DeviceError) {
         let host_s = self.last.clocks.host_s;
         // The cause is already an error on its way to the user, and the disk may be it.
-        let _ = self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
+        let _ = self
+            .bench
+            .recorder
+            .text(host_s, Level::Error, &cause.to_string());
         let detail = format!("{}: {cause}", cause.kind.name());
         let event = SweepEvent {
             kind: "stopped".to_owned(),
@@ -75,7 +78,12 @@ impl Sweep<'_, '_, '_> {
         let target_mm = rig.zero_mm + rig.retract_mm;
         let allowed = move_allowance(target_mm - at_mm, rig.speed_mm_s, self.rig.clock_scale);
         let deadline = Deadline::after(allowed, self.bench.interrupt);
-        if self.bench.stage.start_move(target_mm, rig.speed_mm_s).is_ok() {
+        if self
+            .bench
+            .stage
+            .start_move(target_mm, rig.speed_mm_s)
+            .is_ok()
+        {
             while let Ok(reading) = self.bench.stage.read()
                 && !deadline.is_over()
             {

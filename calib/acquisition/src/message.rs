@@ -22,8 +22,14 @@ pub use wcal::{FrameInfo, Scan, StagePosition, SweepEvent};
 
 /// An encoded `FileDescriptorSet` of each package.
 const SCHEMAS: [(&str, &[u8]); 2] = [
-    ("wcal", include_bytes!(concat!(env!("OUT_DIR"), "/wcal.bin"))),
-    ("foxglove", include_bytes!(concat!(env!("OUT_DIR"), "/foxglove.bin"))),
+    (
+        "wcal",
+        include_bytes!(concat!(env!("OUT_DIR"), "/wcal.bin")),
+    ),
+    (
+        "foxglove",
+        include_bytes!(concat!(env!("OUT_DIR"), "/foxglove.bin")),
+    ),
 ];
 
 /// Topics of a recording.
@@ -81,7 +87,9 @@ mod range {
 
 /// Judges numbers by the ranges of their fields.
 fn judge<const N: usize>(numbers: [(Range, f64); N]) -> Result<(), OutOfRange> {
-    numbers.iter().try_for_each(|(range, value)| range.judge_own(*value))
+    numbers
+        .iter()
+        .try_for_each(|(range, value)| range.judge_own(*value))
 }
 
 /// Time of a picture, s.
@@ -105,7 +113,8 @@ impl Refused {
     /// Counts a message of a topic.
     pub(crate) fn add(&mut self, topic: &str, why: impl fmt::Display) {
         self.count += 1;
-        self.first.get_or_insert_with(|| format!("{}: {why}", brief(topic)));
+        self.first
+            .get_or_insert_with(|| format!("{}: {why}", brief(topic)));
     }
 
     /// Counts those of another recording.
@@ -116,7 +125,12 @@ impl Refused {
 
     /// In words; none where there are none.
     pub fn text(&self) -> Option<String> {
-        let text = |first| format!("{} messages that make no sense left out; the first: {first}", self.count);
+        let text = |first| {
+            format!(
+                "{} messages that make no sense left out; the first: {first}",
+                self.count
+            )
+        };
         self.first.as_ref().map(text)
     }
 }
@@ -125,7 +139,10 @@ impl Refused {
 pub trait McapMessage: Message + Name + Default {
     /// Self-contained schema of its package: an encoded `FileDescriptorSet`.
     fn schema() -> &'static [u8] {
-        SCHEMAS.iter().find(|(package, _)| *package == Self::PACKAGE).map_or(&[], |(_, set)| set)
+        SCHEMAS
+            .iter()
+            .find(|(package, _)| *package == Self::PACKAGE)
+            .map_or(&[], |(_, set)| set)
     }
 }
 
@@ -134,7 +151,10 @@ impl<M: Message + Name + Default> McapMessage for M {}
 /// A time as Foxglove's messages state it.
 pub(crate) fn stamp(seconds: f64) -> Timestamp {
     let nanos = nanoseconds(seconds);
-    Timestamp { seconds: (nanos / 1_000_000_000) as i64, nanos: (nanos % 1_000_000_000) as i32 }
+    Timestamp {
+        seconds: (nanos / 1_000_000_000) as i64,
+        nanos: (nanos % 1_000_000_000) as i32,
+    }
 }
 
 /// A message whose numbers are judged: before it is written, and before anything is made of what was read.
@@ -157,24 +177,39 @@ impl RecordedMessage for Scan {
             (range::ERROR_CODE, f64::from(self.error_code)),
             (range::BUFFER_PERCENT, f64::from(self.buffer_percent)),
         ])?;
-        self.peaks_per_channel.iter().try_for_each(|n| range::PEAKS.judge_own(f64::from(*n)))?;
+        self.peaks_per_channel
+            .iter()
+            .try_for_each(|n| range::PEAKS.judge_own(f64::from(*n)))?;
         // NaN is what a unit sends in place of a peak that it does not have.
         let peaks = self.peaks_nm.iter().filter(|nm| !nm.is_nan());
-        peaks.copied().try_for_each(|nm| range::PEAKS_NM.judge_own(nm))
+        peaks
+            .copied()
+            .try_for_each(|nm| range::PEAKS_NM.judge_own(nm))
     }
 }
 
 impl From<&FbgReading> for Scan {
     fn from(reading: &FbgReading) -> Self {
         let h = &reading.health;
-        let bits = [h.calibration_fault, h.fan_fault, h.soa_thermal, h.soa_current, h.tec_over, h.tec_under];
+        let bits = [
+            h.calibration_fault,
+            h.fan_fault,
+            h.soa_thermal,
+            h.soa_current,
+            h.tec_over,
+            h.tec_under,
+        ];
         Self {
             serial: reading.serial,
             host_s: reading.clocks.host_s,
             device_s: reading.clocks.device_s.unwrap_or(reading.clocks.host_s),
             peaks_nm: reading.peaks_nm.iter().flatten().copied().collect(),
             peaks_per_channel: reading.peaks_nm.iter().map(|c| c.len() as u32).collect(),
-            health: bits.iter().enumerate().map(|(k, on)| u32::from(*on) << k).sum(),
+            health: bits
+                .iter()
+                .enumerate()
+                .map(|(k, on)| u32::from(*on) << k)
+                .sum(),
             error_code: u32::from(h.error_code),
             buffer_percent: u32::from(h.buffer_percent),
         }
@@ -204,7 +239,10 @@ impl Scan {
                 error_code: self.error_code as u8,
                 buffer_percent: self.buffer_percent as u8,
             },
-            clocks: Clocks { host_s: self.host_s, device_s: Some(self.device_s) },
+            clocks: Clocks {
+                host_s: self.host_s,
+                device_s: Some(self.device_s),
+            },
         }
     }
 }
@@ -282,7 +320,11 @@ mod tests {
     fn fields<M: McapMessage>() -> Vec<FieldDescriptorProto> {
         let set = FileDescriptorSet::decode(M::schema()).unwrap();
         let messages = set.file.into_iter().flat_map(|f| f.message_type);
-        messages.into_iter().find(|m| m.name() == M::NAME).unwrap().field
+        messages
+            .into_iter()
+            .find(|m| m.name() == M::NAME)
+            .unwrap()
+            .field
     }
 
     #[test]
@@ -290,8 +332,15 @@ mod tests {
         let reading = FbgReading {
             serial: 9,
             peaks_nm: vec![vec![1535.0, 1541.0], vec![], vec![1537.5]],
-            health: InterrogatorHealth { tec_under: true, error_code: 9, ..Default::default() },
-            clocks: Clocks { host_s: 3.0, device_s: Some(2.5) },
+            health: InterrogatorHealth {
+                tec_under: true,
+                error_code: 9,
+                ..Default::default()
+            },
+            clocks: Clocks {
+                host_s: 3.0,
+                device_s: Some(2.5),
+            },
         };
         let scan = Scan::from(&reading);
         let again = Scan::decode(&*scan.encode_to_vec()).unwrap().reading();
@@ -315,16 +364,26 @@ mod tests {
 
     /// Fields that hold a number, each alone in a message with `value`: those that are taken.
     fn taken<M: RecordedMessage>(value: f64) -> Vec<String> {
-        let numbers = fields::<M>().into_iter().filter(|f| !matches!(f.r#type(), Type::String | Type::Bool));
-        let taken =
-            numbers.filter(|f| M::decode(&*alone(f.number(), f.r#type(), value)).unwrap().check().is_ok());
+        let numbers = fields::<M>()
+            .into_iter()
+            .filter(|f| !matches!(f.r#type(), Type::String | Type::Bool));
+        let taken = numbers.filter(|f| {
+            M::decode(&*alone(f.number(), f.r#type(), value))
+                .unwrap()
+                .check()
+                .is_ok()
+        });
         taken.map(|field| field.name().to_owned()).collect()
     }
 
     #[test]
     fn every_number_of_every_message_has_a_range() {
         for value in [1e300, f64::INFINITY] {
-            let all = [taken::<Scan>(value), taken::<StagePosition>(value), taken::<SweepEvent>(value)];
+            let all = [
+                taken::<Scan>(value),
+                taken::<StagePosition>(value),
+                taken::<SweepEvent>(value),
+            ];
             let none: [&str; 0] = [];
             assert_eq!(all.concat(), none, "{value}");
             assert_eq!(taken::<FrameInfo>(value), none, "{value}");
@@ -337,12 +396,20 @@ mod tests {
                     .filter(|f| f.ends_with("_s") || f.ends_with("mm") || f.ends_with("hz"))
                     .collect()
             };
-            let all = [taken::<Scan>(value), taken::<StagePosition>(value), taken::<SweepEvent>(value)];
+            let all = [
+                taken::<Scan>(value),
+                taken::<StagePosition>(value),
+                taken::<SweepEvent>(value),
+            ];
             let none: [&str; 0] = [];
             assert_eq!(doubles(all.concat()), none, "{value}");
             assert_eq!(doubles(taken::<FrameInfo>(value)), none, "{value}");
         }
-        assert_eq!(taken::<SweepEvent>(1.0).len(), 10, "negative control: numbers of a bench are taken");
+        assert_eq!(
+            taken::<SweepEvent>(1.0).len(),
+            10,
+            "negative control: numbers of a bench are taken"
+        );
         assert_eq!(taken::<Scan>(1.0).len(), 8, "negative control");
     }
 
@@ -351,9 +418,16 @@ mod tests {
         let set = FileDescriptorSet::decode(Scan::schema()).unwrap();
         let message = &set.file[0].message_type[0];
         assert_eq!((set.file[0].package(), message.name()), ("wcal", "Scan"));
-        assert_eq!((Scan::full_name().as_str(), fields::<Scan>()[6].name()), ("wcal.Scan", "error_code"));
+        assert_eq!(
+            (Scan::full_name().as_str(), fields::<Scan>()[6].name()),
+            ("wcal.Scan", "error_code")
+        );
         // A field set to a value appears under the number that the schema states.
-        let bytes = Scan { error_code: 5, ..Scan::default() }.encode_to_vec();
+        let bytes = Scan {
+            error_code: 5,
+            ..Scan::default()
+        }
+        .encode_to_vec();
         assert_eq!(bytes, [7 << 3, 5]);
     }
 
@@ -361,10 +435,18 @@ mod tests {
     #[test]
     fn a_picture_is_laid_out_as_foxglove_reads_it() {
         let set = FileDescriptorSet::decode(CompressedImage::schema()).unwrap();
-        let [time, picture] = &set.file[..] else { panic!("{set:?}") };
+        let [time, picture] = &set.file[..] else {
+            panic!("{set:?}")
+        };
         assert_eq!(picture.dependency, ["google/protobuf/timestamp.proto"]);
-        assert_eq!((time.name(), picture.package()), ("google/protobuf/timestamp.proto", "foxglove"));
-        assert_eq!(picture.message_type[0].field[0].type_name(), ".google.protobuf.Timestamp");
+        assert_eq!(
+            (time.name(), picture.package()),
+            ("google/protobuf/timestamp.proto", "foxglove")
+        );
+        assert_eq!(
+            picture.message_type[0].field[0].type_name(),
+            ".google.protobuf.Timestamp"
+        );
         let image = CompressedImage {
             timestamp: Some(stamp(2.5)),
             data: vec![7],
@@ -372,12 +454,23 @@ mod tests {
             frame_id: "l".into(),
         };
         let bytes = image.encode_to_vec();
-        let expected =
-            [&[10, 7, 8, 2, 16, 128, 202, 181, 238, 1][..], &[18, 1, 7, 26, 3], b"png", &[34, 1], b"l"];
+        let expected = [
+            &[10, 7, 8, 2, 16, 128, 202, 181, 238, 1][..],
+            &[18, 1, 7, 26, 3],
+            b"png",
+            &[34, 1],
+            b"l",
+        ];
         let expected = expected.concat();
         assert_eq!(CompressedImage::decode(&*bytes).unwrap(), image);
         assert_eq!(&bytes[10..], &expected[10..], "{bytes:?}");
         // A message without times needs no other file.
-        assert_eq!(FileDescriptorSet::decode(Scan::schema()).unwrap().file.len(), 1);
+        assert_eq!(
+            FileDescriptorSet::decode(Scan::schema())
+                .unwrap()
+                .file
+                .len(),
+            1
+        );
     }
 }

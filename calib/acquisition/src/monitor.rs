@@ -103,7 +103,10 @@ impl Monitor {
         self.latest_s = Some(device_s);
         self.clocks.add(reading.clocks.host_s, device_s);
         // Every wait of a sweep counts by this clock.
-        if let Some(fault) = self.clock_watch.take(reading.serial, reading.clocks.host_s, device_s) {
+        if let Some(fault) = self
+            .clock_watch
+            .take(reading.serial, reading.clocks.host_s, device_s)
+        {
             self.fail_with(fault.error());
         }
         self.judge_health(reading);
@@ -117,8 +120,17 @@ impl Monitor {
                 self.counts.unusable += 1;
                 self.unusable_run += 1;
                 if self.unusable_run >= LOST_LIMIT {
-                    let found = if self.latest.crossing { "crossing peaks" } else { "a lost peak" };
-                    self.fail(DeviceErrorKind::PeakLost, "assign peaks", "one peak a grating", found);
+                    let found = if self.latest.crossing {
+                        "crossing peaks"
+                    } else {
+                        "a lost peak"
+                    };
+                    self.fail(
+                        DeviceErrorKind::PeakLost,
+                        "assign peaks",
+                        "one peak a grating",
+                        found,
+                    );
                 }
             }
         }
@@ -130,8 +142,16 @@ impl Monitor {
             return;
         }
         let invalid = reading.health.error_code == 9;
-        let kind = if invalid { DeviceErrorKind::DataInvalid } else { DeviceErrorKind::Health };
-        let found = format!("{} (error code {})", faults.join(", "), reading.health.error_code);
+        let kind = if invalid {
+            DeviceErrorKind::DataInvalid
+        } else {
+            DeviceErrorKind::Health
+        };
+        let found = format!(
+            "{} (error code {})",
+            faults.join(", "),
+            reading.health.error_code
+        );
         self.fail(kind, "read the stream", "a healthy unit", &found);
     }
 
@@ -163,7 +183,13 @@ impl Monitor {
 
     /// Ends the sweep with this fault, unless there is one already.
     pub fn fail(&mut self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) {
-        self.fail_with(DeviceError::new(kind, "interrogator", action, expected, found));
+        self.fail_with(DeviceError::new(
+            kind,
+            "interrogator",
+            action,
+            expected,
+            found,
+        ));
     }
 
     /// Ends the sweep with this error, unless there is one already.
@@ -208,16 +234,29 @@ impl Monitor {
                 block.sum_s += device_s - block.start_s;
                 block.sum_pm = std::array::from_fn(|k| block.sum_pm[k] + value[k]);
             }
-            _ => self.blocks.push_back(Block { start_s: device_s, count: 1.0, sum_s: 0.0, sum_pm: value }),
+            _ => self.blocks.push_back(Block {
+                start_s: device_s,
+                count: 1.0,
+                sum_s: 0.0,
+                sum_pm: value,
+            }),
         }
-        while self.blocks.front().is_some_and(|b| b.start_s < device_s - KEPT_S) {
+        while self
+            .blocks
+            .front()
+            .is_some_and(|b| b.start_s < device_s - KEPT_S)
+        {
             self.blocks.pop_front();
         }
     }
 
     /// Usable scans between two device times of the last half minute, to within a block.
     pub fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
-        self.blocks.iter().filter(|b| (begin_s..end_s).contains(&b.start_s)).map(|b| b.count).sum()
+        self.blocks
+            .iter()
+            .filter(|b| (begin_s..end_s).contains(&b.start_s))
+            .map(|b| b.count)
+            .sum()
     }
 
     /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated, pm/s, with its standard
@@ -228,18 +267,30 @@ impl Monitor {
         if from_s < since_s {
             return None;
         }
-        let points: Vec<Block> = self.blocks.iter().filter(|b| b.start_s >= from_s).copied().collect();
+        let points: Vec<Block> = self
+            .blocks
+            .iter()
+            .filter(|b| b.start_s >= from_s)
+            .copied()
+            .collect();
         if points.len() < 8 {
             return None;
         }
         let slopes = [0, 1].map(|k| {
             let xy: Vec<(f64, f64)> = points
                 .iter()
-                .map(|b| (b.start_s - from_s + b.sum_s / b.count, b.sum_pm[k] / b.count))
+                .map(|b| {
+                    (
+                        b.start_s - from_s + b.sum_s / b.count,
+                        b.sum_pm[k] / b.count,
+                    )
+                })
                 .collect();
             slope(&xy)
         });
-        slopes.into_iter().max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))
+        slopes
+            .into_iter()
+            .max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))
     }
 }
 
@@ -251,7 +302,10 @@ fn slope(xy: &[(f64, f64)]) -> (f64, f64) {
     let sxx: f64 = xy.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
     let sxy: f64 = xy.iter().map(|p| (p.0 - mean_x) * (p.1 - mean_y)).sum();
     let b = sxy / sxx;
-    let rss: f64 = xy.iter().map(|p| (p.1 - mean_y - b * (p.0 - mean_x)).powi(2)).sum();
+    let rss: f64 = xy
+        .iter()
+        .map(|p| (p.1 - mean_y - b * (p.0 - mean_x)).powi(2))
+        .sum();
     (b, (rss / (n - 2.0).max(1.0) / sxx).sqrt())
 }
 
@@ -262,7 +316,11 @@ mod tests {
     use wcal_core::device::{Clocks, InterrogatorHealth};
 
     fn monitor() -> Monitor {
-        Monitor::new(ChannelMap::new(&Rig::parse("r", RIG).unwrap()), [1.0, 1.0], 1.0)
+        Monitor::new(
+            ChannelMap::new(&Rig::parse("r", RIG).unwrap()),
+            [1.0, 1.0],
+            1.0,
+        )
     }
 
     fn scan(serial: u64, drift_pm_s: f64, heat_pm_s: f64) -> FbgReading {
@@ -276,7 +334,10 @@ mod tests {
                 nm(1541.2, drift_pm_s + heat_pm_s),
             ]],
             health: InterrogatorHealth::default(),
-            clocks: Clocks { host_s: t, device_s: Some(t) },
+            clocks: Clocks {
+                host_s: t,
+                device_s: Some(t),
+            },
         }
     }
 
@@ -300,7 +361,10 @@ mod tests {
         for k in (0..100).chain(107..200).chain(201..300) {
             m.take(&scan(k, 0.0, 0.0));
         }
-        assert_eq!((m.counts().gaps, m.counts().lost, m.counts().scans), (2, 8, 292));
+        assert_eq!(
+            (m.counts().gaps, m.counts().lost, m.counts().scans),
+            (2, 8, 292)
+        );
         assert!(m.fault().is_none());
     }
 

@@ -32,9 +32,15 @@ const PREVIEW_QUALITY: u8 = 60;
 pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
     check_whole(frame)?;
     let mut bytes = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
+    let encoder =
+        PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
     encoder
-        .write_image(&frame.grey, frame.width_px, frame.height_px, ExtendedColorType::L8)
+        .write_image(
+            &frame.grey,
+            frame.width_px,
+            frame.height_px,
+            ExtendedColorType::L8,
+        )
         .map_err(|e| AcquisitionError::Recorder(format!("picture of a pose: {e}")))?;
     Ok(bytes)
 }
@@ -61,14 +67,22 @@ pub fn preview(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
     check_whole(frame)?;
     let block = frame.width_px.div_ceil(PREVIEW_WIDTH).max(1);
     let (width, height) = (frame.width_px / block, frame.height_px / block);
-    let at = |x: u32, y: u32| frame.grey.get((y * frame.width_px + x) as usize).copied().unwrap_or(0);
+    let at = |x: u32, y: u32| {
+        frame
+            .grey
+            .get((y * frame.width_px + x) as usize)
+            .copied()
+            .unwrap_or(0)
+    };
     let mean = |x: u32, y: u32| {
-        let rows =
-            (y * block..(y + 1) * block).flat_map(|y| (x * block..(x + 1) * block).map(move |x| (x, y)));
+        let rows = (y * block..(y + 1) * block)
+            .flat_map(|y| (x * block..(x + 1) * block).map(move |x| (x, y)));
         (rows.map(|(x, y)| u32::from(at(x, y))).sum::<u32>() / (block * block)) as u8
     };
-    let small: Vec<u8> =
-        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| mean(x, y)).collect();
+    let small: Vec<u8> = (0..height)
+        .flat_map(|y| (0..width).map(move |x| (x, y)))
+        .map(|(x, y)| mean(x, y))
+        .collect();
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, PREVIEW_QUALITY)
         .write_image(&small, width, height, ExtendedColorType::L8)
@@ -127,16 +141,27 @@ pub fn write_pictures(
     let session = format!("\"{}\"", session.replace('"', "\"\""));
     let mut written: HashSet<PathBuf> = HashSet::new();
     for (part, (path, clocks)) in parts.iter().zip(clocks).enumerate() {
-        let by_step: HashMap<u32, &PicturedRow> =
-            rows.iter().filter(|r| r.part == part).map(|r| (r.step, r)).collect();
+        let by_step: HashMap<u32, &PicturedRow> = rows
+            .iter()
+            .filter(|r| r.part == part)
+            .map(|r| (r.step, r))
+            .collect();
         let mut expected: HashMap<(String, u64), FrameInfo> = HashMap::new();
         let mut failed = None;
         read(path, |message| match message {
             Message::Frame(info) if info.step.is_some() => {
-                expected.insert((info.camera.clone(), crate::message::nanoseconds(info.host_s)), info);
+                expected.insert(
+                    (
+                        info.camera.clone(),
+                        crate::message::nanoseconds(info.host_s),
+                    ),
+                    info,
+                );
             }
             Message::PosePicture(camera, log_ns, png) => {
-                let Some(info) = expected.remove(&(camera.clone(), log_ns)) else { return };
+                let Some(info) = expected.remove(&(camera.clone(), log_ns)) else {
+                    return;
+                };
                 // A name comes from a file: only the rig's become folders.
                 if !cameras.contains(&camera.as_str()) {
                     return;
@@ -152,9 +177,15 @@ pub fn write_pictures(
                         }
                     }
                 };
-                let Some(row) = info.step.and_then(|step| by_step.get(&step)) else { return };
+                let Some(row) = info.step.and_then(|step| by_step.get(&step)) else {
+                    return;
+                };
                 let file = format!("{camera}/{:05}.png", row.point);
-                let of = if row.sealed { format!("{PICTURES}/holdout") } else { PICTURES.to_owned() };
+                let of = if row.sealed {
+                    format!("{PICTURES}/holdout")
+                } else {
+                    PICTURES.to_owned()
+                };
                 let place = folder.join(of).join(&file);
                 if put(&place) {
                     written.insert(place);
@@ -176,7 +207,10 @@ pub fn write_pictures(
             return Err(error);
         }
     }
-    for (table, of) in tables.iter_mut().zip([PICTURES.to_owned(), format!("{PICTURES}/holdout")]) {
+    for (table, of) in tables
+        .iter_mut()
+        .zip([PICTURES.to_owned(), format!("{PICTURES}/holdout")])
+    {
         if table.is_empty() {
             continue;
         }
@@ -194,18 +228,36 @@ mod tests {
 
     fn frame() -> CameraFrame {
         let grey = (0..640 * 480_u32).map(|k| (k * 7919 % 251) as u8).collect();
-        CameraFrame { width_px: 640, height_px: 480, grey, ..CameraFrame::default() }
+        CameraFrame {
+            width_px: 640,
+            height_px: 480,
+            grey,
+            ..CameraFrame::default()
+        }
     }
 
     #[test]
     fn a_pose_is_stored_without_loss_and_a_preview_is_small() {
         let frame = frame();
-        let again = image::load_from_memory(&lossless(&frame).unwrap()).unwrap().into_luma8();
-        assert_eq!((again.dimensions(), again.as_raw()), ((640, 480), &frame.grey));
+        let again = image::load_from_memory(&lossless(&frame).unwrap())
+            .unwrap()
+            .into_luma8();
+        assert_eq!(
+            (again.dimensions(), again.as_raw()),
+            ((640, 480), &frame.grey)
+        );
         let small = image::load_from_memory(&preview(&frame).unwrap()).unwrap();
         assert_eq!((small.width(), small.height()), (320, 240));
-        let torn = CameraFrame { grey: vec![0; 7], ..frame };
-        assert!(lossless(&torn).unwrap_err().to_string().contains("has 7 grey values, expected 307200"));
+        let torn = CameraFrame {
+            grey: vec![0; 7],
+            ..frame
+        };
+        assert!(
+            lossless(&torn)
+                .unwrap_err()
+                .to_string()
+                .contains("has 7 grey values, expected 307200")
+        );
         assert!(preview(&torn).is_err());
     }
 }

@@ -88,7 +88,11 @@ pub struct Settle {
 
 impl Default for Settle {
     fn default() -> Self {
-        Self { gate_pm_per_s: 0.5, window_s: 1.0, timeout_s: 20.0 }
+        Self {
+            gate_pm_per_s: 0.5,
+            window_s: 1.0,
+            timeout_s: 20.0,
+        }
     }
 }
 
@@ -175,7 +179,9 @@ impl Step {
     pub fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
         match self {
             Self::Soak => Vec::new(),
-            Self::Sync { depths_mm: [away_mm, press_mm] } => vec![*away_mm, *press_mm, *away_mm],
+            Self::Sync {
+                depths_mm: [away_mm, press_mm],
+            } => vec![*away_mm, *press_mm, *away_mm],
             Self::Mount { .. } => vec![stage.retract_mm],
             Self::Settled(pose) => {
                 // Backlash: a pose of the loading branch is reached in the direction of loading. At rest nothing is touched.
@@ -195,8 +201,12 @@ impl Step {
         match self {
             Self::Soak => "soak".to_owned(),
             Self::Sync { .. } => "sync_move".to_owned(),
-            Self::Mount { trajectory } => format!("trajectory {trajectory}, retract before the mount turns"),
-            Self::Settled(pose) => format!("trajectory {}, depth {} mm", pose.trajectory, pose.stage_mm),
+            Self::Mount { trajectory } => {
+                format!("trajectory {trajectory}, retract before the mount turns")
+            }
+            Self::Settled(pose) => {
+                format!("trajectory {}, depth {} mm", pose.trajectory, pose.stage_mm)
+            }
             Self::Moving { pose, .. } => format!("trajectory {}, on the fly", pose.trajectory),
         }
     }
@@ -234,23 +244,40 @@ impl Plan {
         let plan: Self = from_toml(text, PLAN_FORMAT, &[RANGES])
             .map_err(|e| AcquisitionError::document(place, "a plan file", e))?;
         let fail = |field: String, expected: &str, found: String| {
-            Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
+            Err(AcquisitionError::input(
+                format!("{place}: {field}"),
+                expected,
+                found,
+            ))
         };
         for (k, block) in plan.block.iter().enumerate() {
             let field = |name: &str| format!("block {}: {name}", k + 1);
             if block.role == Role::Rest {
-                return fail(field("role"), "calibration, verification or holdout", "rest".to_owned());
+                return fail(
+                    field("role"),
+                    "calibration, verification or holdout",
+                    "rest".to_owned(),
+                );
             }
             if block.trajectories.is_empty() {
                 return fail(field("trajectories"), "at least one", "none".to_owned());
             }
-            if let Some(id) = block.trajectories.iter().find(|id| block.depths(**id).is_empty()) {
-                return fail(field("depths_mm"), "at least one depth", format!("none (trajectory {id})"));
+            if let Some(id) = block
+                .trajectories
+                .iter()
+                .find(|id| block.depths(**id).is_empty())
+            {
+                return fail(
+                    field("depths_mm"),
+                    "at least one depth",
+                    format!("none (trajectory {id})"),
+                );
             }
         }
         let steps = plan.block.iter().map(Block::count).sum::<usize>();
         if steps > MAX_STEPS {
-            let expected = format!("replicates, speeds and depths that make at most {MAX_STEPS} readings");
+            let expected =
+                format!("replicates, speeds and depths that make at most {MAX_STEPS} readings");
             return fail("block".to_owned(), &expected, steps.to_string());
         }
         if plan.block.is_empty() {
@@ -271,7 +298,9 @@ impl Plan {
             steps.push(Step::Soak);
         }
         let ends = |end: Option<&Block>, pick: fn(&[u32]) -> Option<&u32>| {
-            end.and_then(|b| pick(&b.trajectories)).copied().filter(|_| self.sync_move)
+            end.and_then(|b| pick(&b.trajectories))
+                .copied()
+                .filter(|_| self.sync_move)
         };
         if let Some(trajectory) = ends(self.block.first(), <[u32]>::first) {
             steps.extend([Step::Mount { trajectory }, self.sync(trajectory, &limits)?]);
@@ -286,7 +315,9 @@ impl Plan {
                         found,
                     ));
                 }
-                steps.push(Step::Mount { trajectory: *trajectory });
+                steps.push(Step::Mount {
+                    trajectory: *trajectory,
+                });
                 block.path(*trajectory, rig, &mut steps)?;
             }
         }
@@ -305,12 +336,23 @@ impl Plan {
 
     /// The sync move of a trajectory: within the limits, and no deeper than the plan itself goes there.
     fn sync(&self, trajectory: u32, limits: &Limits) -> Result<Step, AcquisitionError> {
-        let own = self.block.iter().filter(|b| b.trajectories.contains(&trajectory));
-        let deepest_mm = own.flat_map(|b| b.depths(trajectory)).copied().fold(0.0, f64::max);
+        let own = self
+            .block
+            .iter()
+            .filter(|b| b.trajectories.contains(&trajectory));
+        let deepest_mm = own
+            .flat_map(|b| b.depths(trajectory))
+            .copied()
+            .fold(0.0, f64::max);
         let [low_mm, high_mm] = limits.depths_mm();
-        let (away_mm, press_mm) = (SYNC_MM[0].max(low_mm), SYNC_MM[1].min(high_mm).min(deepest_mm));
+        let (away_mm, press_mm) = (
+            SYNC_MM[0].max(low_mm),
+            SYNC_MM[1].min(high_mm).min(deepest_mm),
+        );
         if away_mm <= 0.0 && press_mm >= MIN_SYNC_MM {
-            return Ok(Step::Sync { depths_mm: [away_mm, press_mm] });
+            return Ok(Step::Sync {
+                depths_mm: [away_mm, press_mm],
+            });
         }
         let expected = format!(
             "limits and depths of trajectory {trajectory} that reach from first contact to {MIN_SYNC_MM} mm (or sync_move = false)"
@@ -325,20 +367,42 @@ impl Block {
     fn count(&self) -> usize {
         let once = |id: &u32| 2 * self.depths(*id).len() + 3;
         let paths = (self.replicates as usize).saturating_mul(self.speeds_mm_s.len().max(1));
-        self.trajectories.iter().map(once).sum::<usize>().saturating_mul(paths)
+        self.trajectories
+            .iter()
+            .map(once)
+            .sum::<usize>()
+            .saturating_mul(paths)
     }
 
     fn depths(&self, trajectory: u32) -> &[f64] {
-        self.depths_of.get(&trajectory.to_string()).unwrap_or(&self.depths_mm)
+        self.depths_of
+            .get(&trajectory.to_string())
+            .unwrap_or(&self.depths_mm)
     }
 
     /// Rest, loading, unloading, for every speed and replicate.
-    fn path(&self, trajectory: u32, rig: &Rig, steps: &mut Vec<Step>) -> Result<(), AcquisitionError> {
+    fn path(
+        &self,
+        trajectory: u32,
+        rig: &Rig,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), AcquisitionError> {
         let own = [rig.stage.speed_mm_s];
-        let speeds = if self.speeds_mm_s.is_empty() { &own[..] } else { &self.speeds_mm_s };
-        if let Some(fast) = speeds.iter().find(|s| !(**s > 0.0 && **s <= rig.stage.speed_mm_s)) {
+        let speeds = if self.speeds_mm_s.is_empty() {
+            &own[..]
+        } else {
+            &self.speeds_mm_s
+        };
+        if let Some(fast) = speeds
+            .iter()
+            .find(|s| !(**s > 0.0 && **s <= rig.stage.speed_mm_s))
+        {
             let expected = format!("speeds up to the rig's {} mm/s", rig.stage.speed_mm_s);
-            return Err(AcquisitionError::input("plan: speeds_mm_s", expected, fast.to_string()));
+            return Err(AcquisitionError::input(
+                "plan: speeds_mm_s",
+                expected,
+                fast.to_string(),
+            ));
         }
         let mut replicate = 0;
         for _ in 0..self.replicates {
@@ -356,21 +420,37 @@ impl Block {
                     sealed: self.role == Role::Holdout,
                 };
                 if self.rest {
-                    steps.push(Step::Settled(Pose { role: Role::Rest, ..pose(rig.stage.retract_mm, 1) }));
+                    steps.push(Step::Settled(Pose {
+                        role: Role::Rest,
+                        ..pose(rig.stage.retract_mm, 1)
+                    }));
                 }
                 let depths = self.depths(trajectory);
                 steps.extend(depths.iter().map(|d| Step::Settled(pose(*d, 1))));
                 if self.unloading {
-                    steps.extend(depths.iter().rev().skip(1).map(|d| Step::Settled(pose(*d, -1))));
+                    steps.extend(
+                        depths
+                            .iter()
+                            .rev()
+                            .skip(1)
+                            .map(|d| Step::Settled(pose(*d, -1))),
+                    );
                 }
                 if self.on_the_fly_hz > 0.0 {
                     let deepest = depths.iter().copied().fold(0.0, f64::max);
                     let rows_hz = self.on_the_fly_hz;
-                    let role = if self.role == Role::Calibration { Role::Verification } else { self.role };
+                    let role = if self.role == Role::Calibration {
+                        Role::Verification
+                    } else {
+                        self.role
+                    };
                     let moving = |from: f64, to: f64, direction: i32| Step::Moving {
                         from_mm: from,
                         rows_hz,
-                        pose: Pose { role, ..pose(to, direction) },
+                        pose: Pose {
+                            role,
+                            ..pose(to, direction)
+                        },
                     };
                     steps.push(moving(0.0, deepest, 1));
                     steps.push(moving(deepest, 0.0, -1));
@@ -420,13 +500,25 @@ mod tests {
 
     #[test]
     fn a_block_becomes_rest_loading_unloading_and_moving_steps() {
-        let text =
-            format!("{PLAN}unloading = true\nreplicates = 2\nspeeds_mm_s = [2, 6]\non_the_fly_hz = 20\n");
-        let steps = Plan::parse("plan.toml", &text).unwrap().steps(&rig(), [0.0, 101.6]).unwrap();
-        let settled = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
-        let moving = steps.iter().filter(|s| matches!(s, Step::Moving { .. })).count();
+        let text = format!(
+            "{PLAN}unloading = true\nreplicates = 2\nspeeds_mm_s = [2, 6]\non_the_fly_hz = 20\n"
+        );
+        let steps = Plan::parse("plan.toml", &text)
+            .unwrap()
+            .steps(&rig(), [0.0, 101.6])
+            .unwrap();
+        let settled = steps
+            .iter()
+            .filter(|s| matches!(s, Step::Settled(_)))
+            .count();
+        let moving = steps
+            .iter()
+            .filter(|s| matches!(s, Step::Moving { .. }))
+            .count();
         assert_eq!((settled, moving), (4 * (1 + 3 + 2), 4 * 2));
-        let sync = Step::Sync { depths_mm: [-0.5, 1.0] };
+        let sync = Step::Sync {
+            depths_mm: [-0.5, 1.0],
+        };
         assert_eq!(steps.iter().filter(|s| **s == sync).count(), 2);
     }
 
@@ -457,27 +549,43 @@ mod tests {
         assert!(all.iter().all(|mm| (17.9..=20.25).contains(mm)), "{all:?}");
         // Control: where there is room, it is as long as ever.
         let (_, free) = steps("[0, 40]", "", PLAN).unwrap();
-        assert!(free.contains(&Step::Sync { depths_mm: [-0.5, 1.0] }));
+        assert!(free.contains(&Step::Sync {
+            depths_mm: [-0.5, 1.0]
+        }));
         // From 3 mm to 0.5 mm the stage passes by 3 mm and comes back in the direction of loading: it is sent to -2.5 mm.
         let one_sided = "approach = \"one-sided\"\napproach_mm = 3.0";
         let back = PLAN.replace("[1, 3, 5]", "[3, 0.5]");
         for (limits, extra, plan, word) in [
-            ("[17.9, 20.05]", "", shallow.replace("[0.2]", "[0.04]"), "plan: sync_move"),
+            (
+                "[17.9, 20.05]",
+                "",
+                shallow.replace("[0.2]", "[0.04]"),
+                "plan: sync_move",
+            ),
             ("[18, 20]", "", PLAN.to_owned(), "plan: sync_move"),
             ("[18, 22]", "", PLAN.to_owned(), "depth 3 mm"),
-            ("[17.9, 40]", one_sided, back.clone(), "trajectory 1, depth 0.5 mm"),
+            (
+                "[17.9, 40]",
+                one_sided,
+                back.clone(),
+                "trajectory 1, depth 0.5 mm",
+            ),
         ] {
             let error = steps(limits, extra, &plan).unwrap_err().to_string();
             assert!(error.contains(word), "{word}: {error}");
         }
         let (all, _) = steps("[17, 40]", one_sided, &back).unwrap();
-        assert!(all.contains(&17.5), "control: with room the approach is one of the moves: {all:?}");
+        assert!(
+            all.contains(&17.5),
+            "control: with room the approach is one of the moves: {all:?}"
+        );
     }
 
     #[test]
     fn plans_outside_the_rig_are_refused_before_anything_moves() {
         let plan = |from: &str, to: &str| {
-            Plan::parse("plan.toml", &PLAN.replace(from, to)).and_then(|p| p.steps(&rig(), [0.0, 101.6]))
+            Plan::parse("plan.toml", &PLAN.replace(from, to))
+                .and_then(|p| p.steps(&rig(), [0.0, 101.6]))
         };
         assert!(plan("", "").is_ok());
         for (from, to, word) in [
@@ -486,7 +594,11 @@ mod tests {
             ("[1, 3, 5]", "[1, -3]", "block #1.depths_mm #2"),
             ("[1, 3, 5]", "[]", "at least one depth"),
             ("wcal-plan/1", "wcal-plan/3", "wcal-plan/1"),
-            ("depths_mm = [1, 3, 5]", "depths_mm = [1]\nspeeds_mm_s = [99]", "speeds up to"),
+            (
+                "depths_mm = [1, 3, 5]",
+                "depths_mm = [1]\nspeeds_mm_s = [99]",
+                "speeds up to",
+            ),
             ("depths_mm", "depth_mm", "plan file"),
         ] {
             let error = plan(from, to).unwrap_err().to_string();

@@ -39,7 +39,11 @@ pub fn pose_pairs(
     cameras: [&str; 2],
     sealed: bool,
 ) -> Result<Vec<PosePair>, AcquisitionError> {
-    let of = if sealed { folder.join(PICTURES).join("holdout") } else { folder.join(PICTURES) };
+    let of = if sealed {
+        folder.join(PICTURES).join("holdout")
+    } else {
+        folder.join(PICTURES)
+    };
     let list = of.join("pictures.csv");
     if !list.exists() {
         return Ok(Vec::new());
@@ -53,16 +57,24 @@ pub fn pose_pairs(
     let mut pairs: BTreeMap<i64, PosePair> = BTreeMap::new();
     for line in table(&list, |l: &Line| (l.point, vec![l.t_s]))? {
         let file = format!("{}/{:05}.png", line.camera, line.point);
-        let Some(camera) = cameras.iter().position(|name| *name == line.camera && line.file == file) else {
+        let Some(camera) = cameras
+            .iter()
+            .position(|name| *name == line.camera && line.file == file)
+        else {
             let place = format!("{}: point {}", list.display(), line.point);
-            let expected = format!("a file CAMERA/PPPPP.png of {} or {}", cameras[0], cameras[1]);
+            let expected = format!(
+                "a file CAMERA/PPPPP.png of {} or {}",
+                cameras[0], cameras[1]
+            );
             return Err(AcquisitionError::input(
                 place,
                 expected,
                 format!("{} of {}", line.file, line.camera),
             ));
         };
-        let stand = stands.iter().find(|s| s.sealed == sealed && s.point == line.point);
+        let stand = stands
+            .iter()
+            .find(|s| s.sealed == sealed && s.point == line.point);
         let pair = pairs.entry(line.point).or_insert_with(|| PosePair {
             point: line.point,
             loaded: stand.is_some_and(|s| s.loaded),
@@ -116,9 +128,13 @@ struct PointLine {
 /// Why a file is not the picture that the session recorded.
 fn foreign(line: &Line, session: &str, path: &Path) -> Result<Option<String>, AcquisitionError> {
     if let Some(other) = line.session.as_ref().filter(|s| *s != session) {
-        return Ok(Some(format!("a picture of session {other:?}, not of {session:?}")));
+        return Ok(Some(format!(
+            "a picture of session {other:?}, not of {session:?}"
+        )));
     }
-    let Some(expected) = line.sha256.as_ref().filter(|_| path.exists()) else { return Ok(None) };
+    let Some(expected) = line.sha256.as_ref().filter(|_| path.exists()) else {
+        return Ok(None);
+    };
     let same = sha256_hex(&bytes(path)?) == *expected;
     Ok((!same).then(|| "not the picture that was recorded: its hash is another".to_owned()))
 }
@@ -126,11 +142,19 @@ fn foreign(line: &Line, session: &str, path: &Path) -> Result<Option<String>, Ac
 /// Why the stage cannot have stood at the row's pose when the picture was exposed.
 fn ill_timed(line: &Line, stand: &PoseDwell, all: &[PoseDwell]) -> Option<String> {
     let (t_s, from_s) = (line.t_s?, stand.from_s?);
-    let next_s = all.iter().filter_map(|s| s.from_s).filter(|s| *s > from_s).fold(f64::INFINITY, f64::min);
+    let next_s = all
+        .iter()
+        .filter_map(|s| s.from_s)
+        .filter(|s| *s > from_s)
+        .fold(f64::INFINITY, f64::min);
     if (from_s..next_s).contains(&t_s) {
         return None;
     }
-    let until = if next_s.is_finite() { format!(" to {next_s:.2}") } else { " on".to_owned() };
+    let until = if next_s.is_finite() {
+        format!(" to {next_s:.2}")
+    } else {
+        " on".to_owned()
+    };
     Some(format!(
         "exposed at {t_s:.2} s, but the stage stood at this pose from {from_s:.2}{until} s: clocks that disagree, or another pose's picture"
     ))
@@ -147,16 +171,26 @@ fn table<T: DeserializeOwned>(
 ) -> Result<Vec<T>, AcquisitionError> {
     let place = path.display().to_string();
     let bytes = bytes(path)?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
-    let wrong =
-        |e: csv::Error| AcquisitionError::input(&place, "a CSV table with these columns", e.to_string());
-    let lines: Vec<T> = reader.deserialize().collect::<Result<_, _>>().map_err(wrong)?;
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_reader(bytes.as_slice());
+    let wrong = |e: csv::Error| {
+        AcquisitionError::input(&place, "a CSV table with these columns", e.to_string())
+    };
+    let lines: Vec<T> = reader
+        .deserialize()
+        .collect::<Result<_, _>>()
+        .map_err(wrong)?;
     for (row, line) in lines.iter().enumerate() {
         let (point, others) = numbers(line);
         let at = || format!("{place}, line {}", row + 2);
         // Characters that a file's name may have.
         if !(0..100_000).contains(&point) {
-            return Err(AcquisitionError::input(at(), "a point from 0 to 99999", point.to_string()));
+            return Err(AcquisitionError::input(
+                at(),
+                "a point from 0 to 99999",
+                point.to_string(),
+            ));
         }
         if let Some(odd) = others.into_iter().flatten().find(|v| !v.is_finite()) {
             return Err(AcquisitionError::input(at(), "a number", odd.to_string()));
@@ -166,8 +200,9 @@ fn table<T: DeserializeOwned>(
 }
 
 fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionError> {
-    let lines: Vec<PointLine> =
-        table(path, |l: &PointLine| (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm]))?;
+    let lines: Vec<PointLine> = table(path, |l: &PointLine| {
+        (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm])
+    })?;
     let stand = |l: PointLine| PoseDwell {
         sealed,
         point: l.point,
@@ -181,8 +216,7 @@ fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionE
 mod tests {
     use super::*;
 
-    const POINTS: &str =
-        "point,role,t_s,dwell_s,groove_x_mm\n0,rest,5,2,\n1,calibration,10,3,18.0\n2,calibration,16,3,18.0\n";
+    const POINTS: &str = "point,role,t_s,dwell_s,groove_x_mm\n0,rest,5,2,\n1,calibration,10,3,18.0\n2,calibration,16,3,18.0\n";
     const HEAD: &str = "point,camera,file,t_s,host_t_s,exposure_s,session,sha256\n";
 
     /// A session with pictures of its three rows whose content is their name.
@@ -196,7 +230,10 @@ mod tests {
                 let path = place.path().join("pictures").join(&file);
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();
                 std::fs::write(path, &file).unwrap();
-                table += &format!("{point},{camera},{file},{t_s},,0.005,a,{}\n", sha256_hex(file.as_bytes()));
+                table += &format!(
+                    "{point},{camera},{file},{t_s},,0.005,a,{}\n",
+                    sha256_hex(file.as_bytes())
+                );
             }
         }
         change(&mut table);
@@ -212,7 +249,10 @@ mod tests {
         let found = pairs(place);
         let refused = found[1].refused.clone().unwrap_or_default();
         assert!(refused.contains(why), "{refused}");
-        assert!(found[0].refused.is_none() && found[2].refused.is_none(), "{found:?}");
+        assert!(
+            found[0].refused.is_none() && found[2].refused.is_none(),
+            "{found:?}"
+        );
     }
 
     #[test]
@@ -220,19 +260,30 @@ mod tests {
         let place = session(|_| ());
         let found = pairs(&place);
         assert_eq!(
-            found.iter().map(|p| (p.point, p.loaded)).collect::<Vec<_>>(),
+            found
+                .iter()
+                .map(|p| (p.point, p.loaded))
+                .collect::<Vec<_>>(),
             [(0, false), (1, true), (2, true)]
         );
         assert!(
-            found.iter().all(|p| p.refused.is_none() && p.files.iter().all(Option::is_some)),
+            found
+                .iter()
+                .all(|p| p.refused.is_none() && p.files.iter().all(Option::is_some)),
             "{found:?}"
         );
         // A session without pictures, and holdout pictures that are not there.
-        assert!(pose_pairs(place.path(), "a", ["left", "right"], true).unwrap().is_empty());
+        assert!(
+            pose_pairs(place.path(), "a", ["left", "right"], true)
+                .unwrap()
+                .is_empty()
+        );
         // A table from before hashes and sessions were in it.
         let old = session(|table| {
-            *table =
-                table.lines().map(|l| l.splitn(7, ',').take(6).collect::<Vec<_>>().join(",") + "\n").collect()
+            *table = table
+                .lines()
+                .map(|l| l.splitn(7, ',').take(6).collect::<Vec<_>>().join(",") + "\n")
+                .collect()
         });
         assert!(pairs(&old).iter().all(|p| p.refused.is_none()));
     }
@@ -243,8 +294,12 @@ mod tests {
             &session(|t| *t = t.replace("9.5,", "29.5,")),
             "exposed at 29.50 s, but the stage stood",
         );
-        only_the_second_is_refused(&session(|t| *t = t.replace("9.5,", "6.9,")), "exposed at 6.90 s");
-        let foreign = |t: &mut String| *t = t.replacen("00001.png,9.5,,0.005,a", "00001.png,9.5,,0.005,b", 1);
+        only_the_second_is_refused(
+            &session(|t| *t = t.replace("9.5,", "6.9,")),
+            "exposed at 6.90 s",
+        );
+        let foreign =
+            |t: &mut String| *t = t.replacen("00001.png,9.5,,0.005,a", "00001.png,9.5,,0.005,b", 1);
         only_the_second_is_refused(&session(foreign), "of session \"b\", not of \"a\"");
         let changed = session(|_| ());
         std::fs::write(changed.path().join("pictures/right/00001.png"), "another").unwrap();
@@ -252,7 +307,10 @@ mod tests {
         let unpaired = session(|_| ());
         std::fs::remove_file(unpaired.path().join("pictures/right/00001.png")).unwrap();
         let found = pairs(&unpaired);
-        assert!(found[1].files[0].is_some() && found[1].files[1].is_none(), "{found:?}");
+        assert!(
+            found[1].files[0].is_some() && found[1].files[1].is_none(),
+            "{found:?}"
+        );
     }
 
     #[test]
@@ -268,8 +326,13 @@ mod tests {
             ("a,", "a,b,c,"),
         ] {
             let place = session(|t| *t = t.replacen(from, to, 1));
-            let error = pose_pairs(place.path(), "a", ["left", "right"], false).unwrap_err().to_string();
-            assert!(error.contains("pictures.csv") && error.contains("expected"), "{from} {to}: {error}");
+            let error = pose_pairs(place.path(), "a", ["left", "right"], false)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                error.contains("pictures.csv") && error.contains("expected"),
+                "{from} {to}: {error}"
+            );
         }
     }
 }

@@ -72,7 +72,10 @@ impl RecordResult {
 ///
 /// # Errors
 /// Whatever does not fit.
-pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), AcquisitionError> {
+pub fn plan_only(
+    rig: (&str, &str),
+    plan: (&str, &str),
+) -> Result<(Rig, Plan, Vec<Step>), AcquisitionError> {
     let (rig, plan) = (Rig::parse(rig.0, rig.1)?, Plan::parse(plan.0, plan.1)?);
     let steps = plan.steps(&rig, [0.0, rig.stage.travel_mm])?;
     Ok((rig, plan, steps))
@@ -88,7 +91,9 @@ pub fn open_interrogator(
     clock: HostClock,
 ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
     match rig.driver {
-        InterrogatorDriver::Replay => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+        InterrogatorDriver::Replay => {
+            Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?))
+        }
         _ => devices.interrogator(rig, clock),
     }
 }
@@ -99,11 +104,22 @@ fn open_cameras(
     rig: &Rig,
     clock: HostClock,
 ) -> Result<Option<CameraPair>, DeviceError> {
-    let [first, second] = rig.camera.as_slice() else { return Ok(None) };
-    let cameras = [devices.camera(first, clock)?, devices.camera(second, clock)?];
+    let [first, second] = rig.camera.as_slice() else {
+        return Ok(None);
+    };
+    let cameras = [
+        devices.camera(first, clock)?,
+        devices.camera(second, clock)?,
+    ];
     // V4L2 counts the frames of each camera from its own start.
-    let own_numbers = [first, second].iter().any(|c| c.driver == CameraDriver::V4l2);
-    let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
+    let own_numbers = [first, second]
+        .iter()
+        .any(|c| c.driver == CameraDriver::V4l2);
+    let pair = if own_numbers {
+        CameraPair::by_time
+    } else {
+        CameraPair::new
+    };
     Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
 }
 
@@ -121,7 +137,10 @@ pub fn record(
     pause: &mut dyn FnMut(Duration),
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<RecordResult, AcquisitionError> {
-    let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
+    let (rig, plan, _) = plan_only(
+        (&request.places[0], &request.rig),
+        (&request.places[1], &request.plan),
+    )?;
     let (mut begun, skip) = OwnedSessionFolder::open(request)?;
     let _lock = stage_lock(&rig.stage, &request.folder)?;
     let clock = HostClock::start(rig.clock_scale);
@@ -130,8 +149,11 @@ pub fn record(
     let mut identities = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
     identities.insert("interrogator".to_owned(), interrogator.identity()?);
     let mut cameras = open_cameras(devices, &rig, clock)?;
-    let names: [String; 2] =
-        std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
+    let names: [String; 2] = std::array::from_fn(|k| {
+        rig.camera
+            .get(k)
+            .map_or_else(String::new, |c| c.name.clone())
+    });
     if let Some(pair) = &mut cameras {
         let own = names.iter().cloned().zip(pair.identities()?);
         identities.extend(own.map(|(name, identity)| (format!("camera_{name}"), identity)));
@@ -145,17 +167,28 @@ pub fn record(
         Some(motor) => motor.as_mut(),
         None => manual,
     };
-    let allowed = Permission { home: request.home, clear_flags: request.home && request.resume };
+    let allowed = Permission {
+        home: request.home,
+        clear_flags: request.home && request.resume,
+    };
     check(stage.as_mut(), mount, &steps, allowed)?;
     let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
-    let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
+    let name = if number == 1 {
+        "recording.mcap".to_owned()
+    } else {
+        format!("recording-{number}.mcap")
+    };
     begun.reserve(tables_bytes(&steps))?;
     let recorder = Recorder::create(&begun.makes(&name), about)?;
     // Everything is open: from here on there is something to keep.
     begun.keep();
-    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
+    let monitor = Mutex::new(Monitor::new(
+        ChannelMap::new(&rig),
+        temperature_ratio(&rig),
+        rig.clock_scale,
+    ));
     let done = AtomicBool::new(false);
     let mut reopen = || Ok(LimitedStage::new(devices.stage(&rig.stage, clock)?, limits));
     let mut sweep = std::thread::scope(|scope| {
@@ -184,14 +217,26 @@ pub fn record(
         report
     });
     // Scans that came while the last step ended are in the recording as well.
-    sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
+    sweep.counts = monitor
+        .into_inner()
+        .unwrap_or_else(PoisonError::into_inner)
+        .counts();
     let refused = recorder.refused();
     if let (Err(e), Ending::Finished) = (recorder.finish(), &sweep.ending) {
-        sweep.ending = Ending::Stopped { cause: disk(&e), stage: StageEnd::Retracted };
+        sweep.ending = Ending::Stopped {
+            cause: disk(&e),
+            stage: StageEnd::Retracted,
+        };
     }
     begun.release();
     let reduction = reduce(&request.folder);
-    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated, refused };
+    let mut recorded = RecordResult {
+        sweep,
+        reduction,
+        repeats: devices.repeats(),
+        simulated,
+        refused,
+    };
     if let Err(e) = add_outcome(&request.folder, name, &recorded) {
         recorded.reduction = Err(e);
     }
@@ -211,18 +256,28 @@ impl Drop for SetOnDrop<'_> {
 fn tables_bytes(steps: &[Step]) -> u64 {
     let rows = |step: &Step| match step {
         Step::Settled(_) => 1.0,
-        Step::Moving { from_mm, rows_hz, pose } => {
-            (rows_hz * (pose.stage_mm - from_mm).abs() / pose.speed_mm_s).ceil()
-        }
+        Step::Moving {
+            from_mm,
+            rows_hz,
+            pose,
+        } => (rows_hz * (pose.stage_mm - from_mm).abs() / pose.speed_mm_s).ceil(),
         Step::Soak | Step::Sync { .. } | Step::Mount { .. } => 0.0,
     };
     64 * 1024 + 1024 * steps.iter().map(rows).sum::<f64>().min(1e6) as u64
 }
 
 /// Adds to run.json what came of this run.
-fn add_outcome(folder: &Path, recording: String, recorded: &RecordResult) -> Result<(), AcquisitionError> {
+fn add_outcome(
+    folder: &Path,
+    recording: String,
+    recorded: &RecordResult,
+) -> Result<(), AcquisitionError> {
     let path = folder.join("run.json");
-    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
+    let io = |source| AcquisitionError::Io {
+        action: "reading",
+        path: path.clone(),
+        source,
+    };
     let mut run = RunFile::parse(&wcal_core::files::read_text(&path).map_err(io)?)?;
     let (ending, cause) = match &recorded.sweep.ending {
         Ending::Finished => ("finished", None),
@@ -271,7 +326,10 @@ fn describe(
         runs: Vec::new(),
         simulated: false,
     };
-    let run = RunFile { simulated: run.is_simulated(), ..run };
+    let run = RunFile {
+        simulated: run.is_simulated(),
+        ..run
+    };
     let text = as_text(&run)?;
     let path = request.folder.join("run.json");
     // A resumed session keeps the identity it was begun with.
@@ -290,15 +348,28 @@ fn describe(
 
 /// Measured and simulated scans never share a session.
 fn same_bench(run_file: &Path, simulated: bool) -> Result<(), AcquisitionError> {
-    let io = |source| AcquisitionError::Io { action: "reading", path: run_file.to_owned(), source };
+    let io = |source| AcquisitionError::Io {
+        action: "reading",
+        path: run_file.to_owned(),
+        source,
+    };
     let begun = RunFile::parse(&wcal_core::files::read_text(run_file).map_err(io)?)?;
     if begun.is_simulated() == simulated {
         return Ok(());
     }
-    let name = |simulated: bool| if simulated { "a virtual bench" } else { "a real bench" };
+    let name = |simulated: bool| {
+        if simulated {
+            "a virtual bench"
+        } else {
+            "a real bench"
+        }
+    };
     Err(AcquisitionError::input(
         run_file.display().to_string(),
-        format!("{}, as when the session was begun", name(begun.is_simulated())),
+        format!(
+            "{}, as when the session was begun",
+            name(begun.is_simulated())
+        ),
         name(simulated),
     ))
 }
@@ -310,7 +381,13 @@ mod tests {
     #[test]
     fn sessions_of_one_second_have_different_identifiers() {
         let id = |created| session_id("bench", "paper-27", created);
-        assert_eq!(id("2026-11-24T22:12:36.000125Z"), "bench-paper-27-20261124221236000125");
-        assert_ne!(id("2026-11-24T22:12:36.000125Z"), id("2026-11-24T22:12:36.000126Z"));
+        assert_eq!(
+            id("2026-11-24T22:12:36.000125Z"),
+            "bench-paper-27-20261124221236000125"
+        );
+        assert_ne!(
+            id("2026-11-24T22:12:36.000125Z"),
+            id("2026-11-24T22:12:36.000126Z")
+        );
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, Log, McapMessage, RecordedMessage, Refused, Scan, StagePosition, SweepEvent,
-    nanoseconds, stamp, topic,
+    CompressedImage, FrameInfo, Log, McapMessage, RecordedMessage, Refused, Scan, StagePosition,
+    SweepEvent, nanoseconds, stamp, topic,
 };
 use crate::pictures::{lossless, preview};
 use mcap::records::{MessageHeader, Metadata};
@@ -53,11 +53,17 @@ struct Open {
 impl Open {
     fn write<M: McapMessage>(&mut self, topic: &str, message: &M, host_s: f64) -> McapResult<()> {
         if !self.channels.contains_key(topic) {
-            let schema = self.writer.add_schema(&M::full_name(), "protobuf", M::schema())?;
-            let channel = self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
+            let schema = self
+                .writer
+                .add_schema(&M::full_name(), "protobuf", M::schema())?;
+            let channel = self
+                .writer
+                .add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
             self.channels.insert(topic.to_owned(), (channel, 0));
         }
-        let Some((channel_id, sequence)) = self.channels.get_mut(topic) else { return Ok(()) };
+        let Some((channel_id, sequence)) = self.channels.get_mut(topic) else {
+            return Ok(());
+        };
         let time = nanoseconds(host_s);
         let header = MessageHeader {
             channel_id: *channel_id,
@@ -66,7 +72,8 @@ impl Open {
             publish_time: time,
         };
         *sequence = sequence.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, &message.encode_to_vec())
+        self.writer
+            .write_to_known_channel(&header, &message.encode_to_vec())
     }
 }
 
@@ -81,18 +88,38 @@ impl Recorder {
             .create_new(true)
             .open(path)
             .map_err(AcquisitionError::io("creating", path))?;
-        let copy = file.try_clone().map_err(AcquisitionError::io("creating", path))?;
+        let copy = file
+            .try_clone()
+            .map_err(AcquisitionError::io("creating", path))?;
         let failed = |e| not_written(path, &e);
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
-        let options =
-            WriteOptions::new().chunk_size(Some(512 * 1024)).compression(None).calculate_chunk_crcs(true);
+        let options = WriteOptions::new()
+            .chunk_size(Some(512 * 1024))
+            .compression(None)
+            .calculate_chunk_crcs(true);
         let mut writer = options.create(BufWriter::new(file)).map_err(failed)?;
-        writer.write_metadata(&Metadata { name: "wcal".to_owned(), metadata: about }).map_err(failed)?;
+        writer
+            .write_metadata(&Metadata {
+                name: "wcal".to_owned(),
+                metadata: about,
+            })
+            .map_err(failed)?;
         let now = Instant::now();
-        let open =
-            Open { writer, channels: HashMap::new(), flushed: now, synced: now, refused: Refused::default() };
+        let open = Open {
+            writer,
+            channels: HashMap::new(),
+            flushed: now,
+            synced: now,
+            refused: Refused::default(),
+        };
         let (open, path) = (Mutex::new(open), path.to_owned());
-        let recorder = Self { open, file: copy, path, syncing: Mutex::default(), failed: OnceLock::new() };
+        let recorder = Self {
+            open,
+            file: copy,
+            path,
+            syncing: Mutex::default(),
+            failed: OnceLock::new(),
+        };
         recorder.flush()?;
         Ok(recorder)
     }
@@ -120,7 +147,8 @@ impl Recorder {
             open.refused.add(topic, why);
             return Ok(false);
         }
-        open.write(topic, message, host_s).map_err(|e| self.failed(&e))?;
+        open.write(topic, message, host_s)
+            .map_err(|e| self.failed(&e))?;
         let now = Instant::now();
         if now - open.flushed < FLUSH {
             return Ok(true);
@@ -164,7 +192,11 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn stage(&self, reading: &StageReading) -> Result<bool, AcquisitionError> {
-        self.message(topic::STAGE, &StagePosition::from(reading), reading.clocks.host_s)
+        self.message(
+            topic::STAGE,
+            &StagePosition::from(reading),
+            reading.clocks.host_s,
+        )
     }
 
     /// Records an event of the sweep, at once on disk.
@@ -194,17 +226,31 @@ impl Recorder {
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
-    pub fn frame(&self, name: &str, frame: &CameraFrame, step: Option<u32>) -> Result<(), AcquisitionError> {
+    pub fn frame(
+        &self,
+        name: &str,
+        frame: &CameraFrame,
+        step: Option<u32>,
+    ) -> Result<(), AcquisitionError> {
         let info = FrameInfo {
             camera: name.to_owned(),
             trigger: frame.trigger,
             host_s: frame.clocks.host_s,
             device_s: frame.clocks.device_s,
-            exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
+            exposure_s: frame
+                .measured_exposure_ms
+                .or(frame.commanded_exposure_ms)
+                .map(|ms| ms * 1e-3),
             step,
         };
         if self.message(topic::FRAME, &info, frame.clocks.host_s)? && step.is_some() {
-            self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?)?;
+            self.picture(
+                &format!("{}{name}", topic::POSE_PICTURE),
+                name,
+                frame,
+                "png",
+                lossless(frame)?,
+            )?;
         }
         Ok(())
     }
@@ -214,7 +260,13 @@ impl Recorder {
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
     pub fn preview(&self, name: &str, frame: &CameraFrame) -> Result<(), AcquisitionError> {
-        self.picture(&format!("{}{name}", topic::CAMERA), name, frame, "jpeg", preview(frame)?)
+        self.picture(
+            &format!("{}{name}", topic::CAMERA),
+            name,
+            frame,
+            "jpeg",
+            preview(frame)?,
+        )
     }
 
     fn picture(
@@ -252,14 +304,22 @@ impl Recorder {
     }
 }
 
-fn first_failure(path: &Path, first: &OnceLock<String>, error: &dyn std::error::Error) -> AcquisitionError {
+fn first_failure(
+    path: &Path,
+    first: &OnceLock<String>,
+    error: &dyn std::error::Error,
+) -> AcquisitionError {
     AcquisitionError::Recorder(first.get_or_init(|| why(path, error)).clone())
 }
 
 /// Which file was not written, and why: a full disk says so in its own words.
 fn why(path: &Path, error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |e| e.source()).map(ToString::to_string);
-    format!("{}: {}", path.display(), causes.collect::<Vec<_>>().join(": "))
+    format!(
+        "{}: {}",
+        path.display(),
+        causes.collect::<Vec<_>>().join(": ")
+    )
 }
 
 fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {

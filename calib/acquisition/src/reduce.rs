@@ -40,9 +40,18 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
 /// Which one, and the way out.
 pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
     for part in parts {
-        if std::fs::metadata(part).map_err(AcquisitionError::io("opening", part))?.len() == 0 {
-            let expected = "a recording (copy it again, or remove the file if it never had content)";
-            return Err(AcquisitionError::input(part.display().to_string(), expected, "0 bytes"));
+        if std::fs::metadata(part)
+            .map_err(AcquisitionError::io("opening", part))?
+            .len()
+            == 0
+        {
+            let expected =
+                "a recording (copy it again, or remove the file if it never had content)";
+            return Err(AcquisitionError::input(
+                part.display().to_string(),
+                expected,
+                "0 bytes",
+            ));
         }
     }
     Ok(())
@@ -52,19 +61,29 @@ pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
 fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), AcquisitionError> {
     let (expected, found) = match result {
         _ if rows > 0 => return Ok(()),
-        Reduction { events: 0, scans, .. } => (
+        Reduction {
+            events: 0, scans, ..
+        } => (
             format!("events of a sweep ({})", crate::message::topic::EVENT),
             match result.refused.text() {
                 Some(refused) => format!("none among {scans} scans, {refused}"),
                 None => format!("none among {scans} scans: what the sweep did is not known"),
             },
         ),
-        Reduction { events, empty_windows, .. } => (
+        Reduction {
+            events,
+            empty_windows,
+            ..
+        } => (
             "a reading (a sweep that stopped before its first has nothing to reduce)".to_owned(),
             format!("none among {events} events, {empty_windows} windows without usable scans"),
         ),
     };
-    Err(AcquisitionError::input(first.display().to_string(), expected, found))
+    Err(AcquisitionError::input(
+        first.display().to_string(),
+        expected,
+        found,
+    ))
 }
 
 /// Rebuilds the tables of a recorded session.
@@ -90,7 +109,13 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let mut clocks = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         let mut own = Vec::new();
-        clocks.push(reduce_part(part, &rig, &mut origin_s, &mut own, &mut result)?);
+        clocks.push(reduce_part(
+            part,
+            &rig,
+            &mut origin_s,
+            &mut own,
+            &mut result,
+        )?);
         own.iter_mut().for_each(|row| row.part = number);
         add_part(&mut rows, own);
     }
@@ -98,16 +123,18 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
-    result.marked =
-        [Stream::Lost, Stream::Late, Stream::Moved].map(|s| rows.iter().filter(|r| r.stream == s).count());
+    result.marked = [Stream::Lost, Stream::Late, Stream::Moved]
+        .map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
     remove_abandoned(folder);
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
     }
-    let names: Vec<String> =
-        parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
+    let names: Vec<String> = parts
+        .iter()
+        .filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
+        .collect();
     let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
     let added = added_later(folder);
     let session = |result: &Reduction| -> Result<(), AcquisitionError> {
@@ -116,7 +143,14 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     };
     // Pictures are large: where the disk has no room for them the tables are there.
     session(&result)?;
-    result.pictures[0] = write_pictures(folder, &run.id, &cameras, &parts, &clocks, &pictured_rows(&rows))?;
+    result.pictures[0] = write_pictures(
+        folder,
+        &run.id,
+        &cameras,
+        &parts,
+        &clocks,
+        &pictured_rows(&rows),
+    )?;
     if result.pictures[0] > 0 {
         session(&result)?;
     }
@@ -134,7 +168,9 @@ fn add_part(rows: &mut Vec<Row>, own: Vec<Row>) {
 /// Entries of an earlier session.toml that name results from the pictures: the files are still there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
     let text = wcal_core::files::read_text(folder.join("session.toml")).unwrap_or_default();
-    let Ok(old) = text.parse::<toml::Table>() else { return Vec::new() };
+    let Ok(old) = text.parse::<toml::Table>() else {
+        return Vec::new();
+    };
     let entry = |[table, key]: [&str; 2]| {
         let value = old.get(table)?.get(key)?.as_str()?;
         let there = table != "files" || folder.join(value).is_file();
@@ -151,7 +187,12 @@ fn pictured_rows(rows: &[Row]) -> Vec<PicturedRow> {
         let (part, step, sealed) = (row.part, row.step, row.sealed);
         let point = next[usize::from(sealed)];
         next[usize::from(sealed)] += 1;
-        all.extend(row.average_s.map(|_| PicturedRow { part, step, point, sealed }));
+        all.extend(row.average_s.map(|_| PicturedRow {
+            part,
+            step,
+            point,
+            sealed,
+        }));
     }
     all
 }
@@ -174,7 +215,8 @@ fn read_contents(
     result: &mut Reduction,
 ) -> Result<Contents, AcquisitionError> {
     let scans_before = result.scans;
-    let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
+    let (mut events, mut stage, mut clocks) =
+        (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
     let mut sound = SoundClock::new(rig.clock_scale);
@@ -192,7 +234,9 @@ fn read_contents(
         Message::Event(event) => {
             if event.kind == "pair-refused" {
                 result.pairs[1] += 1;
-                result.refused_why.get_or_insert_with(|| event.detail.clone());
+                result
+                    .refused_why
+                    .get_or_insert_with(|| event.detail.clone());
             }
             result.pictures[1] += usize::from(event.kind == "picture-missed");
             events.push(event);
@@ -205,7 +249,10 @@ fn read_contents(
         Message::Frame(frame) => {
             frames += 1;
             let device_s = frame.device_s.unwrap_or(frame.host_s);
-            cameras.entry(frame.camera).or_default().add(frame.host_s, device_s);
+            cameras
+                .entry(frame.camera)
+                .or_default()
+                .add(frame.host_s, device_s);
         }
         Message::PosePicture(..) | Message::Other(..) => {}
     })?;
@@ -217,10 +264,21 @@ fn read_contents(
     result.damaged_chunks += end.damaged_chunks;
     result.repeated += end.repeated;
     result.refused.join(end.refused);
-    let cameras: BTreeMap<String, ClockFit> =
-        cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
-    result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
-    Ok(Contents { events, stage, clocks, sound, cameras, scans: result.scans - scans_before })
+    let cameras: BTreeMap<String, ClockFit> = cameras
+        .into_iter()
+        .filter_map(|(name, pair)| Some((name, pair.fit()?)))
+        .collect();
+    result
+        .camera_clocks
+        .extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
+    Ok(Contents {
+        events,
+        stage,
+        clocks,
+        sound,
+        cameras,
+        scans: result.scans - scans_before,
+    })
 }
 
 fn reduce_part(
@@ -230,9 +288,17 @@ fn reduce_part(
     rows: &mut Vec<Row>,
     result: &mut Reduction,
 ) -> Result<PartClocks, AcquisitionError> {
-    let Contents { events, stage, clocks, sound, cameras, scans } =
-        read_contents(path, rig, origin_s, result)?;
-    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
+    let Contents {
+        events,
+        stage,
+        clocks,
+        sound,
+        cameras,
+        scans,
+    } = read_contents(path, rig, origin_s, result)?;
+    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else {
+        return Ok(PartClocks::default());
+    };
     let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
     let foreign = |found: String| {
@@ -260,7 +326,8 @@ fn reduce_part(
         let t_s = scan.device_s;
         let unclocked = sound.broken.is_some_and(|(first, _)| count >= first);
         count += 1;
-        if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1)) {
+        if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1))
+        {
             lost.push([last_s, t_s]);
         }
         last = Some((scan.serial, t_s));
@@ -279,24 +346,51 @@ fn reduce_part(
         }
         // A window that was over before the clock's fault has no scans from after it, whatever time they state.
         let after_fault = sound.broken.filter(|_| unclocked).map(|(_, events)| events);
-        visits +=
-            take_sample(&mut windows, &scan, &map.assign(&scan.reading()), late || unclocked, after_fault);
+        visits += take_sample(
+            &mut windows,
+            &scan,
+            &map.assign(&scan.reading()),
+            late || unclocked,
+            after_fault,
+        );
     })?;
     if visits > most_visits {
-        return Err(foreign(format!("more than {MAX_WINDOWS_PER_SCAN} for a scan")));
+        return Err(foreign(format!(
+            "more than {MAX_WINDOWS_PER_SCAN} for a scan"
+        )));
     }
     for signal in &sync_signals {
-        result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
+        result
+            .lag_s
+            .extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
     }
-    add_rows(rig, windows, &events, &track, (origin_s, unaligned), &lost, rows, result);
-    Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
+    add_rows(
+        rig,
+        windows,
+        &events,
+        &track,
+        (origin_s, unaligned),
+        &lost,
+        rows,
+        result,
+    );
+    Ok(PartClocks {
+        interrogator: Some(fit),
+        cameras,
+        origin_s,
+    })
 }
 
 /// Adds a recording's clock; by how much it was set since the first one, s.
 fn add_clock(result: &mut Reduction, fit: ClockFit, clock_scale: f64) -> f64 {
-    let set_s = result.clocks.first().map_or(0.0, |first| clock_set_s(first, &fit, clock_scale));
+    let set_s = result
+        .clocks
+        .first()
+        .map_or(0.0, |first| clock_set_s(first, &fit, clock_scale));
     if set_s != 0.0 {
-        result.clock_faults.push(format!("the clock was set by {set_s:.3} s between two recordings"));
+        result.clock_faults.push(format!(
+            "the clock was set by {set_s:.3} s between two recordings"
+        ));
     }
     result.clocks.push(fit);
     set_s
@@ -324,7 +418,10 @@ fn take_sample(
             Some(sensing) => {
                 window.samples.serials.push(scan.serial);
                 window.samples.times_s.push(t_s - window.begin_s);
-                window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
+                window
+                    .samples
+                    .reference_nm
+                    .push(assigned.reference_nm.unwrap_or(f64::NAN));
                 window.samples.sensing_nm[0].push(sensing[0]);
                 window.samples.sensing_nm[1].push(sensing[1]);
             }
@@ -335,7 +432,10 @@ fn take_sample(
 }
 
 /// Rows of the windows, in the order of the work, which a clock that was set does not change.
-#[allow(clippy::too_many_arguments, reason = "what a part's second pass has gathered")]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "what a part's second pass has gathered"
+)]
 fn add_rows(
     rig: &Rig,
     mut windows: Vec<Window>,
@@ -361,7 +461,11 @@ fn add_rows(
             false => Stream::Whole,
         };
         match row_of(rig, event, &window, track, origin_s) {
-            Some(row) => rows.push(Row { stream, settled: row.settled && stream != Stream::Moved, ..row }),
+            Some(row) => rows.push(Row {
+                stream,
+                settled: row.settled && stream != Stream::Moved,
+                ..row
+            }),
             None => result.empty_windows += 1,
         }
     }
@@ -373,10 +477,20 @@ fn clock_set_s(first: &ClockFit, fit: &ClockFit, clock_scale: f64) -> f64 {
     let at_s = fit.origin_host_s;
     let set_s = fit.device_s(at_s) - first.device_s(at_s);
     let drift_s = CLOCK_SET_S + BROKEN_CLOCK * (at_s - first.origin_host_s).abs();
-    if clock_scale == 1.0 && set_s.abs() > drift_s { set_s } else { 0.0 }
+    if clock_scale == 1.0 && set_s.abs() > drift_s {
+        set_s
+    } else {
+        0.0
+    }
 }
 
-fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_s: f64) -> Option<Row> {
+fn row_of(
+    rig: &Rig,
+    event: &SweepEvent,
+    window: &Window,
+    track: &Track,
+    origin_s: f64,
+) -> Option<Row> {
     let mean = window.samples.mean()?;
     let moving = event.kind == "moving";
     let (t_s, stage_mm, speed_mm_s) = if moving {
@@ -398,13 +512,24 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
         stage_mm,
         direction: event.direction,
         speed_mm_s,
-        dwell_s: if moving { 0.0 } else { window.end_s - event.arrived_s },
+        dwell_s: if moving {
+            0.0
+        } else {
+            window.end_s - event.arrived_s
+        },
         average_s: (!moving).then_some(window.end_s - window.begin_s),
-        groove_mm: rig.trajectory(event.trajectory).filter(|_| loaded).map(|t| t.groove_mm(stage_mm)),
+        groove_mm: rig
+            .trajectory(event.trajectory)
+            .filter(|_| loaded)
+            .map(|t| t.groove_mm(stage_mm)),
         settled: event.settled || moving,
         stream: Stream::Whole,
         unusable: window.samples.unusable,
-        serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
+        serials: mean
+            .outliers
+            .iter()
+            .map(|k| window.samples.serials[*k])
+            .collect(),
         mean,
     })
 }

@@ -66,10 +66,22 @@ impl Reduction {
 
     /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
     pub fn stream_warnings(&self) -> Vec<String> {
-        let Self { lost, gaps, late, longest_delay_s, marked, empty_windows, damaged_chunks, .. } = self;
+        let Self {
+            lost,
+            gaps,
+            late,
+            longest_delay_s,
+            marked,
+            empty_windows,
+            damaged_chunks,
+            ..
+        } = self;
         let refused = self.pairs[1];
         let all = [
-            (*damaged_chunks > 0, format!("{damaged_chunks} damaged chunks of the recording left out")),
+            (
+                *damaged_chunks > 0,
+                format!("{damaged_chunks} damaged chunks of the recording left out"),
+            ),
             (*lost > 0, format!("{lost} scans lost in {gaps} gaps")),
             (
                 *late > 0,
@@ -94,7 +106,9 @@ impl Reduction {
             ),
             (
                 *empty_windows > 0,
-                format!("{empty_windows} windows without usable scans or answers of the stage: no rows"),
+                format!(
+                    "{empty_windows} windows without usable scans or answers of the stage: no rows"
+                ),
             ),
             (
                 refused > 0,
@@ -103,25 +117,51 @@ impl Reduction {
                     None => format!("{refused} camera pairs refused"),
                 },
             ),
-            (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
+            (
+                self.pictures[1] > 0,
+                format!("{} poses without pictures", self.pictures[1]),
+            ),
         ];
         let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
-        self.fault_warnings().chain(self.refused.text()).chain(all).chain(self.clock_warnings()).collect()
+        self.fault_warnings()
+            .chain(self.refused.text())
+            .chain(all)
+            .chain(self.clock_warnings())
+            .collect()
     }
 
     /// Faults of the interrogator's clock.
     fn fault_warnings(&self) -> impl Iterator<Item = String> {
-        let after = (self.unclocked > 0)
-            .then(|| format!("{} scans after a fault of the interrogator's clock", self.unclocked));
-        self.clock_faults.iter().map(|what| format!("interrogator: {what}")).chain(after)
+        let after = (self.unclocked > 0).then(|| {
+            format!(
+                "{} scans after a fault of the interrogator's clock",
+                self.unclocked
+            )
+        });
+        self.clock_faults
+            .iter()
+            .map(|what| format!("interrogator: {what}"))
+            .chain(after)
     }
 
     /// Clocks that no crystal explains.
     pub fn clock_warnings(&self) -> Vec<String> {
-        let cameras = self.camera_clocks.iter().map(|(name, fit)| (format!("camera {name}"), fit));
-        let all = self.clocks.iter().map(|fit| ("interrogator".to_owned(), fit)).chain(cameras);
+        let cameras = self
+            .camera_clocks
+            .iter()
+            .map(|(name, fit)| (format!("camera {name}"), fit));
+        let all = self
+            .clocks
+            .iter()
+            .map(|fit| ("interrogator".to_owned(), fit))
+            .chain(cameras);
         all.filter(|(_, fit)| fit.broken())
-            .map(|(name, fit)| format!("{name}: the device clock drifts by {:.0} ppm", fit.drift * 1e6))
+            .map(|(name, fit)| {
+                format!(
+                    "{name}: the device clock drifts by {:.0} ppm",
+                    fit.drift * 1e6
+                )
+            })
             .collect()
     }
 }

@@ -57,7 +57,11 @@ impl Sweep<'_, '_, '_> {
             let started = self.bench.stage.start_home();
             self.of_stage(started)?;
             let rig = &self.rig.stage;
-            self.until_standing("search the reference", HOME_TRAVELS * rig.travel_mm, rig.speed_mm_s)?;
+            self.until_standing(
+                "search the reference",
+                HOME_TRAVELS * rig.travel_mm,
+                rig.speed_mm_s,
+            )?;
         }
         Ok(())
     }

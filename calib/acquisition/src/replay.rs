@@ -2,8 +2,8 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, RecordedMessage, Refused, Scan, StagePosition, SweepEvent, nanoseconds,
-    picture_time_s, topic,
+    CompressedImage, FrameInfo, RecordedMessage, Refused, Scan, StagePosition, SweepEvent,
+    nanoseconds, picture_time_s, topic,
 };
 use mcap::parse_record;
 use mcap::records::{Record, op};
@@ -51,7 +51,11 @@ pub struct End {
 impl End {
     /// Closed properly, and all of it read.
     pub fn is_whole(&self) -> bool {
-        *self == Self { repeated: self.repeated, ..Self::default() }
+        *self
+            == Self {
+                repeated: self.repeated,
+                ..Self::default()
+            }
     }
 }
 
@@ -60,8 +64,19 @@ impl fmt::Display for End {
         let chunks = self.damaged_chunks;
         let damaged = (chunks > 0).then(|| format!("{chunks} damaged chunks left out"));
         let cut_off = self.cut_off.as_ref().map(|why| format!("cut off ({why})"));
-        let all: Vec<String> = damaged.into_iter().chain(self.refused.text()).chain(cut_off).collect();
-        f.write_str(if self.is_whole() { "closed".to_owned() } else { all.join(", then ") }.as_str())
+        let all: Vec<String> = damaged
+            .into_iter()
+            .chain(self.refused.text())
+            .chain(cut_off)
+            .collect();
+        f.write_str(
+            if self.is_whole() {
+                "closed".to_owned()
+            } else {
+                all.join(", then ")
+            }
+            .as_str(),
+        )
     }
 }
 
@@ -75,19 +90,29 @@ const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// When the file cannot be opened, is no MCAP file, or is compressed.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
     let mut file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
-    let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
+    let size = file
+        .metadata()
+        .map_err(AcquisitionError::io("opening", path))?
+        .len();
     // No record is longer than its file, whatever length it states.
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
-    let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
+    let options = LinearReaderOptions::default()
+        .with_emit_chunks(true)
+        .with_record_length_limit(limit);
     let mut reader = LinearReader::new_with_options(options);
     let mut messages = Messages::default();
     while let Some(event) = reader.next_event() {
         match event {
             Ok(LinearReadEvent::ReadRequest(need)) => {
-                let count = file.read(reader.insert(need)).map_err(AcquisitionError::io("reading", path))?;
+                let count = file
+                    .read(reader.insert(need))
+                    .map_err(AcquisitionError::io("reading", path))?;
                 reader.notify_read(count);
             }
-            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => {
+            Ok(LinearReadEvent::Record {
+                opcode: op::CHUNK,
+                data,
+            }) => {
                 let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, data) else {
                     messages.end.damaged_chunks += 1;
                     continue;
@@ -101,8 +126,8 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                     ));
                 }
                 // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
-                let records =
-                    records(&data, header.uncompressed_crc).filter(|_| header.compression.is_empty());
+                let records = records(&data, header.uncompressed_crc)
+                    .filter(|_| header.compression.is_empty());
                 let mut whole = records.is_some();
                 for (opcode, body) in records.into_iter().flatten() {
                     whole &= messages.give(opcode, body, &mut take);
@@ -169,7 +194,9 @@ impl Messages {
                 self.topics.insert(channel.id, channel.topic);
             }
             Ok(Record::Message { header, data }) => {
-                let Some(topic) = self.topics.get(&header.channel_id) else { return false };
+                let Some(topic) = self.topics.get(&header.channel_id) else {
+                    return false;
+                };
                 match decode(topic, header.log_time, &data) {
                     Err(why) => self.end.refused.add(topic, why),
                     Ok(message) if self.given.is_new(&message, (topic, header.log_time, &data)) => {
@@ -226,7 +253,9 @@ fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
     let mut start = Vec::new();
     let file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = mcap::MAGIC.len();
-    file.take(size as u64).read_to_end(&mut start).map_err(AcquisitionError::io("reading", path))?;
+    file.take(size as u64)
+        .read_to_end(&mut start)
+        .map_err(AcquisitionError::io("reading", path))?;
     Ok(mcap::MAGIC.starts_with(&start))
 }
 
@@ -253,10 +282,15 @@ fn decode(topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, BadMessag
         topic::STAGE => Message::Stage(checked(bytes)?),
         topic::EVENT => Message::Event(checked(bytes)?),
         topic::FRAME => Message::Frame(checked(bytes)?),
-        other => match (other.strip_prefix(topic::POSE_PICTURE), other.strip_prefix(topic::CAMERA)) {
-            (Some(name), _) => {
-                Message::PosePicture(name.to_owned(), log_time, CompressedImage::decode(bytes)?.data)
-            }
+        other => match (
+            other.strip_prefix(topic::POSE_PICTURE),
+            other.strip_prefix(topic::CAMERA),
+        ) {
+            (Some(name), _) => Message::PosePicture(
+                name.to_owned(),
+                log_time,
+                CompressedImage::decode(bytes)?.data,
+            ),
             (_, Some(name)) => {
                 let at_s = picture_time_s(PictureTime::decode(bytes)?.timestamp)?;
                 Message::Picture(name.to_owned(), host_s, at_s)

@@ -54,8 +54,14 @@ impl Interrogator for ReplayInterrogator {
 
     fn rate_hz(&self) -> f64 {
         let time = |r: Option<&FbgReading>| r.and_then(|r| r.clocks.device_s);
-        let span_s = time(self.scans.back()).zip(time(self.scans.front())).map_or(0.0, |(b, a)| b - a);
-        if span_s > 0.0 { (self.scans.len() - 1) as f64 / span_s } else { 0.0 }
+        let span_s = time(self.scans.back())
+            .zip(time(self.scans.front()))
+            .map_or(0.0, |(b, a)| b - a);
+        if span_s > 0.0 {
+            (self.scans.len() - 1) as f64 / span_s
+        } else {
+            0.0
+        }
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
@@ -65,7 +71,13 @@ impl Interrogator for ReplayInterrogator {
     fn read(&mut self, _timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         if self.scans.is_empty() {
             let (kind, found) = (DeviceErrorKind::Disconnected, "the end of the recording");
-            return Err(DeviceError::new(kind, &self.name, "read the stream", "scans", found));
+            return Err(DeviceError::new(
+                kind,
+                &self.name,
+                "read the stream",
+                "scans",
+                found,
+            ));
         }
         let count = BATCH.min(self.scans.len());
         Ok(self.scans.drain(..count).collect())

@@ -7,7 +7,8 @@ use wcal_core::document::from_toml;
 use wcal_core::observation::WHISKER_RANGES;
 pub use wcal_core::rig_devices::RIG_FORMAT;
 use wcal_core::rig_devices::{
-    CameraRig, GratingRig, GrooveRig, InterrogatorRig, MountRig, RIG_RANGES, StageDriver, StageRig, TagRig,
+    CameraRig, GratingRig, GrooveRig, InterrogatorRig, MountRig, RIG_RANGES, StageDriver, StageRig,
+    TagRig,
 };
 use wcal_core::rigid::RigidPose;
 use wcal_session::SessionError;
@@ -105,7 +106,11 @@ impl Rig {
         let rig: Self = from_toml(text, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES])
             .map_err(|e| AcquisitionError::document(place, "a rig file", e))?;
         let fail = |field: &str, expected: &str, found: String| {
-            Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
+            Err(AcquisitionError::input(
+                format!("{place}: {field}"),
+                expected,
+                found,
+            ))
         };
         // What the session takes over has to be what a session can be read with, before the sweep and not after it.
         wcal_session::check_wire(place, &rig.whisker, rig.moments.as_ref(), &rig.fbg).map_err(
@@ -114,13 +119,19 @@ impl Rig {
                     let field = e.field.as_deref().unwrap_or("whisker");
                     AcquisitionError::input(format!("{place}: {field}"), &e.expected, &e.found)
                 }
-                other => AcquisitionError::input(place, "the tables of a whisker", other.to_string()),
+                other => {
+                    AcquisitionError::input(place, "the tables of a whisker", other.to_string())
+                }
             },
         )?;
         let s = &rig.stage;
         let [low, high] = s.soft_limits_mm;
         if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
-            return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
+            return fail(
+                "stage.soft_limits_mm",
+                "two positions within the travel",
+                format!("{low}, {high}"),
+            );
         }
         if let Some((field, expected, found)) = addresses_that_clash(s, &rig.mount) {
             return fail(field, expected, found);
@@ -128,8 +139,11 @@ impl Rig {
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
                 if rig.interrogator.grating_of(whisker, name).is_none() {
-                    let of =
-                        if whisker.is_empty() { String::new() } else { format!(" of whisker {whisker}") };
+                    let of = if whisker.is_empty() {
+                        String::new()
+                    } else {
+                        format!(" of whisker {whisker}")
+                    };
                     return fail(
                         "interrogator.grating",
                         "gratings fbg_1 and fbg_2",
@@ -141,18 +155,34 @@ impl Rig {
         let gratings = &rig.interrogator.grating;
         for (k, a) in gratings.iter().enumerate() {
             if !GRATINGS.contains(&a.name.as_str()) {
-                return fail("interrogator.grating.name", &GRATINGS.join(" or "), a.name.clone());
+                return fail(
+                    "interrogator.grating.name",
+                    &GRATINGS.join(" or "),
+                    a.name.clone(),
+                );
             }
             let again = |b: &GratingRig| a.whisker == b.whisker && a.name == b.name;
             if gratings[..k].iter().any(again) {
-                return fail("interrogator.grating", "each grating of a whisker once", a.name.clone());
+                return fail(
+                    "interrogator.grating",
+                    "each grating of a whisker once",
+                    a.name.clone(),
+                );
             }
             // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
-            let overlaps = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
+            let overlaps =
+                |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
             let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;
             if let Some(b) = gratings[..k].iter().filter(other).find(overlaps) {
-                let found = format!("{} of {} and {} of {}", b.name, b.whisker, a.name, a.whisker);
-                return fail("interrogator.grating", "windows of two whiskers that do not overlap", found);
+                let found = format!(
+                    "{} of {} and {} of {}",
+                    b.name, b.whisker, a.name, a.whisker
+                );
+                return fail(
+                    "interrogator.grating",
+                    "windows of two whiskers that do not overlap",
+                    found,
+                );
             }
         }
         if !matches!(rig.camera.len(), 0 | 2) {
@@ -162,9 +192,16 @@ impl Rig {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
         let odd = |name: &str| name.is_empty() || name == "holdout" || !name.chars().all(plain);
         if let Some(camera) = rig.camera.iter().find(|c| odd(&c.name)) {
-            return fail("camera.name", "letters, digits, - and _, and not \"holdout\"", camera.name.clone());
+            return fail(
+                "camera.name",
+                "letters, digits, - and _, and not \"holdout\"",
+                camera.name.clone(),
+            );
         }
-        let directions = rig.trajectory.iter().map(|t| ("trajectory.direction", t.direction));
+        let directions = rig
+            .trajectory
+            .iter()
+            .map(|t| ("trajectory.direction", t.direction));
         let carried = rig.base.as_ref().and_then(|b| b.carried_along);
         let directions = directions.chain(carried.map(|along| ("base.carried_along", along)));
         for (field, direction) in directions {
@@ -182,7 +219,8 @@ impl Rig {
 
     /// A grating of the first whisker by name.
     pub fn grating(&self, name: &str) -> Option<&GratingRig> {
-        self.interrogator.grating_of(self.interrogator.whiskers().first()?, name)
+        self.interrogator
+            .grating_of(self.interrogator.whiskers().first()?, name)
     }
 
     /// A trajectory by identifier.
@@ -198,23 +236,43 @@ const GRATINGS: [&str; 3] = ["fbg_ref", "fbg_1", "fbg_2"];
 const ASCII_ADDRESSES: u8 = 99;
 
 /// What is wrong with the addresses of stage and mount: field, expected, found.
-fn addresses_that_clash(stage: &StageRig, mount: &MountRig) -> Option<(&'static str, &'static str, String)> {
+fn addresses_that_clash(
+    stage: &StageRig,
+    mount: &MountRig,
+) -> Option<(&'static str, &'static str, String)> {
     let ascii = stage.driver == StageDriver::ZaberAscii;
     if ascii && stage.address > ASCII_ADDRESSES {
-        return Some(("stage.address", "a whole number between 1 and 99", stage.address.to_string()));
+        return Some((
+            "stage.address",
+            "a whole number between 1 and 99",
+            stage.address.to_string(),
+        ));
     }
-    let MountRig::Zaber { address, .. } = mount else { return None };
+    let MountRig::Zaber { address, .. } = mount else {
+        return None;
+    };
     if !ascii {
         let expected = "kind = \"manual\" beside a stage with driver zaber-binary";
         return Some(("mount.kind", expected, "zaber".to_owned()));
     }
     if *address > ASCII_ADDRESSES {
-        return Some(("mount.address", "a whole number between 1 and 99", address.to_string()));
+        return Some((
+            "mount.address",
+            "a whole number between 1 and 99",
+            address.to_string(),
+        ));
     }
     // The mount is axis 1 of its unit: its turns would drive the stage.
     (*address == stage.address && stage.axis == 1).then(|| {
-        let found = format!("[stage] address = {}, axis = 1 and [mount] address = {address}", stage.address);
-        ("mount.address", "another unit or axis than the stage's", found)
+        let found = format!(
+            "[stage] address = {}, axis = 1 and [mount] address = {address}",
+            stage.address
+        );
+        (
+            "mount.address",
+            "another unit or axis than the stage's",
+            found,
+        )
     })
 }
 
@@ -264,7 +322,10 @@ shear_gpa = 28.2
         assert!(check(20.0, [0.0, 101.6]).is_ok());
         assert!(check(20.1, [0.0, 101.6]).is_err());
         assert!(check(15.0, [0.0, 30.0]).is_err());
-        assert_eq!(rig.trajectory(1).unwrap().groove_mm(2.0), Vector3::new(18.0, 0.0, 2.0));
+        assert_eq!(
+            rig.trajectory(1).unwrap().groove_mm(2.0),
+            Vector3::new(18.0, 0.0, 2.0)
+        );
     }
 
     #[test]
@@ -277,15 +338,30 @@ shear_gpa = 28.2
             };
             RIG.replace(
                 "]\n[[trajectory]]",
-                &format!("{}{}]\n[[trajectory]]", grating("fbg_1", first_nm), grating("fbg_2", 1555.0)),
+                &format!(
+                    "{}{}]\n[[trajectory]]",
+                    grating("fbg_1", first_nm),
+                    grating("fbg_2", 1555.0)
+                ),
             )
         };
         let rig = Rig::parse("rig.toml", &more(1550.0)).unwrap();
         assert_eq!(rig.interrogator.whiskers(), ["", "b"]);
-        assert_eq!(rig.interrogator.grating_of("b", "fbg_1").unwrap().nominal_nm, 1550.0);
+        assert_eq!(
+            rig.interrogator
+                .grating_of("b", "fbg_1")
+                .unwrap()
+                .nominal_nm,
+            1550.0
+        );
         assert_eq!(rig.grating("fbg_1").unwrap().nominal_nm, 1541.2);
-        let error = Rig::parse("rig.toml", &more(1542.0)).unwrap_err().to_string();
-        assert!(error.contains("do not overlap") && error.contains("fbg_1 of b"), "{error}");
+        let error = Rig::parse("rig.toml", &more(1542.0))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("do not overlap") && error.contains("fbg_1 of b"),
+            "{error}"
+        );
     }
 
     const MOUNT: &str = "[mount]\nkind = \"zaber\"\naddress = 2\nsteps_per_trajectory = 10000\nmicrostep_um = 0.1\nspeed_mm_s = 20\n[interrogator]";
@@ -295,9 +371,11 @@ shear_gpa = 28.2
     fn broadcasts_and_two_entries_of_one_axis_are_refused() {
         let with_mount = RIG.replace("[interrogator]", MOUNT);
         let parse = |from: &str, to: &str| Rig::parse("rig.toml", &with_mount.replace(from, to));
-        for (from, to) in
-            [("", ""), ("address = 2", "address = 3"), ("[stage]", "[stage]\naxis = 2\naddress = 2")]
-        {
+        for (from, to) in [
+            ("", ""),
+            ("address = 2", "address = 3"),
+            ("[stage]", "[stage]\naxis = 2\naddress = 2"),
+        ] {
             assert!(parse(from, to).is_ok(), "control: {to}");
         }
         for (from, to, words) in [
@@ -306,17 +384,41 @@ shear_gpa = 28.2
                 "[stage]\naddress = 0",
                 "stage.address: expected a whole number between 1 and 254, found 0",
             ),
-            ("[stage]", "[stage]\naxis = 0", "stage.axis: expected a whole number between 1 and 9, found 0"),
+            (
+                "[stage]",
+                "[stage]\naxis = 0",
+                "stage.axis: expected a whole number between 1 and 9, found 0",
+            ),
             (
                 "address = 2",
                 "address = 0",
                 "mount.address: expected a whole number between 1 and 254, found 0",
             ),
-            ("[stage]", "[stage]\naddress = 100", "stage.address: expected a whole number between 1 and 99"),
-            ("address = 2", "address = 100", "mount.address: expected a whole number between 1 and 99"),
-            ("address = 2", "address = 1", "found [stage] address = 1, axis = 1 and [mount] address = 1"),
-            ("[stage]", "[stage]\naddress = 2", "[stage] address = 2, axis = 1 and [mount] address = 2"),
-            ("zaber-ascii", "zaber-binary", "mount.kind: expected kind = \"manual\""),
+            (
+                "[stage]",
+                "[stage]\naddress = 100",
+                "stage.address: expected a whole number between 1 and 99",
+            ),
+            (
+                "address = 2",
+                "address = 100",
+                "mount.address: expected a whole number between 1 and 99",
+            ),
+            (
+                "address = 2",
+                "address = 1",
+                "found [stage] address = 1, axis = 1 and [mount] address = 1",
+            ),
+            (
+                "[stage]",
+                "[stage]\naddress = 2",
+                "[stage] address = 2, axis = 1 and [mount] address = 2",
+            ),
+            (
+                "zaber-ascii",
+                "zaber-binary",
+                "mount.kind: expected kind = \"manual\"",
+            ),
         ] {
             let error = parse(from, to).unwrap_err().to_string();
             assert!(error.contains(words), "{words}: {error}");
@@ -340,8 +442,16 @@ shear_gpa = 28.2
             ("zaber-ascii", "foo", "`zaber-ascii`"),
             ("\"sm130\"", "\"foo\"", "`hyperion`"),
             ("\"net\"", "\"foo\"", "`v4l2`"),
-            ("source = \"x:1\"", "source = \"x:1\"\nexposure_mss = 2.0", "exposure_mss"),
-            ("half_angle_deg = 45", "half_angle_deg = \"x\"", "half_angle_deg"),
+            (
+                "source = \"x:1\"",
+                "source = \"x:1\"\nexposure_mss = 2.0",
+                "exposure_mss",
+            ),
+            (
+                "half_angle_deg = 45",
+                "half_angle_deg = \"x\"",
+                "half_angle_deg",
+            ),
             ("half_angle_deg = 45", "half_angle = 45", "half_angle"),
             ("[groove]", "[grove]", "grove"),
             ("id = 0", "id = \"a\"", "id"),
@@ -349,26 +459,52 @@ shear_gpa = 28.2
             ("\"base\"", "\"bsae\"", "`base`"),
             ("base_from_tag = [[1", "base_from_tag = [[2", "rigid"),
             ("world_from_base = [[1", "world_from_base = [[2", "rigid"),
-            ("carried_along = [0,0,1]", "carried_along = [0,0,0]", "base.carried_along"),
+            (
+                "carried_along = [0,0,1]",
+                "carried_along = [0,0,0]",
+                "base.carried_along",
+            ),
             ("wcal-rig/1", "wcal-rig/2", "format"),
             ("[0, 40]", "[40, 0]", "soft_limits_mm"),
             ("[0, 40]", "[0, 400]", "soft_limits_mm"),
             ("\"fbg_2\"", "\"fbg_9\"", "grating"),
-            ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
-            ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
+            (
+                "channel = 1, nominal_nm = 1537.3",
+                "channel = 0, nominal_nm = 1537.3",
+                "grating",
+            ),
+            (
+                "direction = [0, 0, 1]",
+                "direction = [0, 0, 0]",
+                "direction",
+            ),
             ("length_mm = 60.0", "length_mm = \"x\"", "whisker.length_mm"),
             ("length_mm = 60.0", "", "whisker.length_mm"),
-            ("[whisker]", "[moments]\nsign = 3\n[whisker]", "moments.sign"),
-            ("[whisker]", "[fbg]\ntemperature_pm_per_degc = \"x\"\n[whisker]", "fbg.temperature"),
+            (
+                "[whisker]",
+                "[moments]\nsign = 3\n[whisker]",
+                "moments.sign",
+            ),
+            (
+                "[whisker]",
+                "[fbg]\ntemperature_pm_per_degc = \"x\"\n[whisker]",
+                "fbg.temperature",
+            ),
             ("retract_mm = -2", "retrct_mm = -2", "rig file"),
-            ("window_nm = 1.5 }", "window_nm = 1.5, whisker = \"b\" }", "no fbg_1"),
+            (
+                "window_nm = 1.5 }",
+                "window_nm = 1.5, whisker = \"b\" }",
+                "no fbg_1",
+            ),
             (
                 "[whisker]",
                 "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]",
                 "camera",
             ),
         ] {
-            let error = Rig::parse("rig.toml", &whole.replace(from, to)).unwrap_err().to_string();
+            let error = Rig::parse("rig.toml", &whole.replace(from, to))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(field), "{field}: {error}");
         }
     }

@@ -11,7 +11,10 @@ use wcal_core::ranges::Range;
 /// `format` of the file.
 pub const RUN_FORMAT: &str = "wcal-run/1";
 
-const RANGES: &[Range] = &[Range::real("clock_scale", 1e-3, 1e4), Range::whole("", 0.0, 1.9e19)];
+const RANGES: &[Range] = &[
+    Range::real("clock_scale", 1e-3, 1e4),
+    Range::whole("", 0.0, 1.9e19),
+];
 
 /// Everything about a run that the raw streams do not contain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -70,7 +73,9 @@ impl RunFile {
     /// Whether the devices were simulated. Files from before this key are recognised by the names that the virtual bench's devices give
     /// themselves, and by its clock.
     pub fn is_simulated(&self) -> bool {
-        self.simulated || self.clock_scale != 1.0 || self.devices.values().any(DeviceIdentity::is_virtual)
+        self.simulated
+            || self.clock_scale != 1.0
+            || self.devices.values().any(DeviceIdentity::is_virtual)
     }
 
     /// Parses the file.

@@ -55,13 +55,22 @@ impl OwnedSessionFolder {
     /// When another sweep records there, or something else is there.
     pub(crate) fn open(request: &RecordRequest) -> Result<(Self, BTreeSet<u32>), AcquisitionError> {
         let folder = &request.folder;
-        let mut begun =
-            Self { folder: folder.clone(), made: Vec::new(), kept: false, lock: None, reserve: None };
+        let mut begun = Self {
+            folder: folder.clone(),
+            made: Vec::new(),
+            kept: false,
+            lock: None,
+            reserve: None,
+        };
         if !request.resume {
             begun.make_folder()?;
         }
         begun.take_lock()?;
-        let skip = if request.resume { begun.resume(request)? } else { begun.begin(request)? };
+        let skip = if request.resume {
+            begun.resume(request)?
+        } else {
+            begun.begin(request)?
+        };
         Ok((begun, skip))
     }
 
@@ -78,12 +87,15 @@ impl OwnedSessionFolder {
     /// When the disk is full.
     pub(crate) fn reserve(&mut self, bytes: u64) -> Result<(), AcquisitionError> {
         let path = self.folder.join(RESERVE);
-        let mut file = fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
+        let mut file =
+            fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
         // It is nobody's to tidy away.
         let _ = file.try_lock();
         let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut file);
         self.reserve = Some(file);
-        zeros.map(drop).map_err(|e| AcquisitionError::io("writing", &path)(e))
+        zeros
+            .map(drop)
+            .map_err(|e| AcquisitionError::io("writing", &path)(e))
     }
 
     /// Gives the reserved space back.
@@ -100,7 +112,10 @@ impl OwnedSessionFolder {
     }
 
     fn make_folder(&mut self) -> Result<(), AcquisitionError> {
-        let missing = self.folder.ancestors().take_while(|a| !a.as_os_str().is_empty() && !a.exists());
+        let missing = self
+            .folder
+            .ancestors()
+            .take_while(|a| !a.as_os_str().is_empty() && !a.exists());
         self.made = missing.map(Path::to_owned).collect();
         self.made.reverse();
         fs::create_dir_all(&self.folder).map_err(AcquisitionError::io("creating", &self.folder))
@@ -121,8 +136,15 @@ impl OwnedSessionFolder {
 
     fn begin(&mut self, request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
         if self.folder.join("rig.toml").exists() {
-            let (place, expected) = (self.folder.display().to_string(), "a new folder (or --resume)");
-            return Err(AcquisitionError::input(place, expected, "one that holds a session"));
+            let (place, expected) = (
+                self.folder.display().to_string(),
+                "a new folder (or --resume)",
+            );
+            return Err(AcquisitionError::input(
+                place,
+                expected,
+                "one that holds a session",
+            ));
         }
         for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
             write_atomic(&self.makes(name), text.as_bytes())?;
@@ -153,7 +175,11 @@ impl Drop for OwnedSessionFolder {
         }
         for path in self.made.iter().rev() {
             // A folder that somebody has put something into meanwhile stays.
-            let _ = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+            let _ = if path.is_dir() {
+                fs::remove_dir(path)
+            } else {
+                fs::remove_file(path)
+            };
         }
     }
 }
@@ -162,9 +188,18 @@ impl Drop for OwnedSessionFolder {
 ///
 /// # Errors
 /// Who drives it.
-pub(crate) fn stage_lock(rig: &StageRig, session: &Path) -> Result<Vec<FileLock>, AcquisitionError> {
+pub(crate) fn stage_lock(
+    rig: &StageRig,
+    session: &Path,
+) -> Result<Vec<FileLock>, AcquisitionError> {
     let lock = FileLock::of_port(&rig.port, &purpose(session));
-    lock.map_err(|e| held(e, format!("stage {}", rig.port), "a stage that no other program drives"))
+    lock.map_err(|e| {
+        held(
+            e,
+            format!("stage {}", rig.port),
+            "a stage that no other program drives",
+        )
+    })
 }
 
 fn purpose(session: &Path) -> String {
@@ -173,7 +208,9 @@ fn purpose(session: &Path) -> String {
 
 fn held(error: LockError, place: String, expected: &str) -> AcquisitionError {
     match error {
-        LockError::Held(who) => AcquisitionError::input(place, expected, format!("one that {who} works on")),
+        LockError::Held(who) => {
+            AcquisitionError::input(place, expected, format!("one that {who} works on"))
+        }
         LockError::File(e) => e.into(),
     }
 }
@@ -202,7 +239,10 @@ fn without_links(text: &str) -> Option<toml::Table> {
     ] {
         let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
             Some(toml::Value::Table(one)) => vec![one],
-            Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),
+            Some(toml::Value::Array(many)) => many
+                .iter_mut()
+                .filter_map(toml::Value::as_table_mut)
+                .collect(),
             _ => Vec::new(),
         };
         for entry in entries {

@@ -16,7 +16,12 @@ pub(crate) struct SoundClock {
 
 impl SoundClock {
     pub(crate) fn new(clock_scale: f64) -> Self {
-        Self { watch: ClockWatch::new(clock_scale), count: 0, held: Vec::new(), broken: None }
+        Self {
+            watch: ClockWatch::new(clock_scale),
+            count: 0,
+            held: Vec::new(),
+            broken: None,
+        }
     }
 
     /// Takes the next scan, after that many events; good ones go to `clocks`, what the clock did to `faults`.
@@ -30,7 +35,8 @@ impl SoundClock {
         let fault = self.watch.take(scan.serial, scan.host_s, scan.device_s);
         if let Some(fault) = fault {
             faults.push(fault.to_string());
-            self.broken.get_or_insert((self.count - self.held.len(), events));
+            self.broken
+                .get_or_insert((self.count - self.held.len(), events));
             self.held.clear();
         }
         self.count += 1;
@@ -45,8 +51,10 @@ impl SoundClock {
 
     /// What was held is good, but for single wrong stamps.
     pub(crate) fn settle(&mut self, clocks: &mut ClockPair) {
-        let good =
-            self.held.drain(..).filter(|(host_s, device_s)| self.watch.is_plausible(*host_s, *device_s));
+        let good = self
+            .held
+            .drain(..)
+            .filter(|(host_s, device_s)| self.watch.is_plausible(*host_s, *device_s));
         good.for_each(|(host_s, device_s)| clocks.add(host_s, device_s));
     }
 }

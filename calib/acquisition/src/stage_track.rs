@@ -23,8 +23,14 @@ impl Track {
         // A file has its messages in any order.
         let mut stage: Vec<&StagePosition> = stage.iter().collect();
         stage.sort_by(|a, b| a.host_s.total_cmp(&b.host_s));
-        let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
-        Self { points, moving: stage.iter().map(|r| r.moving).collect() }
+        let points = stage
+            .iter()
+            .map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm))
+            .collect();
+        Self {
+            points,
+            moving: stage.iter().map(|r| r.moving).collect(),
+        }
     }
 
     /// The answers that tell where the stage was in a settled window: those inside, or where it did not answer the two around it.
@@ -33,15 +39,22 @@ impl Track {
         let from = self.points.partition_point(|p| p.0 < begin_s);
         // A damaged window may end before it begins.
         let to = self.points.partition_point(|p| p.0 <= end_s).max(from);
-        let answers = if from < to { from..to } else { from.checked_sub(1)?..to + 1 };
+        let answers = if from < to {
+            from..to
+        } else {
+            from.checked_sub(1)?..to + 1
+        };
         (answers.end <= self.points.len()).then_some(answers)
     }
 
     /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
     pub(crate) fn has_left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
-        let Some(answers) = self.answers(begin_s, end_s) else { return true };
+        let Some(answers) = self.answers(begin_s, end_s) else {
+            return true;
+        };
         let mut depths_mm = self.points[answers.clone()].iter().map(|p| p.1);
-        self.moving[answers].contains(&true) || depths_mm.any(|mm| (mm - target_mm).abs() > ARRIVAL_MM)
+        self.moving[answers].contains(&true)
+            || depths_mm.any(|mm| (mm - target_mm).abs() > ARRIVAL_MM)
     }
 
     /// Depth (mm) and speed (mm/s): the line through the answers around it, or between its neighbours where there are few; `None` outside the
@@ -49,7 +62,10 @@ impl Track {
     pub(crate) fn at(&self, t_s: f64) -> Option<(f64, f64)> {
         let before = |limit_s: f64| self.points.partition_point(|p| p.0 <= limit_s);
         let after = before(t_s);
-        let (a, b) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
+        let (a, b) = (
+            self.points.get(after.checked_sub(1)?)?,
+            self.points.get(after)?,
+        );
         let near = &self.points[before(t_s - NEAR_S)..before(t_s + NEAR_S)];
         if near.len() < MIN_NEAR {
             let speed = (b.1 - a.1) / (b.0 - a.0);
@@ -57,10 +73,14 @@ impl Track {
         }
         // Answers are stamped some milliseconds late, now more, now less: two of them 8 ms apart give a speed that is 15 % off.
         let n = near.len() as f64;
-        let (mean_s, mean_mm) =
-            (near.iter().map(|p| p.0 - t_s).sum::<f64>() / n, near.iter().map(|p| p.1).sum::<f64>() / n);
+        let (mean_s, mean_mm) = (
+            near.iter().map(|p| p.0 - t_s).sum::<f64>() / n,
+            near.iter().map(|p| p.1).sum::<f64>() / n,
+        );
         let sum = |f: &dyn Fn(f64, f64) -> f64| {
-            near.iter().map(|p| f(p.0 - t_s - mean_s, p.1 - mean_mm)).sum::<f64>()
+            near.iter()
+                .map(|p| f(p.0 - t_s - mean_s, p.1 - mean_mm))
+                .sum::<f64>()
         };
         let speed = sum(&|s, mm| s * mm) / sum(&|s, _| s * s);
         Some((mean_mm - speed * mean_s, speed))
@@ -83,12 +103,19 @@ mod tests {
         let late_s = |k: u32| 1.5e-3 * (f64::from(k * 37 % 101) / 100.0 - 0.5);
         let points = |every_s: f64| Track {
             points: (0..200)
-                .map(|k| (every_s * f64::from(k) + late_s(k), 2.0 * every_s * f64::from(k)))
+                .map(|k| {
+                    (
+                        every_s * f64::from(k) + late_s(k),
+                        2.0 * every_s * f64::from(k),
+                    )
+                })
                 .collect(),
             moving: vec![true; 200],
         };
         let worst = |track: &Track| {
-            let all = (10..130).map(|k| 0.01 * f64::from(k)).filter_map(|t| Some((t, track.at(t)?)));
+            let all = (10..130)
+                .map(|k| 0.01 * f64::from(k))
+                .filter_map(|t| Some((t, track.at(t)?)));
             let off = all.map(|(t, (mm, speed))| [(mm - 2.0 * t).abs(), (speed / 2.0 - 1.0).abs()]);
             off.fold([0.0_f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])])
         };
@@ -106,7 +133,10 @@ mod tests {
             Track { points, moving }
         };
         let standing = track(&|_| (3.001, false));
-        assert!(!standing.has_left(3.0, 0.5, 1.5), "control: within what an arrival may be off");
+        assert!(
+            !standing.has_left(3.0, 0.5, 1.5),
+            "control: within what an arrival may be off"
+        );
         assert!(standing.has_left(2.9, 0.5, 1.5), "it stands elsewhere");
         let moved = track(&|t| if t < 1.0 { (3.0, false) } else { (3.2, false) });
         assert!(moved.has_left(3.0, 0.5, 1.5) && !moved.has_left(3.0, 0.0, 0.9));
@@ -120,8 +150,15 @@ mod tests {
     fn a_window_without_an_answer_is_judged_by_the_answers_around_it() {
         // A second at each of 1, 2, 3 ... mm, an answer every 20 ms but for some time; the last tenth of a second is the next move.
         let track = |silent: std::ops::Range<f64>| {
-            let times = (0..500).map(|k| 0.02 * f64::from(k)).filter(|t| !silent.contains(t));
-            let at = |t: f64| (1.0 + t.floor() + 10.0 * (t.fract() - 0.9).max(0.0), t.fract() > 0.9);
+            let times = (0..500)
+                .map(|k| 0.02 * f64::from(k))
+                .filter(|t| !silent.contains(t));
+            let at = |t: f64| {
+                (
+                    1.0 + t.floor() + 10.0 * (t.fract() - 0.9).max(0.0),
+                    t.fract() > 0.9,
+                )
+            };
             let (points, moving) = times.map(|t| ((t, at(t).0), at(t).1)).unzip();
             Track { points, moving }
         };
@@ -139,7 +176,10 @@ mod tests {
             assert!(judged(silent).0, "{name}");
         }
         let (left, mm) = judged(3.2..3.85);
-        assert!(!left && near(mm), "negative control: it stands there before and after: {mm:?}");
+        assert!(
+            !left && near(mm),
+            "negative control: it stands there before and after: {mm:?}"
+        );
         let (left, mm) = judged(9.0..9.0);
         assert!(!left && near(mm), "negative control: it always answers");
     }

@@ -103,10 +103,19 @@ impl Sweep<'_, '_, '_> {
             self.tick(POLL_STANDING)?;
             if over && lock(self.bench.monitor).device_s().is_none() {
                 let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(kind, "interrogator", "wait for scans", "scans", "silence"));
+                return Err(DeviceError::new(
+                    kind,
+                    "interrogator",
+                    "wait for scans",
+                    "scans",
+                    "silence",
+                ));
             }
         }
-        self.event(&SweepEvent { kind: "start".to_owned(), ..SweepEvent::default() })?;
+        self.event(&SweepEvent {
+            kind: "start".to_owned(),
+            ..SweepEvent::default()
+        })?;
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
         self.bench.mount.prepare(allowed)
     }
@@ -137,11 +146,17 @@ impl Sweep<'_, '_, '_> {
                 continue;
             }
             self.carry_out(step)?;
-            self.event(&SweepEvent { kind: "done".to_owned(), ..SweepEvent::default() })?;
+            self.event(&SweepEvent {
+                kind: "done".to_owned(),
+                ..SweepEvent::default()
+            })?;
             *done += 1;
         }
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
-        self.event(&SweepEvent { kind: "finished".to_owned(), ..SweepEvent::default() })
+        self.event(&SweepEvent {
+            kind: "finished".to_owned(),
+            ..SweepEvent::default()
+        })
     }
 
     fn carry_out(&mut self, step: &Step) -> Result<(), DeviceError> {
@@ -161,7 +176,12 @@ impl Sweep<'_, '_, '_> {
         self.bench.mount.select(trajectory)?;
         self.trajectory = Some(trajectory);
         let begin_s = self.stage_s();
-        self.event(&SweepEvent { kind: "mount".to_owned(), trajectory, begin_s, ..SweepEvent::default() })
+        self.event(&SweepEvent {
+            kind: "mount".to_owned(),
+            trajectory,
+            begin_s,
+            ..SweepEvent::default()
+        })
     }
 
     /// Waits at rest until the drift gate opens, or the soak time is over.
@@ -170,7 +190,13 @@ impl Sweep<'_, '_, '_> {
         let settle = self.plan.settle;
         let gate = self.wait_for_gate(begin_s, settle.window_s * 5.0, self.plan.soak_s)?;
         let (end_s, settled) = (self.device_s(), gate);
-        self.event(&SweepEvent { kind: "soak".to_owned(), begin_s, end_s, settled, ..SweepEvent::default() })
+        self.event(&SweepEvent {
+            kind: "soak".to_owned(),
+            begin_s,
+            end_s,
+            settled,
+            ..SweepEvent::default()
+        })
     }
 
     /// In and out of contact at a known speed: the signal reveals the delay between the devices.
@@ -184,8 +210,17 @@ impl Sweep<'_, '_, '_> {
         let end_s = self.stage_s() + 0.3;
         self.wait_until(end_s)?;
         let trajectory = self.trajectory.unwrap_or(0);
-        let event = SweepEvent { begin_s, end_s, speed_mm_s, trajectory, ..SweepEvent::default() };
-        self.event(&SweepEvent { kind: "sync".to_owned(), ..event })
+        let event = SweepEvent {
+            begin_s,
+            end_s,
+            speed_mm_s,
+            trajectory,
+            ..SweepEvent::default()
+        };
+        self.event(&SweepEvent {
+            kind: "sync".to_owned(),
+            ..event
+        })
     }
 
     /// Move, dwell, drift gate, averaging window.
@@ -197,8 +232,14 @@ impl Sweep<'_, '_, '_> {
         let settled = self.wait_for_gate(arrived_s, settle.window_s, settle.timeout_s)?;
         if !settled {
             self.unsettled += 1;
-            let text = format!("step {}: the signal did not settle in {} s", self.step, settle.timeout_s);
-            self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text).map_err(|e| disk(&e))?;
+            let text = format!(
+                "step {}: the signal did not settle in {} s",
+                self.step, settle.timeout_s
+            );
+            self.bench
+                .recorder
+                .text(self.last.clocks.host_s, Level::Warning, &text)
+                .map_err(|e| disk(&e))?;
         }
         if !self.rig.camera.is_empty() {
             let since_host_s = self.last.clocks.host_s;
@@ -207,7 +248,13 @@ impl Sweep<'_, '_, '_> {
         let (begin_s, end_s) = self.window(pose.average_s)?;
         self.wait_for_picture()?;
         let event = self.pose_event("window", pose);
-        self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
+        self.event(&SweepEvent {
+            begin_s,
+            end_s,
+            arrived_s,
+            settled,
+            ..event
+        })
     }
 
     /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
@@ -218,7 +265,10 @@ impl Sweep<'_, '_, '_> {
         }
         if lock(self.bench.monitor).end_picture() {
             let kind = "picture-missed".to_owned();
-            self.event(&SweepEvent { kind, ..SweepEvent::default() })?;
+            self.event(&SweepEvent {
+                kind,
+                ..SweepEvent::default()
+            })?;
         }
         Ok(())
     }
@@ -235,7 +285,13 @@ impl Sweep<'_, '_, '_> {
             }
         }
         let expected = format!("{MIN_COVERED} of a window's scans in one of {WINDOWS}");
-        Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
+        Err(DeviceError::new(
+            DeviceErrorKind::Timeout,
+            "interrogator",
+            "average",
+            expected,
+            "gaps",
+        ))
     }
 
     /// Rows recorded during motion.
@@ -248,7 +304,13 @@ impl Sweep<'_, '_, '_> {
         let end_s = self.stage_s();
         self.wait_until(end_s + 0.1)?;
         let event = self.pose_event("moving", pose);
-        self.event(&SweepEvent { begin_s, end_s, arrived_s: end_s, rows_hz, ..event })
+        self.event(&SweepEvent {
+            begin_s,
+            end_s,
+            arrived_s: end_s,
+            rows_hz,
+            ..event
+        })
     }
 
     fn pose_event(&self, kind: &str, pose: &Pose) -> SweepEvent {
@@ -266,7 +328,9 @@ impl Sweep<'_, '_, '_> {
     }
 
     fn go_through(&mut self, depths_mm: &[f64], speed_mm_s: f64) -> Result<(), DeviceError> {
-        depths_mm.iter().try_for_each(|depth_mm| self.go_to(*depth_mm, speed_mm_s))
+        depths_mm
+            .iter()
+            .try_for_each(|depth_mm| self.go_to(*depth_mm, speed_mm_s))
     }
 
     /// Moves to a depth and checks that the stage got there.
@@ -279,9 +343,17 @@ impl Sweep<'_, '_, '_> {
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
         let off_mm = self.last.measured_mm - target_mm;
         if off_mm.abs() > ARRIVAL_MM {
-            let (expected, found) =
-                (format!("{target_mm:.4} mm"), format!("{:.4} mm", self.last.measured_mm));
-            return Err(DeviceError::new(DeviceErrorKind::Stalled, "stage", "move", expected, found));
+            let (expected, found) = (
+                format!("{target_mm:.4} mm"),
+                format!("{:.4} mm", self.last.measured_mm),
+            );
+            return Err(DeviceError::new(
+                DeviceErrorKind::Stalled,
+                "stage",
+                "move",
+                expected,
+                found,
+            ));
         }
         self.stands_mm = Some(target_mm);
         Ok(())
@@ -289,15 +361,29 @@ impl Sweep<'_, '_, '_> {
 
     /// A stage that stands stays where it was sent: another program, or a hand at its knob, would leave readings of another place.
     fn still_there(&mut self) -> Result<(), DeviceError> {
-        let Some(target_mm) = self.stands_mm else { return Ok(()) };
+        let Some(target_mm) = self.stands_mm else {
+            return Ok(());
+        };
         if !self.last.moving && (self.last.measured_mm - target_mm).abs() <= ARRIVAL_MM {
             return Ok(());
         }
-        let moves = if self.last.moving { "moving" } else { "standing" };
-        let found =
-            format!("it {moves} at {:.4} mm: another program or a hand moves it", self.last.measured_mm);
+        let moves = if self.last.moving {
+            "moving"
+        } else {
+            "standing"
+        };
+        let found = format!(
+            "it {moves} at {:.4} mm: another program or a hand moves it",
+            self.last.measured_mm
+        );
         let expected = format!("the stage at {target_mm:.4} mm, where it was sent");
-        self.of_stage(Err(DeviceError::new(DeviceErrorKind::Displaced, "stage", "stand", expected, found)))
+        self.of_stage(Err(DeviceError::new(
+            DeviceErrorKind::Displaced,
+            "stage",
+            "stand",
+            expected,
+            found,
+        )))
     }
 
     /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage that stays BUSY has failed.
@@ -350,7 +436,12 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// True when the drift fell below the gate; a drift that its own error hides has not.
-    fn wait_for_gate(&mut self, since_s: f64, window_s: f64, timeout_s: f64) -> Result<bool, DeviceError> {
+    fn wait_for_gate(
+        &mut self,
+        since_s: f64,
+        window_s: f64,
+        timeout_s: f64,
+    ) -> Result<bool, DeviceError> {
         let end_s = self.device_s() + timeout_s;
         let gate = self.plan.settle.gate_pm_per_s;
         let deadline = self.by_device_clock(timeout_s);
@@ -386,7 +477,11 @@ impl Sweep<'_, '_, '_> {
             step: self.step,
             steps: self.steps,
             stage_mm: self.last.measured_mm - self.rig.stage.zero_mm,
-            wavelengths_nm: [latest.reference_nm, latest.sensing_nm[0], latest.sensing_nm[1]],
+            wavelengths_nm: [
+                latest.reference_nm,
+                latest.sensing_nm[0],
+                latest.sensing_nm[1],
+            ],
             counts,
             device_s,
         });
@@ -395,7 +490,10 @@ impl Sweep<'_, '_, '_> {
 
     /// Remembers that it was the stage that failed.
     pub(crate) fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
-        if done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Interrupted) {
+        if done
+            .as_ref()
+            .is_err_and(|e| e.kind != DeviceErrorKind::Interrupted)
+        {
             self.fault = Fault::Stage;
         }
         done
@@ -419,13 +517,25 @@ impl Sweep<'_, '_, '_> {
     }
 
     fn event(&mut self, event: &SweepEvent) -> Result<(), DeviceError> {
-        let event = SweepEvent { step: self.step as u32, ..event.clone() };
-        self.bench.recorder.event(self.last.clocks.host_s, &event).map_err(|e| disk(&e))
+        let event = SweepEvent {
+            step: self.step as u32,
+            ..event.clone()
+        };
+        self.bench
+            .recorder
+            .event(self.last.clocks.host_s, &event)
+            .map_err(|e| disk(&e))
     }
 }
 
 /// The recording could not be written: where, and why.
 pub(crate) fn disk(error: &AcquisitionError) -> DeviceError {
     let kind = DeviceErrorKind::Configuration;
-    DeviceError::new(kind, "recorder", "record", "space on disk", error.to_string())
+    DeviceError::new(
+        kind,
+        "recorder",
+        "record",
+        "space on disk",
+        error.to_string(),
+    )
 }

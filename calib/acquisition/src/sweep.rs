@@ -65,10 +65,18 @@ pub struct SweepReport {
 impl SweepReport {
     /// Losses and faults in spite of which the sweep continued; each is a reason for exit code 3.
     pub fn warnings(&self) -> Vec<String> {
-        let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;
+        let StreamCounts {
+            lost,
+            gaps,
+            pairs_refused,
+            ..
+        } = self.counts;
         let all = [
             (lost > 0, format!("{lost} scans lost in {gaps} gaps")),
-            (pairs_refused > 0, format!("{pairs_refused} camera pairs refused")),
+            (
+                pairs_refused > 0,
+                format!("{pairs_refused} camera pairs refused"),
+            ),
         ];
         let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
         all.chain(self.signal_warnings()).collect()
@@ -78,10 +86,19 @@ impl SweepReport {
     pub fn signal_warnings(&self) -> Vec<String> {
         let (unsettled, unusable) = (self.unsettled, self.counts.unusable);
         let all = [
-            (unsettled > 0, format!("{unsettled} windows whose signal did not settle")),
-            (unusable > 0, format!("{unusable} scans with a lost or crossing peak")),
+            (
+                unsettled > 0,
+                format!("{unsettled} windows whose signal did not settle"),
+            ),
+            (
+                unusable > 0,
+                format!("{unusable} scans with a lost or crossing peak"),
+            ),
         ];
-        all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text).collect()
+        all.into_iter()
+            .filter(|(on, _)| *on)
+            .map(|(_, text)| text)
+            .collect()
     }
 }
 
@@ -91,10 +108,17 @@ pub struct Watched<F: Fn(DeviceError)>(pub F);
 impl<F: Fn(DeviceError)> Drop for Watched<F> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            let (kind, found) =
-                (DeviceErrorKind::CriticalFault, "a panic of the thread that records it (see above)");
-            let error =
-                DeviceError::new(kind, "program", "record the stream", "a thread that goes on", found);
+            let (kind, found) = (
+                DeviceErrorKind::CriticalFault,
+                "a panic of the thread that records it (see above)",
+            );
+            let error = DeviceError::new(
+                kind,
+                "program",
+                "record the stream",
+                "a thread that goes on",
+                found,
+            );
             (self.0)(error);
         }
     }
@@ -108,7 +132,10 @@ pub fn acquire(
     done: &AtomicBool,
 ) {
     let _watched = Watched(|e| lock(monitor).fail_with(e));
-    if let Err(e) = interrogator.start().and_then(|()| stream(interrogator, monitor, recorder, done)) {
+    if let Err(e) = interrogator
+        .start()
+        .and_then(|()| stream(interrogator, monitor, recorder, done))
+    {
         lock(monitor).fail_with(e);
     }
     // The recording is complete; a unit that does not confirm the end changes nothing.
@@ -144,8 +171,17 @@ fn stream(
         if !recorded.is_empty() {
             heard = Deadline::uninterruptible(SILENCE);
         } else if over {
-            let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
-            return Err(blame(DeviceError::new(kind, "interrogator", "read the stream", "scans", found)));
+            let (kind, found) = (
+                DeviceErrorKind::Timeout,
+                format!("silence for {} s", SILENCE.as_secs()),
+            );
+            return Err(blame(DeviceError::new(
+                kind,
+                "interrogator",
+                "read the stream",
+                "scans",
+                found,
+            )));
         }
         let mut monitor = lock(monitor);
         recorded.iter().for_each(|r| monitor.take(r));
@@ -177,7 +213,9 @@ pub fn run(
         progress,
     };
     let mut done = 0;
-    let result = sweep.prepare(allowed).and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    let result = sweep
+        .prepare(allowed)
+        .and_then(|()| sweep.all_steps(steps, skip, &mut done));
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {
@@ -186,5 +224,10 @@ pub fn run(
         }
     };
     let counts = lock(sweep.bench.monitor).counts();
-    SweepReport { ending, done, unsettled: sweep.unsettled, counts }
+    SweepReport {
+        ending,
+        done,
+        unsettled: sweep.unsettled,
+        counts,
+    }
 }

@@ -35,8 +35,16 @@ const COLUMNS: [&str; 21] = [
     "stream",
 ];
 /// Columns of compensation.csv: shifts with temperature taken out, and the uncertainty of the mean.
-const COMPENSATION: [&str; 8] =
-    ["file", "point", "fbg_1_pm", "fbg_1_u_pm", "fbg_2_pm", "fbg_2_u_pm", "settled", "unusable_scans"];
+const COMPENSATION: [&str; 8] = [
+    "file",
+    "point",
+    "fbg_1_pm",
+    "fbg_1_u_pm",
+    "fbg_2_pm",
+    "fbg_2_u_pm",
+    "settled",
+    "unusable_scans",
+];
 
 /// What the stream did in the averaging window of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,7 +118,9 @@ fn csv_text(
 ) -> Result<Vec<u8>, AcquisitionError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     write(&mut writer).map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
-    writer.into_inner().map_err(|e| AcquisitionError::Recorder(e.to_string()))
+    writer
+        .into_inner()
+        .map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
 /// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv, outliers.csv. Simulated readings are
@@ -156,9 +166,17 @@ pub fn write_tables(
 
 fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
     csv_text(|out| {
-        out.write_record(COLUMNS.iter().copied().chain(simulated.then_some(SIMULATED_COLUMN)))?;
+        out.write_record(
+            COLUMNS
+                .iter()
+                .copied()
+                .chain(simulated.then_some(SIMULATED_COLUMN)),
+        )?;
         for (k, row) in rows.iter().enumerate() {
-            let groove = |axis: usize| row.groove_mm.map_or(String::new(), |g| format!("{:.6}", g[axis]));
+            let groove = |axis: usize| {
+                row.groove_mm
+                    .map_or(String::new(), |g| format!("{:.6}", g[axis]))
+            };
             let fields = [
                 k.to_string(),
                 row.role.clone(),
@@ -173,7 +191,9 @@ fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
                 groove(1),
                 groove(2),
                 String::new(),
-                row.mean.reference_nm.map_or(String::new(), |nm| format!("{nm:.7}")),
+                row.mean
+                    .reference_nm
+                    .map_or(String::new(), |nm| format!("{nm:.7}")),
                 format!("{:.7}", row.mean.sensing_nm[0]),
                 format!("{:.7}", row.mean.sensing_nm[1]),
                 format!("{:.4}", row.mean.sensing_sd_pm[0]),
@@ -200,8 +220,12 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
         let nominal = rig.grating(name).map_or(0.0, |g| g.nominal_nm);
         let shift = (row.mean.sensing_nm[k] - nominal) * 1e3 - ratios[k] * heat_pm;
         // Var(y) = var_g + r^2 var_ref: the temperature correction adds the reference's noise.
-        let variance = row.mean.sensing_sd_pm[k].powi(2) + (ratios[k] * row.mean.reference_sd_pm).powi(2);
-        fields.extend([format!("{shift:.4}"), format!("{:.4}", (variance / n).sqrt())]);
+        let variance =
+            row.mean.sensing_sd_pm[k].powi(2) + (ratios[k] * row.mean.reference_sd_pm).powi(2);
+        fields.extend([
+            format!("{shift:.4}"),
+            format!("{:.4}", (variance / n).sqrt()),
+        ]);
     }
     fields.extend([row.settled.to_string(), row.unusable.to_string()]);
     fields
@@ -210,10 +234,18 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
 /// Shift of each sensing grating per shift of the reference, from the rig's temperature coefficients; 0 without them.
 pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
     let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
-    let reference = rig.fbg.get("reference_temperature_pm_per_degc").and_then(number);
-    let own = rig.fbg.get("temperature_pm_per_degc").and_then(Value::as_array);
+    let reference = rig
+        .fbg
+        .get("reference_temperature_pm_per_degc")
+        .and_then(number);
+    let own = rig
+        .fbg
+        .get("temperature_pm_per_degc")
+        .and_then(Value::as_array);
     match (reference, own) {
-        (Some(r), Some(list)) if r != 0.0 && list.len() == 2 && rig.grating("fbg_ref").is_some() => {
+        (Some(r), Some(list))
+            if r != 0.0 && list.len() == 2 && rig.grating("fbg_ref").is_some() =>
+        {
             [0, 1].map(|k| number(&list[k]).unwrap_or(0.0) / r)
         }
         _ => [0.0; 2],
@@ -254,7 +286,12 @@ pub fn session_toml(
     let nominal = |name: &str| rig.grating(name).map(|g| Value::Float(g.nominal_nm));
     fbg.insert(
         "nominal_nm".to_owned(),
-        Value::Array(["fbg_1", "fbg_2"].iter().filter_map(|n| nominal(n)).collect()),
+        Value::Array(
+            ["fbg_1", "fbg_2"]
+                .iter()
+                .filter_map(|n| nominal(n))
+                .collect(),
+        ),
     );
     if let Some(reference) = nominal("fbg_ref") {
         fbg.insert("reference_nominal_nm".to_owned(), reference);
@@ -287,11 +324,20 @@ pub fn session_toml(
         root.insert("moments".to_owned(), Value::Table(moments.clone()));
     }
     root.insert("fbg".to_owned(), Value::Table(fbg));
-    root.insert("trajectory".to_owned(), Value::Array(trajectories.collect()));
-    root.insert("devices".to_owned(), Value::Table(devices(run, recordings, result)?));
+    root.insert(
+        "trajectory".to_owned(),
+        Value::Array(trajectories.collect()),
+    );
+    root.insert(
+        "devices".to_owned(),
+        Value::Table(devices(run, recordings, result)?),
+    );
     let mut provenance = Table::new();
     provenance.insert("program".to_owned(), text(&run.program));
-    provenance.insert("command".to_owned(), Value::Array(run.command.iter().map(|c| text(c)).collect()));
+    provenance.insert(
+        "command".to_owned(),
+        Value::Array(run.command.iter().map(|c| text(c)).collect()),
+    );
     if run.is_simulated() {
         provenance.insert("simulated".to_owned(), Value::Boolean(true));
         provenance.insert("simulated_by".to_owned(), text("the virtual bench"));
@@ -307,7 +353,11 @@ pub fn session_toml(
     toml::to_string(&root).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<Table, AcquisitionError> {
+fn devices(
+    run: &RunFile,
+    recordings: &[String],
+    result: &Reduction,
+) -> Result<Table, AcquisitionError> {
     let mut devices = Table::new();
     for (role, identity) in &run.devices {
         let mut table = Table::new();
@@ -328,23 +378,40 @@ fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<T
     stream.insert("lost_scans".to_owned(), Value::Integer(result.lost as i64));
     stream.insert("gaps".to_owned(), Value::Integer(result.gaps as i64));
     stream.insert("late_scans".to_owned(), Value::Integer(result.late as i64));
-    stream.insert("longest_delay_s".to_owned(), Value::Float(result.longest_delay_s));
-    stream.insert("damaged_chunks".to_owned(), Value::Integer(result.damaged_chunks as i64));
+    stream.insert(
+        "longest_delay_s".to_owned(),
+        Value::Float(result.longest_delay_s),
+    );
+    stream.insert(
+        "damaged_chunks".to_owned(),
+        Value::Integer(result.damaged_chunks as i64),
+    );
     stream.insert(
         "warnings".to_owned(),
         Value::Array(result.warnings().into_iter().map(Value::String).collect()),
     );
-    stream
-        .insert("recordings".to_owned(), Value::Array(recordings.iter().map(|r| r.clone().into()).collect()));
+    stream.insert(
+        "recordings".to_owned(),
+        Value::Array(recordings.iter().map(|r| r.clone().into()).collect()),
+    );
     if result.pairs != [0; 2] {
         let count = |n: u64| Value::Integer(n as i64);
         stream.insert("camera_pairs".to_owned(), count(result.pairs[0]));
         stream.insert("camera_pairs_refused".to_owned(), count(result.pairs[1]));
     }
     stream.insert("clock_scale".to_owned(), Value::Float(run.clock_scale));
-    stream.insert("lag_s".to_owned(), Value::Array(result.lag_s.iter().map(|s| Value::Float(*s)).collect()));
-    stream.insert("clocks".to_owned(), Value::Array(result.clocks.iter().map(|f| clock(f, None)).collect()));
-    let cameras = result.camera_clocks.iter().map(|(name, fit)| clock(fit, Some(name)));
+    stream.insert(
+        "lag_s".to_owned(),
+        Value::Array(result.lag_s.iter().map(|s| Value::Float(*s)).collect()),
+    );
+    stream.insert(
+        "clocks".to_owned(),
+        Value::Array(result.clocks.iter().map(|f| clock(f, None)).collect()),
+    );
+    let cameras = result
+        .camera_clocks
+        .iter()
+        .map(|(name, fit)| clock(fit, Some(name)));
     stream.insert("camera_clocks".to_owned(), Value::Array(cameras.collect()));
     devices.insert("stream".to_owned(), Value::Table(stream));
     Ok(devices)
@@ -377,7 +444,10 @@ mod tests {
         let (own, last) = COLUMNS.split_at(COLUMNS.len() - 1);
         assert_eq!(last, ["stream"]);
         let places: Vec<Option<usize>> = own.iter().map(&place).collect();
-        assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?}");
+        assert!(
+            places.iter().all(Option::is_some) && places.is_sorted(),
+            "{places:?}"
+        );
         assert_eq!(place(&"shoe_size"), None, "negative control");
     }
 }

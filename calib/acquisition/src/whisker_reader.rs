@@ -37,9 +37,17 @@ impl WhiskerReader {
         whisker: &str,
         fbg: &FbgSpec,
     ) -> Result<Self, AcquisitionError> {
-        let of = if whisker.is_empty() { String::new() } else { format!(" of whisker {whisker}") };
+        let of = if whisker.is_empty() {
+            String::new()
+        } else {
+            format!(" of whisker {whisker}")
+        };
         let fail = |field: &str, expected: String, found: String| {
-            Err(AcquisitionError::input(format!("{place}: {field}{of}"), expected, found))
+            Err(AcquisitionError::input(
+                format!("{place}: {field}{of}"),
+                expected,
+                found,
+            ))
         };
         let Some(nominal_nm) = fbg.nominal_nm else {
             let expected = "a calibration with nominal wavelengths".to_owned();
@@ -59,7 +67,10 @@ impl WhiskerReader {
                 return fail(name, expected, "none".to_owned());
             };
             if !((grating.nominal_nm - nm).abs() <= grating.window_nm) {
-                let expected = format!("the calibration's {nm} nm to within {} nm", grating.window_nm);
+                let expected = format!(
+                    "the calibration's {nm} nm to within {} nm",
+                    grating.window_nm
+                );
                 return fail(name, expected, format!("{} nm", grating.nominal_nm));
             }
         }
@@ -80,7 +91,11 @@ impl WhiskerReader {
     ///
     /// # Errors
     /// After the first second: another scan rate than stated, or a grating that never had a peak.
-    pub fn take(&mut self, reading: &FbgReading, dropped: bool) -> Result<WhiskerReading, AcquisitionError> {
+    pub fn take(
+        &mut self,
+        reading: &FbgReading,
+        dropped: bool,
+    ) -> Result<WhiskerReading, AcquisitionError> {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         let first = *self.first.get_or_insert((reading.serial, device_s));
         let mut flags = Flags::default();
@@ -99,15 +114,27 @@ impl WhiskerReader {
         flag(!faults.is_empty() && faults != ["fan-fault"], Flags::UNIT);
         let assigned = self.map.assign(reading);
         let compensate = self.fbg.needs_reference();
-        flag(assigned.sensing_nm.iter().any(Option::is_none), Flags::PEAK_LOST);
+        flag(
+            assigned.sensing_nm.iter().any(Option::is_none),
+            Flags::PEAK_LOST,
+        );
         flag(assigned.crossing, Flags::CROSSING);
-        flag(compensate && assigned.reference_nm.is_none(), Flags::REFERENCE_LOST);
-        let peaks = [assigned.reference_nm, assigned.sensing_nm[0], assigned.sensing_nm[1]];
+        flag(
+            compensate && assigned.reference_nm.is_none(),
+            Flags::REFERENCE_LOST,
+        );
+        let peaks = [
+            assigned.reference_nm,
+            assigned.sensing_nm[0],
+            assigned.sensing_nm[1],
+        ];
         for (seen, peak) in self.seen.iter_mut().zip(peaks) {
             *seen += u64::from(peak.is_some());
         }
-        let reference_pm =
-            assigned.reference_nm.zip(self.fbg.reference_nominal_nm).map(|(nm, at)| (nm - at) * PM_PER_NM);
+        let reference_pm = assigned
+            .reference_nm
+            .zip(self.fbg.reference_nominal_nm)
+            .map(|(nm, at)| (nm - at) * PM_PER_NM);
         let bad = Flags::UNIT.with(Flags::REFERENCE_LOST).0;
         let shift_pm = assigned.usable().filter(|_| flags.0 & bad == 0).map(|nm| {
             let raw_pm = [0, 1].map(|k| (nm[k] - self.nominal_nm[k]) * PM_PER_NM);
@@ -118,14 +145,18 @@ impl WhiskerReader {
             serial: reading.serial,
             t_s: device_s - first.1,
             shift_pm,
-            rise_degc: reference_pm.and_then(|pm| self.fbg.rise_degc(pm)).unwrap_or(0.0),
+            rise_degc: reference_pm
+                .and_then(|pm| self.fbg.rise_degc(pm))
+                .unwrap_or(0.0),
             flags,
         })
     }
 
     /// Once, after a second of scans.
     fn judge(&mut self, first: (u64, f64), reading: &FbgReading) -> Result<(), AcquisitionError> {
-        let Some((serial, last_s)) = self.last else { return Ok(()) };
+        let Some((serial, last_s)) = self.last else {
+            return Ok(());
+        };
         let scans = serial.saturating_sub(first.0) as f64;
         if self.judged || scans < self.rate_hz {
             return Ok(());
@@ -134,12 +165,19 @@ impl WhiskerReader {
         let found_hz = scans / (last_s - first.1);
         if !((found_hz / self.rate_hz - 1.0).abs() <= RATE_SHARE) {
             let expected = format!("{} scans a second (rate_hz)", self.rate_hz);
-            return Err(AcquisitionError::input(&self.name, expected, format!("{found_hz:.1}")));
+            return Err(AcquisitionError::input(
+                &self.name,
+                expected,
+                format!("{found_hz:.1}"),
+            ));
         }
         for (name, seen) in ["fbg_ref", "fbg_1", "fbg_2"].iter().zip(self.seen) {
             if seen == 0 && (*name != "fbg_ref" || self.fbg.needs_reference()) {
                 let expected = format!("a peak of {name} in its window (channel map)");
-                let all = format!("none in a second; the last scan has {:?} nm", reading.peaks_nm);
+                let all = format!(
+                    "none in a second; the last scan has {:?} nm",
+                    reading.peaks_nm
+                );
                 return Err(AcquisitionError::input(&self.name, expected, all));
             }
         }
@@ -170,8 +208,16 @@ mod tests {
 
     fn scan(serial: u64, peaks: &[f64]) -> FbgReading {
         let t = 1e9 + serial as f64 / 2000.0;
-        let clocks = Clocks { host_s: t, device_s: Some(t) };
-        FbgReading { serial, peaks_nm: vec![peaks.to_vec()], clocks, ..FbgReading::default() }
+        let clocks = Clocks {
+            host_s: t,
+            device_s: Some(t),
+        };
+        FbgReading {
+            serial,
+            peaks_nm: vec![peaks.to_vec()],
+            clocks,
+            ..FbgReading::default()
+        }
     }
 
     const GOOD: [f64; 3] = [1535.812, 1537.31, 1541.21];
@@ -183,7 +229,10 @@ mod tests {
         let good = take(0, &GOOD);
         // The reference rose by 10 pm: 1 K, that is 10 and 12 pm.
         let shift = good.shift_pm.unwrap();
-        assert!(shift[0].abs() < 1e-6 && shift[1].abs() < 1e-6 && good.flags.none(), "{good:?}");
+        assert!(
+            shift[0].abs() < 1e-6 && shift[1].abs() < 1e-6 && good.flags.none(),
+            "{good:?}"
+        );
         assert!((good.rise_degc - 1.0).abs() < 1e-6);
         for (serial, peaks, flag) in [
             (1, &[1535.8, 1537.3][..], Flags::PEAK_LOST),
@@ -200,23 +249,48 @@ mod tests {
         let mut sick = scan(10, &GOOD);
         sick.health.error_code = 9;
         let sick = reader.take(&sick, true).unwrap();
-        assert_eq!((sick.flags, sick.shift_pm), (Flags::UNIT.with(Flags::DROPPED), None));
+        assert_eq!(
+            (sick.flags, sick.shift_pm),
+            (Flags::UNIT.with(Flags::DROPPED), None)
+        );
     }
 
     #[test]
     fn wrong_channel_maps_lost_gratings_and_other_rates_are_named() {
-        let swapped =
-            RIG.replace("\"fbg_1\"", "\"x\"").replace("\"fbg_2\"", "\"fbg_1\"").replace("\"x\"", "\"fbg_2\"");
+        let swapped = RIG
+            .replace("\"fbg_1\"", "\"x\"")
+            .replace("\"fbg_2\"", "\"fbg_1\"")
+            .replace("\"x\"", "\"fbg_2\"");
         let rig = Rig::parse("rig.toml", &swapped).unwrap();
-        let error = WhiskerReader::new("rig.toml", &rig.interrogator, "", &fbg()).unwrap_err().to_string();
-        assert!(error.contains("fbg_1") && error.contains("1541.2") && error.contains("1535.8"), "{error}");
+        let error = WhiskerReader::new("rig.toml", &rig.interrogator, "", &fbg())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("fbg_1") && error.contains("1541.2") && error.contains("1535.8"),
+            "{error}"
+        );
         let mut slow = reader("rate_hz = 2000", "rate_hz = 1000").unwrap();
-        let error = (0..3000).find_map(|k| slow.take(&scan(k, &GOOD), false).err()).unwrap().to_string();
-        assert!(error.contains("1000 scans") && error.contains("2000.0"), "{error}");
-        let mut dark =
-            reader("channel = 1, nominal_nm = 1541.2", "channel = 2, nominal_nm = 1541.2").unwrap();
-        let error = (0..3000).find_map(|k| dark.take(&scan(k, &GOOD), false).err()).unwrap().to_string();
-        assert!(error.contains("fbg_1") && error.contains("channel map"), "{error}");
+        let error = (0..3000)
+            .find_map(|k| slow.take(&scan(k, &GOOD), false).err())
+            .unwrap()
+            .to_string();
+        assert!(
+            error.contains("1000 scans") && error.contains("2000.0"),
+            "{error}"
+        );
+        let mut dark = reader(
+            "channel = 1, nominal_nm = 1541.2",
+            "channel = 2, nominal_nm = 1541.2",
+        )
+        .unwrap();
+        let error = (0..3000)
+            .find_map(|k| dark.take(&scan(k, &GOOD), false).err())
+            .unwrap()
+            .to_string();
+        assert!(
+            error.contains("fbg_1") && error.contains("channel map"),
+            "{error}"
+        );
         // Control: the right map and rate pass.
         let mut right = reader("", "").unwrap();
         assert!((0..3000).all(|k| right.take(&scan(k, &GOOD), false).is_ok()));

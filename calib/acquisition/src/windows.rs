@@ -56,7 +56,12 @@ impl Samples {
             mark(values, &mut marked);
         }
         let keep = |values: &[f64]| -> Vec<f64> {
-            values.iter().zip(&marked).filter(|(v, m)| !**m && v.is_finite()).map(|(v, _)| *v).collect()
+            values
+                .iter()
+                .zip(&marked)
+                .filter(|(v, m)| !**m && v.is_finite())
+                .map(|(v, _)| *v)
+                .collect()
         };
         let sensing = [keep(&self.sensing_nm[0]), keep(&self.sensing_nm[1])];
         if sensing[0].len() < 2 {
@@ -78,7 +83,9 @@ impl Samples {
 }
 
 fn mark(values: &[f64], marked: &mut [bool]) {
-    let Some(centre) = median(values.iter().copied()) else { return };
+    let Some(centre) = median(values.iter().copied()) else {
+        return;
+    };
     // Quantised data can have a deviation of zero: then no sample is marked.
     let limit = OUTLIER_SIGMA * mad_sd(values.iter().copied(), centre).unwrap_or(0.0);
     if limit > 0.0 {
@@ -93,7 +100,11 @@ fn mean_sd(values: &[f64]) -> (f64, f64) {
     let first = values[0];
     let n = values.len() as f64;
     let mean = values.iter().map(|v| v - first).sum::<f64>() / n;
-    let variance = values.iter().map(|v| (v - first - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let variance = values
+        .iter()
+        .map(|v| (v - first - mean).powi(2))
+        .sum::<f64>()
+        / (n - 1.0);
     (first + mean, variance.sqrt())
 }
 
@@ -115,7 +126,9 @@ pub(crate) struct Window {
 pub(crate) fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
     let from = lost.partition_point(|gap| gap[1] <= window.begin_s);
     let gaps = lost[from..].iter().take_while(|gap| gap[0] < window.end_s);
-    let missing_s: f64 = gaps.map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s)).sum();
+    let missing_s: f64 = gaps
+        .map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s))
+        .sum();
     missing_s / (window.end_s - window.begin_s)
 }
 
@@ -129,7 +142,13 @@ pub(crate) fn windows_of(events: &[SweepEvent], scans: u64) -> Result<Vec<Window
     for (index, event) in events.iter().enumerate() {
         let mut add = |begin_s: f64, end_s: f64| {
             let samples = Samples::default();
-            windows.push(Window { begin_s, end_s, event: index, samples, late: false });
+            windows.push(Window {
+                begin_s,
+                end_s,
+                event: index,
+                samples,
+                late: false,
+            });
         };
         match event.kind.as_str() {
             "window" => add(event.begin_s, event.end_s),
@@ -182,7 +201,9 @@ mod tests {
         assert_eq!((spiked.outliers, spiked.samples), (vec![50], 199));
         // The mean is that of the others, and so is its time.
         let others_s = 5e-4 * (199.0 * 100.0 - 50.0) / 199.0;
-        assert!((clean.time_s - 5e-4 * 99.5).abs() < 1e-12 && (spiked.time_s - others_s).abs() < 1e-12);
+        assert!(
+            (clean.time_s - 5e-4 * 99.5).abs() < 1e-12 && (spiked.time_s - others_s).abs() < 1e-12
+        );
         assert!((spiked.sensing_nm[1] - clean.sensing_nm[1]).abs() < 2e-5);
         assert!((clean.sensing_sd_pm[0] - 0.58).abs() < 0.02);
     }

@@ -21,7 +21,10 @@ fn scan(serial: u64) -> FbgReading {
     FbgReading {
         serial,
         peaks_nm: vec![vec![1535.8, 1537.3, 1541.2]],
-        clocks: Clocks { host_s: 1e9 + t, device_s: Some(t) },
+        clocks: Clocks {
+            host_s: 1e9 + t,
+            device_s: Some(t),
+        },
         ..FbgReading::default()
     }
 }
@@ -30,7 +33,9 @@ fn scan(serial: u64) -> FbgReading {
 #[test]
 #[ignore = "run by the test below"]
 fn child_that_records() {
-    let Ok(path) = std::env::var("WCAL_CRASH_FILE") else { return };
+    let Ok(path) = std::env::var("WCAL_CRASH_FILE") else {
+        return;
+    };
     let recorder = Recorder::create(Path::new(&path), Default::default()).unwrap();
     let start = Instant::now();
     for serial in 0.. {
@@ -55,7 +60,9 @@ fn serials(path: &Path) -> (Vec<u64>, End) {
 /// Time over which the scans were given that the file lacks, s. By the writer's own clock a loss is what came within one flush, however
 /// often the machine made the writer wait.
 fn lost_s(given_s: &[f64], found: &[u64]) -> f64 {
-    given_s.get(found.len()).map_or(0.0, |first| given_s[given_s.len() - 1] - first)
+    given_s
+        .get(found.len())
+        .map_or(0.0, |first| given_s[given_s.len() - 1] - first)
 }
 
 #[test]
@@ -70,15 +77,27 @@ fn kill_9_at_any_moment_loses_no_more_than_a_flush() {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
-        let mut given = lines.filter_map(|l| l.strip_prefix("at ")?.split_once(' ')?.1.parse::<f64>().ok());
+        let lines = BufReader::new(child.stdout.take().unwrap())
+            .lines()
+            .map_while(Result::ok);
+        let mut given = lines.filter_map(|l| {
+            l.strip_prefix("at ")?
+                .split_once(' ')?
+                .1
+                .parse::<f64>()
+                .ok()
+        });
         let mut given_s: Vec<f64> = given.by_ref().take(scans).collect();
         child.kill().unwrap();
         child.wait().unwrap();
         given_s.extend(given);
         let (found, end) = serials(&path);
         assert!(end.cut_off.is_some());
-        assert_eq!(found, (0..found.len() as u64).collect::<Vec<_>>(), "whole up to the end");
+        assert_eq!(
+            found,
+            (0..found.len() as u64).collect::<Vec<_>>(),
+            "whole up to the end"
+        );
         worst_s = worst_s.max(lost_s(&given_s, &found));
         // Control: half of the file lacks more.
         let bytes = std::fs::read(&path).unwrap();
@@ -161,11 +180,26 @@ fn a_damaged_chunk_is_left_out_and_those_behind_it_are_read() {
     damaged[at + length - 20] ^= 0x10;
     std::fs::write(&path, &damaged).unwrap();
     let (found, end) = serials(&path);
-    assert_eq!(end, End { damaged_chunks: 1, ..End::default() });
+    assert_eq!(
+        end,
+        End {
+            damaged_chunks: 1,
+            ..End::default()
+        }
+    );
     let missing: Vec<u64> = (0..3000).filter(|k| !found.contains(k)).collect();
-    assert!(!missing.is_empty() && missing.len() < 1000, "{} missing", missing.len());
-    assert!(missing.windows(2).all(|p| p[1] == p[0] + 1) && found.contains(&0) && found.contains(&2999));
-    assert!(end.to_string().contains("1 damaged chunks left out"), "{end}");
+    assert!(
+        !missing.is_empty() && missing.len() < 1000,
+        "{} missing",
+        missing.len()
+    );
+    assert!(
+        missing.windows(2).all(|p| p[1] == p[0] + 1) && found.contains(&0) && found.contains(&2999)
+    );
+    assert!(
+        end.to_string().contains("1 damaged chunks left out"),
+        "{end}"
+    );
 }
 
 /// No stated length is believed: none asks for more memory than the file has, and what can be read is.
@@ -185,7 +219,10 @@ fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
     for length in [u64::MAX, u64::MAX - 8, 1 << 62, 1 << 40, bytes.len() as u64] {
         let put = |b: &mut Vec<u8>, at: usize| b[at..at + 8].copy_from_slice(&length.to_le_bytes());
         let (found, end) = read(&|b| put(b, at + 1));
-        assert!(end.cut_off.is_some() && found.len() > 1000 && found.len() < 3000, "record {length}: {end}");
+        assert!(
+            end.cut_off.is_some() && found.len() > 1000 && found.len() < 3000,
+            "record {length}: {end}"
+        );
         let (found, end) = read(&|b| put(b, at + 9 + 32));
         assert!(
             end.damaged_chunks == 1 && found.len() > 1000 && found.len() < 3000,
@@ -207,7 +244,10 @@ fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
     for k in 0..400 {
         let place = 8 + (bytes.len() - 16) * k / 400;
         let (found, _) = read(&|b| b[place..place + 8].fill(0xff));
-        assert!(found.windows(2).all(|p| p[1] > p[0]) && found.iter().all(|s| *s < 3000), "at {place}");
+        assert!(
+            found.windows(2).all(|p| p[1] > p[0]) && found.iter().all(|s| *s < 3000),
+            "at {place}"
+        );
     }
     // Control: unchanged it is whole.
     assert_eq!(read(&|_| {}).1, End::default());
@@ -219,7 +259,10 @@ fn with_number(bytes: &[u8], from: f64, to: f64) -> Vec<u8> {
     for (at, _) in chunks(bytes) {
         changed[at + 9 + 24..at + 9 + 28].fill(0);
     }
-    let place = bytes.windows(8).position(|b| b == from.to_le_bytes()).unwrap();
+    let place = bytes
+        .windows(8)
+        .position(|b| b == from.to_le_bytes())
+        .unwrap();
     changed[place..place + 8].copy_from_slice(&to.to_le_bytes());
     changed
 }
@@ -243,22 +286,37 @@ fn an_odd_number_of_a_device_costs_its_own_message() {
         reading
     };
     let recorder = Recorder::create(&path, Default::default()).unwrap();
-    let written = (0..100).filter(|serial| recorder.scan(&odd(*serial)).unwrap()).count();
-    let far = StageReading { measured_mm: 1e20, ..StageReading::default() };
+    let written = (0..100)
+        .filter(|serial| recorder.scan(&odd(*serial)).unwrap())
+        .count();
+    let far = StageReading {
+        measured_mm: 1e20,
+        ..StageReading::default()
+    };
     assert!(!recorder.stage(&far).unwrap() && recorder.stage(&StageReading::default()).unwrap());
     let said = recorder.refused().text().unwrap();
-    assert!(said.starts_with("4 messages") && said.contains("/fbg/scan: peaks_nm: expected"), "{said}");
+    assert!(
+        said.starts_with("4 messages") && said.contains("/fbg/scan: peaks_nm: expected"),
+        "{said}"
+    );
     recorder.finish().unwrap();
     let (found, end) = serials(&path);
-    let without = |odd: &[u64]| -> Vec<u64> { (0..100).filter(|serial| !odd.contains(serial)).collect() };
-    assert_eq!((written, &found, &end), (97, &without(&[10, 20, 30]), &End::default()));
+    let without =
+        |odd: &[u64]| -> Vec<u64> { (0..100).filter(|serial| !odd.contains(serial)).collect() };
+    assert_eq!(
+        (written, &found, &end),
+        (97, &without(&[10, 20, 30]), &End::default())
+    );
     // Another program wrote it.
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, with_number(&bytes, 1537.25, f64::INFINITY)).unwrap();
     let (found, end) = serials(&path);
     assert_eq!(found, without(&[10, 20, 30, 50]));
     let said = end.to_string();
-    assert!(!end.is_whole() && said.contains("1 messages") && said.contains("/fbg/scan: peaks_nm"), "{said}");
+    assert!(
+        !end.is_whole() && said.contains("1 messages") && said.contains("/fbg/scan: peaks_nm"),
+        "{said}"
+    );
     // Negative control: a number that the field may have.
     std::fs::write(&path, with_number(&bytes, 1537.25, 1537.26)).unwrap();
     assert_eq!(serials(&path), (without(&[10, 20, 30]), End::default()));
@@ -268,7 +326,10 @@ fn an_odd_number_of_a_device_costs_its_own_message() {
 #[test]
 fn a_message_that_a_file_holds_again_is_given_once() {
     let dir = tempfile::tempdir().unwrap();
-    let (path, bytes) = (dir.path().join("merged.mcap"), std::fs::read(recorded(dir.path())).unwrap());
+    let (path, bytes) = (
+        dir.path().join("merged.mcap"),
+        std::fs::read(recorded(dir.path())).unwrap(),
+    );
     let own = chunks(&bytes);
     let (first, (last, length)) = (own[0].0, own[own.len() - 1]);
     let all: Vec<u64> = (0..3000).collect();
@@ -276,15 +337,33 @@ fn a_message_that_a_file_holds_again_is_given_once() {
         std::fs::write(&path, parts.concat()).unwrap();
         serials(&path)
     };
-    let (head, body, tail) = (&bytes[..first], &bytes[first..last + length], &bytes[last + length..]);
-    let each_twice = own.iter().flat_map(|(at, length)| [&bytes[*at..at + length]; 2]);
+    let (head, body, tail) = (
+        &bytes[..first],
+        &bytes[first..last + length],
+        &bytes[last + length..],
+    );
+    let each_twice = own
+        .iter()
+        .flat_map(|(at, length)| [&bytes[*at..at + length]; 2]);
     let (found, end) = merged([head].into_iter().chain(each_twice).chain([tail]).collect());
     assert_eq!((&found, end.repeated), (&all, 3000));
     // A copy that lacks a chunk, and the whole one behind it.
     let (at, gone) = own[1];
-    let (found, end) = merged(vec![head, &bytes[first..at], &bytes[at + gone..last + length], body, tail]);
-    assert_eq!(found.iter().copied().collect::<BTreeSet<u64>>().len(), found.len());
-    assert!(found.len() == 3000 && (1000..3000).contains(&end.repeated), "{end:?}");
+    let (found, end) = merged(vec![
+        head,
+        &bytes[first..at],
+        &bytes[at + gone..last + length],
+        body,
+        tail,
+    ]);
+    assert_eq!(
+        found.iter().copied().collect::<BTreeSet<u64>>().len(),
+        found.len()
+    );
+    assert!(
+        found.len() == 3000 && (1000..3000).contains(&end.repeated),
+        "{end:?}"
+    );
     // Negative controls: once; and a unit that was started again counts from 0 again, later.
     assert_eq!(merged(vec![head, body, tail]), (all, End::default()));
     let again = dir.path().join("again.mcap");
@@ -295,7 +374,10 @@ fn a_message_that_a_file_holds_again_is_given_once() {
         recorder.scan(&reading).unwrap();
     }
     recorder.finish().unwrap();
-    assert_eq!((serials(&again).0.len(), serials(&again).1), (600, End::default()));
+    assert_eq!(
+        (serials(&again).0.len(), serials(&again).1),
+        (600, End::default())
+    );
 }
 
 /// Not a test of its own: the process that is stopped. It waits for what never comes, and says how long it did.
@@ -325,13 +407,21 @@ fn a_wait_goes_on_where_the_program_was_stopped() {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let lines = BufReader::new(child.stdout.take().unwrap())
+            .lines()
+            .map_while(Result::ok);
         let mut said = lines.filter_map(|line| line.strip_prefix("at ").map(str::to_owned));
         assert_eq!(said.next().as_deref(), Some("begin"));
         if let Some(stopped) = stopped {
             let signal = |name: &str| {
                 let id = child.id().to_string();
-                assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
+                assert!(
+                    Command::new("kill")
+                        .args([name, &id])
+                        .status()
+                        .unwrap()
+                        .success()
+                );
             };
             signal("-STOP");
             std::thread::sleep(stopped);

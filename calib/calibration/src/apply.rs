@@ -77,7 +77,10 @@ pub trait WhiskerCalibration {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError>;
+    fn wire(
+        &self,
+        whisker: &WhiskerSpec,
+    ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError>;
     /// A session's moments and the ways of its groove, not its place; none where nothing can be computed.
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion>;
 }
@@ -85,7 +88,10 @@ pub trait WhiskerCalibration {
 /// The error of [`WhiskerCalibration::wire`].
 pub(crate) fn no_wire() -> CalibrationError {
     let detail = "expected a wire that can be bent".to_owned();
-    CalibrationError::Content { place: "calibration".to_owned(), detail }
+    CalibrationError::Content {
+        place: "calibration".to_owned(),
+        detail,
+    }
 }
 
 /// A session as its kind's measurement model sees it.
@@ -170,12 +176,24 @@ pub struct SensedRow {
 impl SensedRow {
     pub(crate) fn new(row: &WhiskerRow, sensed: CalibratedReading) -> Self {
         let reference = row.reference_shift_pm.is_some();
-        Self { point: row.point, line: row.line, t_s: row.t_s, reference, sensed }
+        Self {
+            point: row.point,
+            line: row.line,
+            t_s: row.t_s,
+            reference,
+            sensed,
+        }
     }
 
     /// Standard deviations of the moments, N mm: noise and what all rows share.
     pub fn sd_nmm(&self) -> [f64; 2] {
-        let shared = |c: usize| self.sensed.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
+        let shared = |c: usize| {
+            self.sensed
+                .shared_nmm
+                .iter()
+                .map(|h| h[c] * h[c])
+                .sum::<f64>()
+        };
         [0, 1].map(|c| (self.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())
     }
 }

@@ -12,7 +12,8 @@ use wcal_core::format;
 use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::CalibrationContact;
 use wcal_core::{
-    CalibrationFile, CalibrationFrame, MomentAxes, Provenance, VerificationStatus, WhiskerSpec, WireFrame,
+    CalibrationFile, CalibrationFrame, MomentAxes, Provenance, VerificationStatus, WhiskerSpec,
+    WireFrame,
 };
 use wcal_map::MapArtefact;
 use wcal_session::LoadedSession;
@@ -82,7 +83,9 @@ pub fn seal(
         whisker: wire.as_ref().map(|w| w.whisker.clone()),
         frame: wire.as_ref().map(|w| frame(w.whisker, w.moments)),
         noise,
-        contact_uncertainty: serde_json::from_str(&serde_json::to_string(&wire.and_then(|w| w.contact))?)?,
+        contact_uncertainty: serde_json::from_str(&serde_json::to_string(
+            &wire.and_then(|w| w.contact),
+        )?)?,
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash()?;
@@ -106,7 +109,9 @@ fn frame(whisker: &WhiskerSpec, axes: &MomentAxes) -> CalibrationFrame {
         rest_shape: whisker.rest_shape.clone(),
         moment_axes: axes.axes,
         moment_sign: axes.sign,
-        sweep_direction: WireFrame::new(whisker, axes).ok().map(|frame| frame.sweep_direction()),
+        sweep_direction: WireFrame::new(whisker, axes)
+            .ok()
+            .map(|frame| frame.sweep_direction()),
     }
 }
 
@@ -128,7 +133,9 @@ const RANGES: &[Range] = &[
 ///
 /// # Errors
 /// Where the file cannot be read, is no calibration, or was changed.
-pub fn read_calibration(path: &Path) -> Result<CalibrationFile<CalibrationModel>, CalibrationError> {
+pub fn read_calibration(
+    path: &Path,
+) -> Result<CalibrationFile<CalibrationModel>, CalibrationError> {
     match read_unsealed(path)? {
         (file, None) => Ok(file),
         (_, Some(changed)) => Err(CalibrationError::Changed(changed)),
@@ -142,37 +149,58 @@ pub fn read_calibration(path: &Path) -> Result<CalibrationFile<CalibrationModel>
 pub fn read_unsealed(
     path: &Path,
 ) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
-    let refuse =
-        |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
-    let text = wcal_core::files::read_text(path)
-        .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+    let refuse = |expected: &str, e: serde_json::Error| {
+        CalibrationError::content(path, format!("{expected}: {e}"))
+    };
+    let text = wcal_core::files::read_text(path).map_err(|source| CalibrationError::Io {
+        path: path.to_owned(),
+        source,
+    })?;
     let value: serde_json::Value =
         serde_json::from_str(&text).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.
-    format::expect(CALIBRATION_FORMAT, value.get("format").and_then(serde_json::Value::as_str))
-        .map_err(|why| CalibrationError::content(path, why))?;
+    format::expect(
+        CALIBRATION_FORMAT,
+        value.get("format").and_then(serde_json::Value::as_str),
+    )
+    .map_err(|why| CalibrationError::content(path, why))?;
     ranges::check(&value, &[RANGES]).map_err(|e| CalibrationError::content(path, e))?;
     // Of the models that state one; what else it has to be, the model says.
-    if let Ok(stated) = serde_json::from_value::<Vec<Vec<f64>>>(value["model"]["covariance"].clone()) {
+    if let Ok(stated) =
+        serde_json::from_value::<Vec<Vec<f64>>>(value["model"]["covariance"].clone())
+    {
         let wrong = |why| CalibrationError::content(path, format!("model.covariance: {why}"));
         covariance::check(&stated, stated.len()).map_err(wrong)?;
     }
     let raw: CalibrationFile<serde_json::Value> =
         serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
-    let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
+    let found = raw
+        .compute_hash()
+        .map_err(|e| refuse("expected a calibration", e))?;
     let changed = (found != raw.content_sha256).then(|| TrustIssue::Changed {
         place: path.display().to_string(),
         content_sha256: found,
         stated_sha256: raw.content_sha256,
     });
-    let file: CalibrationFile<CalibrationModel> = serde_json::from_str(&text)
-        .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
-    file.model.check().map_err(|e| CalibrationError::content(path, e))?;
+    let file: CalibrationFile<CalibrationModel> = serde_json::from_str(&text).map_err(|e| {
+        refuse(
+            "expected a model of kind \"map\", \"physical\" or \"scalar\"",
+            e,
+        )
+    })?;
+    file.model
+        .check()
+        .map_err(|e| CalibrationError::content(path, e))?;
     if let Some(whisker) = &file.whisker {
-        whisker.check().map_err(|e| CalibrationError::content(path, format!("whisker.{e}")))?;
+        whisker
+            .check()
+            .map_err(|e| CalibrationError::content(path, format!("whisker.{e}")))?;
     }
     if let Some(frame) = &file.frame {
-        let unit = frame.moment_axes.iter().all(|a| (a.norm() - 1.0).abs() < 1e-3);
+        let unit = frame
+            .moment_axes
+            .iter()
+            .all(|a| (a.norm() - 1.0).abs() < 1e-3);
         if !unit || frame.moment_sign.abs() != 1.0 {
             let found = format!("{:?}, {}", frame.moment_axes, frame.moment_sign);
             let detail = format!(
@@ -193,8 +221,10 @@ pub fn of_whisker<'a>(
     file: &'a CalibrationFile<CalibrationModel>,
 ) -> Result<&'a dyn WhiskerCalibration, CalibrationError> {
     file.model.whisker().ok_or_else(|| {
-        let detail =
-            format!("expected a whisker's calibration, found one of kind {:?}", file.model.session_kind());
+        let detail = format!(
+            "expected a whisker's calibration, found one of kind {:?}",
+            file.model.session_kind()
+        );
         CalibrationError::content(path, detail)
     })
 }
@@ -210,7 +240,8 @@ pub fn standing(
     let mut issues = Vec::new();
     if let Some(expires) = &file.expires {
         let until: jiff::Timestamp = expires.parse().map_err(|e| {
-            let detail = format!("field `expires`: expected an RFC 3339 time, found {expires:?}: {e}");
+            let detail =
+                format!("field `expires`: expected an RFC 3339 time, found {expires:?}: {e}");
             CalibrationError::content(Path::new("calibration"), detail)
         })?;
         if now > until {

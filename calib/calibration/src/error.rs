@@ -55,11 +55,17 @@ impl From<InputError> for CalibrationError {
 impl CalibrationError {
     /// One of another kind of session than `expected`.
     pub(crate) fn other_kind(expected: &str, found: &str) -> Self {
-        Self::OtherKind { expected: expected.to_owned(), found: found.to_owned() }
+        Self::OtherKind {
+            expected: expected.to_owned(),
+            found: found.to_owned(),
+        }
     }
 
     /// An error of a file's content.
     pub(crate) fn content(place: &Path, detail: impl ToString) -> Self {
-        Self::Content { place: place.display().to_string(), detail: brief(&detail.to_string()) }
+        Self::Content {
+            place: place.display().to_string(),
+            detail: brief(&detail.to_string()),
+        }
     }
 }

@@ -25,13 +25,17 @@ impl GivenCalibration {
     pub fn read(path: &Path, session: &LoadedSession) -> Result<Self, CalibrationError> {
         let file = read_calibration(path)?;
         let fitted = |input: &&InputFile| {
-            file.provenance.inputs.iter().any(|i| i.sha256 == input.sha256 && i.purpose != Purpose::Holdout)
+            file.provenance
+                .inputs
+                .iter()
+                .any(|i| i.sha256 == input.sha256 && i.purpose != Purpose::Holdout)
         };
         let of = |purpose: Purpose| session.inputs.iter().filter(move |i| i.purpose == purpose);
         if let Some(seen) = of(Purpose::Holdout).find(fitted) {
             let found = path.display();
-            let detail =
-                format!("expected a holdout that was not in the fit, found it among the inputs of {found}");
+            let detail = format!(
+                "expected a holdout that was not in the fit, found it among the inputs of {found}"
+            );
             return Err(CalibrationError::content(Path::new(&seen.path), detail));
         }
         let only_sealed = of(Purpose::Fit).any(|i| fitted(&i));
@@ -39,7 +43,11 @@ impl GivenCalibration {
             let detail = "expected readings that were not in its fit (a holdout, or another session), found only those that it was fitted to";
             return Err(Self::refused(&path.display().to_string(), detail));
         }
-        Ok(Self { path: path.display().to_string(), file, only_sealed })
+        Ok(Self {
+            path: path.display().to_string(),
+            file,
+            only_sealed,
+        })
     }
 
     /// Hash of its content.
@@ -48,14 +56,20 @@ impl GivenCalibration {
     }
 
     fn refused(path: &str, detail: impl ToString) -> CalibrationError {
-        CalibrationError::Content { place: format!("--calibration {path}"), detail: detail.to_string() }
+        CalibrationError::Content {
+            place: format!("--calibration {path}"),
+            detail: detail.to_string(),
+        }
     }
 
     /// Judged by the moments of a whisker session's poses, or by the responses of a transducer or axis session.
     ///
     /// # Errors
     /// Where it is of another kind of session, or there is nothing to judge it by.
-    pub fn judge(&self, session: SessionSystem<'_>) -> Result<CalibrationJudgement, CalibrationError> {
+    pub fn judge(
+        &self,
+        session: SessionSystem<'_>,
+    ) -> Result<CalibrationJudgement, CalibrationError> {
         let refused = |detail: &str| Self::refused(&self.path, detail);
         let readings = self
             .file
@@ -66,7 +80,11 @@ impl GivenCalibration {
         let judgement = judge(&readings, session.quantities())
             .ok_or_else(|| refused("expected readings to judge it on, found none"))?;
         let content_sha256 = self.file.content_sha256.clone();
-        Ok(CalibrationJudgement { path: self.path.clone(), content_sha256, ..judgement })
+        Ok(CalibrationJudgement {
+            path: self.path.clone(),
+            content_sha256,
+            ..judgement
+        })
     }
 
     /// The same calibration, marked as one that failed.
@@ -74,7 +92,10 @@ impl GivenCalibration {
     /// # Errors
     /// Where its model cannot be written as JSON.
     pub fn failed(&self) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
-        let mut file = CalibrationFile { verification: VerificationStatus::Failed, ..self.file.clone() };
+        let mut file = CalibrationFile {
+            verification: VerificationStatus::Failed,
+            ..self.file.clone()
+        };
         file.content_sha256 = file.compute_hash()?;
         Ok(file)
     }

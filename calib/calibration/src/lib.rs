@@ -19,7 +19,8 @@ pub use apply::{
     WhiskerCalibration,
 };
 pub use artefact::{
-    CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal, standing,
+    CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,
+    standing,
 };
 pub use error::CalibrationError;
 pub use given::GivenCalibration;

@@ -48,7 +48,10 @@ impl Calibration for MapArtefact {
                 csv += &format!(",{:.6},{:.6}", pair[0], pair[1]);
             }
             let mark = u8::from(!p.is_valid());
-            csv += &format!(",{:.4},{:.4},{mark},{:.3}\n", fitted[0], fitted[1], p.outside_by_pm);
+            csv += &format!(
+                ",{:.4},{:.4},{mark},{:.3}\n",
+                fitted[0], fitted[1], p.outside_by_pm
+            );
         }
         let rows = table.rows.len();
         let outside = first.map(|(line, by_pm)| {
@@ -56,7 +59,12 @@ impl Calibration for MapArtefact {
                 "{outside} of {rows} readings lie outside the valid region, first in line {line} by {by_pm:.1} pm"
             )
         });
-        Ok(AppliedTable { csv, rows, outside, warnings: table.warnings })
+        Ok(AppliedTable {
+            csv,
+            rows,
+            outside,
+            warnings: table.warnings,
+        })
     }
 
     fn judged_readings(
@@ -79,18 +87,27 @@ impl WhiskerCalibration for MapArtefact {
 
     /// The larger one of its two moments.
     fn noise_sd_nmm(&self) -> f64 {
-        self.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max)
+        self.outputs
+            .iter()
+            .map(OutputMap::noise_sd_nmm)
+            .fold(0.0, f64::max)
     }
 
     fn noise(&self) -> CalibrationNoise {
         let misfit = |o: &OutputMap, reading: f64| {
-            (o.inflation.powi(2) * o.noise_sd_nmm().powi(2) - reading.powi(2)).max(0.0).sqrt()
+            (o.inflation.powi(2) * o.noise_sd_nmm().powi(2) - reading.powi(2))
+                .max(0.0)
+                .sqrt()
         };
         let reading = self.reading_sd_nmm;
         let [a, b] = [0, 1].map(|k| misfit(&self.outputs[k], reading.map_or(0.0, |sd| sd[k])));
         // Without repeats or samples nobody knows what of the rest is noise.
         let misfit_sd_nmm = reading.map(|_| [a, b]);
-        CalibrationNoise { reading_sd_nmm: reading, drift_sd_nmm: None, misfit_sd_nmm }
+        CalibrationNoise {
+            reading_sd_nmm: reading,
+            drift_sd_nmm: None,
+            misfit_sd_nmm,
+        }
     }
 
     fn knows_zero(&self) -> bool {
@@ -119,7 +136,10 @@ impl WhiskerCalibration for MapArtefact {
                 valid,
             }
         };
-        Ok(MomentTable { rows: table.rows.iter().map(one).collect(), warnings: table.warnings })
+        Ok(MomentTable {
+            rows: table.rows.iter().map(one).collect(),
+            warnings: table.warnings,
+        })
     }
 
     fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
@@ -128,7 +148,11 @@ impl WhiskerCalibration for MapArtefact {
         let shifts = table.rows.iter().map(|r| r.compensated_pm(&self.fbg));
         let found = groove_motion::of_shifts(shifts, whisker, self)
             .ok_or_else(|| CalibrationError::content(place, "expected a wire that can be bent"))?;
-        let rows = table.rows.iter().zip(found.readings).map(|(row, sensed)| SensedRow::new(row, sensed));
+        let rows = table
+            .rows
+            .iter()
+            .zip(found.readings)
+            .map(|(row, sensed)| SensedRow::new(row, sensed));
         Ok(SensedTable {
             rows: rows.collect(),
             wire: found.wire,
@@ -137,8 +161,12 @@ impl WhiskerCalibration for MapArtefact {
         })
     }
 
-    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
-        let found = groove_motion::of_shifts(std::iter::empty(), whisker, self).ok_or_else(no_wire)?;
+    fn wire(
+        &self,
+        whisker: &WhiskerSpec,
+    ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
+        let found =
+            groove_motion::of_shifts(std::iter::empty(), whisker, self).ok_or_else(no_wire)?;
         Ok((found.wire, found.changed))
     }
 

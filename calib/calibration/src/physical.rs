@@ -46,9 +46,15 @@ impl Calibration for PhysicalModel {
             );
         }
         let (outside, rows) = (rows.iter().filter(|r| !r.valid).count(), rows.len());
-        let outside = (outside > 0)
-            .then(|| format!("{outside} of {rows} readings ask for moments beyond those that were fitted"));
-        Ok(AppliedTable { csv, rows, outside, warnings })
+        let outside = (outside > 0).then(|| {
+            format!("{outside} of {rows} readings ask for moments beyond those that were fitted")
+        });
+        Ok(AppliedTable {
+            csv,
+            rows,
+            outside,
+            warnings,
+        })
     }
 
     fn judged_readings(
@@ -56,7 +62,11 @@ impl Calibration for PhysicalModel {
         session: SessionSystem<'_>,
         only_sealed: bool,
     ) -> Result<Option<Vec<JudgedReading>>, CalibrationError> {
-        Ok(judgement::of_model(session.as_whisker()?, self, only_sealed))
+        Ok(judgement::of_model(
+            session.as_whisker()?,
+            self,
+            only_sealed,
+        ))
     }
 
     fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
@@ -82,14 +92,21 @@ impl WhiskerCalibration for PhysicalModel {
             Some([0, 1].map(|c| nmm2[(c, c)].max(0.0).sqrt()))
         };
         CalibrationNoise {
-            reading_sd_nmm: through(self.correlated_noise.map_or(self.noise_sd_pm, |c| c.own_sd_pm)),
+            reading_sd_nmm: through(
+                self.correlated_noise
+                    .map_or(self.noise_sd_pm, |c| c.own_sd_pm),
+            ),
             drift_sd_nmm: self.correlated_noise.and_then(|c| through(c.sd_pm)),
             misfit_sd_nmm: None,
         }
     }
 
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
-        let History { rows, path, warnings } = history(self, table)?;
+        let History {
+            rows,
+            path,
+            warnings,
+        } = history(self, table)?;
         let inferred = self.infer(&path, None);
         let one = |i: usize| {
             let (row, m) = (&rows[path.rows[i]], &inferred[i]);
@@ -104,19 +121,34 @@ impl WhiskerCalibration for PhysicalModel {
                 valid: m.valid,
             }
         };
-        Ok(MomentTable { rows: in_order(&path).into_iter().map(one).collect(), warnings })
+        Ok(MomentTable {
+            rows: in_order(&path).into_iter().map(one).collect(),
+            warnings,
+        })
     }
 
     fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
-        let History { rows, path, warnings } = history(self, table)?;
+        let History {
+            rows,
+            path,
+            warnings,
+        } = history(self, table)?;
         let found = groove_motion::of_readings(&path, whisker, self)
             .ok_or_else(|| CalibrationError::content(table, "expected a wire that can be bent"))?;
         let one = |i: usize| SensedRow::new(&rows[path.rows[i]], found.readings[i].clone());
         let rows = in_order(&path).into_iter().map(one).collect();
-        Ok(SensedTable { rows, wire: found.wire, changed: found.changed, warnings })
+        Ok(SensedTable {
+            rows,
+            wire: found.wire,
+            changed: found.changed,
+            warnings,
+        })
     }
 
-    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
+    fn wire(
+        &self,
+        whisker: &WhiskerSpec,
+    ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
         let path = WhiskerPath::new(&[], &[], &MomentAxes::default(), &self.fbg, None, None);
         let found = groove_motion::of_readings(&path, whisker, self).ok_or_else(no_wire)?;
         Ok((found.wire, found.changed))
@@ -127,10 +159,11 @@ impl WhiskerCalibration for PhysicalModel {
     }
 
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {
-        let stream = PhysicalStream::new(self.clone()).ok_or_else(|| CalibrationError::Content {
-            place: "calibration".to_owned(),
-            detail: "expected a sensitivity that can be inverted".to_owned(),
-        })?;
+        let stream =
+            PhysicalStream::new(self.clone()).ok_or_else(|| CalibrationError::Content {
+                place: "calibration".to_owned(),
+                detail: "expected a sensitivity that can be inverted".to_owned(),
+            })?;
         Ok(Box::new(stream))
     }
 }
@@ -146,14 +179,23 @@ fn history(model: &PhysicalModel, place: &Path) -> Result<History, CalibrationEr
     let table = load_table(place, &model.fbg)?;
     // New readings belong to the last seating that the calibration saw.
     let seating = model.seatings.saturating_sub(1);
-    let rows: Vec<WhiskerRow> = table.rows.into_iter().map(|r| WhiskerRow { seating, ..r }).collect();
+    let rows: Vec<WhiskerRow> = table
+        .rows
+        .into_iter()
+        .map(|r| WhiskerRow { seating, ..r })
+        .collect();
     let all: Vec<&WhiskerRow> = rows.iter().collect();
     let path = WhiskerPath::new(&all, &[], &MomentAxes::default(), &model.fbg, None, None);
     if let Some((id, column)) = model.missing_column(&path) {
-        let detail = format!("the calibration carries {id}: expected {column} in every row, found none");
+        let detail =
+            format!("the calibration carries {id}: expected {column} in every row, found none");
         return Err(CalibrationError::content(place, detail));
     }
-    Ok(History { rows, path, warnings: table.warnings })
+    Ok(History {
+        rows,
+        path,
+        warnings: table.warnings,
+    })
 }
 
 /// Indices of a path's readings in the table's order.

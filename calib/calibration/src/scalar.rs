@@ -20,7 +20,9 @@ impl Columns<'_> {
     /// Numbers of a column that may have gaps; none where the table has no such column.
     fn gappy(&self, name: &str) -> Result<Option<Vec<Option<f64>>>, CalibrationError> {
         let column = self.table.imported(name, self.own);
-        Ok(column.map(|column| self.table.values(name, &column)).transpose()?)
+        Ok(column
+            .map(|column| self.table.values(name, &column))
+            .transpose()?)
     }
 
     /// A column of numbers without gaps; none where the table has no such column.
@@ -36,7 +38,8 @@ impl Columns<'_> {
         whole.map(Some).ok_or_else(|| {
             let gap = values.iter().position(Option::is_none).unwrap_or_default();
             let line = self.table.rows[gap].0;
-            let detail = format!("line {line}: field {name}: expected a number in every row, found nothing");
+            let detail =
+                format!("line {line}: field {name}: expected a number in every row, found nothing");
             CalibrationError::content(Path::new(&self.table.file), detail)
         })
     }
@@ -63,16 +66,32 @@ impl Calibration for ScalarModel {
             .flat_map(|(name, own)| [name.as_str(), own, asked_name(own)])
             .map(str::to_owned);
         let asked = (!self.columns.is_empty()).then(|| own.collect());
-        let table = read_text_table(table, &TextTableLayout { asked, ..TextTableLayout::default() })?;
+        let table = read_text_table(
+            table,
+            &TextTableLayout {
+                asked,
+                ..TextTableLayout::default()
+            },
+        )?;
         let axis = self.session_kind == "axis";
-        let columns = Columns { table: &table, own: &self.columns };
-        for (name, unit) in [("stimulus", &self.stimulus_unit), ("response", &self.response_unit)] {
+        let columns = Columns {
+            table: &table,
+            own: &self.columns,
+        };
+        for (name, unit) in [
+            ("stimulus", &self.stimulus_unit),
+            ("response", &self.response_unit),
+        ] {
             let column = table.imported(name, &self.columns);
             column.map_or(Ok(()), |column| table.check_unit(&column, unit))?;
         }
         let stimulus = columns.numbers(if axis { "commanded_mm" } else { "stimulus" }, axis)?;
         let inverse = stimulus.is_none();
-        let response = if inverse { columns.numbers("response", true)? } else { None };
+        let response = if inverse {
+            columns.numbers("response", true)?
+        } else {
+            None
+        };
         // What was measured at the places that are predicted is written next to the prediction.
         let measured = match (inverse, axis) {
             (true, _) => None,
@@ -82,7 +101,8 @@ impl Calibration for ScalarModel {
         let [t_s, temperature, direction, cycle, point] =
             ["t_s", "temperature_degc", "direction", "cycle", "point"]
                 .map(|name| columns.numbers(name, false));
-        let (t_s, temperature, direction, cycle, point) = (t_s?, temperature?, direction?, cycle?, point?);
+        let (t_s, temperature, direction, cycle, point) =
+            (t_s?, temperature?, direction?, cycle?, point?);
         let needed = self.effects.iter().any(|e| e.id == "cross-axis");
         let mut covariates = Vec::new();
         for name in &self.covariates {
@@ -93,7 +113,11 @@ impl Calibration for ScalarModel {
             .map(|k| {
                 let at = |values: &Option<Vec<f64>>| values.as_ref().map(|v| v[k]);
                 ScalarRow {
-                    origin: (table.file.clone(), table.rows[k].0, at(&point).map_or(k as i64, |p| p as i64)),
+                    origin: (
+                        table.file.clone(),
+                        table.rows[k].0,
+                        at(&point).map_or(k as i64, |p| p as i64),
+                    ),
                     role: Role::Verification,
                     x: at(&stimulus).unwrap_or(middle),
                     x_sd: None,
@@ -107,10 +131,17 @@ impl Calibration for ScalarModel {
                 }
             })
             .collect();
-        let predicted = if inverse { self.invert(&rows) } else { self.predict(&rows) };
-        let predicted = predicted.map_err(|e| CalibrationError::content(Path::new(&table.file), e))?;
+        let predicted = if inverse {
+            self.invert(&rows)
+        } else {
+            self.predict(&rows)
+        };
+        let predicted =
+            predicted.map_err(|e| CalibrationError::content(Path::new(&table.file), e))?;
         let mut csv = match (axis, inverse) {
-            (true, _) => "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region",
+            (true, _) => {
+                "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region"
+            }
             (false, false) => "point,stimulus,response,response_half95,outside_valid_region",
             (false, true) => "point,response,stimulus,stimulus_half95,outside_valid_region",
         }
@@ -145,7 +176,12 @@ impl Calibration for ScalarModel {
                 self.stimulus_unit
             )
         });
-        Ok(AppliedTable { csv, rows: rows.len(), outside, warnings: table.warning().into_iter().collect() })
+        Ok(AppliedTable {
+            csv,
+            rows: rows.len(),
+            outside,
+            warnings: table.warning().into_iter().collect(),
+        })
     }
 
     fn judged_readings(
@@ -157,7 +193,10 @@ impl Calibration for ScalarModel {
             SessionSystem::Scalar(system) if session.kind() == self.session_kind => {
                 Ok(Some(judgement::of_model(system, self, only_sealed)?))
             }
-            _ => Err(CalibrationError::other_kind(session.kind(), &self.session_kind)),
+            _ => Err(CalibrationError::other_kind(
+                session.kind(),
+                &self.session_kind,
+            )),
         }
     }
 

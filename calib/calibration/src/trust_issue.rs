@@ -50,7 +50,11 @@ impl TrustIssue {
 impl fmt::Display for TrustIssue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Changed { place, content_sha256, stated_sha256 } => write!(
+            Self::Changed {
+                place,
+                content_sha256,
+                stated_sha256,
+            } => write!(
                 f,
                 "{place}: field `content_sha256`: expected {content_sha256}, found {stated_sha256}: the file was changed"
             ),
@@ -58,12 +62,21 @@ impl fmt::Display for TrustIssue {
             Self::FailedVerification => write!(f, "the calibration failed its verification"),
             Self::NeverVerified => write!(f, "the calibration was never verified"),
             Self::OtherWhisker(found) => {
-                write!(f, "the model was trained for another whisker than the calibration's: {found}")
+                write!(
+                    f,
+                    "the model was trained for another whisker than the calibration's: {found}"
+                )
             }
             Self::OtherSession(found) => {
-                write!(f, "the session was taken with another whisker than the calibration's: {found}")
+                write!(
+                    f,
+                    "the session was taken with another whisker than the calibration's: {found}"
+                )
             }
-            Self::SampleRate { trained_s: [low, high], found_s } => write!(
+            Self::SampleRate {
+                trained_s: [low, high],
+                found_s,
+            } => write!(
                 f,
                 "the network was trained with {low:.3} to {high:.3} s between readings, found {found_s:.3} s"
             ),

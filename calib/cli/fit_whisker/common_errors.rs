@@ -26,10 +26,14 @@ pub fn moved_by_shared(
     let count = rows.len();
     let errors = |shape: &MeasuredShape| {
         let pair = document.pairs.iter().find(|p| p.name == shape.name)?;
-        pair.errors.as_ref().filter(|e| e.shared.len() == count && e.stations.len() > 1)
+        pair.errors
+            .as_ref()
+            .filter(|e| e.shared.len() == count && e.stations.len() > 1)
     };
     let errors: Option<Vec<&PairErrors>> = usable.iter().map(errors).collect();
-    let Some(errors) = errors.filter(|_| count > 0) else { return Ok(Vec::new()) };
+    let Some(errors) = errors.filter(|_| count > 0) else {
+        return Ok(Vec::new());
+    };
     covariance::check(rows, count).map_err(|why| anyhow::anyhow!("shared_covariance: {why}"))?;
     // In units of the standard deviations: pixels and radians differ by orders of magnitude.
     let sd: Vec<f64> = (0..count).map(|k| rows[k][k].sqrt()).collect();
@@ -46,7 +50,10 @@ pub fn moved_by_shared(
         let of_pair = |e: &&PairErrors| {
             let column = &e.shared[k];
             let at = |n: usize| column.centreline_mm.get(n).copied().unwrap_or_default();
-            (0..e.stations.len()).flat_map(at).chain([column.length_mm]).collect::<Vec<f64>>()
+            (0..e.stations.len())
+                .flat_map(at)
+                .chain([column.length_mm])
+                .collect::<Vec<f64>>()
         };
         DVector::from_vec(errors.iter().flat_map(of_pair).collect())
     };
@@ -57,14 +64,21 @@ pub fn moved_by_shared(
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|a, b| axes.eigenvalues[*b].total_cmp(&axes.eigenvalues[*a]));
     let enough = LEFT_OUT * axes.eigenvalues.sum();
-    let parts = order.into_iter().take(MAX_PARTS).filter(|k| axes.eigenvalues[*k] > enough);
+    let parts = order
+        .into_iter()
+        .take(MAX_PARTS)
+        .filter(|k| axes.eigenvalues[*k] > enough);
     let shapes = |k: usize| {
         let part: DVector<f64> = &moved * axes.eigenvectors.column(k);
         let mut from = 0;
         let mut shapes = Vec::with_capacity(usable.len());
         for (shape, e) in usable.iter().zip(&errors) {
             let length = from + 3 * e.stations.len();
-            shapes.push(moved_by(shape, &e.stations, &part.as_slice()[from..=length]));
+            shapes.push(moved_by(
+                shape,
+                &e.stations,
+                &part.as_slice()[from..=length],
+            ));
             from = length + 1;
         }
         shapes
@@ -75,20 +89,29 @@ pub fn moved_by_shared(
 /// A shape moved at its stations, and between them in proportion; the last number is the change of its length.
 fn moved_by(shape: &MeasuredShape, stations: &[usize], part: &[f64]) -> MeasuredShape {
     let by = |point: usize| {
-        let after = stations.partition_point(|s| *s < point).clamp(1, stations.len() - 1);
-        let [a, b] = [after - 1, after].map(|n| Vector3::from_column_slice(&part[3 * n..3 * n + 3]));
+        let after = stations
+            .partition_point(|s| *s < point)
+            .clamp(1, stations.len() - 1);
+        let [a, b] =
+            [after - 1, after].map(|n| Vector3::from_column_slice(&part[3 * n..3 * n + 3]));
         let share = (point as f64 - stations[after - 1] as f64)
             / (stations[after] as f64 - stations[after - 1] as f64).max(1.0);
         a * (1.0 - share) + b * share
     };
     let mut moved = shape.clone();
-    moved.centreline_mm.iter_mut().enumerate().for_each(|(k, p)| *p += by(k));
+    moved
+        .centreline_mm
+        .iter_mut()
+        .enumerate()
+        .for_each(|(k, p)| *p += by(k));
     moved.length_mm[0] += part[part.len() - 1];
     if let Some((point, arclength_mm)) = &mut moved.groove {
         // The wire lies in the groove: the place goes with it.
         let last = shape.centreline_mm.len() - 1;
-        *point +=
-            by(((*arclength_mm / shape.length_mm[0] * last as f64).round().max(0.0) as usize).min(last));
+        *point += by(((*arclength_mm / shape.length_mm[0] * last as f64)
+            .round()
+            .max(0.0) as usize)
+            .min(last));
     }
     moved
 }

@@ -101,7 +101,11 @@ impl Geometry {
     pub fn new(diameter_mm: f64, rest: &RestShape, stiffness: Option<&Stiffness>) -> Self {
         let (mut straight_mm, mut arc_radius_mm, mut rest_shape) = (None, None, None);
         let length = match rest {
-            RestShape::StraightArc { straight_mm: straight, arc_radius_mm: radius, length_mm } => {
+            RestShape::StraightArc {
+                straight_mm: straight,
+                arc_radius_mm: radius,
+                length_mm,
+            } => {
                 (straight_mm, arc_radius_mm) = (Some(*straight), Some(*radius));
                 *length_mm
             }
@@ -113,13 +117,23 @@ impl Geometry {
         let youngs_gpa = stiffness.map(|s| s.youngs_gpa);
         // The ratio is kept: at a pose the moment barely tells the two apart.
         let shear_gpa = youngs_gpa.map(|e| SHEAR_GPA * e / YOUNGS_GPA);
-        Self { diameter_mm, length_mm: length, straight_mm, arc_radius_mm, rest_shape, youngs_gpa, shear_gpa }
+        Self {
+            diameter_mm,
+            length_mm: length,
+            straight_mm,
+            arc_radius_mm,
+            rest_shape,
+            youngs_gpa,
+            shear_gpa,
+        }
     }
 }
 
 /// Free curvatures of the fit, if that is its model.
 pub fn curvature(fit: &RestFit) -> Option<Curvature> {
-    let RestModel::FreeCurvature(n) = fit.model else { return None };
+    let RestModel::FreeCurvature(n) = fit.model else {
+        return None;
+    };
     let values = |from: usize| fit.values.iter().skip(from).take(n).copied().collect();
     let sds = |from: usize| (from..from + n).filter_map(|k| fit.sd(k)).collect();
     Some(Curvature {
@@ -138,12 +152,17 @@ pub fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
         unknowns: c.model.names().len(),
         bic: c.bic,
     };
-    fit.candidates.iter().filter(|c| c.bic.is_finite()).map(row).collect()
+    fit.candidates
+        .iter()
+        .filter(|c| c.bic.is_finite())
+        .map(row)
+        .collect()
 }
 
 /// The fit as it is written.
 pub fn described(fit: &RestFit, warnings: &[String]) -> Fit {
-    let rows = |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
+    let rows =
+        |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
     Fit {
         model: fit.model.name(),
         parameters: fit.model.names(),

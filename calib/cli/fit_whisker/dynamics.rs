@@ -27,7 +27,12 @@ pub struct DynamicsArgs {
     #[arg(long, default_value_t = 0.5, requires = "dynamics")]
     pub bounce_ratio: f64,
     /// Recorded ripple of a sweep's moment, N mm; 0: as little as can be
-    #[arg(long, value_name = "N_MM", default_value_t = 0.0, requires = "dynamics")]
+    #[arg(
+        long,
+        value_name = "N_MM",
+        default_value_t = 0.0,
+        requires = "dynamics"
+    )]
     pub ripple_nmm: f64,
     /// Recorded change of the mean moment from 3.2 to 7.7 mm/s, as a share; 0: as little as can be
     #[arg(
@@ -102,7 +107,12 @@ pub fn dynamics(
     let all = f64::from(GRID_TRIALS + 2 * args.evaluations);
     let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
         trials.set(trials.get() + 1);
-        let stage = format!("trial {} ({}): {:.3}", trials.get(), trial.stage, trial.score.total);
+        let stage = format!(
+            "trial {} ({}): {:.3}",
+            trials.get(),
+            trial.stage,
+            trial.score.total
+        );
         progress.at(&stage, (f64::from(trials.get()) / all).min(0.99));
     })?;
     drop(progress);
@@ -128,12 +138,23 @@ pub fn dynamics(
 
 /// Time constant of a recorded ring-down, s.
 fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
-    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
+    let text =
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let mut lines = text.lines();
-    let head: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let head: Vec<&str> = lines
+        .next()
+        .unwrap_or_default()
+        .split(',')
+        .map(str::trim)
+        .collect();
     let column = |name: &str| {
         let found = head.iter().position(|h| *h == name);
-        found.with_context(|| format!("{}: expected a column {name}, found {head:?}", path.display()))
+        found.with_context(|| {
+            format!(
+                "{}: expected a column {name}, found {head:?}",
+                path.display()
+            )
+        })
     };
     let (t, m) = (column("t_s")?, column("moment_nmm")?);
     let (mut time_s, mut moment) = (Vec::new(), Vec::new());
@@ -143,7 +164,10 @@ fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
             let found = cells.get(c).copied().unwrap_or_default();
             let value: f64 = found.parse().unwrap_or(f64::NAN);
             let at = format!("{}, line {}, {name}", path.display(), k + 2);
-            ensure!(value.is_finite(), "{at}: expected a number, found {found:?}");
+            ensure!(
+                value.is_finite(),
+                "{at}: expected a number, found {found:?}"
+            );
             Ok(value)
         };
         time_s.push(value(t, "t_s")?);
@@ -204,7 +228,10 @@ fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
     ));
     why.push(match targets.ring_down_s {
         Some(wanted) => format!("Ring-down {:.4} s, recorded {wanted:.4} s.", s.ring_down_s),
-        None => format!("No ring-down was recorded: it is not judged (here {:.4} s).", s.ring_down_s),
+        None => format!(
+            "No ring-down was recorded: it is not judged (here {:.4} s).",
+            s.ring_down_s
+        ),
     });
     why
 }
@@ -214,7 +241,12 @@ fn table(trials: &[Trial]) -> anyhow::Result<String> {
         "stage,damping_nms_rad,width_mm,d0,dmax,ring_down_s,bounce_ratio,ripple_nmm,bias,overlap_mm,total\n",
     );
     let maybe = |v: Option<f64>| v.map_or_else(String::new, |v| v.to_string());
-    for Trial { stage, parameters: p, score: s } in trials {
+    for Trial {
+        stage,
+        parameters: p,
+        score: s,
+    } in trials
+    {
         writeln!(
             text,
             "{stage},{},{},{},{},{},{},{},{},{},{}",

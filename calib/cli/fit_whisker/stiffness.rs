@@ -50,10 +50,17 @@ struct Pair {
 ///
 /// # Errors
 /// Where the session has no known moments, or none at a pose that the rod reaches.
-pub fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> anyhow::Result<Stiffness> {
+pub fn stiffness(
+    session: &Path,
+    nominal: &WhiskerSpec,
+    fit: &RestFit,
+) -> anyhow::Result<Stiffness> {
     let loaded = wcal_session::load(session)?;
     let SessionData::Whisker(data) = &loaded.data else {
-        bail!("--moments: expected a session of kind \"whisker\", found {:?}", loaded.kind);
+        bail!(
+            "--moments: expected a session of kind \"whisker\", found {:?}",
+            loaded.kind
+        );
     };
     ensure!(
         !data.twin.is_empty(),
@@ -68,8 +75,16 @@ pub fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> anyhow
             p.point, p.known_nmm, p.model_nmm
         ));
     }
-    let used: Vec<(Pair, f64)> = pairs.into_iter().zip(weights).filter(|(_, w)| *w > 0.0).collect();
-    ensure!(used.len() >= 3, "--moments: expected three usable points or more, found {}", used.len());
+    let used: Vec<(Pair, f64)> = pairs
+        .into_iter()
+        .zip(weights)
+        .filter(|(_, w)| *w > 0.0)
+        .collect();
+    ensure!(
+        used.len() >= 3,
+        "--moments: expected three usable points or more, found {}",
+        used.len()
+    );
     let ratio = slope(used.iter().map(|(p, w)| (p, *w)));
     let jackknifed = jackknife(&used, ratio)?;
     let by_geometry = by_geometry(data, nominal, fit, &used, ratio)?;
@@ -92,12 +107,22 @@ fn pairs(
     v: &DVector<f64>,
 ) -> anyhow::Result<(Vec<Pair>, Vec<String>)> {
     let rest_shape = fit.model.rest_shape(v)?;
-    let rod = Rod::new(&WhiskerSpec { rest_shape, ..nominal.clone() }, WORKING_STEP_MM)?;
+    let rod = Rod::new(
+        &WhiskerSpec {
+            rest_shape,
+            ..nominal.clone()
+        },
+        WORKING_STEP_MM,
+    )?;
     let (turn, offset) = fit.model.root(v);
-    let known: BTreeMap<i64, [f64; 2]> = data.twin.iter().map(|t| (t.point, t.moment_nmm)).collect();
+    let known: BTreeMap<i64, [f64; 2]> =
+        data.twin.iter().map(|t| (t.point, t.moment_nmm)).collect();
     let (mut pairs, mut left_out) = (Vec::new(), Vec::new());
     for trajectory in &data.trajectories {
-        let rows = data.rows.iter().filter(|r| r.role != Role::Rest && r.trajectory == Some(trajectory.id));
+        let rows = data
+            .rows
+            .iter()
+            .filter(|r| r.role != Role::Rest && r.trajectory == Some(trajectory.id));
         let rows: Vec<_> = rows.filter_map(|r| Some((r.point, r.stage_mm?))).collect();
         // In the clamp's own frame.
         let line = Line {
@@ -106,7 +131,9 @@ fn pairs(
         };
         let stages: Vec<f64> = rows.iter().map(|r| r.1).collect();
         for (outcome, (point, _)) in rod.follow(&line, &stages).iter().zip(&rows) {
-            let Some(known_nmm) = known.get(point).copied() else { continue };
+            let Some(known_nmm) = known.get(point).copied() else {
+                continue;
+            };
             match outcome {
                 Outcome::Held(held) => pairs.push(Pair {
                     point: *point,
@@ -151,7 +178,13 @@ fn weights(pairs: &[Pair]) -> Vec<f64> {
         let sd = (median(off.iter().copied()).unwrap_or(0.0) / 1.177).max(1e-6);
         weights = off
             .iter()
-            .map(|r| if *r > OUTLIER * sd { 0.0 } else { (HUBER * sd / r.max(1e-300)).min(1.0) })
+            .map(|r| {
+                if *r > OUTLIER * sd {
+                    0.0
+                } else {
+                    (HUBER * sd / r.max(1e-300)).min(1.0)
+                }
+            })
             .collect();
         let next = slope(pairs.iter().zip(weights.iter().copied()));
         if !next.is_finite() || (next - ratio).abs() < 1e-10 {
@@ -167,12 +200,21 @@ fn jackknife(used: &[(Pair, f64)], ratio: f64) -> anyhow::Result<f64> {
     let mut groups: Vec<u32> = used.iter().map(|(p, _)| p.trajectory).collect();
     groups.sort_unstable();
     groups.dedup();
-    ensure!(groups.len() >= 3, "--moments: expected three trajectories or more, found {}", groups.len());
+    ensure!(
+        groups.len() >= 3,
+        "--moments: expected three trajectories or more, found {}",
+        groups.len()
+    );
     let n = groups.len() as f64;
     let squares: f64 = groups
         .iter()
         .map(|g| {
-            (slope(used.iter().filter(|(p, _)| p.trajectory != *g).map(|(p, w)| (p, *w))) - ratio).powi(2)
+            (slope(
+                used.iter()
+                    .filter(|(p, _)| p.trajectory != *g)
+                    .map(|(p, w)| (p, *w)),
+            ) - ratio)
+                .powi(2)
         })
         .sum();
     Ok((squares * (n - 1.0) / n).sqrt())
@@ -186,14 +228,18 @@ fn by_geometry(
     used: &[(Pair, f64)],
     ratio: f64,
 ) -> anyhow::Result<f64> {
-    let Some(covariance) = &fit.covariance else { return Ok(0.0) };
+    let Some(covariance) = &fit.covariance else {
+        return Ok(0.0);
+    };
     let weight: BTreeMap<i64, f64> = used.iter().map(|(p, w)| (p.point, *w)).collect();
     let mut gradient = DVector::zeros(fit.values.len());
     for (k, nudge) in fit.model.difference_steps().into_iter().enumerate() {
         let mut there = fit.values.clone();
         there[k] += NUDGE * nudge;
         let (pairs, _) = pairs(data, nominal, fit, &there)?;
-        let weighted = pairs.iter().map(|p| (p, weight.get(&p.point).copied().unwrap_or(0.0)));
+        let weighted = pairs
+            .iter()
+            .map(|p| (p, weight.get(&p.point).copied().unwrap_or(0.0)));
         gradient[k] = (slope(weighted) - ratio) / (NUDGE * nudge);
     }
     let variance = gradient.dot(&(covariance * &gradient));

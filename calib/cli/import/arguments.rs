@@ -41,10 +41,20 @@ pub struct ImportArgs {
     /// Column of the stimulus' standard uncertainties
     ///
     /// Each weighs its reading; COL*0.5 of expanded ones with k = 2.
-    #[arg(help_heading = "Transducer", long, value_name = "COL", requires = "stimulus")]
+    #[arg(
+        help_heading = "Transducer",
+        long,
+        value_name = "COL",
+        requires = "stimulus"
+    )]
     pub stimulus_sd: Option<String>,
     /// Column of the response
-    #[arg(help_heading = "Transducer", long, value_name = "COL", required_if_eq("kind", "transducer"))]
+    #[arg(
+        help_heading = "Transducer",
+        long,
+        value_name = "COL",
+        required_if_eq("kind", "transducer")
+    )]
     pub response: Option<String>,
     /// constant, linear, quadratic, or WHISKER.toml of a whisker
     #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
@@ -58,10 +68,19 @@ pub struct ImportArgs {
     /// Further column and its name in the session
     ///
     /// May be repeated; COL alone keeps its name. Errors of an axis in place of positions: error_um=COL (or error_mm, error_in).
-    #[arg(help_heading = "Further columns", long = "covariate", value_name = "NAME=COL")]
+    #[arg(
+        help_heading = "Further columns",
+        long = "covariate",
+        value_name = "NAME=COL"
+    )]
     pub covariates: Vec<String>,
     /// Column of the commanded position
-    #[arg(help_heading = "Axis", long, value_name = "COL", required_if_eq("kind", "axis"))]
+    #[arg(
+        help_heading = "Axis",
+        long,
+        value_name = "COL",
+        required_if_eq("kind", "axis")
+    )]
     pub commanded: Option<String>,
     /// Column of the measured position
     #[arg(help_heading = "Axis", long, value_name = "COL")]
@@ -89,7 +108,12 @@ pub struct ImportArgs {
     pub role: Option<String>,
 
     /// Log with t_s and base_x_mm .. or object_x_mm ..
-    #[arg(help_heading = "Sweep", long, value_name = "LOG", required_if_eq("kind", "sweep"))]
+    #[arg(
+        help_heading = "Sweep",
+        long,
+        value_name = "LOG",
+        required_if_eq("kind", "sweep")
+    )]
     pub motion: Option<PathBuf>,
     /// Mesh of the object: STL, OBJ or PLY
     #[arg(help_heading = "Sweep", long, value_name = "MESH")]
@@ -107,12 +131,22 @@ pub struct ImportArgs {
     pub object_pose: Option<Vec<f64>>,
 
     /// Lines before the table (NIST Dataplot 25, StRD 60)
-    #[arg(help_heading = "Form of the table", long, value_name = "N", default_value_t = 0)]
+    #[arg(
+        help_heading = "Form of the table",
+        long,
+        value_name = "N",
+        default_value_t = 0
+    )]
     pub skip_lines: usize,
     /// Names of the columns, where there is no header line
     ///
     /// Without a name, a column of a header is called by its place: 'column 3'.
-    #[arg(help_heading = "Form of the table", long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(
+        help_heading = "Form of the table",
+        long,
+        value_name = "NAMES",
+        value_delimiter = ','
+    )]
     pub columns: Option<Vec<String>>,
     /// comma, semicolon, tab or whitespace
     ///
@@ -157,18 +191,29 @@ fn declared(text: &str) -> Result<Declared, String> {
         return Ok(Declared::Whisker(text.into()));
     }
     let law: Result<TransducerModel, toml::de::Error> = toml::Value::from(text).try_into();
-    law.map(Declared::Law)
-        .map_err(|_| format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}"))
+    law.map(Declared::Law).map_err(|_| {
+        format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}")
+    })
 }
 
 pub(super) fn name_of(value: impl ValueEnum) -> String {
-    value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
+    value
+        .to_possible_value()
+        .map(|v| v.get_name().to_owned())
+        .unwrap_or_default()
 }
 
 /// How the table is laid out, and which of its columns are asked for.
 pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
-    let separator = if args.whitespace { Some(Separator::Whitespace) } else { args.separator };
-    let mapped = args.covariates.iter().map(|c| c.split_once('=').map_or(c.as_str(), |(_, column)| column));
+    let separator = if args.whitespace {
+        Some(Separator::Whitespace)
+    } else {
+        args.separator
+    };
+    let mapped = args
+        .covariates
+        .iter()
+        .map(|c| c.split_once('=').map_or(c.as_str(), |(_, column)| column));
     let named = [
         &args.stimulus,
         &args.stimulus_sd,
@@ -182,14 +227,20 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         &args.replicate,
         &args.role,
     ];
-    let named = named.into_iter().flatten().map(String::as_str).chain(mapped);
+    let named = named
+        .into_iter()
+        .flatten()
+        .map(String::as_str)
+        .chain(mapped);
     // Those that are taken along by their own names tell a header, too.
     let known: &[&str] = match args.kind {
         Kind::Transducer | Kind::Axis => &[],
         Kind::Whisker => &WHISKER_COLUMNS,
         Kind::Sweep => &SWEEP_COLUMNS,
     };
-    let asked = named.flat_map(|column| [column, asked_name(column)]).chain(known.iter().copied());
+    let asked = named
+        .flat_map(|column| [column, asked_name(column)])
+        .chain(known.iter().copied());
     TextTableLayout {
         skip_lines: args.skip_lines,
         columns: args.columns.clone(),

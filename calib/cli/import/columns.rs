@@ -5,11 +5,19 @@ use super::hints::is_deviation;
 use super::units;
 use anyhow::{bail, ensure};
 use wcal_core::TransducerModel;
-use wcal_session::{AskedColumn, IN_SESSION, Stamps, TextTable, WHISKER_COLUMNS, asked_name, named};
+use wcal_session::{
+    AskedColumn, IN_SESSION, Stamps, TextTable, WHISKER_COLUMNS, asked_name, named,
+};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
-const SCALAR_COLUMNS: &[&str] =
-    &["stimulus_sd", "t_s", "direction", "temperature_degc", "replicate", "cycle"];
+const SCALAR_COLUMNS: &[&str] = &[
+    "stimulus_sd",
+    "t_s",
+    "direction",
+    "temperature_degc",
+    "replicate",
+    "cycle",
+];
 
 /// Columns whose cells are not numbers.
 const TEXT_COLUMNS: &[&str] = &["role"];
@@ -21,7 +29,10 @@ enum Source {
     /// A column of time stamps.
     Stamps { index: usize, stamps: Stamps },
     /// A commanded position and the error of the measured one, each times a factor: their sum.
-    Position { commanded: (usize, f64), error: (usize, f64) },
+    Position {
+        commanded: (usize, f64),
+        error: (usize, f64),
+    },
     /// Number of the row, from 1.
     Order,
     /// The role "calibration".
@@ -50,7 +61,9 @@ impl Points {
     /// Line of the foreign table that a line of the session's comes from.
     pub(super) fn line(&self, table: &TextTable, line: usize) -> usize {
         // The header is line 1.
-        self.rows.get(line.saturating_sub(2)).map_or(line, |&row| table.rows[row].0)
+        self.rows
+            .get(line.saturating_sub(2))
+            .map_or(line, |&row| table.rows[row].0)
     }
 }
 
@@ -60,18 +73,32 @@ impl Plan {
     /// # Errors
     /// Where a cell is not what its column needs, or most rows lack one.
     pub(super) fn points(&mut self, table: &TextTable, kind: Kind) -> anyhow::Result<Points> {
-        let mut csv = self.columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
+        let mut csv = self
+            .columns
+            .iter()
+            .map(|(name, _)| name.as_str())
+            .collect::<Vec<_>>()
+            .join(",");
         csv.push('\n');
         let (mut rows, mut without) = (Vec::new(), Vec::new());
         for row in 0..table.rows.len() {
-            let cells: Vec<String> =
-                self.columns.iter().map(|column| cell(table, row, column)).collect::<anyhow::Result<_>>()?;
+            let cells: Vec<String> = self
+                .columns
+                .iter()
+                .map(|column| cell(table, row, column))
+                .collect::<anyhow::Result<_>>()?;
             let needed = |name: &str| {
                 kind != Kind::Whisker
-                    && !matches!(name, "t_s" | "direction" | "temperature_degc" | "cycle" | "replicate")
+                    && !matches!(
+                        name,
+                        "t_s" | "direction" | "temperature_degc" | "cycle" | "replicate"
+                    )
             };
-            let lacks =
-                self.columns.iter().zip(&cells).position(|((name, _), cell)| cell.is_empty() && needed(name));
+            let lacks = self
+                .columns
+                .iter()
+                .zip(&cells)
+                .position(|((name, _), cell)| cell.is_empty() && needed(name));
             if let Some(column) = lacks {
                 without.push((column, row));
                 continue;
@@ -81,12 +108,18 @@ impl Plan {
             csv.push('\n');
         }
         self.say_missing(table, &without)?;
-        Ok(Points { csv: csv.into_bytes(), rows })
+        Ok(Points {
+            csv: csv.into_bytes(),
+            rows,
+        })
     }
 
     fn say_missing(&mut self, table: &TextTable, without: &[(usize, usize)]) -> anyhow::Result<()> {
         let line = |row: &usize| table.rows[*row].0;
-        if let Some((column, row)) = without.first().filter(|_| 2 * without.len() > table.rows.len()) {
+        if let Some((column, row)) = without
+            .first()
+            .filter(|_| 2 * without.len() > table.rows.len())
+        {
             let (column, found) = self.cell_of(table, *column, *row);
             bail!(
                 "{}, row at line {}, field {column}: expected a number in most rows, found {found:?} and the like in {} of {} rows",
@@ -115,7 +148,9 @@ impl Plan {
     /// Name and cell in the foreign table of a column of the session.
     fn cell_of(&self, table: &TextTable, column: usize, row: usize) -> (String, String) {
         let index = self.columns[column].1.index();
-        index.map_or_else(Default::default, |k| (table.columns[k].clone(), table.rows[row].1[k].to_owned()))
+        index.map_or_else(Default::default, |k| {
+            (table.columns[k].clone(), table.rows[row].1[k].to_owned())
+        })
     }
 
     /// Name in the foreign table of a column of the session.
@@ -129,13 +164,24 @@ impl Plan {
         let text = |(name, source): &(String, Source)| match source {
             Source::Column { index, factor } => {
                 let column = &table.columns[*index];
-                let text = if *factor == 1.0 { column.clone() } else { format!("{column}*{factor}") };
+                let text = if *factor == 1.0 {
+                    column.clone()
+                } else {
+                    format!("{column}*{factor}")
+                };
                 (text != *name).then(|| (name.clone(), text.into()))
             }
             // Without a date it is not known how long after the first of these another clock begins.
             Source::Stamps { index, stamps } => {
-                let since = if stamps.dated { format!(" since {}", stamps.first) } else { String::new() };
-                Some((name.clone(), format!("{}{since}", table.columns[*index]).into()))
+                let since = if stamps.dated {
+                    format!(" since {}", stamps.first)
+                } else {
+                    String::new()
+                };
+                Some((
+                    name.clone(),
+                    format!("{}{since}", table.columns[*index]).into(),
+                ))
             }
             _ => None,
         };
@@ -153,7 +199,11 @@ impl Plan {
             })
         };
         let holds = |k: usize| table.rows.iter().any(|(_, cells)| !cells[k].is_empty());
-        let left = table.columns.iter().enumerate().filter(|(k, _)| !taken(*k) && holds(*k));
+        let left = table
+            .columns
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| !taken(*k) && holds(*k));
         left.map(|(_, name)| name.clone()).collect()
     }
 
@@ -170,7 +220,11 @@ impl Plan {
     ///
     /// # Errors
     /// Where a column is missing, or a mapping is malformed.
-    pub(super) fn new(args: &ImportArgs, table: &TextTable, since: Option<&str>) -> anyhow::Result<Self> {
+    pub(super) fn new(
+        args: &ImportArgs,
+        table: &TextTable,
+        since: Option<&str>,
+    ) -> anyhow::Result<Self> {
         let wanted = wanted(args, table)?;
         for (name, column) in &wanted {
             if !TEXT_COLUMNS.contains(&name.as_str()) {
@@ -195,29 +249,45 @@ impl Plan {
         }
         if args.kind == Kind::Whisker {
             let has = |name: &str| {
-                wanted.iter().any(|(own, _)| own == name) || columns.iter().any(|(own, _)| own == name)
+                wanted.iter().any(|(own, _)| own == name)
+                    || columns.iter().any(|(own, _)| own == name)
             };
             let missing: Vec<&str> = IN_SESSION.into_iter().filter(|name| !has(name)).collect();
             if !missing.is_empty() {
-                return Err(table.without(&missing).hint("--covariate NAME=COLUMN takes each").into());
+                return Err(table
+                    .without(&missing)
+                    .hint("--covariate NAME=COLUMN takes each")
+                    .into());
             }
         }
-        let mut plan = Self { columns, units: Default::default(), remarks: Vec::new(), warnings: Vec::new() };
+        let mut plan = Self {
+            columns,
+            units: Default::default(),
+            remarks: Vec::new(),
+            warnings: Vec::new(),
+        };
         let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm");
-        let commanded = commanded.map(|(name, column)| plan.scaled(table, name, column)).transpose()?;
+        let commanded = commanded
+            .map(|(name, column)| plan.scaled(table, name, column))
+            .transpose()?;
         for (name, column) in wanted {
             let (index, factor) = plan.scaled(table, &name, &column)?;
             let count = table.columns_named(&table.columns[index]).len();
             if count > 1 {
-                let text = format!("{count} columns named {column} with the same cells; counted once");
+                let text =
+                    format!("{count} columns named {column} with the same cells; counted once");
                 plan.warnings.push(format!("{}: {text}", table.file));
             }
             let of_the_kind = ["point", "role", "stimulus", "response"];
             let covariate = args.kind == Kind::Transducer
-                && !SCALAR_COLUMNS.iter().chain(&of_the_kind).any(|n| *n == name);
+                && !SCALAR_COLUMNS
+                    .iter()
+                    .chain(&of_the_kind)
+                    .any(|n| *n == name);
             if covariate && units::is_uncertainty(&column) {
                 let text = "looks like an uncertainty: as a covariate it counts as a cause";
-                plan.warnings.push(format!("{}: {column} {text}", table.file));
+                plan.warnings
+                    .push(format!("{}: {column} {text}", table.file));
             }
             let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
             let stamps = if name == "t_s" {
@@ -230,13 +300,18 @@ impl Plan {
             if let Some(Stamps { other, first, .. }) = &stamps {
                 let with = other.map_or(String::new(), |k| format!(" with {}", table.columns[k]));
                 let column = asked_name(&column);
-                plan.remarks
-                    .push(format!("{}: {column}{with} holds time stamps: seconds after {first}", table.file));
+                plan.remarks.push(format!(
+                    "{}: {column}{with} holds time stamps: seconds after {first}",
+                    table.file
+                ));
             }
             plan.columns.push(match (unit_mm, commanded, stamps) {
                 (Some(unit_mm), Some(commanded), _) => {
                     let error = (index, unit_mm * factor);
-                    ("measured_mm".to_owned(), Source::Position { commanded, error })
+                    (
+                        "measured_mm".to_owned(),
+                        Source::Position { commanded, error },
+                    )
                 }
                 (.., Some(stamps)) => (name, Source::Stamps { index, stamps }),
                 _ => (name, Source::Column { index, factor }),
@@ -256,12 +331,18 @@ impl Plan {
             ("--response", &args.response_unit, &args.response),
         ];
         let [stimulus, response] = signals.map(|(option, unit, column)| {
-            units::signal((option, unit.as_deref()), column.as_deref(), table, &mut plan.remarks)
+            units::signal(
+                (option, unit.as_deref()),
+                column.as_deref(),
+                table,
+                &mut plan.remarks,
+            )
         });
         plan.units = [stimulus?, response?];
         if let Some(column) = args.response.as_deref().filter(|name| is_deviation(name)) {
             let said = "taken as a deviation of the stimulus, by its name: it needs no slope";
-            plan.remarks.push(format!("{}: {column} is {said}", table.file));
+            plan.remarks
+                .push(format!("{}: {column} is {said}", table.file));
         }
         // A commanded position is looked up twice.
         plan.remarks.sort();
@@ -274,7 +355,12 @@ impl Plan {
     ///
     /// # Errors
     /// Where the table has no such column, or states two units of it.
-    fn scaled(&mut self, table: &TextTable, name: &str, text: &str) -> anyhow::Result<(usize, f64)> {
+    fn scaled(
+        &mut self,
+        table: &TextTable,
+        name: &str,
+        text: &str,
+    ) -> anyhow::Result<(usize, f64)> {
         let AskedColumn { index, factor, .. } = table.asked(text)?;
         let of_unit = || units::factor(table, index, name, (&mut self.remarks, &mut self.warnings));
         Ok((index, factor.map_or_else(of_unit, Ok)?))
@@ -293,7 +379,11 @@ impl Source {
 }
 
 /// A cell of the session's table; empty where nothing stands there.
-fn cell(table: &TextTable, row: usize, (name, source): &(String, Source)) -> anyhow::Result<String> {
+fn cell(
+    table: &TextTable,
+    row: usize,
+    (name, source): &(String, Source),
+) -> anyhow::Result<String> {
     // `{}` prints the shortest text that reads back as the same number: nothing is lost.
     let text = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     Ok(match source {
@@ -303,11 +393,19 @@ fn cell(table: &TextTable, row: usize, (name, source): &(String, Source)) -> any
         Source::Position { commanded, error } => {
             let [commanded, error] = [commanded, error]
                 .map(|(index, factor)| table.number(row, *index).map(|v| Some(v? * factor)));
-            text(commanded?.zip(error?).map(|(commanded, error)| commanded + error))
+            text(
+                commanded?
+                    .zip(error?)
+                    .map(|(commanded, error)| commanded + error),
+            )
         }
         Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
             let text = table.rows[row].1[*index].trim();
-            ensure!(!text.contains([',', '"', '\n']), "{}: role {text:?} is not a word", table.file);
+            ensure!(
+                !text.contains([',', '"', '\n']),
+                "{}: role {text:?} is not a word",
+                table.file
+            );
             text.to_owned()
         }
         Source::Column { index, factor } if name == "direction" => {
@@ -324,7 +422,10 @@ pub(super) const WAY_IN: &str =
 /// Millimetres in the unit of a column of an axis' errors; none for another column.
 fn error_unit_mm(name: &str) -> Option<f64> {
     let units = [("error_um", 1e-3), ("error_mm", 1.0), ("error_in", 25.4)];
-    units.into_iter().find(|(unit, _)| *unit == name).map(|(_, mm)| mm)
+    units
+        .into_iter()
+        .find(|(unit, _)| *unit == name)
+        .map(|(_, mm)| mm)
 }
 
 /// Name in the session and name in the foreign table of every column to import.
@@ -335,11 +436,19 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         !(axis && args.cycle.is_some() && args.replicate.is_some()),
         "--replicate: expected --cycle or --replicate for an axis (the repetition of a stroke is its cycle), found both"
     );
-    let errors = || args.covariates.iter().any(|c| c.split('=').next().and_then(error_unit_mm).is_some());
+    let errors = || {
+        args.covariates
+            .iter()
+            .any(|c| c.split('=').next().and_then(error_unit_mm).is_some())
+    };
     ensure!(
         !axis || args.measured.is_some() != errors(),
         "--measured: expected the column of the measured position, or of its error (--covariate error_um=COLUMN), found {}",
-        if args.measured.is_some() { "both" } else { "neither" }
+        if args.measured.is_some() {
+            "both"
+        } else {
+            "neither"
+        }
     );
     let (cycle, replicate) = if axis {
         (args.cycle.clone().or_else(|| args.replicate.clone()), None)
@@ -362,14 +471,20 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         ("cycle", &cycle),
         ("replicate", &replicate),
     ];
-    let given = flags.iter().filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
+    let given = flags
+        .iter()
+        .filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
     let mut wanted: Vec<(String, String)> = given.collect();
     for text in &args.covariates {
         // Without a name of its own a column keeps that of the table.
         let (name, column) = text.split_once('=').unwrap_or((text, text));
         wanted.push((name.to_owned(), column.to_owned()));
     }
-    let known: &[&str] = if args.kind == Kind::Whisker { &WHISKER_COLUMNS } else { SCALAR_COLUMNS };
+    let known: &[&str] = if args.kind == Kind::Whisker {
+        &WHISKER_COLUMNS
+    } else {
+        SCALAR_COLUMNS
+    };
     for name in known {
         let here = table.columns.iter().any(|c| c == name);
         if here && !wanted.iter().any(|(n, c)| n == name || c == name) {

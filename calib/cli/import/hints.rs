@@ -2,34 +2,88 @@
 
 /// Words of a column's name, in lower case, and the option that takes such a column.
 const WORDS: [(&str, &[&str]); 4] = [
-    ("--direction", &["dir", "direction", "richtung", "sense", "updown"]),
+    (
+        "--direction",
+        &["dir", "direction", "richtung", "sense", "updown"],
+    ),
     (
         "--replicate",
-        &["cycle", "zyklus", "run", "series", "serie", "rep", "repeat", "replicate", "repetition"],
+        &[
+            "cycle",
+            "zyklus",
+            "run",
+            "series",
+            "serie",
+            "rep",
+            "repeat",
+            "replicate",
+            "repetition",
+        ],
     ),
-    ("--temperature", &["temp", "temperature", "temperatur", "degc", "t_c", "t_k", "t_f", "t_degc"]),
-    ("--time", &["time", "t", "zeit", "date", "datum", "timestamp", "clock", "elapsed", "seconds"]),
+    (
+        "--temperature",
+        &[
+            "temp",
+            "temperature",
+            "temperatur",
+            "degc",
+            "t_c",
+            "t_k",
+            "t_f",
+            "t_degc",
+        ],
+    ),
+    (
+        "--time",
+        &[
+            "time",
+            "t",
+            "zeit",
+            "date",
+            "datum",
+            "timestamp",
+            "clock",
+            "elapsed",
+            "seconds",
+        ],
+    ),
 ];
 
 /// Words of a column that holds corrections, deviations or errors of another quantity; a difference is measured as such (a pressure `delta_p`).
-const DEVIATIONS: [&str; 9] =
-    ["correction", "corr", "deviation", "dev", "error", "err", "korrektur", "abweichung", "fehler"];
+const DEVIATIONS: [&str; 9] = [
+    "correction",
+    "corr",
+    "deviation",
+    "dev",
+    "error",
+    "err",
+    "korrektur",
+    "abweichung",
+    "fehler",
+];
 
 /// Whether a column's name says that it is a deviation of the stimulus.
 pub(super) fn is_deviation(name: &str) -> bool {
     let name = name.to_lowercase();
-    name.split(|c: char| !c.is_alphanumeric()).any(|word| DEVIATIONS.contains(&word))
+    name.split(|c: char| !c.is_alphanumeric())
+        .any(|word| DEVIATIONS.contains(&word))
 }
 
 /// The option that takes a column of this name; none where the name does not tell.
 pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     let name = name.to_lowercase();
-    let words: Vec<&str> =
-        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    let words: Vec<&str> = name
+        .split(|c: char| !c.is_alphanumeric())
+        .filter(|word| !word.is_empty())
+        .collect();
     // A temperature may be told by its unit alone: T_C, T (K).
     let whole = words.join("_");
-    let told = |of: &[&str]| of.contains(&whole.as_str()) || words.iter().any(|word| of.contains(word));
-    WORDS.iter().find(|(_, of)| told(of)).map(|(option, _)| *option)
+    let told =
+        |of: &[&str]| of.contains(&whole.as_str()) || words.iter().any(|word| of.contains(word));
+    WORDS
+        .iter()
+        .find(|(_, of)| told(of))
+        .map(|(option, _)| *option)
 }
 
 /// A word as a shell takes it.

@@ -30,7 +30,11 @@ pub(super) const RESULT: ResultKind<'_> = ResultKind {
 
 /// The tables that an imported session was made of, and its columns.
 fn made_of(folder: &Path) -> Option<String> {
-    let names = earlier_inputs(folder)?.into_iter().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let names = earlier_inputs(folder)?
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect::<Vec<_>>()
+        .join(", ");
     let columns = first_line(&folder.join("points.csv")).unwrap_or_default();
     Some(described(&names, &columns))
 }
@@ -45,7 +49,10 @@ fn earlier_inputs(folder: &Path) -> Option<Vec<(String, String)>> {
     let table = wcal_core::document::toml(&text).ok()?;
     let inputs = table.get("provenance")?.get("inputs")?.as_array()?;
     let text = |input: &toml::Value, key: &str| Some(input.get(key)?.as_str()?.to_owned());
-    inputs.iter().map(|input| Some((text(input, "path")?, text(input, "sha256")?))).collect()
+    inputs
+        .iter()
+        .map(|input| Some((text(input, "path")?, text(input, "sha256")?)))
+        .collect()
 }
 
 /// Refuses to replace the session of other tables. The same table may be imported again with other options, and a later state of it with the
@@ -57,7 +64,11 @@ pub(super) fn refuse_other_tables(
 ) -> anyhow::Result<()> {
     let earlier = earlier_inputs(out.folder()).unwrap_or_default();
     // The first is the table of the points; a holdout may be added or left out.
-    if earlier.first().zip(tables.first()).is_some_and(|((_, sha256), table)| *sha256 == table.sha256) {
+    if earlier
+        .first()
+        .zip(tables.first())
+        .is_some_and(|((_, sha256), table)| *sha256 == table.sha256)
+    {
         return Ok(());
     }
     let name = |table: &&TextTable| {
@@ -65,7 +76,11 @@ pub(super) fn refuse_other_tables(
         file.map_or_else(|| table.file.clone(), |n| n.to_string_lossy().into_owned())
     };
     let names = tables.iter().map(name).collect::<Vec<_>>().join(", ");
-    let columns = String::from_utf8_lossy(points).lines().next().unwrap_or_default().to_owned();
+    let columns = String::from_utf8_lossy(points)
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .to_owned();
     out.refuse_other(&described(&names, &columns))
 }
 
@@ -79,7 +94,10 @@ impl Noticed {
     pub(super) fn of<'a>(tables: &[&TextTable], plans: impl Iterator<Item = &'a Plan>) -> Self {
         let of_file = |texts: fn(&TextTable) -> &[String]| -> Vec<String> {
             let said = |t: &&TextTable| {
-                texts(t).iter().map(|text| format!("{}: {text}", t.file)).collect::<Vec<_>>()
+                texts(t)
+                    .iter()
+                    .map(|text| format!("{}: {text}", t.file))
+                    .collect::<Vec<_>>()
             };
             tables.iter().flat_map(said).collect()
         };
@@ -98,13 +116,23 @@ pub(super) fn say(
     document: &ImportDocument<'_>,
     sources: &[&TextTable],
 ) -> anyhow::Result<ExitCode> {
-    let ImportDocument { session, kind, rows, warnings, columns_left_out, .. } = document;
+    let ImportDocument {
+        session,
+        kind,
+        rows,
+        warnings,
+        columns_left_out,
+        ..
+    } = document;
     if args.json {
         println!("{}", serde_json::to_string_pretty(document)?);
     } else {
         let what = if kind == "sweep" { "sweep" } else { "session" };
         let folder = printable(&args.out.display().to_string());
-        println!("{folder}: {rows} rows, {what} {session:?}{}", word(document.simulated));
+        println!(
+            "{folder}: {rows} rows, {what} {session:?}{}",
+            word(document.simulated)
+        );
     }
     // Of the tables that were given: those of the session end as they should.
     for remark in sources.iter().filter_map(|table| table.warning()) {
@@ -116,16 +144,23 @@ pub(super) fn say(
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
         eprintln!("{}: read as {encoding}", brief(&source.file));
     }
-    let (uncertain, others): (Vec<&str>, Vec<&str>) =
-        columns_left_out.iter().map(String::as_str).partition(|name| is_uncertainty(name));
+    let (uncertain, others): (Vec<&str>, Vec<&str>) = columns_left_out
+        .iter()
+        .map(String::as_str)
+        .partition(|name| is_uncertainty(name));
     if !others.is_empty() {
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
         let shown = |name: &&str| {
             let option = option_of(name).filter(|_| kind != "sweep");
-            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {})", quoted(name)))
+            option.map_or((*name).to_owned(), |option| {
+                format!("{name} ({option} {})", quoted(name))
+            })
         };
         let shown: Vec<String> = others.iter().map(shown).collect();
-        eprintln!("columns not imported: {}{way_in}", printable(&shown.join(", ")));
+        eprintln!(
+            "columns not imported: {}{way_in}",
+            printable(&shown.join(", "))
+        );
     }
     for name in uncertain.into_iter().map(printable) {
         eprintln!(

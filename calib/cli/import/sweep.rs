@@ -31,15 +31,24 @@ struct Sweep {
 
 /// A table of readings with the poses of the base from a log.
 fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
-    let motion = args.motion.as_deref().context("--kind sweep: expected --motion LOG.csv, found none")?;
+    let motion = args
+        .motion
+        .as_deref()
+        .context("--kind sweep: expected --motion LOG.csv, found none")?;
     let table = read_text_table(&args.file, &layout(args))?;
     let logged = motion_table::read(motion)?;
-    let taken = |name: &str| name.starts_with("fbg_") && name.ends_with("_nm") || name == "temperature_degc";
+    let taken = |name: &str| {
+        name.starts_with("fbg_") && name.ends_with("_nm") || name == "temperature_degc"
+    };
     let time = table.column("t_s")?;
     let (columns, others): (Vec<usize>, Vec<usize>) =
         (0..table.columns.len()).partition(|c| taken(&table.columns[*c]));
     let known = |c: &usize| *c == time || matches!(table.columns[*c].as_str(), "point" | "k");
-    let left_out = others.iter().filter(|c| !known(c)).map(|c| table.columns[*c].clone()).collect();
+    let left_out = others
+        .iter()
+        .filter(|c| !known(c))
+        .map(|c| table.columns[*c].clone())
+        .collect();
     ensure!(
         !columns.is_empty(),
         "{}: expected columns fbg_..._nm, found {}",
@@ -50,13 +59,18 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
     let mut points = format!("point,t_s,{},{POSES}\n", names.join(","));
     let mut without_pose = 0;
     for (k, (line, cells)) in table.rows.iter().enumerate() {
-        let t_s = table
-            .number(k, time)?
-            .with_context(|| format!("{}: line {line}: t_s: expected a time, found none", table.file))?;
+        let t_s = table.number(k, time)?.with_context(|| {
+            format!(
+                "{}: line {line}: t_s: expected a time, found none",
+                table.file
+            )
+        })?;
         // What reads as a number stays as it is written.
         let value = |column: &usize| match cells[*column].parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(cells[*column].to_owned()),
-            _ => table.number(k, *column).map(|number| number.map_or_else(String::new, |n| n.to_string())),
+            _ => table
+                .number(k, *column)
+                .map(|number| number.map_or_else(String::new, |n| n.to_string())),
         };
         let values = columns.iter().map(value).collect::<Result<Vec<_>, _>>()?;
         write!(points, "{k},{t_s},{},", values.join(","))?;
@@ -64,7 +78,11 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
             Ok(motion) => {
                 let pose = base_pose(&motion).world_from_base;
                 let (t, q) = (pose.translation.vector, pose.rotation);
-                writeln!(points, "{:.6},{:.6},{:.6},{},{},{},{}", t.x, t.y, t.z, q.w, q.i, q.j, q.k)?;
+                writeln!(
+                    points,
+                    "{:.6},{:.6},{:.6},{},{},{},{}",
+                    t.x, t.y, t.z, q.w, q.i, q.j, q.k
+                )?;
             }
             Err(_) => {
                 without_pose += 1;
@@ -78,7 +96,12 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
         motion.display(),
         table.file
     );
-    Ok(Sweep { points, source: table, left_out, without_pose })
+    Ok(Sweep {
+        points,
+        source: table,
+        left_out,
+        without_pose,
+    })
 }
 
 /// Writes the folder.
@@ -87,20 +110,32 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
 /// Where a file cannot be used, by line and column; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let sweep = of_tables(args)?;
-    let object = args.object.as_deref().map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?)));
+    let object = args
+        .object
+        .as_deref()
+        .map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?)));
     let object = object.transpose()?;
     if let Some(pose) = args.object_pose.as_ref().filter(|p| pose_of(p).is_none()) {
-        bail!("--object-pose: expected x,y,z (mm) and a unit quaternion qw,qx,qy,qz, found {pose:?}");
+        bail!(
+            "--object-pose: expected x,y,z (mm) and a unit quaternion qw,qx,qy,qz, found {pose:?}"
+        );
     }
     ensure!(
         object.is_some() || args.object_pose.is_none(),
         "--object-pose: expected --object MESH with it, found none"
     );
     let files = [("points", "points.csv"), ("object", OBJECT)];
-    let files = if object.is_some() { &files[..] } else { &files[..1] };
+    let files = if object.is_some() {
+        &files[..]
+    } else {
+        &files[..1]
+    };
     let mut top = description::header(args, KIND, files)?;
     if let Some(pose) = &args.object_pose {
-        let place = [("world_from_object", Value::from(pose.clone())), ("sd_mm", Value::from(PLACED_SD_MM))];
+        let place = [
+            ("world_from_object", Value::from(pose.clone())),
+            ("sd_mm", Value::from(PLACED_SD_MM)),
+        ];
         let place = place.map(|(k, v)| (k.to_owned(), v)).into_iter().collect();
         top.insert("object".to_owned(), Value::Table(place));
     }
@@ -113,15 +148,25 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
     out.put("points.csv", sweep.points.clone());
     if let Some((mesh, _)) = &object {
-        let bytes = wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?;
-        out.put(OBJECT, as_stl(bytes).map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?);
+        let bytes =
+            wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?;
+        out.put(
+            OBJECT,
+            as_stl(bytes).map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?,
+        );
     }
     out.put("session.toml", toml::to_string(&top)?);
     out.finish()?;
-    for (mesh, note) in object.iter().flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n))) {
+    for (mesh, note) in object
+        .iter()
+        .flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n)))
+    {
         eprintln!("{}: {note}", mesh.display());
     }
-    let Noticed { remarks, mut warnings } = noticed;
+    let Noticed {
+        remarks,
+        mut warnings,
+    } = noticed;
     let rows = sweep.source.rows.len();
     let unknown = (sweep.without_pose > 0).then(|| {
         let missing = sweep.without_pose;

@@ -29,15 +29,23 @@ pub(super) fn factor(
     name: &str,
     (remarks, warnings): Noticed<'_>,
 ) -> anyhow::Result<f64> {
-    let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else { return Ok(1.0) };
+    let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else {
+        return Ok(1.0);
+    };
     let (file, column, below) = (&table.file, &table.columns[index], below(table, index)?);
     let mut found: Option<(&str, f64)> = None;
     // A temperature in another unit is refused wherever that stands.
     let last = column.rsplit(['_', ' ']).next().filter(|unit| {
         name == "temperature_degc"
-            && ["K", "degF"].iter().any(|t| matches!(relation(unit, t), Relation::Times(_)))
+            && ["K", "degF"]
+                .iter()
+                .any(|t| matches!(relation(unit, t), Relation::Times(_)))
     });
-    let stated = unit_in_name(column, to).into_iter().chain(stated_unit(column)).chain(last).chain(below);
+    let stated = unit_in_name(column, to)
+        .into_iter()
+        .chain(stated_unit(column))
+        .chain(last)
+        .chain(below);
     for unit in stated {
         match (relation(unit, to), found) {
             (Relation::Times(factor), None) => found = Some((unit, factor)),
@@ -59,8 +67,10 @@ pub(super) fn factor(
     }
     match found {
         Some((unit, factor)) if factor != 1.0 => {
-            remarks
-                .push(format!("{file}: {column} is in {unit}; times {} it is in {to}", number(factor, 12)));
+            remarks.push(format!(
+                "{file}: {column} is in {unit}; times {} it is in {to}",
+                number(factor, 12)
+            ));
             Ok(factor)
         }
         None if name == "t_s" => question(table, index, (remarks, warnings)).map(|()| 1.0),
@@ -73,16 +83,36 @@ pub(super) fn factor(
 /// # Errors
 /// Where rows have several.
 fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
-    let below = table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty());
-    let named = |name: &String| ["unit", "einheit"].iter().any(|word| name.to_lowercase().contains(word));
+    let below = table
+        .units
+        .get(index)
+        .map(String::as_str)
+        .filter(|unit| !unit.is_empty());
+    let named = |name: &String| {
+        ["unit", "einheit"]
+            .iter()
+            .any(|word| name.to_lowercase().contains(word))
+    };
     if below.is_some() || !table.columns.get(index + 1).is_some_and(named) {
         return Ok(below);
     }
-    let mut units = table.rows.iter().map(|(line, cells)| (line, &cells[index + 1]));
-    let first = units.next().map(|(_, unit)| unit).filter(|unit| is_unit(unit));
+    let mut units = table
+        .rows
+        .iter()
+        .map(|(line, cells)| (line, &cells[index + 1]));
+    let first = units
+        .next()
+        .map(|(_, unit)| unit)
+        .filter(|unit| is_unit(unit));
     if let Some((line, other)) = units.find(|(_, unit)| first.is_some_and(|first| first != *unit)) {
-        let (file, column, first) = (&table.file, &table.columns[index], first.unwrap_or_default());
-        bail!("{file}, row at line {line}, field {column}: expected one unit, found {first} and {other}");
+        let (file, column, first) = (
+            &table.file,
+            &table.columns[index],
+            first.unwrap_or_default(),
+        );
+        bail!(
+            "{file}, row at line {line}, field {column}: expected one unit, found {first} and {other}"
+        );
     }
     Ok(first)
 }
@@ -91,7 +121,11 @@ fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
 ///
 /// # Errors
 /// Where they can be none.
-fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -> anyhow::Result<()> {
+fn question(
+    table: &TextTable,
+    index: usize,
+    (remarks, warnings): Noticed<'_>,
+) -> anyhow::Result<()> {
     /// Numbers of days since 1900 in spreadsheets: the years 1954 to 2119.
     const DAYS: std::ops::Range<f64> = 2e4..8e4;
     /// Seconds since 1970 stay below it for three thousand years.
@@ -100,11 +134,21 @@ fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -
     const LONG_S: [f64; 2] = [1e3, 86_400.0];
     let (file, column) = (&table.file, &table.columns[index]);
     // Time stamps have units of their own.
-    let times: Vec<f64> = (0..table.rows.len()).filter_map(|row| table.number(row, index).ok()?).collect();
-    let mut steps: Vec<f64> = times.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|s| *s > 0.0).collect();
+    let times: Vec<f64> = (0..table.rows.len())
+        .filter_map(|row| table.number(row, index).ok()?)
+        .collect();
+    let mut steps: Vec<f64> = times
+        .windows(2)
+        .map(|w| (w[1] - w[0]).abs())
+        .filter(|s| *s > 0.0)
+        .collect();
     steps.sort_by(f64::total_cmp);
-    let (Some(step), Some(first)) = (steps.get(steps.len() / 2), times.first()) else { return Ok(()) };
-    let [low, high] = times.iter().fold([*first; 2], |[a, b], t| [a.min(*t), b.max(*t)]);
+    let (Some(step), Some(first)) = (steps.get(steps.len() / 2), times.first()) else {
+        return Ok(());
+    };
+    let [low, high] = times
+        .iter()
+        .fold([*first; 2], |[a, b], t| [a.min(*t), b.max(*t)]);
     let way = |factor: &str| format!("--time '{column}*{factor}'");
     if high > MOST {
         let power = if high < 1e14 {
@@ -125,13 +169,19 @@ fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -
         Some(format!("days? {}", way("86400")))
     } else if *step < 1e-3 {
         Some(format!("days ({}), hours ({})?", way("86400"), way("3600")))
-    } else if *step >= LONG_S[0] && !whole(900.0) && whole(1.0) && (high - low > LONG_S[1] || whole(100.0)) {
+    } else if *step >= LONG_S[0]
+        && !whole(900.0)
+        && whole(1.0)
+        && (high - low > LONG_S[1] || whole(100.0))
+    {
         Some(format!("milliseconds? {}", way("0.001")))
     } else {
         None
     };
-    let taken =
-        format!("{file}: {column} names no unit, taken as seconds: readings {} s apart", number(*step, 4));
+    let taken = format!(
+        "{file}: {column} names no unit, taken as seconds: readings {} s apart",
+        number(*step, 4)
+    );
     match asked {
         Some(asked) => warnings.push(format!("{taken}; {asked}")),
         None => remarks.push(taken),
@@ -150,7 +200,10 @@ pub(super) fn signal(
     remarks: &mut Vec<String>,
 ) -> anyhow::Result<String> {
     let taken = stated.unwrap_or("1").to_owned();
-    let Some(column) = column.map(|text| table.asked(text)).transpose()?.filter(|c| c.factor.is_none())
+    let Some(column) = column
+        .map(|text| table.asked(text))
+        .transpose()?
+        .filter(|c| c.factor.is_none())
     else {
         return Ok(taken);
     };
@@ -159,7 +212,12 @@ pub(super) fn signal(
     let sure = below(table, index)?.or_else(|| stated_unit(name));
     // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
     let last = possible_units(name).next().or_else(|| bracketed(name));
-    let of_kind = |unit: &&str| matches!(relation(unit, stated.unwrap_or_default()), Relation::Times(_));
+    let of_kind = |unit: &&str| {
+        matches!(
+            relation(unit, stated.unwrap_or_default()),
+            Relation::Times(_)
+        )
+    };
     let Some(found) = sure.or(last.filter(of_kind)) else {
         match (last, stated) {
             (unit, None) => remarks.push(format!(
@@ -167,8 +225,9 @@ pub(super) fn signal(
                 unit.map_or("UNIT".to_owned(), quoted)
             )),
             (Some(unit), Some(stated)) if unit.len() > 1 && unit != stated => {
-                remarks
-                    .push(format!("{file}: {name} is taken as {stated}, though its name ends with {unit}"));
+                remarks.push(format!(
+                    "{file}: {name} is taken as {stated}, though its name ends with {unit}"
+                ));
             }
             _ => {}
         }
@@ -178,15 +237,19 @@ pub(super) fn signal(
         remarks.push(format!("{file}: {name} is in {found}, as the table says"));
         return Ok(found.to_owned());
     };
-    let error =
-        |way: String| bail!("{file}, field {name}: expected {stated} ({option}-unit), found {found} {way}");
+    let error = |way: String| {
+        bail!("{file}, field {name}: expected {stated} ({option}-unit), found {found} {way}")
+    };
     match relation(found, stated) {
-        Relation::Times(factor) if (factor - 1.0).abs() > 1e-9 => {
-            error(format!("({option} '{name}*{}' converts it)", number(factor, 12)))
-        }
+        Relation::Times(factor) if (factor - 1.0).abs() > 1e-9 => error(format!(
+            "({option} '{name}*{}' converts it)",
+            number(factor, 12)
+        )),
         Relation::Other => error("in the table (another column, or another unit?)".to_owned()),
         Relation::Unknown if found != stated => {
-            remarks.push(format!("{file}: {name} is in {found} by the table, taken as {stated}"));
+            remarks.push(format!(
+                "{file}: {name} is in {found} by the table, taken as {stated}"
+            ));
             Ok(taken)
         }
         _ => Ok(taken),
@@ -196,15 +259,30 @@ pub(super) fn signal(
 /// Whether a column's name says that it holds uncertainties: `u_load`, `U95_ref`, `u(m)`, `sd`, `std_dev`, `Unsicherheit`. A voltage may be called `u_mv`.
 pub(super) fn is_uncertainty(name: &str) -> bool {
     let name = name.to_lowercase();
-    let words: Vec<&str> =
-        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
-    let word = |w: &&str| matches!(*w, "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
+    let words: Vec<&str> = name
+        .split(|c: char| !c.is_alphanumeric())
+        .filter(|word| !word.is_empty())
+        .collect();
+    let word = |w: &&str| {
+        matches!(
+            *w,
+            "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se"
+        )
+    };
     let volts = |w: &&str| matches!(*w, "v" | "mv" | "uv" | "kv" | "volt" | "volts");
     let of_a_quantity = match words[..] {
         ["u" | "u95", .., last] => !volts(&last),
         _ => false,
     };
-    ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
+    [
+        "uncert",
+        "unsicher",
+        "std_dev",
+        "standard deviation",
+        "standardabw",
+    ]
+    .iter()
+    .any(|w| name.contains(w))
         || words.iter().any(word)
         || of_a_quantity
 }

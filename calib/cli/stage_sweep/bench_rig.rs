@@ -13,12 +13,18 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     );
     let addresses = wcal_core::document::json(addresses)?;
     let text = |pointer: &str| {
-        let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);
-        value.map(str::to_owned).ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
+        let value = addresses
+            .pointer(pointer)
+            .and_then(serde_json::Value::as_str);
+        value
+            .map(str::to_owned)
+            .ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
     };
     let mut rig = wcal_core::document::toml(rig)?;
     let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
-        let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
+        let value = t
+            .remove(name)
+            .and_then(|v| v.try_into::<toml::Table>().ok());
         value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
     };
     // The bench's clock may run faster than the wall's.
@@ -32,10 +38,15 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
     for (k, camera) in cameras.into_iter().flatten().enumerate() {
         let own = text(&format!("/cameras/{k}"))?;
-        camera.as_table_mut().map(|t| t.insert("source".to_owned(), own.into()));
+        camera
+            .as_table_mut()
+            .map(|t| t.insert("source".to_owned(), own.into()));
     }
     let mut stage = table(&mut rig, "stage")?;
-    stage.insert("port".to_owned(), format!("tcp://{}", text("/stage_tcp")?).into());
+    stage.insert(
+        "port".to_owned(),
+        format!("tcp://{}", text("/stage_tcp")?).into(),
+    );
     let mut interrogator = table(&mut rig, "interrogator")?;
     if interrogator.get("driver").and_then(toml::Value::as_str) == Some("hyperion") {
         interrogator.insert("address".to_owned(), text("/hyperion/commands")?.into());
@@ -53,7 +64,9 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
 pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
     let mut rig = wcal_core::document::toml(rig)?;
     let stated = rig.get("interrogator").and_then(|i| i.get("rate_hz"));
-    if let Some(rig_hz) = stated.and_then(|hz| hz.as_float().or(hz.as_integer().map(|hz| hz as f64))) {
+    if let Some(rig_hz) =
+        stated.and_then(|hz| hz.as_float().or(hz.as_integer().map(|hz| hz as f64)))
+    {
         ensure!(
             (own_hz - rig_hz).abs() <= 1e-6 * own_hz,
             "interrogator.rate_hz: expected the scenario's {own_hz} Hz, found {rig_hz}: change it, or rate_hz under [interrogator] of the \
@@ -67,7 +80,10 @@ pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
         );
     }
     if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
-        stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
+        stage.insert(
+            "port".to_owned(),
+            format!("in-process:{}", std::process::id()).into(),
+        );
     }
     Ok(toml::to_string(&rig)?)
 }

@@ -23,8 +23,14 @@ pub(super) fn drawing(
 ) -> Result<ShapePicture> {
     let project = |p: &[f64; 3]| {
         let left = fit.left_from_base * Point3::from(Vector3::from(*p));
-        let x = if camera == 1 { stereo.right_from_left * left } else { left };
-        stereo.cameras[camera].project(&x.coords).map(|p| [p.x, p.y])
+        let x = if camera == 1 {
+            stereo.right_from_left * left
+        } else {
+            left
+        };
+        stereo.cameras[camera]
+            .project(&x.coords)
+            .map(|p| [p.x, p.y])
     };
     let side = ["left", "right"][camera];
     let tags = pair.tags.iter().filter(|t| t.camera == side);

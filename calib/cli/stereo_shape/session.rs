@@ -13,8 +13,10 @@ use wcal_session::set_entries;
 use wcal_vision::pairs::PairFiles;
 
 /// Shapes of the table's rows and of the sealed ones: file, and key of `[files]`.
-const RESULTS: [(bool, &str, &str); 2] =
-    [(false, "shapes.json", "shapes"), (true, "shapes-holdout.json", "holdout_shapes")];
+const RESULTS: [(bool, &str, &str); 2] = [
+    (false, "shapes.json", "shapes"),
+    (true, "shapes-holdout.json", "holdout_shapes"),
+];
 
 /// Fits the pairs of the session's poses, writes them into the session and names them in session.toml.
 pub(super) fn run(
@@ -32,12 +34,24 @@ pub(super) fn run(
     let bench = BenchRig::parse(&shaper.rig_file.display().to_string(), &text)?;
     let names: Vec<&str> = bench.camera.iter().map(|c| c.name.as_str()).collect();
     let [left, right] = names[..] else {
-        bail!("{}: expected two cameras, found {}", shaper.rig_file.display(), names.len())
+        bail!(
+            "{}: expected two cameras, found {}",
+            shaper.rig_file.display(),
+            names.len()
+        )
     };
     let mut clean = true;
     let mut entries = vec![
-        ("provenance", "cameras_sha256", shaper.source.cameras_sha256.as_str()),
-        ("provenance", "shapes_rig_sha256", shaper.source.rig_sha256.as_str()),
+        (
+            "provenance",
+            "cameras_sha256",
+            shaper.source.cameras_sha256.as_str(),
+        ),
+        (
+            "provenance",
+            "shapes_rig_sha256",
+            shaper.source.rig_sha256.as_str(),
+        ),
     ];
     let mut documents = Vec::new();
     for (sealed, file, key) in RESULTS {
@@ -57,7 +71,10 @@ pub(super) fn run(
             put_results(args, shaper, &result, &files, out.take())?;
         }
         let PairCounts { good, clean: all } = report_pairs(&result);
-        ensure!(sealed || good > 0, "expected at least one usable pair, found none");
+        ensure!(
+            sealed || good > 0,
+            "expected at least one usable pair, found none"
+        );
         clean &= all;
         documents.push((file, serde_json::to_string(&result.document)?));
         entries.push(("files", key, file));
@@ -70,16 +87,26 @@ pub(super) fn run(
     if let Some((_, text)) = documents.first().filter(|_| args.json) {
         println!("{text}");
     }
-    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    Ok(if clean {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(3)
+    })
 }
 
 fn session_id(folder: &Path) -> Result<String> {
     let path = folder.join("session.toml");
     let text = wcal_core::files::read_text(&path).with_context(|| {
-        format!("reading {}: expected a session folder, or two folders of pictures", path.display())
+        format!(
+            "reading {}: expected a session folder, or two folders of pictures",
+            path.display()
+        )
     })?;
     let table = wcal_core::document::toml(&text).with_context(|| path.display().to_string())?;
-    let id = table.get("id").and_then(toml::Value::as_str).map(str::to_owned);
+    let id = table
+        .get("id")
+        .and_then(toml::Value::as_str)
+        .map(str::to_owned);
     id.with_context(|| format!("{}: expected an id, found none", path.display()))
 }
 
@@ -88,8 +115,10 @@ fn check_own(path: &Path, force: bool) -> Result<()> {
     if force || !path.exists() {
         return Ok(());
     }
-    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-    let own = serde_json::from_str::<ShapesDocument>(&text).is_ok_and(|d| d.format == SHAPES_FORMAT);
+    let text =
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
+    let own =
+        serde_json::from_str::<ShapesDocument>(&text).is_ok_and(|d| d.format == SHAPES_FORMAT);
     ensure!(
         own,
         "{}: expected an earlier result of `wcal stereo-shape`, found something else (--force replaces it)",
@@ -111,17 +140,24 @@ fn pair(pose: &PosePair) -> PairFiles {
 
 /// A loaded pose whose wire does not sit in the groove says nothing of the contact.
 fn out_of_groove(document: &mut ShapesDocument, poses: &[PosePair]) {
-    for (pair, _) in document.pairs.iter_mut().zip(poses).filter(|(_, pose)| pose.loaded) {
+    for (pair, _) in document
+        .pairs
+        .iter_mut()
+        .zip(poses)
+        .filter(|(_, pose)| pose.loaded)
+    {
         let contact = pair.groove.as_ref().map(|g| g.contact.clone());
         if pair.status != "ok" {
             continue;
         }
         match contact.as_deref() {
             Some("vertex") => {}
-            Some(other) => {
-                pair.warnings.push(format!("the wire is not in the groove's vertex (contact {other})"))
-            }
-            None => pair.warnings.push("the rig tag is not seen: no contact".to_owned()),
+            Some(other) => pair.warnings.push(format!(
+                "the wire is not in the groove's vertex (contact {other})"
+            )),
+            None => pair
+                .warnings
+                .push("the rig tag is not seen: no contact".to_owned()),
         }
     }
 }

@@ -66,13 +66,17 @@ pub(super) struct Shaper {
 
 impl Shaper {
     pub(super) fn new(args: &StereoShapeArgs, rig_file: PathBuf) -> anyhow::Result<Self> {
-        let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
+        let stereo = read_cameras(&args.cameras)?
+            .stereo_cameras()
+            .map_err(anyhow::Error::msg)?;
         let rig = Rig::read(&rig_file)?;
         let read: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
         let mut calibration = Vec::new();
         for file in &args.cameras {
-            calibration
-                .extend(wcal_core::files::read(file).with_context(|| format!("reading {}", file.display()))?);
+            calibration.extend(
+                wcal_core::files::read(file)
+                    .with_context(|| format!("reading {}", file.display()))?,
+            );
         }
         let reading = || format!("reading {}", rig_file.display());
         let text = wcal_core::files::read_text(&rig_file).with_context(reading)?;
@@ -82,11 +86,21 @@ impl Shaper {
             rig_sha256: rig_sha256(&serde_json::to_value(&table)?),
             session: None,
         };
-        Ok(Self { stereo, rig, rig_file, read, source })
+        Ok(Self {
+            stereo,
+            rig,
+            rig_file,
+            read,
+            source,
+        })
     }
 
     /// Shapes of pairs, with what they were made from; `session`: identifier of the session that they belong to.
-    pub(super) fn shapes(&self, files: &[PairFiles], session: Option<&str>) -> anyhow::Result<ShapesResult> {
+    pub(super) fn shapes(
+        &self,
+        files: &[PairFiles],
+        session: Option<&str>,
+    ) -> anyhow::Result<ShapesResult> {
         let mut result = {
             let (progress, done) = (Progress::new("stereo-shape"), AtomicUsize::new(0));
             let each = |name: &str| {
@@ -102,8 +116,12 @@ impl Shaper {
             ));
         }
         let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
-        result.document.provenance = provenance(self.read.iter().chain(pictures).map(PathBuf::as_path));
-        result.document.source = ShapesSource { session: session.map(str::to_owned), ..self.source.clone() };
+        result.document.provenance =
+            provenance(self.read.iter().chain(pictures).map(PathBuf::as_path));
+        result.document.source = ShapesSource {
+            session: session.map(str::to_owned),
+            ..self.source.clone()
+        };
         Ok(result)
     }
 }
@@ -149,10 +167,17 @@ pub(super) fn report_pairs(result: &ShapesResult) -> PairCounts {
         }
     }
     let used = format!("stereo-shape: {good} of {} pairs", document.pairs.len());
-    let grooves: Vec<&GrooveDocument> = document.pairs.iter().filter_map(|p| p.groove.as_ref()).collect();
+    let grooves: Vec<&GrooveDocument> = document
+        .pairs
+        .iter()
+        .filter_map(|p| p.groove.as_ref())
+        .collect();
     match median(grooves.iter().map(|g| g.contact_arclength_sd_mm)) {
         Some(sd) => {
-            eprintln!("{used}; contact along the wire known to {sd:.3} mm (median of {})", grooves.len())
+            eprintln!(
+                "{used}; contact along the wire known to {sd:.3} mm (median of {})",
+                grooves.len()
+            )
         }
         None => eprintln!("{used}; no contact: the rig's tag is seen in none"),
     }
@@ -175,7 +200,11 @@ fn put_report(
                 drawing(&Picture::read(source)?, camera, &result.stereo, fit, pair)
             };
             let pictures = vec![drawn(0, left)?, drawn(1, right)?];
-            pairs.push(ShapePair { pictures, residuals: residuals(fit), ..described(pair) });
+            pairs.push(ShapePair {
+                pictures,
+                residuals: residuals(fit),
+                ..described(pair)
+            });
         }
     }
     let rejected = document.pairs.iter().filter(|p| p.status != "ok");
@@ -190,7 +219,15 @@ fn put_report(
             },
             Fact::new("rig", shaper.rig_file.display().to_string()),
             Fact::new("program", made.program.clone()),
-            Fact::new("made", made.created.split('.').next().unwrap_or_default().replace('T', " ") + " UTC"),
+            Fact::new(
+                "made",
+                made.created
+                    .split('.')
+                    .next()
+                    .unwrap_or_default()
+                    .replace('T', " ")
+                    + " UTC",
+            ),
         ],
         warnings: document.warnings.clone(),
         rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),
@@ -205,9 +242,15 @@ fn described(pair: &PairDocument) -> ShapePair {
     let widest = pair.centreline_sd_mm.iter().fold(0.0f64, |a, b| a.max(*b));
     let [left, right] = pair.residual_rms_px;
     let mut facts = vec![
-        Fact::new("length", format!("{:.3} ± {:.3} mm", pair.length_mm, pair.length_sd_mm)),
+        Fact::new(
+            "length",
+            format!("{:.3} ± {:.3} mm", pair.length_mm, pair.length_sd_mm),
+        ),
         Fact::new("largest sd across the wire", format!("{widest:.4} mm")),
-        Fact::new("RMS from the curve, left / right", format!("{left:.3} / {right:.3} px")),
+        Fact::new(
+            "RMS from the curve, left / right",
+            format!("{left:.3} / {right:.3} px"),
+        ),
     ];
     if let Some(g) = &pair.groove {
         let (at, sd) = (g.contact_arclength_mm, g.contact_arclength_sd_mm);
@@ -221,7 +264,12 @@ fn described(pair: &PairDocument) -> ShapePair {
         ));
     }
     let gaps = pair.gaps.iter().map(|gap| {
-        format!("Not seen from {:.1} to {:.1} mm ({}).", gap.from_mm, gap.to_mm, gap.hidden_in.join(", "))
+        format!(
+            "Not seen from {:.1} to {:.1} mm ({}).",
+            gap.from_mm,
+            gap.to_mm,
+            gap.hidden_in.join(", ")
+        )
     });
     ShapePair {
         name: pair.name.clone(),

@@ -37,13 +37,23 @@ pub struct TrackArgs {
     /// Log of the relative motion of base and object
     ///
     /// A CSV with t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw .. base_qz; _m for metres. Default: such columns of the table.
-    #[arg(help_heading = "Motion", long, value_name = "CSV", conflicts_with = "model")]
+    #[arg(
+        help_heading = "Motion",
+        long,
+        value_name = "CSV",
+        conflicts_with = "model"
+    )]
     pub motion: Option<PathBuf>,
     /// rig.toml or its folder; a session has its own
     #[arg(help_heading = "Live", long, value_name = "RIG")]
     pub rig: Option<PathBuf>,
     /// Addresses of `wcal virtual-bench` in place of the rig's
-    #[arg(help_heading = "Live", long, value_name = "ADDRESSES.json", requires = "rig")]
+    #[arg(
+        help_heading = "Live",
+        long,
+        value_name = "ADDRESSES.json",
+        requires = "rig"
+    )]
     pub bench: Option<PathBuf>,
     /// Speed of the base along +z, mm/s, constant and known
     #[arg(help_heading = "Motion", long, value_name = "MM/S")]
@@ -61,7 +71,12 @@ pub struct TrackArgs {
     /// Relative sd of the diameter of another wire of this kind
     ///
     /// 0.01 for 1 %; its stiffness is then an unknown.
-    #[arg(help_heading = "Whisker", long, value_name = "SHARE", conflicts_with = "model")]
+    #[arg(
+        help_heading = "Whisker",
+        long,
+        value_name = "SHARE",
+        conflicts_with = "model"
+    )]
     pub diameter_sd: Option<f64>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
@@ -87,7 +102,10 @@ pub const RATE_HZ: f64 = 10.0;
 pub const LAG_S: f64 = 0.1;
 pub const PREFIX_S: f64 = 3.0;
 /// Standard deviations of a logged motion: each coordinate, mm, and the offset of its clock, s.
-pub const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.02, clock_sd_s: 0.01 };
+pub const ACCURACY: MotionAccuracy = MotionAccuracy {
+    moved_sd_mm: 0.02,
+    clock_sd_s: 0.01,
+};
 
 /// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to do in the last line.
 ///
@@ -107,8 +125,11 @@ pub fn conclude(
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
     }
     let sum = |of: fn(&WhiskerDocument) -> u64| document.whiskers().map(of).sum::<u64>();
-    let [rows, outside, flagged] =
-        [sum(|w| w.rows), sum(|w| w.outside_valid_region), sum(|w| w.flagged_rows)];
+    let [rows, outside, flagged] = [
+        sum(|w| w.rows),
+        sum(|w| w.outside_valid_region),
+        sum(|w| w.flagged_rows),
+    ];
     if outside > 0 {
         eprintln!(
             "{outside} of {rows} readings lie outside the valid region; marked in outside_valid_region"

@@ -41,7 +41,16 @@ impl FeedInput {
     /// An intake and the end of its queue; `scans` may wait.
     pub fn new(scans: usize, recorder: Option<Arc<Recorder>>) -> (Self, Receiver<FeedItem>) {
         let (sender, receiver) = sync_channel(scans.div_ceil(BATCH).max(1));
-        (Self { recorder, line: Mutex::new(Line { sender, dropped: [0; 2] }) }, receiver)
+        (
+            Self {
+                recorder,
+                line: Mutex::new(Line {
+                    sender,
+                    dropped: [0; 2],
+                }),
+            },
+            receiver,
+        )
     }
 
     /// Takes scans; false when the tracker is gone.
@@ -52,14 +61,23 @@ impl FeedInput {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         let mut taken = Vec::with_capacity(readings.len());
         for reading in readings {
-            if self.recorder.as_ref().map_or(Ok(true), |recorder| recorder.scan(&reading))? {
+            if self
+                .recorder
+                .as_ref()
+                .map_or(Ok(true), |recorder| recorder.scan(&reading))?
+            {
                 taken.push(reading);
             }
         }
         for batch in taken.chunks(BATCH) {
-            match line.sender.try_send(FeedItem::Scans(batch.to_vec(), line.dropped[0])) {
+            match line
+                .sender
+                .try_send(FeedItem::Scans(batch.to_vec(), line.dropped[0]))
+            {
                 Ok(()) => line.dropped[0] = 0,
-                Err(TrySendError::Full(_)) => line.dropped = line.dropped.map(|n| n + batch.len() as u64),
+                Err(TrySendError::Full(_)) => {
+                    line.dropped = line.dropped.map(|n| n + batch.len() as u64)
+                }
                 Err(TrySendError::Disconnected(_)) => return Ok(false),
             }
         }
@@ -85,14 +103,22 @@ impl FeedInput {
 
     /// Tells the tracker that the source failed; waits for room.
     pub fn fail(&self, error: DeviceError) {
-        let sender = self.line.lock().unwrap_or_else(PoisonError::into_inner).sender.clone();
+        let sender = self
+            .line
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .sender
+            .clone();
         // Nobody listens any more: then nobody needs to know.
         let _ = sender.send(FeedItem::Failed(error));
     }
 
     /// Scans dropped so far.
     pub fn dropped(&self) -> u64 {
-        self.line.lock().unwrap_or_else(PoisonError::into_inner).dropped[1]
+        self.line
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .dropped[1]
     }
 }
 
@@ -101,7 +127,12 @@ mod tests {
     use super::*;
 
     fn scans(from: u64, count: u64) -> Vec<FbgReading> {
-        (from..from + count).map(|serial| FbgReading { serial, ..FbgReading::default() }).collect()
+        (from..from + count)
+            .map(|serial| FbgReading {
+                serial,
+                ..FbgReading::default()
+            })
+            .collect()
     }
 
     #[test]
@@ -114,9 +145,16 @@ mod tests {
             Ok(FeedItem::Scans(scans, dropped)) => Some((scans[0].serial, scans.len(), dropped)),
             _ => None,
         };
-        assert_eq!((next(), next(), next()), (Some((0, 50, 0)), Some((50, 50, 0)), None));
+        assert_eq!(
+            (next(), next(), next()),
+            (Some((0, 50, 0)), Some((50, 50, 0)), None)
+        );
         intake.scans(scans(200, 50)).unwrap();
-        assert_eq!(next(), Some((200, 50, 100)), "the gap is told with the first scan after it");
+        assert_eq!(
+            next(),
+            Some((200, 50, 100)),
+            "the gap is told with the first scan after it"
+        );
         intake.scans(scans(250, 50)).unwrap();
         assert_eq!(next(), Some((250, 50, 0)));
         // Control: with room nothing is dropped.

@@ -66,7 +66,8 @@ pub fn replay(
     loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
     let log = recorded_motion(args, parts)?;
-    let (mut stream, mut tracks) = StreamSource::new(settings(args, rig), (place, rig), loaded, log)?;
+    let (mut stream, mut tracks) =
+        StreamSource::new(settings(args, rig), (place, rig), loaded, log)?;
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         stream.know_groove(&mut tracks, &known_places(&table)?, whisker.as_deref());
     }
@@ -86,7 +87,13 @@ pub fn replay(
     let (tracked, cut_off) = (tracked?, cut_off?);
     let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
     let source = TrackSource::Recordings(parts.to_vec());
-    conclude(args, (&stream, &tracks, tracked), files, (source, simulated), (0, Some(cut_off)))
+    conclude(
+        args,
+        (&stream, &tracks, tracked),
+        files,
+        (source, simulated),
+        (0, Some(cut_off)),
+    )
 }
 
 /// Reads recordings into a queue, as far as somebody takes from it; those that are cut off.
@@ -107,10 +114,16 @@ fn recorded(parts: &[PathBuf], queue: &SyncSender<FeedItem>) -> Result<Vec<Strin
             taken = taken && queue.send(item).is_ok();
         })?;
         if scans == 0 && taken {
-            bail!("{}: expected scans of an interrogator, found none", part.display());
+            bail!(
+                "{}: expected scans of an interrogator, found none",
+                part.display()
+            );
         }
         if !end.is_whole() {
-            eprintln!("warning: {}: {end}; the readable part is tracked", part.display());
+            eprintln!(
+                "warning: {}: {end}; the readable part is tracked",
+                part.display()
+            );
             cut_off.push(part.display().to_string());
         }
     }
@@ -121,30 +134,44 @@ fn recorded(parts: &[PathBuf], queue: &SyncSender<FeedItem>) -> Result<Vec<Strin
 ///
 /// # Errors
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
-pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_>]) -> Result<ExitCode> {
+pub fn track(
+    args: &TrackArgs,
+    place: &str,
+    rig: &Rig,
+    loaded: &[WhiskerModel<'_>],
+) -> Result<ExitCode> {
     if let Some(log) = &args.motion {
         bail!(
             "--motion {}: expected a table or a recording to go with it, found a live stream",
             log.display()
         );
     }
-    let (mut stream, mut tracks) = StreamSource::new(settings(args, rig), (place, rig), loaded, None)?;
+    let (mut stream, mut tracks) =
+        StreamSource::new(settings(args, rig), (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
     let interrupt = interrupt::watch()?;
-    let mut interrogator = open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
+    let mut interrogator =
+        open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
     let about = || BTreeMap::from([("rig".to_owned(), place.to_owned())]);
-    let recorder =
-        args.mcap.as_ref().map(|path| Recorder::create(path, about()).map(Arc::new)).transpose()?;
+    let recorder = args
+        .mcap
+        .as_ref()
+        .map(|path| Recorder::create(path, about()).map(Arc::new))
+        .transpose()?;
     let mut files = output::create(&args.out)?;
     let done = AtomicBool::new(false);
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let tracked = std::thread::scope(|scope| {
         let reader = scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
-        let watcher = carried.then(|| scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done)));
+        let watcher =
+            carried.then(|| scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done)));
         let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
-        let scans = Scans { ends: Some(&ends), ..Scans::new(args, &receiver, &mut stream, None) };
+        let scans = Scans {
+            ends: Some(&ends),
+            ..Scans::new(args, &receiver, &mut stream, None)
+        };
         let result = track_all(scans, &mut tracks, &mut files);
         done.store(true, Ordering::SeqCst);
         // Whoever waits for room must not wait for ever.
@@ -159,7 +186,11 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     drop(intake);
     match recorder.map(Arc::try_unwrap) {
         Some(Ok(recorder)) => {
-            recorder.refused().text().iter().for_each(|text| eprintln!("warning: {text}"));
+            recorder
+                .refused()
+                .text()
+                .iter()
+                .for_each(|text| eprintln!("warning: {text}"));
             recorder.finish()?;
         }
         Some(Err(_)) => bail!("recording: a thread still holds it"),
@@ -176,17 +207,33 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     }
     let source = (TrackSource::Device(source), simulated);
     let spent = *tracked.as_ref().unwrap_or(&Duration::ZERO);
-    let code = conclude(args, (&stream, &tracks, spent), files, source, (dropped, None))?;
+    let code = conclude(
+        args,
+        (&stream, &tracks, spent),
+        files,
+        source,
+        (dropped, None),
+    )?;
     tracked.map(|_| code)
 }
 
 /// The disk takes no more.
 fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
-    DeviceError::new(DeviceErrorKind::Configuration, "recording", "record", "space on disk", why.to_string())
+    DeviceError::new(
+        DeviceErrorKind::Configuration,
+        "recording",
+        "record",
+        "space on disk",
+        why.to_string(),
+    )
 }
 
 /// Reads the interrogator into the intake.
-fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
+fn acquire(
+    interrogator: &mut dyn wcal_core::device::Interrogator,
+    intake: &FeedInput,
+    done: &AtomicBool,
+) {
     let _watched = Watched(|e| intake.fail(e));
     // From scan to scan; time in which this program itself stood still is not the unit's.
     let mut heard = Deadline::uninterruptible(SILENCE);
@@ -206,7 +253,8 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
             if over {
                 let found = format!("silence for {} s", SILENCE.as_secs());
                 let kind = DeviceErrorKind::Timeout;
-                let error = DeviceError::new(kind, "interrogator", "read the stream", "scans", found);
+                let error =
+                    DeviceError::new(kind, "interrogator", "read the stream", "scans", found);
                 return intake.fail(blame(error));
             }
             continue;
@@ -223,15 +271,29 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
 }
 
 /// Asks the stage that carries the base where it is; it is never moved from here.
-fn watch_stage(rig: &Rig, clock: HostClock, intake: &FeedInput, interrupt: &Interrupt, done: &AtomicBool) {
+fn watch_stage(
+    rig: &Rig,
+    clock: HostClock,
+    intake: &FeedInput,
+    interrupt: &Interrupt,
+    done: &AtomicBool,
+) {
     let _watched = Watched(|e| intake.fail(e));
     // Two programs on one serial line take each other's replies.
     let serial = !rig.stage.port.starts_with("tcp://");
-    let lock = serial.then(|| FileLock::of_port(&rig.stage.port, "track")).transpose();
+    let lock = serial
+        .then(|| FileLock::of_port(&rig.stage.port, "track"))
+        .transpose();
     let opened = lock
         .map_err(|held| {
             let expected = "a line that no other program uses";
-            DeviceError::new(DeviceErrorKind::Configuration, "stage", "open", expected, held.to_string())
+            DeviceError::new(
+                DeviceErrorKind::Configuration,
+                "stage",
+                "open",
+                expected,
+                held.to_string(),
+            )
         })
         .and_then(|lock| Ok((lock, Drivers::new(interrupt).stage(&rig.stage, clock)?)));
     let (_lock, mut stage) = match opened {
@@ -272,7 +334,16 @@ impl<'q, 'a> Scans<'q, 'a> {
         stream: &'q mut StreamSource<'a>,
         progress: Option<&'q Progress>,
     ) -> Self {
-        Self { args, receiver, stream, ends: None, progress, ready: VecDeque::new(), scans: 0, over: false }
+        Self {
+            args,
+            receiver,
+            stream,
+            ends: None,
+            progress,
+            ready: VecDeque::new(),
+            scans: 0,
+            over: false,
+        }
     }
 
     fn scan(&mut self, reading: &FbgReading, dropped: bool) -> Result<()> {
@@ -287,7 +358,10 @@ impl<'q, 'a> Scans<'q, 'a> {
         }
         self.ready.extend(self.stream.scan(reading, dropped)?);
         self.scans += 1;
-        if let Some(progress) = self.progress.filter(|_| self.scans.is_multiple_of(SCANS_SHOWN)) {
+        if let Some(progress) = self
+            .progress
+            .filter(|_| self.scans.is_multiple_of(SCANS_SHOWN))
+        {
             let stage = format!("{at_s:.0} s of the stream tracked");
             match self.args.seconds {
                 Some(all_s) => progress.at(&stage, at_s / all_s),
@@ -346,16 +420,36 @@ fn conclude(
     (dropped, cut_off): (u64, Option<Vec<String>>),
 ) -> Result<ExitCode> {
     let is_cut_off = cut_off.as_ref().is_some_and(|parts| !parts.is_empty());
-    let StreamFindings { document, messages, outcome } = stream.findings(tracks, (cut_off, dropped), tracked);
-    let mut said =
-        vec![format!("track: lag {} s: t_s is the time of validity", document.lag_s.unwrap_or_default())];
-    let of = |name: &str| if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+    let StreamFindings {
+        document,
+        messages,
+        outcome,
+    } = stream.findings(tracks, (cut_off, dropped), tracked);
+    let mut said = vec![format!(
+        "track: lag {} s: t_s is the time of validity",
+        document.lag_s.unwrap_or_default()
+    )];
+    let of = |name: &str| {
+        if name.is_empty() {
+            String::new()
+        } else {
+            format!("whisker {name}: ")
+        }
+    };
     said.extend(stream.unheard().into_iter().map(|name| {
-        format!("warning: {}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known", of(name))
+        format!(
+            "warning: {}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known",
+            of(name)
+        )
     }));
     let loss = lost_text(stream.lost(), dropped);
     said.extend(loss.iter().map(|loss| format!("warning: {loss}")));
-    said.extend(stream.clock_faults().iter().map(|fault| format!("warning: interrogator: {fault}")));
+    said.extend(
+        stream
+            .clock_faults()
+            .iter()
+            .map(|fault| format!("warning: interrogator: {fault}")),
+    );
     said.extend(messages);
     let document = TrackDocument {
         format: TRACK_FORMAT,
@@ -370,7 +464,13 @@ fn conclude(
         args,
         files,
         &document,
-        (said, outcome.and(Outcome { lost, ..Outcome::default() })),
+        (
+            said,
+            outcome.and(Outcome {
+                lost,
+                ..Outcome::default()
+            }),
+        ),
     )
 }
 
@@ -385,13 +485,19 @@ fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
         vouched: args.sweep,
         diameter_sd: args.diameter_sd,
         // The delays of a host whose clock goes faster do so, too.
-        accuracy: MotionAccuracy { clock_sd_s: ACCURACY.clock_sd_s * rig.clock_scale, ..ACCURACY },
+        accuracy: MotionAccuracy {
+            clock_sd_s: ACCURACY.clock_sd_s * rig.clock_scale,
+            ..ACCURACY
+        },
     }
 }
 
 /// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.
 fn session_points(folder: &Path) -> Option<(PathBuf, Option<String>)> {
-    let session: toml::Table = wcal_core::files::read_text(folder.join("session.toml")).ok()?.parse().ok()?;
+    let session: toml::Table = wcal_core::files::read_text(folder.join("session.toml"))
+        .ok()?
+        .parse()
+        .ok()?;
     let text = |v: Option<&toml::Value>| v.and_then(toml::Value::as_str).map(str::to_owned);
     let points = text(session.get("files").and_then(|f| f.get("points")))?;
     Some((folder.join(points), text(session.get("whisker_id"))))

@@ -15,11 +15,17 @@ const MAX_MEDIAN_MM: f64 = 1.0;
 /// # Errors
 /// A description or mesh that cannot be read.
 pub fn passed_object(table: &Path, radius_mm: f64) -> Result<Option<KnownObject>> {
-    let Some(sweep) = table.parent().map(SweepSession::of).transpose()?.flatten() else { return Ok(None) };
+    let Some(sweep) = table.parent().map(SweepSession::of).transpose()?.flatten() else {
+        return Ok(None);
+    };
     let (Some(mesh), Some(world_from_object)) = (sweep.object, sweep.world_from_object) else {
         return Ok(None);
     };
-    Ok(Some(KnownObject::new(Mesh::read(&mesh)?, world_from_object, radius_mm)?))
+    Ok(Some(KnownObject::new(
+        Mesh::read(&mesh)?,
+        world_from_object,
+        radius_mm,
+    )?))
 }
 
 /// What speaks against contacts that lie off an object whose place is known; none where nothing does.

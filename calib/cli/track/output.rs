@@ -32,7 +32,8 @@ pub fn check(out: &Path, force: bool) -> Result<()> {
 pub fn create(out: &Path) -> Result<TrackFiles> {
     let summary = companion(out, SUMMARY);
     if summary.is_file() && out.is_file() && is_track(&first_line(out)?) {
-        std::fs::remove_file(&summary).with_context(|| format!("replacing {}", summary.display()))?;
+        std::fs::remove_file(&summary)
+            .with_context(|| format!("replacing {}", summary.display()))?;
     }
     Ok(TrackFiles::create(out)?)
 }

@@ -10,7 +10,11 @@ use wcal_contact::motion_table::{LoggedMotion, read};
 /// The session whose recording is tracked: the folder that was named, or without a network the one that the recording lies in.
 pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
     let source = args.source.as_deref()?;
-    if source.is_dir() || !args.model.is_empty() { Some(source) } else { source.parent() }
+    if source.is_dir() || !args.model.is_empty() {
+        Some(source)
+    } else {
+        source.parent()
+    }
 }
 
 /// The log of `--motion` by the recording's clock (seconds since the first scan); none where none was given.
@@ -18,7 +22,9 @@ pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
 /// # Errors
 /// Where log or recording cannot be read, or their clocks have nothing in common.
 pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
-    let Some(file) = &args.motion else { return Ok(None) };
+    let Some(file) = &args.motion else {
+        return Ok(None);
+    };
     let span_s = || {
         let mut span: Option<[f64; 2]> = None;
         for part in parts {
@@ -39,11 +45,20 @@ pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<Mot
 ///
 /// # Errors
 /// Where it cannot be read, or the clocks have nothing in common.
-pub fn logged_motion(file: &Path, span_s: impl FnOnce() -> Result<Option<[f64; 2]>>) -> Result<LoggedMotion> {
+pub fn logged_motion(
+    file: &Path,
+    span_s: impl FnOnce() -> Result<Option<[f64; 2]>>,
+) -> Result<LoggedMotion> {
     let logged = read(file)?;
-    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    logged
+        .warning
+        .iter()
+        .for_each(|warning| eprintln!("warning: {warning}"));
     if let Some(span_s) = span_s()? {
-        logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
+        logged
+            .log
+            .check_clock(span_s)
+            .with_context(|| file.display().to_string())?;
     }
     for line in logged.log.jumps() {
         eprintln!(

@@ -72,21 +72,34 @@ pub fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
         );
     };
     let whisker = data.whisker.clone();
-    Ok(TrackedFolder { data, simulated: session.simulated, whisker })
+    Ok(TrackedFolder {
+        data,
+        simulated: session.simulated,
+        whisker,
+    })
 }
 
 /// The readings of a session; the groove's place is looked at after every answer.
 ///
 /// # Errors
 /// Where the session does not say how the groove moves, or the calibration gives no moments for it.
-pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
+pub fn of_session<'a>(
+    session: &TrackedFolder,
+    loaded: &'a WhiskerModel<'a>,
+) -> Result<Prepared<'a>> {
     // From here on nobody knows where the groove is.
     let blind = without_groove(&session.data)?;
     let rows: Vec<&WhiskerRow> = blind.rows.iter().collect();
     let system = WhiskerSystem::new(&blind, &rows)?;
-    let motion = loaded.calibration()?.groove_motion(&system).ok_or_else(|| {
-        anyhow!("{}: the calibration gives no moments for this session", loaded.place.display())
-    })?;
+    let motion = loaded
+        .calibration()?
+        .groove_motion(&system)
+        .ok_or_else(|| {
+            anyhow!(
+                "{}: the calibration gives no moments for this session",
+                loaded.place.display()
+            )
+        })?;
     let known = |reading: usize| session.data.rows[system.path.rows[reading]].groove_mm;
     let (readings, estimator) = SessionGroove::new(&system, motion, known)?;
     Ok(Prepared {
@@ -106,7 +119,11 @@ pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> 
 ///
 /// # Errors
 /// Where table, motion or calibration cannot be used.
-pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
+pub fn of_table<'a>(
+    args: &TrackArgs,
+    path: &Path,
+    loaded: &'a WhiskerModel<'a>,
+) -> Result<Prepared<'a>> {
     let (frame, whisker) = (loaded.frame()?, loaded.whisker()?);
     let noise = loaded.file.noise.unwrap_or_default();
     let zero_known = loaded.calibration()?.knows_zero();
@@ -118,16 +135,17 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let groove = KnownGroove::new(source.places.clone(), &whisker);
     let simulated = is_simulated(path);
     let base_from_wire = frame.rotation().inverse();
-    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, (followed, tare_s), log| Prepared {
-        readings,
-        frame,
-        estimator,
-        followed,
-        tare_s,
-        groove,
-        log,
-        simulated,
-    };
+    let prepared =
+        move |readings, estimator: Box<dyn Estimator + 'a>, (followed, tare_s), log| Prepared {
+            readings,
+            frame,
+            estimator,
+            followed,
+            tare_s,
+            groove,
+            log,
+            simulated,
+        };
     if let Some(network) = loaded.estimator(args.sweep)? {
         let poses = has_motion(path)?.then(|| read(path)).transpose()?;
         return Ok(prepared(
@@ -153,11 +171,25 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let logged = logged_motion(file, || Ok(source.span_s()))?;
     let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
     // A sweep passes an object: the contact slides over it.
-    let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
+    let over_object = path
+        .parent()
+        .map(SweepSession::of)
+        .transpose()?
+        .flatten()
+        .is_some();
     let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;
-    let touched = if over_object { SWEPT_OBJECT } else { ANY_OBJECT };
+    let touched = if over_object {
+        SWEPT_OBJECT
+    } else {
+        ANY_OBJECT
+    };
     let estimator = ContactTracker::of_record(wire, ACCURACY, touched);
-    Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(file, &logged))))
+    Ok(prepared(
+        readings,
+        Box::new(estimator),
+        (false, tare_s),
+        Some(log_document(file, &logged)),
+    ))
 }
 
 /// A zero that nobody knows.
@@ -169,9 +201,19 @@ pub const NO_ZERO: &str = "expected free readings at the beginning, or their tim
 ///
 /// # Errors
 /// Where there is none, and the calibration does not know the zero of the free wire.
-fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], zero_known: bool) -> Result<f64> {
+fn zero_span_s(
+    args: &TrackArgs,
+    path: &Path,
+    readings: &mut [Reading],
+    zero_known: bool,
+) -> Result<f64> {
     let begins = beginning(readings, zero_known);
-    if let FreeStart::Free { noise_nmm2, inefficiency, .. } = begins {
+    if let FreeStart::Free {
+        noise_nmm2,
+        inefficiency,
+        ..
+    } = begins
+    {
         for m in readings.iter_mut().filter_map(|r| r.moments.as_mut()) {
             (m.own_nmm2, m.inefficiency) = (Some(noise_nmm2), inefficiency);
         }
@@ -180,8 +222,15 @@ fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], zero_kno
         return Ok(span_s);
     }
     Ok(match begins {
-        FreeStart::Free { span_s, readings: free, .. } => {
-            eprintln!("{}: zero: the mean of the {free} free readings at its beginning", path.display());
+        FreeStart::Free {
+            span_s,
+            readings: free,
+            ..
+        } => {
+            eprintln!(
+                "{}: zero: the mean of the {free} free readings at its beginning",
+                path.display()
+            );
             span_s
         }
         FreeStart::Loaded(nmm) => {
@@ -223,14 +272,21 @@ pub fn track(
     };
     // A place of the wire's axis lies its radius from the surface.
     let on_axis = of.estimator.findings().document.place == Some(AXIS_OF_WIRE);
-    let radius_mm = if on_axis { 0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm) } else { 0.0 };
+    let radius_mm = if on_axis {
+        0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm)
+    } else {
+        0.0
+    };
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.groove = of.groove;
     track.object = passed_object(place, radius_mm)?;
     crate::predict::record_if_sealed(place, &args.out)?;
     let mut files = output::create(&args.out)?;
     let mut unusable = of.readings.iter().filter(|r| r.moments.is_none()).count() as u64;
-    let source = of.readings.into_iter().map(|r| Ok::<_, ContactError>(Input::Reading(0, Box::new(r))));
+    let source = of
+        .readings
+        .into_iter()
+        .map(|r| Ok::<_, ContactError>(Input::Reading(0, Box::new(r))));
     wcal_contact::track::track(source, std::slice::from_mut(&mut track), &mut files)?;
 
     let found = track.findings();
@@ -259,7 +315,11 @@ pub fn track(
     let mut said = said_of_object(on_object.as_ref());
     said.extend(found.messages);
     let against = off_object(on_object.as_ref());
-    let outcome = Outcome { lost: unusable > 0, doubt: against.is_some(), ..Outcome::default() };
+    let outcome = Outcome {
+        lost: unusable > 0,
+        doubt: against.is_some(),
+        ..Outcome::default()
+    };
     said.extend(against.map(|said| format!("warning: {said}")));
     super::arguments::conclude(args, files, &document, (said, found.outcome.and(outcome)))
 }

@@ -34,7 +34,11 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
     for trajectory in &data.trajectories {
         let mut at = of_trajectory(data, trajectory.id);
         at.sort_by(|a, b| a.1.total_cmp(&b.1));
-        places.push(at.iter().map(|(_, x)| trajectory.origin_mm + trajectory.direction * *x).collect());
+        places.push(
+            at.iter()
+                .map(|(_, x)| trajectory.origin_mm + trajectory.direction * *x)
+                .collect(),
+        );
         rows.push(at.into_iter().map(|a| a.0).collect());
     }
     let progress = Progress::new("twin");
@@ -50,8 +54,14 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
     let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
     let mut poses: Vec<Pose<'_>> = Vec::new();
     for (t, trajectory) in data.trajectories.iter().enumerate() {
-        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
-        let xs: Vec<f64> = rows[t].iter().filter_map(|k| data.rows[*k].stage_mm).collect();
+        let line = Line {
+            origin_mm: trajectory.origin_mm,
+            direction: trajectory.direction,
+        };
+        let xs: Vec<f64> = rows[t]
+            .iter()
+            .filter_map(|k| data.rows[*k].stage_mm)
+            .collect();
         for (n, outcome) in rod.follow(&line, &xs).iter().enumerate() {
             let point = data.rows[rows[t][n]].point;
             poses.push(Pose {
@@ -59,7 +69,11 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
                 point,
                 label: &labels[t][n],
                 ideal_nmm: outcome.equilibrium().map(|e| e.moment_nmm),
-                outside: data.twin.iter().find(|l| l.point == point).map(|l| l.moment_nmm),
+                outside: data
+                    .twin
+                    .iter()
+                    .find(|l| l.point == point)
+                    .map(|l| l.moment_nmm),
             });
         }
     }
@@ -72,8 +86,9 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
     }
     summary(data, &poses);
     if preset == Preset::Paper {
-        let found = MujocoEngine::start()
-            .and_then(|mut engine| statics(&mut engine, &data.whisker, &paper_options(&data.whisker)))?;
+        let found = MujocoEngine::start().and_then(|mut engine| {
+            statics(&mut engine, &data.whisker, &paper_options(&data.whisker))
+        })?;
         eprintln!(
             "twin: links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
             found.links,
@@ -86,7 +101,9 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
 
 fn line(data: &WhiskerData, pose: &Pose<'_>) -> (String, bool) {
     let label = pose.label;
-    let Some(moment) = label.moment_nmm else { return (",,,unstable,false".to_owned(), false) };
+    let Some(moment) = label.moment_nmm else {
+        return (",,,unstable,false".to_owned(), false);
+    };
     let branch = match (label.arclength_mm, &label.elsewhere) {
         (_, Some(_)) => "several",
         (Some(_), None) => "held",
@@ -109,7 +126,10 @@ fn full_scale(data: &WhiskerData) -> f64 {
 /// Largest difference of a moment's components from a label, share of full scale.
 fn off(data: &WhiskerData, moment: &Vector3<f64>, label: &[f64; 2], full: f64) -> f64 {
     let ours = data.moments.components_nmm(moment);
-    (0..2).map(|c| (ours[c] - label[c]).abs()).fold(0.0, f64::max) / full
+    (0..2)
+        .map(|c| (ours[c] - label[c]).abs())
+        .fold(0.0, f64::max)
+        / full
 }
 
 /// Why a pose has no certain moment; none where it has one.
@@ -118,10 +138,14 @@ fn doubt(data: &WhiskerData, label: &PoseLabel) -> Option<String> {
         return Some("a step went wrong (NaN or infinity)".to_owned());
     }
     if let Some(other) = &label.elsewhere {
-        let place = other.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
+        let place = other
+            .arclength_mm
+            .map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
         let m = data.moments.components_nmm(&other.moment_nmm);
         let moment = format!("({:.4}, {:.4}) N mm", m[0], m[1]);
-        return Some(format!("come to straight from the start it is {place}, {moment}"));
+        return Some(format!(
+            "come to straight from the start it is {place}, {moment}"
+        ));
     }
     (!label.settled).then(|| format!("not at rest ({:.1e} rad/s)", label.fastest_rad_s))
 }
@@ -136,14 +160,24 @@ fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
 /// Says what is known of all poses together.
 fn summary(data: &WhiskerData, poses: &[Pose<'_>]) {
     let say = |line: String| eprintln!("twin: {line}");
-    let (sure, unsure): (Vec<&Pose<'_>>, Vec<&Pose<'_>>) = poses.iter().partition(|p| p.label.certain());
+    let (sure, unsure): (Vec<&Pose<'_>>, Vec<&Pose<'_>>) =
+        poses.iter().partition(|p| p.label.certain());
     let points: Vec<String> = unsure.iter().map(|p| p.point.to_string()).collect();
     say(match points.len() {
-        0 => format!("the wire rests in one place at each of {} poses", poses.len()),
-        n => format!("{n} of {} poses have no certain moment: {}", poses.len(), points.join(", ")),
+        0 => format!(
+            "the wire rests in one place at each of {} poses",
+            poses.len()
+        ),
+        n => format!(
+            "{n} of {} poses have no certain moment: {}",
+            poses.len(),
+            points.join(", ")
+        ),
     });
     let full = full_scale(data);
-    let offs = sure.iter().filter_map(|p| Some(off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full)));
+    let offs = sure
+        .iter()
+        .filter_map(|p| Some(off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full)));
     let offs: Vec<f64> = offs.collect();
     if !offs.is_empty() {
         say(format!(
@@ -171,7 +205,11 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>]) {
         .filter_map(|p| {
             let ideal = p.ideal_nmm?;
             let (change, size) = (p.label.moment_nmm? - ideal, ideal.norm());
-            Some((100.0 * change.dot(&ideal) / (size * size), 100.0 * change.norm() / size, p.point))
+            Some((
+                100.0 * change.dot(&ideal) / (size * size),
+                100.0 * change.norm() / size,
+                p.point,
+            ))
         })
         .collect();
     let count = changes.len() as f64;

@@ -27,12 +27,19 @@ pub fn check(folder: &Path, holdout: Option<&Path>, as_json: bool) -> anyhow::Re
             (Some(session), findings)
         }
         Err(error) => {
-            let finding =
-                Finding { severity: Severity::Error, topic: "files".to_owned(), message: error.to_string() };
+            let finding = Finding {
+                severity: Severity::Error,
+                topic: "files".to_owned(),
+                message: error.to_string(),
+            };
             (None, vec![finding])
         }
     };
-    let worst = findings.iter().map(|f| f.severity).max().unwrap_or(Severity::Ok);
+    let worst = findings
+        .iter()
+        .map(|f| f.severity)
+        .max()
+        .unwrap_or(Severity::Ok);
     if as_json {
         print_json(folder, session.as_ref(), &findings, worst)?;
     } else {
@@ -47,9 +54,15 @@ pub fn check(folder: &Path, holdout: Option<&Path>, as_json: bool) -> anyhow::Re
 
 /// Whether the gratings of a whisker respond to the load, where the wire can be bent.
 fn sensitivity(session: &LoadedSession) -> Option<Finding> {
-    let SessionData::Whisker(data) = &session.data else { return None };
+    let SessionData::Whisker(data) = &session.data else {
+        return None;
+    };
     let message = lost_sensitivity(data).ok().flatten()?;
-    Some(Finding { severity: Severity::Error, topic: "sensitivity".to_owned(), message })
+    Some(Finding {
+        severity: Severity::Error,
+        topic: "sensitivity".to_owned(),
+        message,
+    })
 }
 
 /// Findings about a session.
@@ -96,7 +109,12 @@ fn print_json(
 
 fn print_text(session: Option<&LoadedSession>, findings: &[Finding]) {
     if let Some(session) = session {
-        println!("session {:?}{}, medium {}", session.id, word(session.simulated), session.medium);
+        println!(
+            "session {:?}{}, medium {}",
+            session.id,
+            word(session.simulated),
+            session.medium
+        );
     }
     for finding in findings {
         let label = match finding.severity {

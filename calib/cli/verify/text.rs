@@ -18,13 +18,24 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
         "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,\
          moment_1_sd_nmm,moment_2_sd_nmm,fbg_1_pm_before,fbg_2_pm_before,fbg_1_pm_after,fbg_2_pm_after\n",
     );
-    let Assessment { whole, before, after, .. } = &done.assessment;
+    let Assessment {
+        whole,
+        before,
+        after,
+        ..
+    } = &done.assessment;
     let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
     order.sort_by_key(|&i| whole.path.rows[i]);
     for i in order {
         let (row, [before, after]) = (whole.row(i), [before, after].map(|p| &p.readings[i]));
         let role = serde_json::to_value(row.role)?;
-        write!(csv, "{},{},{}", row.source, row.point, role.as_str().unwrap_or_default())?;
+        write!(
+            csv,
+            "{},{},{}",
+            row.source,
+            row.point,
+            role.as_str().unwrap_or_default()
+        )?;
         for pair in [before.moment_nmm, after.moment_nmm, after.moment_sd_nmm] {
             write!(csv, ",{:.7},{:.7}", pair[0], pair[1])?;
         }
@@ -32,7 +43,12 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
         let compensated = row.compensated_pm(&whole.data.fbg);
         let thermal_pm = [0, 1].map(|c| row.shift_pm[c] - compensated[c]);
         for p in [before, after] {
-            write!(csv, ",{:.5},{:.5}", p.shift_pm[0] + thermal_pm[0], p.shift_pm[1] + thermal_pm[1])?;
+            write!(
+                csv,
+                ",{:.5},{:.5}",
+                p.shift_pm[0] + thermal_pm[0],
+                p.shift_pm[1] + thermal_pm[1]
+            )?;
         }
         csv.push('\n');
     }
@@ -53,13 +69,26 @@ pub(super) fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> St
     );
     let place = if axis { "commanded_mm" } else { "stimulus" };
     let stimulus = |r: &ResidualRecord| {
-        r.covariates.iter().find(|(name, _)| name == place).map_or(f64::NAN, |(_, value)| *value)
+        r.covariates
+            .iter()
+            .find(|(name, _)| name == place)
+            .map_or(f64::NAN, |(_, value)| *value)
     };
     for r in records {
         let why = r.rejected.as_deref().unwrap_or_default();
-        let values = [r.measured, r.predicted_before, r.predicted_after, r.noise_sd].map(|v| v.to_string());
+        let values = [
+            r.measured,
+            r.predicted_before,
+            r.predicted_after,
+            r.noise_sd,
+        ]
+        .map(|v| v.to_string());
         let x = stimulus(r);
-        let place = if axis { format!("{x},{}", x + 1e-3 * r.measured) } else { x.to_string() };
+        let place = if axis {
+            format!("{x},{}", x + 1e-3 * r.measured)
+        } else {
+            x.to_string()
+        };
         let [before, after] = [r.predicted_before, r.predicted_after].map(|p| r.measured - p);
         csv += &format!(
             "{},{},{},{},{why},{place},{before},{after}\n",
@@ -76,11 +105,24 @@ pub(super) fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> St
 pub fn print_text(report: &ReportInput, out: &Path) {
     let v = &report.verify;
     // Of a transducer the session declares the unit; the other kinds have theirs in the names.
-    let unit = report.residuals.first().map_or("", |r| r.unit.as_str()).trim();
+    let unit = report
+        .residuals
+        .first()
+        .map_or("", |r| r.unit.as_str())
+        .trim();
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
     let contradicted = v.holdout.outcome == HoldoutOutcome::Contradicted;
-    let but = if contradicted { ", but the sealed readings contradict it" } else { "" };
-    println!("{}{}: {}{but}", brief(&v.session), word(v.simulated), verdict.as_str().unwrap_or_default());
+    let but = if contradicted {
+        ", but the sealed readings contradict it"
+    } else {
+        ""
+    };
+    println!(
+        "{}{}: {}{but}",
+        brief(&v.session),
+        word(v.simulated),
+        verdict.as_str().unwrap_or_default()
+    );
     if let Some(contact) = &v.contact {
         println!("  {}", contact_line(contact));
     }
@@ -89,11 +131,17 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         println!("  caution: {caution}");
     }
     if let Some(noise) = &v.noise {
-        let shared = noise
-            .correlated
-            .map(|c| format!("{} of it shared by neighbours", with_unit(&readable(c.sd), &noise.unit)));
+        let shared = noise.correlated.map(|c| {
+            format!(
+                "{} of it shared by neighbours",
+                with_unit(&readable(c.sd), &noise.unit)
+            )
+        });
         let tails = noise.tails_dof.map(|t| {
-            format!("tails heavier than a Gaussian's (Student's t, {:.0} degrees of freedom)", t.value)
+            format!(
+                "tails heavier than a Gaussian's (Student's t, {:.0} degrees of freedom)",
+                t.value
+            )
         });
         let said: Vec<String> = shared.into_iter().chain(tails).collect();
         if !said.is_empty() {
@@ -102,7 +150,12 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     }
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();
-        println!("  twin fault ({}): points {}: {}", f.kind, points.join(", "), f.detail);
+        println!(
+            "  twin fault ({}): points {}: {}",
+            f.kind,
+            points.join(", "),
+            f.detail
+        );
     }
     for e in &v.effects {
         let parameters: Vec<String> = e
@@ -110,7 +163,10 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             .iter()
             .map(|p| {
                 let [low, high] = p.interval95.map(readable);
-                with_unit(&format!("{} = {} [{low}, {high}]", p.name, readable(p.value)), &p.unit)
+                with_unit(
+                    &format!("{} = {} [{low}, {high}]", p.name, readable(p.value)),
+                    &p.unit,
+                )
             })
             .collect();
         println!(
@@ -122,11 +178,22 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         );
     }
     if let (Some(b), Some(a)) = (&v.before, &v.after) {
-        println!("  held-out error ({}, {} readings):        before      after", a.split, a.points);
+        println!(
+            "  held-out error ({}, {} readings):        before      after",
+            a.split, a.points
+        );
         for (name, before) in &b.rmse {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
-            let name = if name == "response_rmse" { with_unit(name, unit) } else { name.clone() };
-            println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
+            let name = if name == "response_rmse" {
+                with_unit(name, unit)
+            } else {
+                name.clone()
+            };
+            println!(
+                "    {name:<32} {:>10} {:>10}",
+                readable(*before),
+                readable(after)
+            );
         }
         if let Some(trimmed) = &v.after_trimmed {
             let error = trimmed.rmse.values().next().copied().unwrap_or(f64::NAN);
@@ -138,18 +205,30 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         }
     }
     if v.holdout.outcome != HoldoutOutcome::Absent {
-        let p =
-            v.holdout.p.map_or_else(String::new, |p| format!(" ({}, look {})", chance(p), v.holdout.look));
+        let p = v.holdout.p.map_or_else(String::new, |p| {
+            format!(" ({}, look {})", chance(p), v.holdout.look)
+        });
         println!("  {}{p}", v.holdout.why);
     }
     let n = &v.noise_floor;
-    for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
+    for (floor, unit) in [
+        (n.wavelength_pm, "pm"),
+        (n.response, unit),
+        (n.error_um, "um"),
+    ] {
         if let Some(floor) = floor {
-            println!("  noise floor {} ({})", with_unit(&readable(floor), unit), n.source);
+            println!(
+                "  noise floor {} ({})",
+                with_unit(&readable(floor), unit),
+                n.source
+            );
         }
     }
     if let Some(floor) = n.contact_mm {
-        println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
+        println!(
+            "  noise floor of a contact {} mm (as the shapes state)",
+            readable(floor)
+        );
     }
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
@@ -157,7 +236,11 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     // That the declared model is refuted says the verdict.
     let shown = |t: &&WitnessTest| t.witness == "sweep" || t.refuted && !t.effects.is_empty();
     for t in v.tests.iter().filter(shown) {
-        let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
+        let name = if t.effects.is_empty() {
+            "declared model".to_owned()
+        } else {
+            t.effects.join(" with ")
+        };
         let refuted = if t.refuted { " REFUTED" } else { "" };
         println!(
             "  {}: {name:<44} {}, {}{refuted}",
@@ -168,17 +251,28 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     }
     if let Some(c) = &v.calibration {
         let verdict = if c.holds { "holds" } else { "does NOT hold" };
-        println!("  {} {verdict} on {} readings: {}", c.path, c.error.points, c.why);
+        println!(
+            "  {} {verdict} on {} readings: {}",
+            c.path, c.error.points, c.why
+        );
     }
     if let Some(n) = &v.next_measurement {
-        println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
+        println!(
+            "  next: {} (expected power {:.2})",
+            n.instruction, n.expected_power
+        );
     }
-    println!("  written to {}; page {}", out.display(), out.join("report.html").display());
+    println!(
+        "  written to {}; page {}",
+        out.display(),
+        out.join("report.html").display()
+    );
 }
 
 /// What it is all for, in one line.
 fn contact_line(c: &ContactComparison) -> String {
-    let [before, after, bound] = [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));
+    let [before, after, bound] =
+        [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));
     format!(
         "contact: {before} mm -> {after} mm (bound {bound}), {} readings, {} inside their 95 % regions",
         c.readings, c.inside95

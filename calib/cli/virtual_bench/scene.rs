@@ -61,8 +61,16 @@ impl BenchScene {
             board_scale: errors.board_scale,
             rig_tag_moved: pose(errors.rig_tag_mm, errors.rig_tag_deg),
         };
-        let board = Board { corners: cameras.board_corners, square_mm: cameras.board_square_mm };
-        let rig = RigGeometry { diameter_mm: whisker.diameter_mm, board, faults, ..RigGeometry::default() };
+        let board = Board {
+            corners: cameras.board_corners,
+            square_mm: cameras.board_square_mm,
+        };
+        let rig = RigGeometry {
+            diameter_mm: whisker.diameter_mm,
+            board,
+            faults,
+            ..RigGeometry::default()
+        };
         let look = Appearance {
             uneven: cameras.uneven_light,
             blur_px: cameras.blur_px,
@@ -70,7 +78,15 @@ impl BenchScene {
             ..Appearance::default()
         };
         let width_px = cameras.size_px[0];
-        Self { wire, paths, rig, look, width_px, cameras: Mutex::default(), last: Default::default() }
+        Self {
+            wire,
+            paths,
+            rig,
+            look,
+            width_px,
+            cameras: Mutex::default(),
+            last: Default::default(),
+        }
     }
 
     fn lens(&self, camera: usize, state: &SceneState, size_px: [u32; 2]) -> Lens {
@@ -78,7 +94,10 @@ impl BenchScene {
         if !cameras.iter().any(|(size, _)| *size == size_px) {
             cameras.push((size_px, default_pair(size_px.map(|s| s as usize))));
         }
-        let found = cameras.iter().find(|(size, _)| *size == size_px).map_or(&cameras[0].1, |(_, pair)| pair);
+        let found = cameras
+            .iter()
+            .find(|(size, _)| *size == size_px)
+            .map_or(&cameras[0].1, |(_, pair)| pair);
         let lens = &found[camera.min(1)];
         // The board was shown before the second camera was knocked.
         if camera == 1 && state.board.is_none() {
@@ -93,14 +112,19 @@ impl BenchScene {
             return self.rig.board_view(k);
         }
         let rest = || self.wire.centre_line(None, STEP_MM);
-        let Some(ScenePath { path, touch_mm, .. }) = self.paths.iter().find(|p| p.id == state.trajectory)
+        let Some(ScenePath { path, touch_mm, .. }) =
+            self.paths.iter().find(|p| p.id == state.trajectory)
         else {
             return self.rig.scene(rest(), None);
         };
         let reach_mm = REACH * path.arclength_mm;
         let depth_mm = state.depth_mm.min(reach_mm);
         let at = path.at(depth_mm);
-        let groove = |axis| Groove { position_mm: at, axis, push: path.direction };
+        let groove = |axis| Groove {
+            position_mm: at,
+            axis,
+            push: path.direction,
+        };
         if depth_mm <= *touch_mm {
             let (_, tangent) = self.wire.rest(path.arclength_mm);
             return self.rig.scene(rest(), Some(&groove(tangent)));
@@ -118,7 +142,9 @@ impl BenchScene {
 
 impl Scene for BenchScene {
     fn picture(&self, camera: usize, state: &SceneState, size_px: [u32; 2], seed: u64) -> Vec<u8> {
-        let mut last = self.last[camera.min(1)].lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last[camera.min(1)]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let lens = self.lens(camera, state, size_px);
         let look = Appearance {
             exposure_dn: self.look.exposure_dn * state.exposure,
@@ -126,7 +152,9 @@ impl Scene for BenchScene {
             blur_px: self.look.blur_px * f64::from(size_px[0]) / f64::from(self.width_px),
             ..self.look
         };
-        let kept = last.take().filter(|l| l.state == *state && l.size_px == size_px);
+        let kept = last
+            .take()
+            .filter(|l| l.state == *state && l.size_px == size_px);
         let kept = kept.unwrap_or_else(|| LastPicture {
             state: *state,
             size_px,

@@ -17,7 +17,8 @@ use rand_distr::StandardNormal;
 use std::sync::Arc;
 use std::time::Instant;
 use wcal_contact::known_motion::{
-    CorrelatedNoise, Friction, MomentField, MotionRow, RecursivePosterior, Segmenter, Settings, Step,
+    CorrelatedNoise, Friction, MomentField, MotionRow, RecursivePosterior, Segmenter, Settings,
+    Step,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -35,18 +36,29 @@ fn press(field: &MomentField, seed: u64, shared: usize) -> Vec<MotionRow> {
     let deepest = 0.12 * s_mm;
     let steps = |from: f64, to: f64| {
         let n = ((to - from).abs() / SPEED_MM_S / STEP_S) as usize;
-        (0..n).map(move |k| (from + (to - from) * k as f64 / n as f64, (to - from).signum() * SPEED_MM_S))
+        (0..n).map(move |k| {
+            (
+                from + (to - from) * k as f64 / n as f64,
+                (to - from).signum() * SPEED_MM_S,
+            )
+        })
     };
     let hold = std::iter::repeat_n((deepest, 0.0), 200);
     let ways = steps(-2.0, deepest).chain(hold).chain(steps(deepest, -1.0));
     let row = |(k, (way, speed)): (usize, (f64, f64))| {
         let place = touch + push * way;
-        let m = if way > 0.0 { field.held(&place, 0.0).map_or([0.0; 2], |h| h.moment_nmm) } else { [0.0; 2] };
+        let m = if way > 0.0 {
+            field.held(&place, 0.0).map_or([0.0; 2], |h| h.moment_nmm)
+        } else {
+            [0.0; 2]
+        };
         MotionRow {
             t_s: k as f64 * STEP_S,
             moment_nmm: m.map(|m| m + NOISE_NMM * rng.sample::<f64, _>(StandardNormal)),
             noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
-            shared_nmm: (0..shared).map(|j| [1e-3 * m[j % 2], 1e-3 * (j % 3) as f64]).collect(),
+            shared_nmm: (0..shared)
+                .map(|j| [1e-3 * m[j % 2], 1e-3 * (j % 3) as f64])
+                .collect(),
             free_nmm2: None,
             shared_displacement_mm: Vec::new(),
             moved_mm: push * way,
@@ -63,19 +75,38 @@ fn press(field: &MomentField, seed: u64, shared: usize) -> Vec<MotionRow> {
 /// How often the core was taken from this thread; 0 where the system does not say.
 fn preemptions() -> u64 {
     let status = std::fs::read_to_string("/proc/thread-self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("nonvoluntary_ctxt_switches:"));
+    let line = status
+        .lines()
+        .find_map(|l| l.strip_prefix("nonvoluntary_ctxt_switches:"));
     line.and_then(|n| n.trim().parse().ok()).unwrap_or(0)
 }
 
 fn main() {
     let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).expect("a wire");
     let covariance_nmm2 = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
-    let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2, length_mm: 0.5 });
-    let settings = Settings { clock_sd_s: 0.01, correlated, ..Settings::default() };
-    let creeping = Settings { creep_sd: 0.15, ..settings };
-    for (name, friction) in
-        [("none", Friction::NONE), ("0.2", Friction { coefficient: 0.2, moving_share: 1.0 })]
-    {
+    let correlated = Some(CorrelatedNoise::ByPose {
+        covariance_nmm2,
+        length_mm: 0.5,
+    });
+    let settings = Settings {
+        clock_sd_s: 0.01,
+        correlated,
+        ..Settings::default()
+    };
+    let creeping = Settings {
+        creep_sd: 0.15,
+        ..settings
+    };
+    for (name, friction) in [
+        ("none", Friction::NONE),
+        (
+            "0.2",
+            Friction {
+                coefficient: 0.2,
+                moving_share: 1.0,
+            },
+        ),
+    ] {
         let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), friction));
         let begun = Instant::now();
         field.fill(10.0);
@@ -92,8 +123,10 @@ fn main() {
                     let is_loaded = settings.is_loaded(row);
                     match segmenter.push(row, 0, None, is_loaded) {
                         Step::Begins(b) => {
-                            let begun =
-                                |s| RecursivePosterior::begin(&field, s, &b).expect("a push across the wire");
+                            let begun = |s| {
+                                RecursivePosterior::begin(&field, s, &b)
+                                    .expect("a push across the wire")
+                            };
                             posteriors = [settings, creeping].map(begun).into();
                         }
                         Step::Within => posteriors.iter_mut().for_each(|p| p.push(&field, row)),

@@ -19,7 +19,9 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
     let at = |k: usize| nodes[k].arclength_mm;
     let last = nodes.len() - 1;
     let on_wire = |k: usize| 0.5 * (at((k + 1).min(last)) - at(k.saturating_sub(1)));
-    (0..nodes.len()).map(|k| if nodes[k].tilt > 0.0 { 0.0 } else { on_wire(k) }).collect()
+    (0..nodes.len())
+        .map(|k| if nodes[k].tilt > 0.0 { 0.0 } else { on_wire(k) })
+        .collect()
 }
 
 /// The answer to moments (N mm) of which nothing else is known; probabilities and number of contacts are those of `answer`.
@@ -50,7 +52,8 @@ pub(crate) fn allowed_weights(
     };
     // Nodes from which no force gives these moments have no weight; without any reachable node the prior remains.
     let any = solutions.iter().any(|s| s.reachable);
-    let weight = |(k, s): (usize, &InverseSolution)| if s.reachable || !any { prior(k) } else { 0.0 };
+    let weight =
+        |(k, s): (usize, &InverseSolution)| if s.reachable || !any { prior(k) } else { 0.0 };
     let mut weights: Vec<f64> = solutions.iter().enumerate().map(weight).collect();
     let total: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|w| *w /= total);
@@ -103,13 +106,23 @@ pub fn any_motion(
     let mixed = |trained: f32, other: f32| AS_TRAINED * trained + (1.0 - AS_TRAINED) * other;
     let off = [0, 1, 2].map(|i| alone.point_mm[i] - network.point_mm[i]);
     let (n, a) = (network.covariance_mm2, alone.covariance_mm2);
-    let covariance_mm2 = [0, 1, 2].map(|i| [0, 1, 2].map(|j| mixed(n[i][j], a[i][j] + off[i] * off[j])));
+    let covariance_mm2 =
+        [0, 1, 2].map(|i| [0, 1, 2].map(|j| mixed(n[i][j], a[i][j] + off[i] * off[j])));
     let weights = match network.weights.len() == alone.weights.len() {
-        true => network.weights.iter().zip(&alone.weights).map(|(n, a)| mixed(*n, *a)).collect(),
+        true => network
+            .weights
+            .iter()
+            .zip(&alone.weights)
+            .map(|(n, a)| mixed(*n, *a))
+            .collect(),
         // A network without the curve states no place on it.
         false => alone.weights,
     };
-    Prediction { covariance_mm2, weights, ..network }
+    Prediction {
+        covariance_mm2,
+        weights,
+        ..network
+    }
 }
 
 /// Density over the arc length of weights on the inverse's nodes; empty without weights.
@@ -118,10 +131,16 @@ pub fn arc_density(nodes: &[Node], weights: &[f32]) -> ArcDensity {
         return ArcDensity::default();
     }
     // The tip's tilts are one place: the last node of the wire.
-    let on_wire = nodes.iter().position(|n| n.tilt > 0.0).unwrap_or(nodes.len());
+    let on_wire = nodes
+        .iter()
+        .position(|n| n.tilt > 0.0)
+        .unwrap_or(nodes.len());
     let mut masses: Vec<f64> = weights[..on_wire].iter().map(|w| f64::from(*w)).collect();
     if let Some(tip) = masses.last_mut() {
-        *tip += weights[on_wire..].iter().map(|w| f64::from(*w)).sum::<f64>();
+        *tip += weights[on_wire..]
+            .iter()
+            .map(|w| f64::from(*w))
+            .sum::<f64>();
     }
     let places: Vec<f64> = nodes[..on_wire].iter().map(|n| n.arclength_mm).collect();
     ArcDensity::of_masses(&places, &masses)
@@ -134,8 +153,15 @@ mod tests {
     use wcal_track::InverseGrid;
 
     fn nodes() -> Vec<Node> {
-        let wire = (0..=20).map(|k| Node { arclength_mm: f64::from(k), tilt: 0.0 });
-        wire.chain([Node { arclength_mm: 20.0, tilt: 0.5 }]).collect()
+        let wire = (0..=20).map(|k| Node {
+            arclength_mm: f64::from(k),
+            tilt: 0.0,
+        });
+        wire.chain([Node {
+            arclength_mm: 20.0,
+            tilt: 0.5,
+        }])
+        .collect()
     }
 
     #[test]
@@ -145,10 +171,16 @@ mod tests {
         let pieces = arc_density(&nodes(), &weights).regions();
         assert_eq!(pieces.len(), 2, "{pieces:?}");
         assert!((pieces[0].probability - 0.6).abs() < 1e-6 && (pieces[0].to_mm - 6.5).abs() < 1e-9);
-        assert!((pieces[1].probability - 0.4).abs() < 1e-6 && (pieces[1].to_mm - 20.0).abs() < 1e-9);
+        assert!(
+            (pieces[1].probability - 0.4).abs() < 1e-6 && (pieces[1].to_mm - 20.0).abs() < 1e-9
+        );
         assert!(arc_density(&nodes(), &[]).regions().is_empty());
         let even = vec![1.0 / 22.0; 22];
-        let all: f64 = arc_density(&nodes(), &even).regions().iter().map(|p| p.probability).sum();
+        let all: f64 = arc_density(&nodes(), &even)
+            .regions()
+            .iter()
+            .map(|p| p.probability)
+            .sum();
         assert!((0.95..=1.0).contains(&all), "{all}");
     }
 
@@ -175,7 +207,11 @@ mod tests {
                 let off = s.point_mm - mean;
                 all += f64::from(*w);
                 // 90 % of a Gaussian in space.
-                held += if off.dot(&factor.solve(&off)) < 6.25 { f64::from(*w) } else { 0.0 };
+                held += if off.dot(&factor.solve(&off)) < 6.25 {
+                    f64::from(*w)
+                } else {
+                    0.0
+                };
             }
             assert_eq!(answer.contact, 0.9);
         }
@@ -192,9 +228,20 @@ mod tests {
             let moment = [size * angle.cos(), size * angle.sin()];
             fine.solutions(moment, &mut a);
             coarse.solutions(moment, &mut b);
-            for (n, s) in coarse.nodes.iter().zip(&b).filter(|(n, s)| n.tilt == 0.0 && s.reachable) {
-                let same = |m: &Node| m.tilt == 0.0 && (m.arclength_mm - n.arclength_mm).abs() < 1e-9;
-                let Some(at) = fine.nodes.iter().position(same).filter(|at| a[*at].reachable) else {
+            for (n, s) in coarse
+                .nodes
+                .iter()
+                .zip(&b)
+                .filter(|(n, s)| n.tilt == 0.0 && s.reachable)
+            {
+                let same =
+                    |m: &Node| m.tilt == 0.0 && (m.arclength_mm - n.arclength_mm).abs() < 1e-9;
+                let Some(at) = fine
+                    .nodes
+                    .iter()
+                    .position(same)
+                    .filter(|at| a[*at].reachable)
+                else {
                     continue;
                 };
                 off.push((a[at].point_mm - s.point_mm).norm());
@@ -202,8 +249,14 @@ mod tests {
         }
         off.sort_by(f64::total_cmp);
         let (median_mm, p95_mm) = (off[off.len() / 2], off[off.len() * 19 / 20]);
-        println!("{} places: {median_mm:.4} mm median, {p95_mm:.4} mm 95 %", off.len());
-        assert!(off.len() > 500 && median_mm < 0.01 && p95_mm < 0.15, "{median_mm} {p95_mm}");
+        println!(
+            "{} places: {median_mm:.4} mm median, {p95_mm:.4} mm 95 %",
+            off.len()
+        );
+        assert!(
+            off.len() > 500 && median_mm < 0.01 && p95_mm < 0.15,
+            "{median_mm} {p95_mm}"
+        );
         // Building solves a family of rods for each place, tilt and direction.
         let families = |g: InverseGrid| (g.tilts * g.directions) as f64 / g.step_mm;
         assert!(4.0 * families(InverseGrid::coarse()) <= families(InverseGrid::default()));

@@ -65,9 +65,17 @@ impl ArcDensity {
         let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if let [place] = places_mm {
             let (from_mm, to_mm) = (place - 0.5 * MIN_MM, place + 0.5 * MIN_MM);
-            return Self(vec![Region { from_mm, to_mm, probability: 1.0 }]);
+            return Self(vec![Region {
+                from_mm,
+                to_mm,
+                probability: 1.0,
+            }]);
         }
-        let parts = |k: usize| ((places_mm[k + 1] - places_mm[k]) / PART_MM).ceil().clamp(PARTS[0], PARTS[1]);
+        let parts = |k: usize| {
+            ((places_mm[k + 1] - places_mm[k]) / PART_MM)
+                .ceil()
+                .clamp(PARTS[0], PARTS[1])
+        };
         let part = |k: usize, p: usize| {
             let (share, width_mm) = (1.0 / parts(k), places_mm[k + 1] - places_mm[k]);
             let at = |p: usize| {
@@ -79,7 +87,11 @@ impl ArcDensity {
             };
             // ln p is near linear between nodes that differ by little: a cell is the midpoint rule of the exponential.
             let density = (ln[k] + (ln[k + 1] - ln[k]) * share * (p as f64 + 0.5) - best).exp();
-            Region { from_mm: at(p), to_mm: at(p + 1), probability: density * width_mm * share }
+            Region {
+                from_mm: at(p),
+                to_mm: at(p + 1),
+                probability: density * width_mm * share,
+            }
         };
         let between = 0..places_mm.len().saturating_sub(1);
         Self::normalised(
@@ -93,20 +105,36 @@ impl ArcDensity {
     /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire; what lies past its tip is at the tip.
     pub fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
         let least = parts.iter().map(|p| p.2).fold(f64::INFINITY, f64::min);
-        let ends = |sign: f64| parts.iter().map(move |p| (p.1 + sign * SDS * p.2).clamp(0.0, length_mm));
-        let [from, to] = [ends(-1.0).fold(length_mm, f64::min), ends(1.0).fold(0.0, f64::max)];
-        let width_mm = (least / CELLS_A_SD).clamp(MIN_MM, CELL_MM).max((to - from) / MAX_CELLS);
+        let ends = |sign: f64| {
+            parts
+                .iter()
+                .map(move |p| (p.1 + sign * SDS * p.2).clamp(0.0, length_mm))
+        };
+        let [from, to] = [
+            ends(-1.0).fold(length_mm, f64::min),
+            ends(1.0).fold(0.0, f64::max),
+        ];
+        let width_mm = (least / CELLS_A_SD)
+            .clamp(MIN_MM, CELL_MM)
+            .max((to - from) / MAX_CELLS);
         let count = ((to - from) / width_mm).ceil().max(1.0) as usize;
         let at = |k: usize| to - width_mm * (count - k) as f64;
-        let mut cells: Vec<Region> =
-            (0..count).map(|k| Region { from_mm: at(k), to_mm: at(k + 1), probability: 0.0 }).collect();
+        let mut cells: Vec<Region> = (0..count)
+            .map(|k| Region {
+                from_mm: at(k),
+                to_mm: at(k + 1),
+                probability: 0.0,
+            })
+            .collect();
         for (weight, mean, sd) in parts {
             // Mass of a cell: difference of the normal distribution function at its ends.
             let is_tip = |c: &Region| c.to_mm >= length_mm - SAME_MM;
-            let near =
-                |c: &&mut Region| is_tip(c) || (c.from_mm - SDS * sd..=c.to_mm + SDS * sd).contains(mean);
+            let near = |c: &&mut Region| {
+                is_tip(c) || (c.from_mm - SDS * sd..=c.to_mm + SDS * sd).contains(mean)
+            };
             for cell in cells.iter_mut().filter(near) {
-                let [low, high] = [cell.from_mm, cell.to_mm].map(|end| normal_share((end - mean) / sd));
+                let [low, high] =
+                    [cell.from_mm, cell.to_mm].map(|end| normal_share((end - mean) / sd));
                 let high = if is_tip(cell) { 1.0 } else { high };
                 cell.probability += weight * (high - low);
             }
@@ -116,25 +144,42 @@ impl ArcDensity {
 
     /// The same density over a whole wire.
     pub fn uniform(length_mm: f64) -> Self {
-        Self(vec![Region { from_mm: 0.0, to_mm: length_mm, probability: 1.0 }])
+        Self(vec![Region {
+            from_mm: 0.0,
+            to_mm: length_mm,
+            probability: 1.0,
+        }])
     }
 
     /// Of several with their weights.
     pub fn mixture<'a>(parts: impl IntoIterator<Item = (f64, &'a Self)>) -> Self {
         let parts: Vec<(f64, &Self)> = parts.into_iter().collect();
-        let mut edges: Vec<f64> =
-            parts.iter().flat_map(|p| &p.1.0).flat_map(|c| [c.from_mm, c.to_mm]).collect();
+        let mut edges: Vec<f64> = parts
+            .iter()
+            .flat_map(|p| &p.1.0)
+            .flat_map(|c| [c.from_mm, c.to_mm])
+            .collect();
         edges.sort_by(f64::total_cmp);
         edges.dedup_by(|b, a| *b - *a < SAME_MM);
-        let mut cells: Vec<Region> =
-            edges.windows(2).map(|e| Region { from_mm: e[0], to_mm: e[1], probability: 0.0 }).collect();
+        let mut cells: Vec<Region> = edges
+            .windows(2)
+            .map(|e| Region {
+                from_mm: e[0],
+                to_mm: e[1],
+                probability: 0.0,
+            })
+            .collect();
         for (weight, part) in parts {
             for cell in &part.0 {
                 let first = edges.partition_point(|e| *e < cell.from_mm - SAME_MM);
                 let end_mm = cell.to_mm + SAME_MM;
-                let within = cells.iter_mut().skip(first).take_while(|c| c.to_mm <= end_mm);
+                let within = cells
+                    .iter_mut()
+                    .skip(first)
+                    .take_while(|c| c.to_mm <= end_mm);
                 // Density is constant in a cell: its parts have mass in proportion to their length.
-                let share = weight * cell.probability / (cell.to_mm - cell.from_mm).max(f64::MIN_POSITIVE);
+                let share =
+                    weight * cell.probability / (cell.to_mm - cell.from_mm).max(f64::MIN_POSITIVE);
                 within.for_each(|c| c.probability += share * (c.to_mm - c.from_mm));
             }
         }
@@ -155,7 +200,10 @@ impl ArcDensity {
         let least = least.map_or(0.0, |cell| cell.density() * (1.0 - ROUNDING));
         let mut pieces: Vec<Region> = Vec::new();
         for cell in self.0.iter().filter(|c| c.density() >= least) {
-            match pieces.last_mut().filter(|piece| cell.from_mm <= piece.to_mm + SAME_MM) {
+            match pieces
+                .last_mut()
+                .filter(|piece| cell.from_mm <= piece.to_mm + SAME_MM)
+            {
                 Some(piece) => {
                     piece.to_mm = cell.to_mm;
                     piece.probability += cell.probability;
@@ -212,10 +260,20 @@ mod tests {
 
     #[test]
     fn a_normal_density_has_two_standard_deviations_on_each_side() {
-        let places: Vec<f64> = (0..=24).map(|k| 30.0 + 0.1 * (f64::from(k) - 12.0) / 3.0).collect();
-        let ln: Vec<f64> = places.iter().map(|s| -0.5 * ((s - 30.0) / 0.1_f64).powi(2)).collect();
-        let [piece] = ArcDensity::of_logarithms(&places, &ln).regions()[..] else { panic!() };
-        assert!((piece.from_mm - 29.804).abs() < 0.006 && (piece.to_mm - 30.196).abs() < 0.006, "{piece:?}");
+        let places: Vec<f64> = (0..=24)
+            .map(|k| 30.0 + 0.1 * (f64::from(k) - 12.0) / 3.0)
+            .collect();
+        let ln: Vec<f64> = places
+            .iter()
+            .map(|s| -0.5 * ((s - 30.0) / 0.1_f64).powi(2))
+            .collect();
+        let [piece] = ArcDensity::of_logarithms(&places, &ln).regions()[..] else {
+            panic!()
+        };
+        assert!(
+            (piece.from_mm - 29.804).abs() < 0.006 && (piece.to_mm - 30.196).abs() < 0.006,
+            "{piece:?}"
+        );
         // Two of the same a millimetre apart: their middle lies between them, and the spread is theirs.
         let at = |x: f64| (0.5, Vector3::new(x, 0.0, 0.0), Matrix3::identity() * 0.01);
         let (mean, covariance) = mixed_place([at(30.0), at(31.0)].into_iter()).unwrap();

@@ -38,7 +38,10 @@ pub(crate) struct Assumed {
 /// The moments of a wire with its accepted mechanics.
 fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
     let friction = match wire.friction {
-        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+        mu if mu > 0.0 => Friction {
+            coefficient: mu,
+            moving_share: wire.moving_share,
+        },
         _ => Friction::NONE,
     };
     MomentField::new(&wire.rod, axes, friction)
@@ -57,24 +60,46 @@ impl CalibratedWire {
         (frame, axes): (&WireFrame, &MomentAxes),
         diameter_mm: f64,
     ) -> Self {
-        let field =
-            |wire: &AcceptedWire| match wire.rod.turned(&frame.rotation()).filter(|_| !frame.is_base()) {
-                Some(rod) => moment_field(&AcceptedWire { rod, ..wire.clone() }, &MomentAxes::default()),
-                None => moment_field(wire, axes),
-            };
+        let field = |wire: &AcceptedWire| match wire
+            .rod
+            .turned(&frame.rotation())
+            .filter(|_| !frame.is_base())
+        {
+            Some(rod) => moment_field(
+                &AcceptedWire {
+                    rod,
+                    ..wire.clone()
+                },
+                &MomentAxes::default(),
+            ),
+            None => moment_field(wire, axes),
+        };
         let field = Arc::new(field(wire).with_changed(changed.iter().map(field).collect()));
-        Self { field, rod: wire.rod.clone(), diameter_mm, tolerance: None }
+        Self {
+            field,
+            rod: wire.rod.clone(),
+            diameter_mm,
+            tolerance: None,
+        }
     }
 
     /// Of a rod without friction whose errors are those of the readings alone.
     pub fn of_rod(rod: Rod, diameter_mm: f64) -> Self {
-        let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
+        let wire = AcceptedWire {
+            rod,
+            friction: 0.0,
+            moving_share: 1.0,
+            offset_mm: Vector3::zeros(),
+        };
         Self::new(&wire, &[], diameter_mm)
     }
 
     /// Of another wire than the calibration's, whose diameter has a relative standard deviation.
     pub fn with_tolerance(self, diameter_share: Option<f64>) -> Self {
-        Self { tolerance: diameter_share, ..self }
+        Self {
+            tolerance: diameter_share,
+            ..self
+        }
     }
 
     /// Relative standard deviation of the stiffness, which goes with the fourth power of the diameter.
@@ -85,15 +110,24 @@ impl CalibratedWire {
     /// Columns of what all readings of a record share, N mm by one standard deviation of each: the calibration's unknowns, the zero, and the
     /// stiffness of another wire, which scales all moments of a held wire.
     pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
-        let zero = m.zero_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
+        let zero = m
+            .zero_nmm2
+            .cholesky()
+            .map_or_else(Matrix2::zeros, |c| c.l());
         // A zero that is known is no unknown.
         let zero = zero
             .column_iter()
             .filter(|_| m.zero_nmm2 != Matrix2::zeros())
             .map(|c| [c[0], c[1]])
             .collect::<Vec<_>>();
-        let stiffness = (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
-        m.shared_nmm.iter().copied().chain(zero).chain(stiffness).collect()
+        let stiffness =
+            (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
+        m.shared_nmm
+            .iter()
+            .copied()
+            .chain(zero)
+            .chain(stiffness)
+            .collect()
     }
 
     /// A reading along its motion, where its moments and motion are known; without a noise of its own it has that from pose to pose.
@@ -118,7 +152,11 @@ impl CalibratedWire {
     /// What is assumed of a contact at a fixed point.
     pub fn settings(&self, accuracy: &MotionAccuracy) -> Settings {
         let (clock_sd_s, stiffness_sd) = (accuracy.clock_sd_s, self.stiffness_sd());
-        Settings { clock_sd_s, stiffness_sd, ..Settings::default() }
+        Settings {
+            clock_sd_s,
+            stiffness_sd,
+            ..Settings::default()
+        }
     }
 
     /// As one that is touched at one place, whatever touches it.
@@ -126,7 +164,11 @@ impl CalibratedWire {
     /// # Errors
     /// Where it cannot be bent.
     pub fn touched(&self) -> Result<TouchedWire, ContactError> {
-        Ok(TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?)
+        Ok(TouchedWire::new(
+            &self.rod,
+            self.diameter_mm,
+            &MomentAxes::default(),
+        )?)
     }
 
     /// The places that moments alone allow.
@@ -134,7 +176,11 @@ impl CalibratedWire {
     /// # Errors
     /// As for `touched`.
     pub fn static_inverse(&self) -> Result<StaticInverse, ContactError> {
-        Ok(StaticInverse::of_rod(&self.rod, self.diameter_mm, InverseGrid::coarse())?)
+        Ok(StaticInverse::of_rod(
+            &self.rod,
+            self.diameter_mm,
+            InverseGrid::coarse(),
+        )?)
     }
 
     /// Middle of the free wire, mm.

@@ -41,12 +41,22 @@ pub(crate) struct ContactSoFar {
 impl ContactSoFar {
     /// With its first readings; none where the push runs along the whole wire.
     pub fn begin(of: &Assumed, settings: Settings, beginning: Beginning) -> Option<Self> {
-        let creep_sds = if of.prior.of(Regime::Creeping) > 0.0 { &CREEP_SDS[..] } else { &[] };
+        let creep_sds = if of.prior.of(Regime::Creeping) > 0.0 {
+            &CREEP_SDS[..]
+        } else {
+            &[]
+        };
         let begun = |creep_sd: &f64| {
-            let settings = Settings { creep_sd: *creep_sd, ..settings };
+            let settings = Settings {
+                creep_sd: *creep_sd,
+                ..settings
+            };
             RecursivePosterior::begin(&of.wire.field, settings, &beginning)
         };
-        let posteriors = std::iter::once(&0.0).chain(creep_sds).map(begun).collect::<Option<_>>()?;
+        let posteriors = std::iter::once(&0.0)
+            .chain(creep_sds)
+            .map(begun)
+            .collect::<Option<_>>()?;
         let Beginning { push, lead, rows } = beginning;
         Some(Self {
             posteriors,
@@ -87,16 +97,38 @@ impl ContactSoFar {
         (is_loaded, pose_nmm2): (bool, Matrix2<f64>),
     ) -> Result<Contact, ContactError> {
         let disagrees = !self.innovations().consistent();
-        let slid = if is_loaded { self.weighed(of, row, (disagrees, pose_nmm2))? } else { None };
-        let places: Vec<_> = self.posteriors.iter().map(|p| p.place(&of.wire.field, row)).collect();
-        self.regions = self.posteriors.last().map(|p| p.posterior().regions()).unwrap_or_default();
+        let slid = if is_loaded {
+            self.weighed(of, row, (disagrees, pose_nmm2))?
+        } else {
+            None
+        };
+        let places: Vec<_> = self
+            .posteriors
+            .iter()
+            .map(|p| p.place(&of.wire.field, row))
+            .collect();
+        self.regions = self
+            .posteriors
+            .last()
+            .map(|p| p.posterior().regions())
+            .unwrap_or_default();
         let weights = &self.weights;
-        let points = weights.points().into_iter().map(|(weight, ..)| weight).zip(places);
+        let points = weights
+            .points()
+            .into_iter()
+            .map(|(weight, ..)| weight)
+            .zip(places);
         let slides = slid.map(|slid| (weights.regimes.of(Regime::Sliding), slid));
         let all: Vec<Alternative> = points.chain(slides).map(Alternative::from).collect();
         // Outside of a contact nothing is in doubt.
-        let flags = if is_loaded { weights.flags(disagrees, false) } else { Flags::default() };
-        Ok(Contact::averaged(&all, flags, |place| place.contact >= TOUCHED))
+        let flags = if is_loaded {
+            weights.flags(disagrees, false)
+        } else {
+            Flags::default()
+        };
+        Ok(Contact::averaged(&all, flags, |place| {
+            place.contact >= TOUCHED
+        }))
     }
 
     /// Weighs the contact where a block of its readings is complete; where it is as one that slides.
@@ -107,13 +139,19 @@ impl ContactSoFar {
         (disagrees, pose_nmm2): (bool, Matrix2<f64>),
     ) -> Result<Option<(EpisodeContact, ArcDensity)>, ContactError> {
         let complete = self.blocks.push(row);
-        let slid = self.sliding.as_mut().and_then(|sliding| sliding.push(row, &self.blocks.means));
+        let slid = self
+            .sliding
+            .as_mut()
+            .and_then(|sliding| sliding.push(row, &self.blocks.means));
         let blocks = self.blocks.means.len();
         if !complete || !(MIN_BLOCKS..MAX_BLOCKS).contains(&blocks) {
             return Ok(slid);
         }
         // The noise from pose to pose is one draw for a block.
-        let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + pose_nmm2, ..row.clone() };
+        let noisy = |row: &MotionRow| MotionRow {
+            noise_nmm2: row.noise_nmm2 + pose_nmm2,
+            ..row.clone()
+        };
         let weighed = Weighed {
             field: &of.wire.field,
             settings: of.settings,
@@ -123,8 +161,13 @@ impl ContactSoFar {
             factors: false,
         };
         // Nothing slides while a point that stays explains the readings.
-        let sliding = self.sliding.as_ref().map_or(Some(OUT), |s| s.ln_evidence(blocks));
-        self.weights = weighed.evidence(of.prior, sliding.map(|ln| [ln, OUT]), false).weights(&[]);
+        let sliding = self
+            .sliding
+            .as_ref()
+            .map_or(Some(OUT), |s| s.ln_evidence(blocks));
+        self.weights = weighed
+            .evidence(of.prior, sliding.map(|ln| [ln, OUT]), false)
+            .weights(&[]);
         if self.sliding.is_none() && (disagrees || self.weights.regimes.of(Regime::Fixed) < 0.5) {
             self.sliding = Some(SlidingStream::new(of.wire.touched()?));
         }

@@ -70,17 +70,32 @@ impl ContactError {
     /// For `map_err` on file operations.
     pub fn file<E: std::fmt::Display>(action: &'static str, path: &Path) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
-        move |e| Self::File { action, path, detail: e.to_string() }
+        move |e| Self::File {
+            action,
+            path,
+            detail: e.to_string(),
+        }
     }
 
     /// For `map_err`: the file in which it happened.
     pub fn in_file<E: Into<Self>>(path: &Path) -> impl FnOnce(E) -> Self {
         let place = path.display().to_string();
-        move |e| Self::In { place, source: Box::new(e.into()) }
+        move |e| Self::In {
+            place,
+            source: Box::new(e.into()),
+        }
     }
 
     /// A value that cannot be used.
-    pub fn value(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), expected: expected.into(), found: found.into() }
+    pub fn value(
+        what: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Value {
+            what: what.into(),
+            expected: expected.into(),
+            found: found.into(),
+        }
     }
 }

@@ -41,14 +41,24 @@ impl ContactEstimate {
     /// At a place of the wire's axis; none where nothing was found.
     pub fn of_place(place: &EpisodeContact) -> Option<Self> {
         let (probability, covariance_mm2) = (place.contact, place.covariance_mm2);
-        Some(Self { probability, place_mm: place.place_mm?, covariance_mm2, normal: Vector3::zeros() })
+        Some(Self {
+            probability,
+            place_mm: place.place_mm?,
+            covariance_mm2,
+            normal: Vector3::zeros(),
+        })
     }
 
     /// In a turned frame.
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let covariance_mm2 = turn * self.covariance_mm2 * turn.inverse();
         let (place_mm, normal) = (turn * self.place_mm, turn * self.normal);
-        Self { place_mm, covariance_mm2, normal, ..*self }
+        Self {
+            place_mm,
+            covariance_mm2,
+            normal,
+            ..*self
+        }
     }
 }
 
@@ -71,11 +81,29 @@ pub struct Contact {
 
 impl Contact {
     /// What the ways in which a contact may move state together; `on_object`: whether its place is a point of the object.
-    pub fn averaged(all: &[Alternative], flags: Flags, on_object: impl Fn(&EpisodeContact) -> bool) -> Self {
-        let Some((place, arc)) = averaged(all) else { return Self { flags, ..Self::default() } };
-        let (estimate, regions, on_object) =
-            (ContactEstimate::of_place(&place), arc.regions(), on_object(&place));
-        Self { estimate, flags, regions, on_object, ..Self::default() }
+    pub fn averaged(
+        all: &[Alternative],
+        flags: Flags,
+        on_object: impl Fn(&EpisodeContact) -> bool,
+    ) -> Self {
+        let Some((place, arc)) = averaged(all) else {
+            return Self {
+                flags,
+                ..Self::default()
+            };
+        };
+        let (estimate, regions, on_object) = (
+            ContactEstimate::of_place(&place),
+            arc.regions(),
+            on_object(&place),
+        );
+        Self {
+            estimate,
+            flags,
+            regions,
+            on_object,
+            ..Self::default()
+        }
     }
 }
 

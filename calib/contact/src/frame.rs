@@ -22,8 +22,19 @@ pub fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
     // The speed along this frame's +z, where the velocity is known.
     let base_mm_s = velocity_mm_s.map(|v| v.z).or(reading.base_mm_s);
     let moments = reading.moments.as_ref().map(|m| turned(frame, m));
-    let shared_displacement_mm = reading.shared_displacement_mm.iter().map(|w| turn * w).collect();
-    Reading { moments, motion, velocity_mm_s, base_mm_s, shared_displacement_mm, ..reading.clone() }
+    let shared_displacement_mm = reading
+        .shared_displacement_mm
+        .iter()
+        .map(|w| turn * w)
+        .collect();
+    Reading {
+        moments,
+        motion,
+        velocity_mm_s,
+        base_mm_s,
+        shared_displacement_mm,
+        ..reading.clone()
+    }
 }
 
 fn turned(frame: &WireFrame, m: &Moments) -> Moments {
@@ -47,5 +58,9 @@ fn turned(frame: &WireFrame, m: &Moments) -> Moments {
 
 /// A contact of the wire's frame in base coordinates.
 pub fn in_base_frame(frame: &WireFrame, estimate: ContactEstimate) -> ContactEstimate {
-    if frame.is_base() { estimate } else { estimate.turned(&frame.rotation().inverse()) }
+    if frame.is_base() {
+        estimate
+    } else {
+        estimate.turned(&frame.rotation().inverse())
+    }
 }

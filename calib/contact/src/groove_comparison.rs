@@ -35,14 +35,18 @@ fn lost(compared: &[Compared]) -> usize {
     for c in compared {
         by_trajectory.entry(c.trajectory).or_default()[usize::from(c.held)] += 1;
     }
-    by_trajectory.values().filter(|[outside, inside]| inside < outside).count()
+    by_trajectory
+        .values()
+        .filter(|[outside, inside]| inside < outside)
+        .count()
 }
 
 /// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
 /// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
 pub fn coverage_rejected(t: &GrooveTracking) -> bool {
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
-    too_few(t.trajectories_held, t.trajectories, REGION) && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
+    too_few(t.trajectories_held, t.trajectories, REGION)
+        && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 
 fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {
@@ -56,7 +60,10 @@ const COVERAGE_FACTOR: f64 = 2.0;
 fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
     let mut by_arclength: BTreeMap<i64, BTreeMap<u32, Compared>> = BTreeMap::new();
     for c in compared {
-        by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
+        by_arclength
+            .entry(c.arclength_mm.round() as i64)
+            .or_default()
+            .insert(c.trajectory, *c);
     }
     // Trajectories are independent, their readings are not: one number a trajectory, root mean square over them.
     let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
@@ -78,7 +85,12 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
 pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
     let n = compared.len() as f64;
     let trajectories = |of: fn(&Compared) -> bool| {
-        compared.iter().filter(|c| of(c)).map(|c| c.trajectory).collect::<BTreeSet<_>>().len()
+        compared
+            .iter()
+            .filter(|c| of(c))
+            .map(|c| c.trajectory)
+            .collect::<BTreeSet<_>>()
+            .len()
     };
     (!compared.is_empty()).then(|| GrooveTracking {
         rmse_mm: rms(compared, |c| c.error_mm),
@@ -96,17 +108,33 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
 /// The same readings through the declared and through the accepted model; none where either compares nothing.
 pub fn contact_comparison(before: &[Compared], after: &[Compared]) -> Option<ContactComparison> {
     let error = |all: &[Compared], trajectory: u32| {
-        let own: Vec<Compared> = all.iter().filter(|c| c.trajectory == trajectory).copied().collect();
+        let own: Vec<Compared> = all
+            .iter()
+            .filter(|c| c.trajectory == trajectory)
+            .copied()
+            .collect();
         (!own.is_empty()).then(|| rms(&own, |c| c.error_mm))
     };
-    let first: BTreeMap<u32, f64> = after.iter().map(|c| (c.trajectory, c.arclength_mm)).collect();
+    let first: BTreeMap<u32, f64> = after
+        .iter()
+        .map(|c| (c.trajectory, c.arclength_mm))
+        .collect();
     let of = |(&trajectory, &arclength_mm): (&u32, &f64)| {
         let (before_mm, after_mm) = (error(before, trajectory)?, error(after, trajectory)?);
-        Some(TrajectoryContact { trajectory, arclength_mm, before_mm, after_mm })
+        Some(TrajectoryContact {
+            trajectory,
+            arclength_mm,
+            before_mm,
+            after_mm,
+        })
     };
     (!before.is_empty() && !after.is_empty()).then(|| ContactComparison {
-        before: ContactError { rms_mm: rms(before, |c| c.error_mm) },
-        after: ContactError { rms_mm: rms(after, |c| c.error_mm) },
+        before: ContactError {
+            rms_mm: rms(before, |c| c.error_mm),
+        },
+        after: ContactError {
+            rms_mm: rms(after, |c| c.error_mm),
+        },
         bound_mm: rms(after, |c| c.bound_mm),
         readings: after.len(),
         inside95: after.iter().filter(|c| c.held).count(),
@@ -128,14 +156,23 @@ pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
 
 /// For people.
 pub fn contact_sentence(c: &CalibrationContact) -> String {
-    let at = |u: &ContactUncertainty| format!("{:.2} mm at {:.0} mm", u.contact_u_mm, u.arclength_mm);
+    let at =
+        |u: &ContactUncertainty| format!("{:.2} mm at {:.0} mm", u.contact_u_mm, u.arclength_mm);
     let rows: Vec<String> = c.rows.iter().map(at).collect();
-    format!("this calibration: contact U (k = {}, motion known) {}", c.coverage_factor, rows.join(", "))
+    format!(
+        "this calibration: contact U (k = {}, motion known) {}",
+        c.coverage_factor,
+        rows.join(", ")
+    )
 }
 
 /// For people.
 pub fn groove_sentence(t: &GrooveTracking) -> String {
-    let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
+    let of = if t.split == "holdout" {
+        "held-out readings"
+    } else {
+        "readings"
+    };
     format!(
         "tracker on the groove: {:.2} mm RMS at {} {of}, expected {:.2} mm; the stated 95 % regions hold the groove on {} of {} trajectories",
         t.rmse_mm, t.points, t.bound_mm, t.trajectories_held, t.trajectories

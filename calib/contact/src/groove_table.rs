@@ -25,18 +25,29 @@ pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, ContactError> {
         if role.is_some_and(|c| &cells[c] == "rest") {
             continue;
         }
-        if let (Some(t_s), Some(x), Some(y), Some(z)) = (number(time)?, number(x)?, number(y)?, number(z)?) {
+        if let (Some(t_s), Some(x), Some(y), Some(z)) =
+            (number(time)?, number(x)?, number(y)?, number(z)?)
+        {
             let settled = speed.map(number).transpose()?.flatten().map(|v| v == 0.0);
             let groove_mm = Vector3::new(x, y, z);
-            let place = KnownPlace { line: *line, t_s, groove_mm, settled, visit: 0 };
+            let place = KnownPlace {
+                line: *line,
+                t_s,
+                groove_mm,
+                settled,
+                visit: 0,
+            };
             all.push((trajectory.map(number).transpose()?.flatten(), place));
         }
     }
     all.sort_by(|a, b| a.1.t_s.total_cmp(&b.1.t_s));
-    let goes_on = |(id, a): &(Option<f64>, KnownPlace), (next, b): &(Option<f64>, KnownPlace)| match id {
-        Some(id) => Some(id) == next.as_ref(),
-        None => next.is_none() && b.t_s - a.t_s <= MAX_INTERVAL_S,
-    };
+    let goes_on =
+        |(id, a): &(Option<f64>, KnownPlace), (next, b): &(Option<f64>, KnownPlace)| match id {
+            Some(id) => Some(id) == next.as_ref(),
+            None => next.is_none() && b.t_s - a.t_s <= MAX_INTERVAL_S,
+        };
     let visits = all.chunk_by(goes_on).enumerate();
-    Ok(visits.flat_map(|(visit, of)| of.iter().map(move |p| KnownPlace { visit, ..p.1 })).collect())
+    Ok(visits
+        .flat_map(|(visit, of)| of.iter().map(move |p| KnownPlace { visit, ..p.1 }))
+        .collect())
 }

@@ -38,12 +38,18 @@ pub struct KnownPlace {
 pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vector3<f64>> {
     let mut all = BTreeMap::new();
     for (k, place) in places.iter().enumerate() {
-        let before = k.checked_sub(1).map(|k| &places[k]).filter(|b| place.t_s - b.t_s <= max_step_s);
+        let before = k
+            .checked_sub(1)
+            .map(|k| &places[k])
+            .filter(|b| place.t_s - b.t_s <= max_step_s);
         let moved = before.filter(|b| place.t_s > b.t_s);
         if place.settled == Some(true) {
             all.insert(place.line, Vector3::zeros());
         } else if let Some(b) = moved {
-            all.insert(place.line, (b.groove_mm - place.groove_mm) / (place.t_s - b.t_s));
+            all.insert(
+                place.line,
+                (b.groove_mm - place.groove_mm) / (place.t_s - b.t_s),
+            );
         }
     }
     all
@@ -101,7 +107,12 @@ impl GrooveError {
         let off_mm = answer.axis_mm - place.groove_mm;
         let factor = answer.covariance_mm2.cholesky();
         let in_region95 = factor.map(|c| off_mm.dot(&c.solve(&off_mm)) <= CHI2_95);
-        Self { t_s: place.t_s, visit: place.visit, off_mm: off_mm.norm(), in_region95 }
+        Self {
+            t_s: place.t_s,
+            visit: place.visit,
+            off_mm: off_mm.norm(),
+            in_region95,
+        }
     }
 }
 
@@ -109,7 +120,14 @@ impl KnownGroove {
     /// For a whisker; none without known places.
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
-        let own = Self { places, next: 0, radius_mm, last: None, compared: Vec::new(), unseen: 0 };
+        let own = Self {
+            places,
+            next: 0,
+            radius_mm,
+            last: None,
+            compared: Vec::new(),
+            unseen: 0,
+        };
         (!own.places.is_empty()).then_some(own)
     }
 
@@ -142,8 +160,12 @@ impl KnownGroove {
         if self.compared.is_empty() {
             return None;
         }
-        let Distances { rmse_mm, median_mm, p95_mm, .. } =
-            Distances::new(self.compared.iter().map(|c| c.off_mm).collect());
+        let Distances {
+            rmse_mm,
+            median_mm,
+            p95_mm,
+            ..
+        } = Distances::new(self.compared.iter().map(|c| c.off_mm).collect());
         // A covariance that is not positive definite states nothing.
         let stated: Vec<bool> = self.compared.iter().filter_map(|c| c.in_region95).collect();
         let held = stated.iter().filter(|held| **held).count();
@@ -162,8 +184,16 @@ impl KnownGroove {
     /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
     /// where none was compared.
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
-        let within = |[from, to]: &[f64; 2]| self.compared.iter().rfind(|c| (*from..=*to).contains(&c.t_s));
-        let last: Vec<f64> = contacts_s.iter().filter_map(within).map(|c| c.off_mm.powi(2)).collect();
+        let within = |[from, to]: &[f64; 2]| {
+            self.compared
+                .iter()
+                .rfind(|c| (*from..=*to).contains(&c.t_s))
+        };
+        let last: Vec<f64> = contacts_s
+            .iter()
+            .filter_map(within)
+            .map(|c| c.off_mm.powi(2))
+            .collect();
         (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
     }
 
@@ -220,7 +250,13 @@ mod tests {
     use super::*;
 
     fn place(line: usize, t_s: f64, x: f64, settled: bool) -> KnownPlace {
-        KnownPlace { line, t_s, groove_mm: Vector3::new(x, 0.0, 0.0), settled: Some(settled), visit: line }
+        KnownPlace {
+            line,
+            t_s,
+            groove_mm: Vector3::new(x, 0.0, 0.0),
+            settled: Some(settled),
+            visit: line,
+        }
     }
 
     fn answer(x: f64, sd_mm: f64) -> ContactEstimate {
@@ -235,9 +271,19 @@ mod tests {
     #[test]
     fn answers_are_compared_with_the_groove_at_their_time() {
         let whisker = WhiskerSpec::nominal();
-        let places = vec![place(2, 1.0, 20.0, true), place(3, 2.04, 30.0, false), place(4, 9.0, 30.0, true)];
+        let places = vec![
+            place(2, 1.0, 20.0, true),
+            place(3, 2.04, 30.0, false),
+            place(4, 9.0, 30.0, true),
+        ];
         let mut groove = KnownGroove::new(places, &whisker).unwrap();
-        for (t_s, x) in [(0.95, 20.0), (1.05, 99.0), (2.0, 29.6), (2.1, 30.6), (9.5, 99.0)] {
+        for (t_s, x) in [
+            (0.95, 20.0),
+            (1.05, 99.0),
+            (2.0, 29.6),
+            (2.1, 30.6),
+            (9.5, 99.0),
+        ] {
             groove.push(t_s, &answer(x, 0.5));
         }
         // Standing: the answer before. Moving: between both (the nearest is .4 mm off). None within reach of the third.
@@ -258,7 +304,12 @@ mod tests {
         assert!(run(22.0, 9) && !run(0.5, 9), "22 mm off with 1 mm stated");
         assert!(!run(22.0, 1), "one visit of twenty may lie outside");
         // Readings of one visit are no nine witnesses.
-        let places = (0..9).map(|k| KnownPlace { visit: 0, ..place(k, k as f64, 20.0, true) }).collect();
+        let places = (0..9)
+            .map(|k| KnownPlace {
+                visit: 0,
+                ..place(k, k as f64, 20.0, true)
+            })
+            .collect();
         let mut groove = KnownGroove::new(places, &WhiskerSpec::nominal()).unwrap();
         (0..9).for_each(|k| groove.push(f64::from(k), &answer(42.0, 1.0)));
         assert!(!groove.coverage_rejected());
@@ -268,10 +319,17 @@ mod tests {
     #[test]
     fn velocities_are_those_of_the_base_past_the_groove() {
         let all = velocities(
-            &[place(2, 0.0, 0.0, true), place(3, 0.1, 0.4, false), place(4, 9.0, 5.0, false)],
+            &[
+                place(2, 0.0, 0.0, true),
+                place(3, 0.1, 0.4, false),
+                place(4, 9.0, 5.0, false),
+            ],
             1.0,
         );
         assert_eq!(all[&2], Vector3::zeros());
-        assert!((all[&3].x + 4.0).abs() < 1e-9 && !all.contains_key(&4), "{all:?}");
+        assert!(
+            (all[&3].x + 4.0).abs() < 1e-9 && !all.contains_key(&4),
+            "{all:?}"
+        );
     }
 }

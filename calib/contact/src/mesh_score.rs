@@ -55,7 +55,10 @@ impl MeshScore {
     /// Of signed distances, mm; none for fewer than six.
     pub fn new(distances_mm: Vec<f64>) -> Option<Self> {
         let points = distances_mm.len();
-        (points >= MIN_POINTS).then(|| Self { points, distances: Distances::new(distances_mm) })
+        (points >= MIN_POINTS).then(|| Self {
+            points,
+            distances: Distances::new(distances_mm),
+        })
     }
 }
 
@@ -74,13 +77,24 @@ impl KnownObject {
     ///
     /// # Errors
     /// As [`Mesh::outside`].
-    pub fn new(mesh: Mesh, world_from_object: Isometry3<f64>, radius_mm: f64) -> Result<Self, SimError> {
-        Ok(Self { mesh: mesh.outside()?, world_from_object, radius_mm })
+    pub fn new(
+        mesh: Mesh,
+        world_from_object: Isometry3<f64>,
+        radius_mm: f64,
+    ) -> Result<Self, SimError> {
+        Ok(Self {
+            mesh: mesh.outside()?,
+            world_from_object,
+            radius_mm,
+        })
     }
 
     /// Distance of a contact in the world from the surface, positive outside, mm.
     pub fn distance_mm(&self, world_mm: &Vector3<f64>) -> f64 {
-        let point = self.world_from_object.inverse_transform_point(&(*world_mm).into()).coords;
+        let point = self
+            .world_from_object
+            .inverse_transform_point(&(*world_mm).into())
+            .coords;
         let near = self.mesh.closest_point(&point, MAX_DISTANCE_MM);
         near.map_or(MAX_DISTANCE_MM, |near| near.distance_mm) - self.radius_mm
     }
@@ -105,12 +119,17 @@ mod tests {
         let all = (0..48).map(|k| (grid[k % 4], grid[k / 4 % 4], k / 16));
         let closest = |p: Vector3<f64>| mesh.closest_point(&p, MAX_DISTANCE_MM).unwrap().point_mm;
         let on: Vec<Vector3<f64>> = all.map(|(u, v, face)| closest(at(u, v, face))).collect();
-        let frame = Isometry3::new(Vector3::new(30.0, -200.0, 7.0), Vector3::new(0.1, 1.4, -0.15));
+        let frame = Isometry3::new(
+            Vector3::new(30.0, -200.0, 7.0),
+            Vector3::new(0.1, 1.4, -0.15),
+        );
         let moved = |off_mm: f64| -> Vec<Vector3<f64>> {
             let sign = |k: usize| if k.is_multiple_of(2) { off_mm } else { -off_mm };
             on.iter()
                 .enumerate()
-                .map(|(k, p)| frame.rotation * (p + Vector3::repeat(sign(k))) + frame.translation.vector)
+                .map(|(k, p)| {
+                    frame.rotation * (p + Vector3::repeat(sign(k))) + frame.translation.vector
+                })
                 .collect()
         };
         let known = |world_from_object, radius_mm| {
@@ -120,7 +139,10 @@ mod tests {
             MeshScore::new(points.iter().map(|p| object.distance_mm(p)).collect())
         };
         let exact = score(known(frame, 0.0), &moved(0.0)).unwrap();
-        assert!(exact.distances.rmse_mm < 1e-9 && exact.points == 48, "{exact:?}");
+        assert!(
+            exact.distances.rmse_mm < 1e-9 && exact.points == 48,
+            "{exact:?}"
+        );
         // A mesh that does not stand where it is said to, and points off the surface to both sides.
         let mut pose = frame;
         pose.translation.vector += Vector3::new(0.4, 0.0, -0.4);

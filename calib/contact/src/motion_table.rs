@@ -23,17 +23,26 @@ pub struct LoggedMotion {
 
 /// Columns of a place and the millimetres of their unit; none where the table has none of that name.
 fn place_columns(table: &TextTable, name: &str) -> Option<([usize; 3], f64)> {
-    [("mm", 1.0), ("m", 1e3)].into_iter().find_map(|(unit, mm)| {
-        let columns = AXES.map(|axis| table.column(&format!("{name}_{axis}_{unit}")).ok());
-        let [Some(x), Some(y), Some(z)] = columns else { return None };
-        Some(([x, y, z], mm))
-    })
+    [("mm", 1.0), ("m", 1e3)]
+        .into_iter()
+        .find_map(|(unit, mm)| {
+            let columns = AXES.map(|axis| table.column(&format!("{name}_{axis}_{unit}")).ok());
+            let [Some(x), Some(y), Some(z)] = columns else {
+                return None;
+            };
+            Some(([x, y, z], mm))
+        })
 }
 
 /// Whether a column is one of a motion.
 pub fn is_motion_column(name: &str) -> bool {
-    let places = ["object", "base"].iter().flat_map(|of| AXES.map(|axis| format!("{of}_{axis}_")));
-    TURN.contains(&name) || places.into_iter().any(|p| matches!(name.strip_prefix(&p), Some("mm" | "m")))
+    let places = ["object", "base"]
+        .iter()
+        .flat_map(|of| AXES.map(|axis| format!("{of}_{axis}_")));
+    TURN.contains(&name)
+        || places
+            .into_iter()
+            .any(|p| matches!(name.strip_prefix(&p), Some("mm" | "m")))
 }
 
 /// Whether a table has the columns of a motion.
@@ -42,7 +51,9 @@ pub fn is_motion_column(name: &str) -> bool {
 /// Where it cannot be read.
 pub fn has_motion(path: &Path) -> Result<bool, ContactError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
-    Ok(["object", "base"].iter().any(|name| place_columns(&table, name).is_some()))
+    Ok(["object", "base"]
+        .iter()
+        .any(|name| place_columns(&table, name).is_some()))
 }
 
 /// Reads a log; rows with empty cells say nothing.
@@ -54,10 +65,17 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
     let name = path.display().to_string();
     if table.rows.len() > MAX_ROWS {
         let expected = format!("at most {MAX_ROWS} rows");
-        return Err(ContactError::value(name, expected, table.rows.len().to_string()));
+        return Err(ContactError::value(
+            name,
+            expected,
+            table.rows.len().to_string(),
+        ));
     }
     let time = table.column("t_s")?;
-    let (columns, mm, posed) = match [place_columns(&table, "object"), place_columns(&table, "base")] {
+    let (columns, mm, posed) = match [
+        place_columns(&table, "object"),
+        place_columns(&table, "base"),
+    ] {
         [Some((columns, mm)), None] => (columns, mm, false),
         [None, Some((columns, mm))] => (columns, mm, true),
         [Some(_), Some(_)] => {
@@ -65,24 +83,34 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
             return Err(ContactError::value(name, EITHER, "both"));
         }
         [None, None] => {
-            const ONE: &str = "object_x_mm .. object_z_mm or base_x_mm .. base_z_mm (_m for metres)";
+            const ONE: &str =
+                "object_x_mm .. object_z_mm or base_x_mm .. base_z_mm (_m for metres)";
             let found = format!("the columns {}", table.columns.join(", "));
             return Err(ContactError::value(name, ONE, found));
         }
     };
     let turn: Vec<usize> = TURN.iter().filter_map(|c| table.column(c).ok()).collect();
     if !matches!((turn.len(), posed), (0, _) | (4, true)) {
-        const ALL: &str = "base_qw, base_qx, base_qy and base_qz in addition to base_x_mm, or none of them";
-        let found = turn.iter().map(|c| table.columns[*c].as_str()).collect::<Vec<_>>().join(", ");
+        const ALL: &str =
+            "base_qw, base_qx, base_qy and base_qz in addition to base_x_mm, or none of them";
+        let found = turn
+            .iter()
+            .map(|c| table.columns[*c].as_str())
+            .collect::<Vec<_>>()
+            .join(", ");
         return Err(ContactError::value(name, ALL, found));
     }
     let mut rows = Vec::with_capacity(table.rows.len());
     for (k, (line, _)) in table.rows.iter().enumerate() {
         let cells = |columns: &[usize]| -> Result<Option<Vec<f64>>, ContactError> {
-            let all = columns.iter().map(|c| table.number(k, *c)).collect::<Result<Vec<_>, _>>()?;
+            let all = columns
+                .iter()
+                .map(|c| table.number(k, *c))
+                .collect::<Result<Vec<_>, _>>()?;
             Ok(all.into_iter().collect())
         };
-        let (Some(t_s), Some(place), Some(turn)) = (table.number(k, time)?, cells(&columns)?, cells(&turn)?)
+        let (Some(t_s), Some(place), Some(turn)) =
+            (table.number(k, time)?, cells(&columns)?, cells(&turn)?)
         else {
             continue;
         };
@@ -98,12 +126,23 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
                     return Err(ContactError::value(place, "a unit quaternion", found));
                 }
                 // The object's frame is the world's: p_base = R' (p - t).
-                let back = UnitQuaternion::new_normalize(q).inverse().to_rotation_matrix();
+                let back = UnitQuaternion::new_normalize(q)
+                    .inverse()
+                    .to_rotation_matrix();
                 (back, back * -place)
             }
         };
-        rows.push(LogRow { line: *line, t_s, turn, moved_mm });
+        rows.push(LogRow {
+            line: *line,
+            t_s,
+            turn,
+            moved_mm,
+        });
     }
     let log = MotionLog::new(rows).map_err(ContactError::in_file(path))?;
-    Ok(LoggedMotion { log, posed, warning: table.warning() })
+    Ok(LoggedMotion {
+        log,
+        posed,
+        warning: table.warning(),
+    })
 }

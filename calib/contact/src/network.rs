@@ -76,7 +76,9 @@ impl<'a> NetworkEstimator<'a> {
     /// Whether a velocity of the base past what it touches (base frame, mm/s) is one of training.
     fn trained(&self, velocity_mm_s: Option<Vector3<f64>>) -> bool {
         let [low, high] = self.card.training.speed_mm_s();
-        velocity_mm_s.map_or(self.vouched, |w| (low..=high).contains(&w.z) && w.xy().norm() <= ASIDE * w.z)
+        velocity_mm_s.map_or(self.vouched, |w| {
+            (low..=high).contains(&w.z) && w.xy().norm() <= ASIDE * w.z
+        })
     }
 }
 
@@ -93,9 +95,15 @@ impl Estimator for NetworkEstimator<'_> {
             // What happened in between is not known: filters and network start anew.
             self.stream = self.tracker.stream_with(self.filters);
         }
-        let Some(moments) = &reading.moments else { return Ok(vec![Contact::default()]) };
+        let Some(moments) = &reading.moments else {
+            return Ok(vec![Contact::default()]);
+        };
         let (t_s, moment_nmm) = (reading.t_s, moments.moment_nmm);
-        let mut answer = self.stream.push(&Sample { t_s, moment_nmm, base_mm_s: reading.base_mm_s });
+        let mut answer = self.stream.push(&Sample {
+            t_s,
+            moment_nmm,
+            base_mm_s: reading.base_mm_s,
+        });
         let several = (answer.contact >= PROBABLE).then_some(f64::from(answer.several));
         self.several_rows[0] += u64::from(several.is_some());
         self.several_rows[1] += u64::from(several.is_some_and(|p| p > f64::from(PROBABLE)));
@@ -119,7 +127,14 @@ impl Estimator for NetworkEstimator<'_> {
         let regions = arc_density(&inverse.nodes, &answer.weights).regions();
         let on_object = answer.contact >= TOUCHED;
         let estimate = Some(ContactEstimate::from(&answer));
-        Ok(vec![Contact { estimate, flags, regions, several, number: None, on_object }])
+        Ok(vec![Contact {
+            estimate,
+            flags,
+            regions,
+            several,
+            number: None,
+            on_object,
+        }])
     }
 
     fn findings(&self) -> Findings {
@@ -153,7 +168,10 @@ impl Estimator for NetworkEstimator<'_> {
             model_sha256: Some(self.card.weights_sha256.clone()),
             trained_on_simulation: Some(self.card.trained_on_simulation),
             motion_assumed_rows: Some(self.assumed_rows),
-            several_contacts: Some(SeveralContacts { rows, probable_rows }),
+            several_contacts: Some(SeveralContacts {
+                rows,
+                probable_rows,
+            }),
             ..EstimatorDocument::default()
         };
         Findings {

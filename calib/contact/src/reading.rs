@@ -43,7 +43,11 @@ pub struct Moments {
 impl Moments {
     /// As a row of a track states them.
     pub fn stated(&self) -> StreamMoments {
-        StreamMoments { moment_nmm: self.moment_nmm, sd_nmm: self.sd_nmm, valid: self.valid }
+        StreamMoments {
+            moment_nmm: self.moment_nmm,
+            sd_nmm: self.sd_nmm,
+            valid: self.valid,
+        }
     }
 }
 
@@ -64,8 +68,19 @@ pub struct RowMotion {
 
 impl From<Motion> for RowMotion {
     fn from(m: Motion) -> Self {
-        let Motion { turn, moved_mm, velocity_mm_s, piece } = m;
-        Self { moved_mm, turn, velocity_mm_s, piece, push: None }
+        let Motion {
+            turn,
+            moved_mm,
+            velocity_mm_s,
+            piece,
+        } = m;
+        Self {
+            moved_mm,
+            turn,
+            velocity_mm_s,
+            piece,
+            push: None,
+        }
     }
 }
 

@@ -59,8 +59,13 @@ pub enum Regime {
 }
 
 /// All of them, in the order of their weights.
-pub const REGIMES: [Regime; 5] =
-    [Regime::Fixed, Regime::Creeping, Regime::Sliding, Regime::Misstated, Regime::Anywhere];
+pub const REGIMES: [Regime; 5] = [
+    Regime::Fixed,
+    Regime::Creeping,
+    Regime::Sliding,
+    Regime::Misstated,
+    Regime::Anywhere,
+];
 
 impl Regime {
     /// Name.
@@ -109,12 +114,19 @@ impl RegimeWeights {
         if !total.is_finite() {
             return *self;
         }
-        Self(std::array::from_fn(|k| all[k].map_or(self.0[k], |w| w / total)))
+        Self(std::array::from_fn(|k| {
+            all[k].map_or(self.0[k], |w| w / total)
+        }))
     }
 
     /// Probability of the ways that could not be looked at.
     fn untried(&self, ln_evidence: &[Option<f64>; 5]) -> f64 {
-        self.0.iter().zip(ln_evidence).filter(|(_, ln)| ln.is_none()).map(|(p, _)| p).sum()
+        self.0
+            .iter()
+            .zip(ln_evidence)
+            .filter(|(_, ln)| ln.is_none())
+            .map(|(p, _)| p)
+            .sum()
     }
 
     /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady; what its few
@@ -141,17 +153,33 @@ pub struct Misstatement {
 
 impl Misstatement {
     /// Nothing is.
-    pub const NONE: Self = Self { reversed: false, factor: 1.0 };
+    pub const NONE: Self = Self {
+        reversed: false,
+        factor: 1.0,
+    };
 
     fn all(factors: i32) -> impl Iterator<Item = Self> {
-        let factors = (-factors..=factors).filter(|k| *k != 0).map(|k| FACTOR.powi(k));
-        let other = factors.map(|factor| Self { factor, ..Self::NONE });
-        std::iter::once(Self { reversed: true, ..Self::NONE }).chain(other)
+        let factors = (-factors..=factors)
+            .filter(|k| *k != 0)
+            .map(|k| FACTOR.powi(k));
+        let other = factors.map(|factor| Self {
+            factor,
+            ..Self::NONE
+        });
+        std::iter::once(Self {
+            reversed: true,
+            ..Self::NONE
+        })
+        .chain(other)
     }
 
     /// Readings as they would have been stated rightly, with what is assumed of them.
     pub fn undone(&self, rows: &[MotionRow], settings: &Settings) -> (Vec<MotionRow>, Settings) {
-        let mut rows = if self.reversed { reversed(rows) } else { rows.to_vec() };
+        let mut rows = if self.reversed {
+            reversed(rows)
+        } else {
+            rows.to_vec()
+        };
         let mut settings = *settings;
         if self.factor != 1.0 {
             for row in &mut rows {
@@ -173,7 +201,8 @@ impl Misstatement {
     /// For people.
     pub fn sentence(&self) -> String {
         match self.reversed {
-            true => "moments and motion disagree: with its sign reversed the motion explains them".to_owned(),
+            true => "moments and motion disagree: with its sign reversed the motion explains them"
+                .to_owned(),
             false => format!(
                 "moments and motion disagree: moments {:.2} times as large explain them (another calibration or wire)",
                 1.0 / self.factor
@@ -199,7 +228,12 @@ impl ContactWeights {
     /// Before any reading; ways that are not looked at yet have none.
     pub fn prior(prior: RegimeWeights) -> Self {
         let regimes = prior.after(&[0.0, 0.0, OUT, OUT, OUT].map(Some));
-        Self { regimes, creeping: [1.0 / 3.0; 3], untried: 0.0, misstatement: None }
+        Self {
+            regimes,
+            creeping: [1.0 / 3.0; 3],
+            untried: 0.0,
+            misstatement: None,
+        }
     }
 
     /// Whether it slides rather than anything else.
@@ -209,7 +243,9 @@ impl ContactWeights {
 
     /// The regime that is more probable than all others together; none where a way that may be could not be looked at.
     pub fn certain(&self) -> Option<Regime> {
-        self.regimes.certain().filter(|_| self.untried <= MIN_MISTAKE)
+        self.regimes
+            .certain()
+            .filter(|_| self.untried <= MIN_MISTAKE)
     }
 
     /// Of one that slides, whatever is misstated.
@@ -227,7 +263,11 @@ impl ContactWeights {
     /// What stays in doubt: moments and motion that do not belong together, by the weights or by what a point leaves (`point_disagrees`), and
     /// a sliding contact that may be lost (not `sure`), or a way that could not be looked at.
     pub fn flags(&self, point_disagrees: bool, sure: bool) -> Flags {
-        let undecided = if self.untried > MIN_MISTAKE { Flags::UNDECIDED } else { Flags::default() };
+        let undecided = if self.untried > MIN_MISTAKE {
+            Flags::UNDECIDED
+        } else {
+            Flags::default()
+        };
         undecided.with(match (self.regimes.no_motion() > 0.5, self.slides()) {
             (false, true) if sure => Flags::default(),
             (false, true) => Flags::SLIDING_ASSUMED,
@@ -241,8 +281,12 @@ impl ContactWeights {
         let own = |regime| self.regimes.of(regime);
         let mut all = vec![(own(Regime::Fixed), 0.0, Misstatement::NONE)];
         let creeping = CREEP_SDS.into_iter().zip(self.creeping);
-        all.extend(creeping.map(|(sd, share)| (own(Regime::Creeping) * share, sd, Misstatement::NONE)));
-        let mistaken = self.misstatement.map(|(m, [fixed, _])| (own(Regime::Misstated) * fixed, 0.0, m));
+        all.extend(
+            creeping.map(|(sd, share)| (own(Regime::Creeping) * share, sd, Misstatement::NONE)),
+        );
+        let mistaken = self
+            .misstatement
+            .map(|(m, [fixed, _])| (own(Regime::Misstated) * fixed, 0.0, m));
         all.extend(mistaken.filter(|(weight, ..)| *weight > MIN_MISTAKE));
         all
     }
@@ -269,19 +313,33 @@ impl Weighed<'_> {
     /// runs along the wire.
     fn point(&self, creep_sd: f64, misstated: Misstatement) -> Option<f64> {
         let (blocks, settings) = misstated.undone(&self.blocks, &self.settings);
-        let before = self
-            .before
-            .as_ref()
-            .map(|row| misstated.undone(std::slice::from_ref(row), &self.settings).0.remove(0));
-        let push = if misstated.reversed { -self.push } else { self.push };
+        let before = self.before.as_ref().map(|row| {
+            misstated
+                .undone(std::slice::from_ref(row), &self.settings)
+                .0
+                .remove(0)
+        });
+        let push = if misstated.reversed {
+            -self.push
+        } else {
+            self.push
+        };
         // A density per N mm of what was read.
         let by_factor = 2.0 * blocks.len() as f64 * misstated.factor.ln();
-        let settings = Settings { creep_sd, ..settings };
+        let settings = Settings {
+            creep_sd,
+            ..settings
+        };
         Some(point_evidence(self.field, &settings, push, before.as_ref(), &blocks)? - by_factor)
     }
 
     /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one, where one could be made; `whole`: the surface explains all blocks.
-    pub fn evidence(&self, prior: RegimeWeights, sliding: Option<[f64; 2]>, whole: bool) -> ContactEvidence {
+    pub fn evidence(
+        &self,
+        prior: RegimeWeights,
+        sliding: Option<[f64; 2]>,
+        whole: bool,
+    ) -> ContactEvidence {
         let point = |creep_sd: f64, m: Misstatement| self.point(creep_sd, m).unwrap_or(OUT);
         let creeping = match prior.of(Regime::Creeping) > 0.0 {
             true => CREEP_SDS.map(|sd| point(sd, Misstatement::NONE)),
@@ -289,8 +347,15 @@ impl Weighed<'_> {
         };
         let fixed = self.point(0.0, Misstatement::NONE);
         let anywhere = self.blocks.len() as f64 * LN_ANYTHING;
-        let mut own =
-            ContactEvidence { prior, fixed, creeping, sliding, anywhere, whole, misstated: Vec::new() };
+        let mut own = ContactEvidence {
+            prior,
+            fixed,
+            creeping,
+            sliding,
+            anywhere,
+            whole,
+            misstated: Vec::new(),
+        };
         // A surface has no point; a stream looks at a mistake where a fixed point does not explain the readings as they are.
         let fixed_explains = || own.weights(&[]).regimes.of(Regime::Fixed) >= 0.5;
         if self.factors || !fixed_explains() {
@@ -325,39 +390,69 @@ impl ContactEvidence {
         let total = 1.0 - self.prior.no_motion();
         let ways = [
             (Regime::Fixed, if self.whole { OUT } else { fixed }),
-            (Regime::Creeping, if reversed { OUT } else { ln_mean(&self.creeping) }),
-            (Regime::Sliding, self.sliding.map_or(OUT, |s| s[usize::from(reversed)])),
+            (
+                Regime::Creeping,
+                if reversed {
+                    OUT
+                } else {
+                    ln_mean(&self.creeping)
+                },
+            ),
+            (
+                Regime::Sliding,
+                self.sliding.map_or(OUT, |s| s[usize::from(reversed)]),
+            ),
         ];
         ways.map(|(way, ln)| (self.prior.of(way) / total).ln() + ln)
     }
 
     /// The same under each of what may be misstated.
     fn under(&self) -> impl Iterator<Item = (Misstatement, [f64; 3])> {
-        self.misstated.iter().map(|(m, fixed)| (*m, self.ways(*fixed, m.reversed)))
+        self.misstated
+            .iter()
+            .map(|(m, fixed)| (*m, self.ways(*fixed, m.reversed)))
     }
 
     /// ln p(m) under each of what may be misstated, over that of the readings as they are.
     pub fn of_misstatements(&self) -> Vec<f64> {
         let stated = ln_sum(&self.ways(self.fixed.unwrap_or(OUT), false));
-        let over =
-            |ln: f64| if ln == stated { 0.0 } else { (ln - stated).clamp(-MAX_LN_EVIDENCE, MAX_LN_EVIDENCE) };
+        let over = |ln: f64| {
+            if ln == stated {
+                0.0
+            } else {
+                (ln - stated).clamp(-MAX_LN_EVIDENCE, MAX_LN_EVIDENCE)
+            }
+        };
         self.under().map(|(_, ways)| over(ln_sum(&ways))).collect()
     }
 
     /// Weights, with what the other contacts of the record say of what may be misstated.
     pub fn weights(&self, others: &[f64]) -> ContactWeights {
         let others = others.iter().copied().chain(std::iter::repeat(0.0));
-        let all: Vec<(f64, Misstatement, [f64; 3])> =
-            self.under().zip(others).map(|((m, ways), others)| (ln_sum(&ways) + others, m, ways)).collect();
+        let all: Vec<(f64, Misstatement, [f64; 3])> = self
+            .under()
+            .zip(others)
+            .map(|((m, ways), others)| (ln_sum(&ways) + others, m, ways))
+            .collect();
         let misstated = ln_mean(&all.iter().map(|a| a.0).collect::<Vec<_>>());
         let creeping = self.fixed.map(|_| ln_mean(&self.creeping));
         let sliding = self.sliding.map(|s| s[0]);
-        let ways = [self.fixed, creeping, sliding, Some(misstated), Some(self.anywhere)];
+        let ways = [
+            self.fixed,
+            creeping,
+            sliding,
+            Some(misstated),
+            Some(self.anywhere),
+        ];
         let regimes = self.prior.after(&ways);
         let best = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         let shares_of = |ways: [f64; 3]| [ways[0], ways[2]].map(|ln| (ln - ln_sum(&ways)).exp());
         ContactWeights {
-            regimes: if self.whole { regimes.of_one_surface() } else { regimes },
+            regimes: if self.whole {
+                regimes.of_one_surface()
+            } else {
+                regimes
+            },
             creeping: shares(&self.creeping),
             untried: self.prior.untried(&ways),
             misstatement: best.map(|(_, m, ways)| (m, shares_of(ways))),
@@ -368,7 +463,13 @@ impl ContactEvidence {
 /// Probabilities by logarithms, each as probable before.
 fn shares(ln: &[f64; 3]) -> [f64; 3] {
     let best = ln.iter().copied().fold(OUT, f64::max);
-    let all = ln.map(|l| if best.is_finite() { (POWER * (l - best)).exp() } else { 1.0 });
+    let all = ln.map(|l| {
+        if best.is_finite() {
+            (POWER * (l - best)).exp()
+        } else {
+            1.0
+        }
+    });
     all.map(|w| w / all.iter().sum::<f64>())
 }
 
@@ -376,7 +477,11 @@ fn shares(ln: &[f64; 3]) -> [f64; 3] {
 fn ln_sum(ln: &[f64]) -> f64 {
     let best = ln.iter().copied().fold(OUT, f64::max);
     let sum: f64 = ln.iter().map(|l| (l - best).exp()).sum();
-    if best.is_finite() { best + sum.ln() } else { OUT }
+    if best.is_finite() {
+        best + sum.ln()
+    } else {
+        OUT
+    }
 }
 
 /// Of their mean; of nothing there is none.
@@ -393,16 +498,25 @@ fn point_evidence(
     blocks: &[MotionRow],
 ) -> Option<f64> {
     // What the wire's model is off at a block is a draw for each block, as the sliding contact has it.
-    let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + model_nmm2(row), ..row.clone() };
-    let settings = Settings { correlated: None, ..*settings };
+    let noisy = |row: &MotionRow| MotionRow {
+        noise_nmm2: row.noise_nmm2 + model_nmm2(row),
+        ..row.clone()
+    };
+    let settings = Settings {
+        correlated: None,
+        ..*settings
+    };
     let lead: Vec<MotionRow> = before.map(noisy).into_iter().collect();
     let (first, others) = blocks.split_first()?;
     let mut posterior = RecursivePosterior::start(field, settings, push, &lead, &noisy(first))?;
-    others.iter().for_each(|row| posterior.push(field, &noisy(row)));
+    others
+        .iter()
+        .for_each(|row| posterior.push(field, &noisy(row)));
     // Every regime predicts the free reading alike.
     let free = |row: &MotionRow| {
         let column = |h: &[f64; 2]| Vector3::new(h[0], h[1], 0.0).norm_squared();
-        let variance = 0.5 * (row.noise_nmm2.trace() + row.shared_nmm.iter().map(column).sum::<f64>());
+        let variance =
+            0.5 * (row.noise_nmm2.trace() + row.shared_nmm.iter().map(column).sum::<f64>());
         let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
         -0.5 * size2 / variance - (std::f64::consts::TAU * variance).ln()
     };
@@ -431,10 +545,21 @@ pub fn averaged(all: &[Alternative]) -> Option<(EpisodeContact, ArcDensity)> {
     let parts = located().map(|(a, at)| (a.weight, at, a.place.covariance_mm2));
     let (mean, covariance_mm2) = mixed_place(parts)?;
     let total: f64 = located().map(|(a, _)| a.weight).sum();
-    let contact = located().map(|(a, _)| a.weight * a.place.contact).sum::<f64>() / total;
+    let contact = located()
+        .map(|(a, _)| a.weight * a.place.contact)
+        .sum::<f64>()
+        / total;
     let outlier = all.iter().any(|a| a.place.outlier);
     let arc = ArcDensity::mixture(located().map(|(a, _)| (a.weight, &a.arc)));
-    Some((EpisodeContact { place_mm: Some(mean), covariance_mm2, contact, outlier }, arc))
+    Some((
+        EpisodeContact {
+            place_mm: Some(mean),
+            covariance_mm2,
+            contact,
+            outlier,
+        },
+        arc,
+    ))
 }
 
 #[cfg(test)]
@@ -455,23 +580,38 @@ mod tests {
         assert_eq!(creeps.of_one_surface().certain(), Some(Regime::Sliding));
         assert!(told.of_one_surface().of(Regime::Sliding) >= told.of(Regime::Sliding));
         // A groove holds the wire at one point, whatever the evidence of creeping.
-        assert_eq!(GROOVE.after(&[0.0, 100.0, 0.0, 0.0, 0.0].map(Some)).of(Regime::Creeping), 0.0);
+        assert_eq!(
+            GROOVE
+                .after(&[0.0, 100.0, 0.0, 0.0, 0.0].map(Some))
+                .of(Regime::Creeping),
+            0.0
+        );
     }
 
     #[test]
     fn a_way_that_could_not_be_looked_at_keeps_its_prior() {
         let untried = [Some(30.0), Some(0.0), None, Some(0.0), Some(0.0)];
         let told = ANY_OBJECT.after(&untried);
-        assert!((told.of(Regime::Sliding) - 0.28).abs() < 1e-12 && told.of(Regime::Fixed) > 0.7, "{told:?}");
+        assert!(
+            (told.of(Regime::Sliding) - 0.28).abs() < 1e-12 && told.of(Regime::Fixed) > 0.7,
+            "{told:?}"
+        );
         let weights = |ln: &[Option<f64>; 5]| {
             let (regimes, untried) = (ANY_OBJECT.after(ln), ANY_OBJECT.untried(ln));
-            ContactWeights { regimes, untried, ..ContactWeights::prior(ANY_OBJECT) }
+            ContactWeights {
+                regimes,
+                untried,
+                ..ContactWeights::prior(ANY_OBJECT)
+            }
         };
         assert_eq!(weights(&untried).certain(), None);
         assert!(weights(&untried).flags(false, false).has(Flags::UNDECIDED));
         // Control: one that was looked at and explains nothing has none.
         let tried = weights(&[Some(30.0), Some(0.0), Some(OUT), Some(0.0), Some(0.0)]);
-        assert_eq!((tried.regimes.of(Regime::Sliding), tried.certain()), (0.0, Some(Regime::Fixed)));
+        assert_eq!(
+            (tried.regimes.of(Regime::Sliding), tried.certain()),
+            (0.0, Some(Regime::Fixed))
+        );
         assert!(tried.flags(false, false).none());
     }
 }

@@ -32,11 +32,19 @@ pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData, ContactError> {
         if row.role != Role::Rest {
             if row.stage_mm.is_none() {
                 let what = format!("{}: stage_mm", place(row));
-                return Err(ContactError::value(what, "a position (the way of the groove)", "none"));
+                return Err(ContactError::value(
+                    what,
+                    "a position (the way of the groove)",
+                    "none",
+                ));
             }
             if row.trajectory.and_then(|id| data.trajectory(id)).is_none() {
                 let what = format!("{}: trajectory", place(row));
-                return Err(ContactError::value(what, "one with a direction in session.toml", "none"));
+                return Err(ContactError::value(
+                    what,
+                    "one with a direction in session.toml",
+                    "none",
+                ));
             }
         }
         row.groove_mm = None;
@@ -67,8 +75,13 @@ pub fn compared(
     chosen: impl Fn(usize) -> bool,
     known: impl Fn(usize) -> Option<Vector3<f64>>,
 ) -> Result<Vec<Compared>, ContactError> {
-    let readings = motion.readings.into_iter().filter(|r| chosen(r.reading)).collect();
-    let (readings, mut own) = SessionGroove::new(system, GrooveMotion { readings, ..motion }, known)?;
+    let readings = motion
+        .readings
+        .into_iter()
+        .filter(|r| chosen(r.reading))
+        .collect();
+    let (readings, mut own) =
+        SessionGroove::new(system, GrooveMotion { readings, ..motion }, known)?;
     for reading in &readings {
         own.push(&in_wire_frame(&own.frame.clone(), reading))?;
     }
@@ -87,25 +100,41 @@ impl SessionGroove {
         motion: GrooveMotion,
         known: impl Fn(usize) -> Option<Vector3<f64>>,
     ) -> Result<(Vec<Reading>, Self), ContactError> {
-        let GrooveMotion { wire, changed, readings, correlated } = motion;
+        let GrooveMotion {
+            wire,
+            changed,
+            readings,
+            correlated,
+        } = motion;
         let (whisker, axes) = (&system.data.whisker, &system.data.moments);
         // The clamp of an accepted wire yields about the base's axes.
-        let frame = match changed.iter().chain([&wire]).any(|w| w.rod.compliance_rad_per_nmm != 0.0) {
+        let frame = match changed
+            .iter()
+            .chain([&wire])
+            .any(|w| w.rod.compliance_rad_per_nmm != 0.0)
+        {
             true => WireFrame::default(),
-            false => {
-                WireFrame::new(whisker, axes).map_err(|e| ContactError::value(e.key, e.expected, e.found))?
-            }
+            false => WireFrame::new(whisker, axes)
+                .map_err(|e| ContactError::value(e.key, e.expected, e.found))?,
         };
-        let correlated = correlated.map(|[variance_share, time_constant_s]| CorrelatedNoise::InTime {
-            variance_share,
-            time_constant_s,
-        });
+        let correlated =
+            correlated.map(
+                |[variance_share, time_constant_s]| CorrelatedNoise::InTime {
+                    variance_share,
+                    time_constant_s,
+                },
+            );
         let offset_mm = wire.offset_mm;
-        let wire = CalibratedWire::of_session((&wire, &changed), (&frame, axes), whisker.diameter_mm);
+        let wire =
+            CalibratedWire::of_session((&wire, &changed), (&frame, axes), whisker.diameter_mm);
         let own = Self {
             tracker: ContactTracker::of_session(wire, correlated),
             trajectories: system.data.trajectories.clone(),
-            readings: readings.into_iter().map(|r| (known(r.reading), r)).map(|(p, r)| (r, p)).collect(),
+            readings: readings
+                .into_iter()
+                .map(|r| (known(r.reading), r))
+                .map(|(p, r)| (r, p))
+                .collect(),
             frame,
             offset_mm,
             groove: None,
@@ -138,7 +167,11 @@ impl SessionGroove {
         };
         Reading {
             motion: Ok(motion),
-            shared_displacement_mm: r.shared_displacement_mm.iter().map(|w| direction * *w).collect(),
+            shared_displacement_mm: r
+                .shared_displacement_mm
+                .iter()
+                .map(|w| direction * *w)
+                .collect(),
             visit: r.contact_segment,
             in_prefix: r.rest,
             ..Reading::alone(point, r.t_s, Some(moments))
@@ -157,23 +190,32 @@ impl SessionGroove {
         let mut all = Vec::new();
         for contact in contacts {
             let (found, episode) = (contact.point(), &contact.episode);
-            let Some(posterior) = &found.posterior else { continue };
-            let Some(path) = ContactPath::new(field, episode) else { continue };
+            let Some(posterior) = &found.posterior else {
+                continue;
+            };
+            let Some(path) = ContactPath::new(field, episode) else {
+                continue;
+            };
             let trajectory = &self.trajectories[self.line(contact)];
             let mut bound = None;
             for (k, (number, place)) in contact.numbers.iter().zip(&found.places).enumerate() {
                 let (reading, groove) = &self.readings[*number];
-                let Some((groove, at)) = groove.zip(place.place_mm).filter(|_| !reading.rest) else {
+                let Some((groove, at)) = groove.zip(place.place_mm).filter(|_| !reading.rest)
+                else {
                     continue;
                 };
                 let truth = groove + trajectory.direction * reading.added_mm + self.offset_mm;
                 let truth = self.frame.rotation() * truth;
-                let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
+                let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else {
+                    continue;
+                };
                 if bound.is_none() {
                     let of = |episode| bound_mm(field, episode, &settings, &state);
                     bound = of(episode)?.zip(of(&noiseless(episode))?);
                 }
-                let Some((bound_mm, bound_by_map_mm)) = bound else { continue };
+                let Some((bound_mm, bound_by_map_mm)) = bound else {
+                    continue;
+                };
                 all.push(Compared {
                     trajectory: trajectory.id,
                     arclength_mm: state.s_mm,
@@ -193,17 +235,34 @@ impl SessionGroove {
 /// An episode as readings without noise of their own would have it.
 fn noiseless(episode: &Episode) -> Episode {
     const SHARE: f64 = 1e-6;
-    let quiet = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 * SHARE, ..row.clone() };
-    Episode { rows: episode.rows.iter().map(quiet).collect(), push: episode.push }
+    let quiet = |row: &MotionRow| MotionRow {
+        noise_nmm2: row.noise_nmm2 * SHARE,
+        ..row.clone()
+    };
+    Episode {
+        rows: episode.rows.iter().map(quiet).collect(),
+        push: episode.push,
+    }
 }
 
 /// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N mm.
 fn largest_moment(episode: &Episode) -> [f64; 2] {
     let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
-    let largest = episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+    let largest = episode
+        .rows
+        .iter()
+        .max_by(|a, b| size(a).total_cmp(&size(b)));
     largest.map_or([0.0; 2], |r| {
-        let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
-        [size(r), r.shared_nmm.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+        let along =
+            |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
+        [
+            size(r),
+            r.shared_nmm
+                .iter()
+                .map(|h| along(h).powi(2))
+                .sum::<f64>()
+                .sqrt(),
+        ]
     })
 }
 
@@ -212,20 +271,27 @@ impl Estimator for SessionGroove {
         // Each mounting has the zero of its rest readings, whose error is one of the calibration's unknowns.
         let zero_nmm2 = Matrix2::zeros();
         let moments = reading.moments.clone().map(|m| Moments { zero_nmm2, ..m });
-        self.tracker.push(&Reading { moments, ..reading.clone() })
+        self.tracker.push(&Reading {
+            moments,
+            ..reading.clone()
+        })
     }
 
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
         let contacts = self.tracker.finish()?;
         self.groove = groove_tracking(&self.compared()?, "fit");
         // A trajectory is no contact of its own.
-        Ok(contacts.into_iter().map(|c| Contact { number: None, ..c }).collect())
+        Ok(contacts
+            .into_iter()
+            .map(|c| Contact { number: None, ..c })
+            .collect())
     }
 
     fn findings(&self) -> Findings {
         let contacts = self.tracker.whole_contacts().1;
         let id = |c: &WholeContact| self.trajectories[self.line(c)].id;
-        let of = |c: &WholeContact| ContactDocument::of_trajectory(id(c), c.point(), c.numbers.len());
+        let of =
+            |c: &WholeContact| ContactDocument::of_trajectory(id(c), c.point(), c.numbers.len());
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),
             place: Some(AXIS_OF_WIRE),
@@ -234,12 +300,21 @@ impl Estimator for SessionGroove {
         };
         let disagreement = |c: &WholeContact| {
             let said = c.point().innovations.sentence()?;
-            Some(format!("trajectory {}: {said}; marked motion-disagrees in status", id(c)))
+            Some(format!(
+                "trajectory {}: {said}; marked motion-disagrees in status",
+                id(c)
+            ))
         };
         let mut messages: Vec<String> = contacts.iter().filter_map(disagreement).collect();
         let doubt = !messages.is_empty();
         messages.extend(self.groove.as_ref().map(groove_sentence));
         let groove = Some(self.groove.clone());
-        Findings { document, messages, doubt, groove, ..Findings::default() }
+        Findings {
+            document,
+            messages,
+            doubt,
+            groove,
+            ..Findings::default()
+        }
     }
 }

@@ -23,7 +23,10 @@ pub struct StaticArc {
 impl StaticArc {
     /// Of a wire.
     pub fn new(wire: CalibratedWire) -> Self {
-        Self { wire, inverse: None }
+        Self {
+            wire,
+            inverse: None,
+        }
     }
 
     /// What the moments of a loaded reading allow, with standard deviations of these sizes, N mm.
@@ -40,7 +43,10 @@ impl StaticArc {
             none => none.insert(self.wire.static_inverse()?),
         };
         let answer = static_arc(inverse, moment_nmm, sd_nmm, &Prediction::unknown());
-        Ok((ContactEstimate::from(&answer), arc_density(&inverse.nodes, &answer.weights)))
+        Ok((
+            ContactEstimate::from(&answer),
+            arc_density(&inverse.nodes, &answer.weights),
+        ))
     }
 
     /// The arc of a reading that is loaded beyond its noise.
@@ -56,6 +62,11 @@ impl StaticArc {
         }
         let (estimate, arc) = self.allowed(m.moment_nmm, m.sd_nmm)?;
         let (estimate, regions) = (Some(estimate), arc.regions());
-        Ok(Contact { estimate, flags: Flags::MOTION_LOST, regions, ..Contact::default() })
+        Ok(Contact {
+            estimate,
+            flags: Flags::MOTION_LOST,
+            regions,
+            ..Contact::default()
+        })
     }
 }

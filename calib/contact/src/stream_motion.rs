@@ -45,13 +45,18 @@ pub struct StreamMotion {
 impl StreamMotion {
     /// Of a rig; a log takes the place of its stage.
     pub fn new(rig: &Rig, base_mm_s: Option<f64>, log: Option<MotionLog>) -> Self {
-        let carried = |b: &BaseRig| BaseMotion::new(b.world_from_base.0, b.carried_along.map(Vector3::from));
+        let carried =
+            |b: &BaseRig| BaseMotion::new(b.world_from_base.0, b.carried_along.map(Vector3::from));
         Self {
             base: rig.base.as_ref().map(carried),
             base_mm_s,
             groove: None,
             mounts: 0,
-            trajectories: rig.trajectory.iter().map(|t| (t.id, Vector3::from(t.direction))).collect(),
+            trajectories: rig
+                .trajectory
+                .iter()
+                .map(|t| (t.id, Vector3::from(t.direction)))
+                .collect(),
             zero_mm: rig.stage.zero_mm,
             log,
         }
@@ -68,10 +73,15 @@ impl StreamMotion {
     /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory, unless the rig says that it carries the
     /// base.
     pub fn sweep_event(&mut self, event: &SweepEvent) {
-        let direction =
-            self.trajectories.get(&event.trajectory).filter(|_| event.kind == "mount" && self.base.is_none());
+        let direction = self
+            .trajectories
+            .get(&event.trajectory)
+            .filter(|_| event.kind == "mount" && self.base.is_none());
         if let Some(direction) = direction {
-            self.groove = Some((BaseMotion::new(Isometry3::identity(), Some(*direction)), *direction));
+            self.groove = Some((
+                BaseMotion::new(Isometry3::identity(), Some(*direction)),
+                *direction,
+            ));
             self.mounts += 1;
         }
     }
@@ -85,7 +95,11 @@ impl StreamMotion {
         let velocity = base.and_then(|b| b.velocity_mm_s).or(past_groove);
         let velocity_mm_s = velocity.or(self.base_mm_s.map(|v| Vector3::z() * v));
         let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(self.base_mm_s);
-        KnownAtRow { base, base_mm_s, velocity_mm_s }
+        KnownAtRow {
+            base,
+            base_mm_s,
+            velocity_mm_s,
+        }
     }
 
     /// The motion of the object with respect to the base, averaged over the filter's kernel; `middle` is the free wire's middle, mm.

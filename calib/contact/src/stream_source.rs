@@ -109,8 +109,12 @@ impl<'a> StreamSource<'a> {
         };
         // Without a base that moves, the stage carries the groove.
         let of_groove = log.is_none() && rig.base.is_none();
-        let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l, of_groove);
-        let both = loaded.iter().map(one).collect::<Result<Vec<_>, ContactError>>()?;
+        let one =
+            |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l, of_groove);
+        let both = loaded
+            .iter()
+            .map(one)
+            .collect::<Result<Vec<_>, ContactError>>()?;
         let (all, tracks) = both.into_iter().unzip();
         let own = Self {
             all,
@@ -137,13 +141,16 @@ impl<'a> StreamSource<'a> {
     /// Time since the first scan by the device's clock without its steps, s.
     pub fn elapsed_s(&self, reading: &FbgReading) -> f64 {
         let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
-        self.origin_s.map_or(0.0, |origin| now - origin - self.stepped_s)
+        self.origin_s
+            .map_or(0.0, |origin| now - origin - self.stepped_s)
     }
 
     /// Hears what time a scan states, before it is tracked; what the clock has done, where it steps or stands still.
     pub fn hear(&mut self, reading: &FbgReading) -> Option<ClockFault> {
         let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
-        let fault = self.clock_watch.take(reading.serial, reading.clocks.host_s, now)?;
+        let fault = self
+            .clock_watch
+            .take(reading.serial, reading.clocks.host_s, now)?;
         if let ClockFault::Step { step_s, .. } = fault {
             self.stepped_s += step_s;
         }
@@ -181,11 +188,19 @@ impl<'a> StreamSource<'a> {
     }
 
     /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
-    pub fn know_groove(&self, tracks: &mut [WhiskerTrack<'_>], places: &[KnownPlace], whisker: Option<&str>) {
+    pub fn know_groove(
+        &self,
+        tracks: &mut [WhiskerTrack<'_>],
+        places: &[KnownPlace],
+        whisker: Option<&str>,
+    ) {
         let one = self.all.len() == 1;
         let named = |w: &Whisker<'_>| one || whisker.is_some_and(|id| id == w.loaded.name);
         for (w, track) in self.all.iter().zip(tracks).filter(|(w, _)| named(w)) {
-            let moved = |p: &KnownPlace| KnownPlace { groove_mm: p.groove_mm + w.offset_mm, ..*p };
+            let moved = |p: &KnownPlace| KnownPlace {
+                groove_mm: p.groove_mm + w.offset_mm,
+                ..*p
+            };
             track.groove = KnownGroove::new(places.iter().map(moved).collect(), &w.whisker);
         }
     }
@@ -194,7 +209,11 @@ impl<'a> StreamSource<'a> {
     ///
     /// # Errors
     /// Where the stream is not the one that the rig describes.
-    pub fn scan(&mut self, reading: &FbgReading, dropped: bool) -> Result<Vec<Input>, ContactError> {
+    pub fn scan(
+        &mut self,
+        reading: &FbgReading,
+        dropped: bool,
+    ) -> Result<Vec<Input>, ContactError> {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.origin_s.get_or_insert(device_s);
         self.clocks.add(reading.clocks.host_s, device_s);
@@ -225,7 +244,10 @@ impl<'a> StreamSource<'a> {
 
     /// Whiskers that never had a quiet prefix: the noise of their rows is not known.
     pub fn unheard(&self) -> Vec<&str> {
-        let silent = self.all.iter().filter(|w| w.chain.prefix().block_nmm2().is_none());
+        let silent = self
+            .all
+            .iter()
+            .filter(|w| w.chain.prefix().block_nmm2().is_none());
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
@@ -244,11 +266,20 @@ impl<'a> StreamSource<'a> {
         for (w, track) in self.all.iter().zip(tracks) {
             let found = track.findings();
             let name = track.name();
-            let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-            messages.extend(found.messages.iter().map(|m| match m.strip_prefix("warning: ") {
-                Some(m) => format!("warning: {whose}{m}"),
-                None => format!("{whose}{m}"),
-            }));
+            let whose = if name.is_empty() {
+                String::new()
+            } else {
+                format!("whisker {name}: ")
+            };
+            messages.extend(
+                found
+                    .messages
+                    .iter()
+                    .map(|m| match m.strip_prefix("warning: ") {
+                        Some(m) => format!("warning: {whose}{m}"),
+                        None => format!("{whose}{m}"),
+                    }),
+            );
             outcome = outcome.and(found.outcome);
             whiskers.push(w.document(found.document));
         }
@@ -282,17 +313,24 @@ impl<'a> StreamSource<'a> {
             whiskers,
             stream_motion: self.motion_document(),
         };
-        StreamFindings { document, messages, outcome }
+        StreamFindings {
+            document,
+            messages,
+            outcome,
+        }
     }
 
     /// Where the motion comes from; none where networks locate the contacts.
     fn motion_document(&self) -> Option<StreamMotionDocument> {
         let log = self.motion.log();
-        self.all.iter().all(|w| !w.loaded.by_network()).then(|| StreamMotionDocument {
-            source: self.motion.source(),
-            span_s: log.map(MotionLog::span_s),
-            jump_lines: log.map(|l| l.jumps().collect()),
-        })
+        self.all
+            .iter()
+            .all(|w| !w.loaded.by_network())
+            .then(|| StreamMotionDocument {
+                source: self.motion.source(),
+                span_s: log.map(MotionLog::span_s),
+                jump_lines: log.map(|l| l.jumps().collect()),
+            })
     }
 }
 
@@ -316,15 +354,19 @@ impl<'a> Whisker<'a> {
         of_groove: bool,
     ) -> Result<(Self, WhiskerTrack<'a>), ContactError> {
         let calibration = l.calibration()?;
-        let map = calibration.stream().map_err(ContactError::in_file(&l.place))?;
+        let map = calibration
+            .stream()
+            .map_err(ContactError::in_file(&l.place))?;
         let (frame, whisker) = (l.frame()?, l.whisker()?);
         let chain = SignalChain::new(settings, map)?;
         let (estimator, middle_mm, offset_mm): (Box<dyn Estimator + 'a>, _, _) =
             match l.estimator(stream.vouched)? {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
                 None => {
-                    let (accepted, changed) =
-                        l.calibration()?.wire(&whisker).map_err(ContactError::in_file(&l.place))?;
+                    let (accepted, changed) = l
+                        .calibration()?
+                        .wire(&whisker)
+                        .map_err(ContactError::in_file(&l.place))?;
                     let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm)
                         .with_tolerance(stream.diameter_sd);
                     let middle_mm = frame.rotation().inverse() * wire.middle_mm();
@@ -353,13 +395,19 @@ impl<'a> Whisker<'a> {
             prefix_s: stream.prefix_s,
             unusable: 0,
         };
-        Ok((own, WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true)))
+        Ok((
+            own,
+            WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true),
+        ))
     }
 
     /// A row of the filter as a reading.
     fn reading(&self, row: &Row, motion: &StreamMotion) -> Reading {
         let known = motion.at(row.t_s);
-        let MomentSpread { noise_nmm2, shared_nmm } = self.chain.spread();
+        let MomentSpread {
+            noise_nmm2,
+            shared_nmm,
+        } = self.chain.spread();
         let moments = row.moments.map(|m| Moments {
             moment_nmm: m.moment_nmm,
             sd_nmm: m.sd_nmm,
@@ -378,7 +426,11 @@ impl<'a> Whisker<'a> {
             base_mm_s: known.base_mm_s,
             velocity_mm_s: known.velocity_mm_s,
             in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
-            ..Reading::alone(i64::try_from(row.serial).unwrap_or(i64::MAX), row.t_s, moments)
+            ..Reading::alone(
+                i64::try_from(row.serial).unwrap_or(i64::MAX),
+                row.t_s,
+                moments,
+            )
         }
     }
 
@@ -400,7 +452,10 @@ pub fn lost_text([lost, unusable]: [u64; 2], dropped: u64) -> Option<String> {
         (dropped, "scans dropped here, the tracker being behind"),
         (unusable, "readings not usable"),
     ];
-    let messages: Vec<String> =
-        all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+    let messages: Vec<String> = all
+        .iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, what)| format!("{n} {what}"))
+        .collect();
     (!messages.is_empty()).then(|| format!("{}; flagged in status", messages.join(", ")))
 }

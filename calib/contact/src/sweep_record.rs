@@ -33,7 +33,11 @@ pub(crate) fn sweep_rows(
     calibration: &dyn WhiskerCalibration,
     (whisker, frame): (&WhiskerSpec, &WireFrame),
 ) -> Result<Vec<SweepRow>, ContactError> {
-    let source = TableSource::read(&session.points, (calibration, CalibrationNoise::default()), whisker)?;
+    let source = TableSource::read(
+        &session.points,
+        (calibration, CalibrationNoise::default()),
+        whisker,
+    )?;
     let log = motion_table::read(&session.points)?.log;
     let one = |reading: Reading| {
         let (t_s, m) = (reading.t_s, in_wire_frame(frame, &reading).moments?);
@@ -72,13 +76,30 @@ impl SweepZero {
         }
         // The free wire has no moment: what is read there is the zero, and its scatter the noise of a reading.
         let zero = moments[..free].iter().sum::<Vector2<f64>>() / free as f64;
-        let variance = moments[..free].iter().map(|m| (m - zero).norm_squared()).sum::<f64>()
+        let variance = moments[..free]
+            .iter()
+            .map(|m| (m - zero).norm_squared())
+            .sum::<f64>()
             / (2.0 * (free - 1) as f64);
-        let largest_nmm = moments.iter().map(|m| (m - zero).norm()).fold(0.0, f64::max);
+        let largest_nmm = moments
+            .iter()
+            .map(|m| (m - zero).norm())
+            .fold(0.0, f64::max);
         let count = rows.iter().map(|r| r.shared_nmm.len()).min().unwrap_or(0);
-        let shared =
-            |k: usize| rows[..free].iter().map(|r| r.shared_nmm[k]).sum::<Vector2<f64>>() / free as f64;
+        let shared = |k: usize| {
+            rows[..free]
+                .iter()
+                .map(|r| r.shared_nmm[k])
+                .sum::<Vector2<f64>>()
+                / free as f64
+        };
         let shared_nmm = (0..count).map(shared).collect();
-        Some(Self { free, moment_nmm: zero, variance_nmm2: variance, shared_nmm, largest_nmm })
+        Some(Self {
+            free,
+            moment_nmm: zero,
+            variance_nmm2: variance,
+            shared_nmm,
+            largest_nmm,
+        })
     }
 }

@@ -34,8 +34,12 @@ impl SweepSession {
     /// A description of a sweep that cannot be used, by key.
     pub fn of(folder: &Path) -> Result<Option<Self>, ContactError> {
         let place = folder.join("session.toml");
-        let Ok(text) = wcal_core::files::read_text(&place) else { return Ok(None) };
-        let Ok(session) = text.parse::<Table>() else { return Ok(None) };
+        let Ok(text) = wcal_core::files::read_text(&place) else {
+            return Ok(None);
+        };
+        let Ok(session) = text.parse::<Table>() else {
+            return Ok(None);
+        };
         if session.get("kind").and_then(Value::as_str) != Some(KIND) {
             return Ok(None);
         }
@@ -45,7 +49,12 @@ impl SweepSession {
         let world_from_object = match of_object("world_from_object") {
             None => None,
             Some(value) => {
-                let numbers: Vec<f64> = value.as_array().into_iter().flatten().filter_map(number).collect();
+                let numbers: Vec<f64> = value
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .filter_map(number)
+                    .collect();
                 let pose = pose_of(&numbers).ok_or_else(|| {
                     let expected = "x, y, z (mm) and a unit quaternion qw, qx, qy, qz";
                     ContactError::value(at("object.world_from_object"), expected, value.to_string())
@@ -57,27 +66,48 @@ impl SweepSession {
             None => PLACED_SD_MM,
             Some(value) => {
                 let [low, high] = PLACED_SD_RANGE_MM;
-                number(value).filter(|sd| (low..=high).contains(sd)).ok_or_else(|| {
-                    let expected = format!("{low} to {high} mm");
-                    ContactError::value(at("object.sd_mm"), expected, value.to_string())
-                })?
+                number(value)
+                    .filter(|sd| (low..=high).contains(sd))
+                    .ok_or_else(|| {
+                        let expected = format!("{low} to {high} mm");
+                        ContactError::value(at("object.sd_mm"), expected, value.to_string())
+                    })?
             }
         };
         let missing = || ContactError::value(at("files.points"), "a table of readings", "none");
-        let id = session.get("id").and_then(Value::as_str).unwrap_or_default().to_owned();
+        let id = session
+            .get("id")
+            .and_then(Value::as_str)
+            .unwrap_or_default()
+            .to_owned();
         let points = file("points").ok_or_else(missing)?;
-        Ok(Some(Self { id, points, object: file("object"), world_from_object, object_sd_mm }))
+        Ok(Some(Self {
+            id,
+            points,
+            object: file("object"),
+            world_from_object,
+            object_sd_mm,
+        }))
     }
 }
 
 fn number(value: &Value) -> Option<f64> {
-    value.as_float().or_else(|| value.as_integer().map(|v| v as f64))
+    value
+        .as_float()
+        .or_else(|| value.as_integer().map(|v| v as f64))
 }
 
 /// A place and a unit quaternion as a pose; none where they are none.
 pub fn pose_of(numbers: &[f64]) -> Option<Isometry3<f64>> {
-    let [x, y, z, w, i, j, k] = *numbers else { return None };
+    let [x, y, z, w, i, j, k] = *numbers else {
+        return None;
+    };
     let turn = Quaternion::new(w, i, j, k);
     let sound = (turn.norm() - 1.0).abs() < 1e-3 && numbers.iter().all(|v| v.is_finite());
-    sound.then(|| Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_normalize(turn)))
+    sound.then(|| {
+        Isometry3::from_parts(
+            Translation3::new(x, y, z),
+            UnitQuaternion::new_normalize(turn),
+        )
+    })
 }

@@ -95,7 +95,11 @@ impl SweepWitness {
     ) -> Result<Self, ContactError> {
         let what = |key: &str| format!("{}: {key}", session.id);
         let Some(object) = &session.object else {
-            return Err(ContactError::value(what("files.object"), "a mesh of the object", "none"));
+            return Err(ContactError::value(
+                what("files.object"),
+                "a mesh of the object",
+                "none",
+            ));
         };
         let Some(world_from_object) = session.world_from_object else {
             return Err(ContactError::value(
@@ -104,12 +108,21 @@ impl SweepWitness {
                 "none",
             ));
         };
-        let frame =
-            WireFrame::new(declared, axes).map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
+        let frame = WireFrame::new(declared, axes)
+            .map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
         let whisker = frame.whisker(declared);
         let (id, mesh) = (session.id.clone(), Mesh::read(object)?.outside()?);
         let (poses, inverse) = (poses.max(1), OnceLock::new());
-        Ok(Self { id, mesh, world_from_object, frame, whisker, poses, session, inverse })
+        Ok(Self {
+            id,
+            mesh,
+            world_from_object,
+            frame,
+            whisker,
+            poses,
+            session,
+            inverse,
+        })
     }
 
     /// Whether the contacts that the moments of a calibration allow lie on the object; none where its uncertainty rules in no direction.
@@ -126,7 +139,8 @@ impl SweepWitness {
         let (clear, clear_mm) = self.clear(&rows)?;
         // The sweep's own zero, and from when on the wire is loaded.
         let Some(zero) = SweepZero::new(&rows, &clear) else {
-            let expected = format!("readings before the wire comes within {clear_mm:.1} mm of the object");
+            let expected =
+                format!("readings before the wire comes within {clear_mm:.1} mm of the object");
             let free = clear.iter().take_while(|c| **c).count();
             return Err(ContactError::value(
                 place(),
@@ -151,7 +165,10 @@ impl SweepWitness {
         }
         // Where the object allows a contact with these moments, and how that moves with them.
         let inverse = self.inverse(largest)?;
-        let moments: Vec<Vector2<f64>> = touching.iter().map(|r| r.moment_nmm - zero.moment_nmm).collect();
+        let moments: Vec<Vector2<f64>> = touching
+            .iter()
+            .map(|r| r.moment_nmm - zero.moment_nmm)
+            .collect();
         let gaps: Vec<Gap> = touching
             .iter()
             .zip(&moments)
@@ -159,17 +176,27 @@ impl SweepWitness {
             .collect();
         if gaps.len() < touching.len() {
             let found = format!("{} of {}", gaps.len(), touching.len());
-            let expected = format!("an object within {REACH_MM} mm of the wire at every loaded reading");
+            let expected =
+                format!("an object within {REACH_MM} mm of the wire at every loaded reading");
             return Err(ContactError::value(place(), expected, found));
         }
         // A pose of the calibration stands for its share of the moments' range: within it the misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
         let zero_nmm2 = Matrix2::identity() * (zero.variance_nmm2 / zero.free as f64);
         // What all readings share is off the zero already.
-        let off_zero = |r: &SweepRow| zero.shared_nmm.iter().zip(&r.shared_nmm).map(|(z, h)| h - z).collect();
+        let off_zero = |r: &SweepRow| {
+            zero.shared_nmm
+                .iter()
+                .zip(&r.shared_nmm)
+                .map(|(z, h)| h - z)
+                .collect()
+        };
         let known: Vec<Vec<Vector2<f64>>> = touching.iter().map(|r| off_zero(r)).collect();
-        let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
-        let Some((statistic, dof, p)) = chi_squared(&gaps, covariance) else { return Ok(None) };
+        let covariance =
+            self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
+        let Some((statistic, dof, p)) = chi_squared(&gaps, covariance) else {
+            return Ok(None);
+        };
         let median_mm = median(gaps.iter().map(|g| g.d_mm.abs())).unwrap_or(f64::NAN);
         Ok(Some(WitnessTest {
             witness: "sweep".to_owned(),
@@ -191,19 +218,34 @@ impl SweepWitness {
 
     /// The table of the wire, for moments up to the largest of the first verdict with a margin.
     fn inverse(&self, largest_nmm: f64) -> Result<&StaticInverse, ContactError> {
-        if self.inverse.get().is_none_or(|(max, _)| *max < largest_nmm + STEP_NMM) {
+        if self
+            .inverse
+            .get()
+            .is_none_or(|(max, _)| *max < largest_nmm + STEP_NMM)
+        {
             let grid = InverseGrid::coarse();
             let max_nmm = grid.max_nmm.max(TABLE_REACH * largest_nmm + STEP_NMM);
             let made = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
             let _ = self.inverse.set((max_nmm, made));
         }
-        let (max, inverse) = self.inverse.get().ok_or_else(|| self.beyond(largest_nmm, 0.0))?;
-        if *max < largest_nmm { Err(self.beyond(largest_nmm, *max)) } else { Ok(inverse) }
+        let (max, inverse) = self
+            .inverse
+            .get()
+            .ok_or_else(|| self.beyond(largest_nmm, 0.0))?;
+        if *max < largest_nmm {
+            Err(self.beyond(largest_nmm, *max))
+        } else {
+            Ok(inverse)
+        }
     }
 
     fn beyond(&self, largest_nmm: f64, max_nmm: f64) -> ContactError {
         let what = format!("{}: moments", self.session.points.display());
-        ContactError::value(what, format!("at most {max_nmm:.2} N mm"), format!("{largest_nmm:.2} N mm"))
+        ContactError::value(
+            what,
+            format!("at most {max_nmm:.2} N mm"),
+            format!("{largest_nmm:.2} N mm"),
+        )
     }
 
     /// At which readings the free wire is clear of the object, and by how much, mm.
@@ -246,7 +288,11 @@ impl SweepWitness {
             by(nearest(m + Vector2::new(STEP_NMM, 0.0))),
             by(nearest(m + Vector2::new(0.0, STEP_NMM))),
         );
-        Some(Gap { d_mm, by_moment, normal: self.world_from_object.rotation * normal })
+        Some(Gap {
+            d_mm,
+            by_moment,
+            normal: self.world_from_object.rotation * normal,
+        })
     }
 
     /// Distance from the surface where the curve comes nearest to a contact, and the outward normal there, frame of the object.
@@ -257,10 +303,16 @@ impl SweepWitness {
     ) -> Option<(f64, Vector3<f64>)> {
         let mut best: Option<(f64, f64, Vector3<f64>)> = None;
         for s in solutions.iter().filter(|s| s.reachable) {
-            let at = to_object.transform_point(&self.to_base(&s.point_mm).into()).coords;
-            let Some(near) = self.mesh.closest_point(&at, REACH_MM) else { continue };
+            let at = to_object
+                .transform_point(&self.to_base(&s.point_mm).into())
+                .coords;
+            let Some(near) = self.mesh.closest_point(&at, REACH_MM) else {
+                continue;
+            };
             let off = (at - near.point_mm) * near.distance_mm.signum();
-            let Some(outward) = off.try_normalize(1e-9) else { continue };
+            let Some(outward) = off.try_normalize(1e-9) else {
+                continue;
+            };
             let force = to_object.rotation * self.to_base(&s.normal);
             let angle = force.dot(&outward).clamp(-1.0, 1.0).acos();
             // Without slip the force lies within the friction cone about the outward normal; beyond it a radian costs a lever.
@@ -285,8 +337,14 @@ impl SweepWitness {
         let n = rows.len();
         let root = |i: usize| root2(&rows[i].noise_nmm2).transpose() * gaps[i].by_moment;
         let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
-        let shared: Vec<Vec<f64>> =
-            (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();
+        let shared: Vec<Vec<f64>> = (0..n)
+            .map(|i| {
+                shared_nmm[i]
+                    .iter()
+                    .map(|h| gaps[i].by_moment.dot(h))
+                    .collect()
+            })
+            .collect();
         let placed = self.session.object_sd_mm.powi(2);
         // Errors add: misfit alike for like moments, common unknowns, the zero, the object's place along both normals, and each contact's own.
         DMatrix::from_fn(n, n, |i, j| {
@@ -305,7 +363,11 @@ impl SweepWitness {
 }
 
 impl Witness<WhiskerSystem> for SweepWitness {
-    fn test(&self, model: &WhiskerSystem, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError> {
+    fn test(
+        &self,
+        model: &WhiskerSystem,
+        h: &Hypothesis,
+    ) -> Result<Option<WitnessTest>, TraceError> {
         let sd_pm = h.fit.readings_variance().sqrt() * model.noise_factor();
         let calibration = PhysicalModel::new(model, h, sd_pm);
         let test = self.consistency_test(&calibration, &model.data.whisker);
@@ -320,10 +382,13 @@ fn chi_squared(gaps: &[Gap], covariance: DMatrix<f64>) -> Option<(f64, f64, f64)
     // Along eigenvectors of the covariance the gaps are independent: each square over its eigenvalue is chi-squared.
     let eigen = covariance.symmetric_eigen();
     let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
-    let squares: Vec<f64> =
-        ruled.map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j]).collect();
+    let squares: Vec<f64> = ruled
+        .map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j])
+        .collect();
     let (statistic, dof) = (squares.iter().sum(), squares.len() as f64);
-    ChiSquared::new(dof).ok().map(|chi2| (statistic, dof, chi2.sf(statistic)))
+    ChiSquared::new(dof)
+        .ok()
+        .map(|chi2| (statistic, dof, chi2.sf(statistic)))
 }
 
 /// Root of a covariance; zero where it is none.

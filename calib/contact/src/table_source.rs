@@ -46,14 +46,20 @@ impl TableSource {
         (calibration, noise): (&dyn WhiskerCalibration, CalibrationNoise),
         whisker: &WhiskerSpec,
     ) -> Result<Self, ContactError> {
-        let SensedTable { rows, wire, changed, warnings } = calibration.sensed(path, whisker)?;
-        let of_motion =
-            |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
+        let SensedTable {
+            rows,
+            wire,
+            changed,
+            warnings,
+        } = calibration.sensed(path, whisker)?;
+        let of_motion = |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
         let needs_reference = calibration.fbg().needs_reference();
         let mut last_s = f64::NEG_INFINITY;
         for row in &rows {
             let what = || format!("{}: line {}: t_s", path.display(), row.line);
-            let t_s = row.t_s.ok_or_else(|| ContactError::value(what(), "a time", "none"))?;
+            let t_s = row
+                .t_s
+                .ok_or_else(|| ContactError::value(what(), "a time", "none"))?;
             if !(t_s > last_s) {
                 let expected = format!("a later time than {last_s}");
                 return Err(ContactError::value(what(), expected, t_s.to_string()));
@@ -62,13 +68,20 @@ impl TableSource {
         }
         if needs_reference && !rows.iter().any(|m| m.reference) {
             let what = format!("{}: fbg_ref_nm", path.display());
-            const EXPECTED: &str =
-                "the strain-isolated grating, since the calibration compensates temperature with it";
+            const EXPECTED: &str = "the strain-isolated grating, since the calibration compensates temperature with it";
             return Err(ContactError::value(what, EXPECTED, "none"));
         }
         let warnings = warnings.into_iter().filter(|w| !of_motion(w)).collect();
         let places = known_places(path)?;
-        Ok(Self { rows, noise, needs_reference, wire, changed, warnings, places })
+        Ok(Self {
+            rows,
+            noise,
+            needs_reference,
+            wire,
+            changed,
+            warnings,
+            places,
+        })
     }
 
     /// First and last time, s; none without readings.
@@ -99,17 +112,32 @@ impl TableSource {
 
     /// Readings as a network takes them: along the poses of the table's own columns, else with a speed along +z, else past a known groove; a long
     /// step is a gap.
-    pub fn past_object(&self, poses: Option<&LoggedMotion>, base_mm_s: Option<f64>) -> Vec<Reading> {
-        let step_s = median(self.rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)));
+    pub fn past_object(
+        &self,
+        poses: Option<&LoggedMotion>,
+        base_mm_s: Option<f64>,
+    ) -> Vec<Reading> {
+        let step_s = median(
+            self.rows
+                .windows(2)
+                .filter_map(|w| Some(w[1].t_s? - w[0].t_s?)),
+        );
         let longest_s = step_s.map_or(f64::INFINITY, |step_s| GAP_STEPS * step_s);
         let past_groove = velocities(&self.places, GAP_STEPS * step_s.unwrap_or_default());
-        let readings = poses.map_or_else(|| self.alone(), |poses| self.along(poses, &Vector3::zeros()));
+        let readings = poses.map_or_else(
+            || self.alone(),
+            |poses| self.along(poses, &Vector3::zeros()),
+        );
         let mut last_s = f64::INFINITY;
         let one = |(row, plain): (&SensedRow, Reading)| {
             let gap = plain.t_s - std::mem::replace(&mut last_s, plain.t_s) > longest_s;
             let known = plain.velocity_mm_s.or(past_groove.get(&row.line).copied());
             Reading {
-                flags: if gap { Flags::GAP.with(plain.flags) } else { plain.flags },
+                flags: if gap {
+                    Flags::GAP.with(plain.flags)
+                } else {
+                    plain.flags
+                },
                 base_mm_s: plain.base_mm_s.or(base_mm_s),
                 velocity_mm_s: known.or(base_mm_s.map(|v| Vector3::z() * v)),
                 gap,
@@ -128,13 +156,28 @@ impl TableSource {
             sd_nmm: row.sd_nmm(),
             valid: s.valid,
             pose_nmm2: s.noise_nmm2,
-            own_nmm2: self.noise.misfit_sd_nmm.and(self.noise.reading_sd_nmm).map(diagonal),
-            drift_nmm2: self.noise.drift_sd_nmm.map_or_else(Matrix2::zeros, diagonal),
+            own_nmm2: self
+                .noise
+                .misfit_sd_nmm
+                .and(self.noise.reading_sd_nmm)
+                .map(diagonal),
+            drift_nmm2: self
+                .noise
+                .drift_sd_nmm
+                .map_or_else(Matrix2::zeros, diagonal),
             shared_nmm: s.shared_nmm.clone(),
             ..Moments::default()
         };
-        let flags = if usable { Flags::default() } else { Flags::REFERENCE_LOST };
-        let alone = Reading::alone(row.point, row.t_s.unwrap_or_default(), usable.then_some(moments));
+        let flags = if usable {
+            Flags::default()
+        } else {
+            Flags::REFERENCE_LOST
+        };
+        let alone = Reading::alone(
+            row.point,
+            row.t_s.unwrap_or_default(),
+            usable.then_some(moments),
+        );
         Reading { flags, ..alone }
     }
 }
@@ -149,8 +192,12 @@ fn diagonal(sd_nmm: [f64; 2]) -> Matrix2<f64> {
 /// Where the table cannot be read.
 pub fn median_step_s(path: &Path) -> Result<Option<f64>, ContactError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
-    let Ok(column) = table.column("t_s") else { return Ok(None) };
-    let times = (0..table.rows.len()).map(|k| table.number(k, column)).collect::<Result<Vec<_>, _>>()?;
+    let Ok(column) = table.column("t_s") else {
+        return Ok(None);
+    };
+    let times = (0..table.rows.len())
+        .map(|k| table.number(k, column))
+        .collect::<Result<Vec<_>, _>>()?;
     let times: Vec<f64> = times.into_iter().flatten().collect();
     Ok(median(times.windows(2).map(|w| w[1] - w[0])))
 }
@@ -160,5 +207,8 @@ pub fn base_pose(motion: &Motion) -> BasePose {
     let back: Rotation3<f64> = motion.turn.inverse();
     let place = Translation3::from(back * -motion.moved_mm);
     let world_from_base = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back));
-    BasePose { world_from_base, velocity_mm_s: Some(-motion.velocity_mm_s) }
+    BasePose {
+        world_from_base,
+        velocity_mm_s: Some(-motion.velocity_mm_s),
+    }
 }

@@ -65,7 +65,10 @@ pub struct TrackDocument {
 impl TrackDocument {
     /// The rows of each whisker.
     pub fn whiskers(&self) -> impl Iterator<Item = &WhiskerDocument> {
-        let streamed = self.stream.iter().flat_map(|s| s.whiskers.iter().map(|w| &w.rows));
+        let streamed = self
+            .stream
+            .iter()
+            .flat_map(|s| s.whiskers.iter().map(|w| &w.rows));
         self.table.iter().map(|t| &t.whisker).chain(streamed)
     }
 }
@@ -221,7 +224,11 @@ impl ContactDocument {
     /// Of a session's trajectory.
     pub fn of_trajectory(id: u32, found: &EpisodeEstimate, readings: usize) -> Self {
         let regions = found.posterior.as_ref().map(Posterior::regions);
-        Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, readings) }
+        Self {
+            trajectory: Some(id),
+            regions,
+            ..Self::new(&found.innovations, readings)
+        }
     }
 
     /// Of a table's contact, and as the likeliest one at a point.
@@ -238,10 +245,16 @@ impl ContactDocument {
         let at_a_point = weights.at_a_point() > 1.0 - MIN_WEIGHT;
         let may_slide = weights.of(Regime::Sliding) > MIN_WEIGHT;
         Self {
-            regions: point.posterior.as_ref().map(Posterior::regions).filter(|_| at_a_point),
+            regions: point
+                .posterior
+                .as_ref()
+                .map(Posterior::regions)
+                .filter(|_| at_a_point),
             from_s: Some(from_s),
             to_s: Some(to_s),
-            disagreement: own.disagreement.filter(|_| weights.of(Regime::Sliding) <= 0.5),
+            disagreement: own
+                .disagreement
+                .filter(|_| weights.of(Regime::Sliding) <= 0.5),
             contact: Some(certain.map_or("undecided", Regime::name)),
             weights: Some(REGIMES.iter().map(|r| (r.name(), weights.of(*r))).collect()),
             sliding: Some(may_slide.then_some(SlidingDocument {
@@ -256,7 +269,12 @@ impl ContactDocument {
     /// Of a stream's contact.
     pub fn of_stream(i: &Innovations, regions: Vec<Region>, [from_s, to_s]: [f64; 2]) -> Self {
         let (from_s, to_s) = (Some(from_s), Some(to_s));
-        Self { regions: Some(regions), from_s, to_s, ..Self::new(i, i.rows) }
+        Self {
+            regions: Some(regions),
+            from_s,
+            to_s,
+            ..Self::new(i, i.rows)
+        }
     }
 }
 

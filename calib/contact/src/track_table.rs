@@ -60,7 +60,14 @@ fn cells(out: &mut String, values: Option<&[f64]>, count: usize, digits: usize) 
 }
 
 fn spread(c: &Matrix3<f64>) -> [f64; 6] {
-    [c[(0, 0)], c[(1, 1)], c[(2, 2)], c[(0, 1)], c[(0, 2)], c[(1, 2)]]
+    [
+        c[(0, 0)],
+        c[(1, 1)],
+        c[(2, 2)],
+        c[(0, 1)],
+        c[(0, 2)],
+        c[(1, 2)],
+    ]
 }
 
 impl TrackRow {
@@ -72,25 +79,79 @@ impl TrackRow {
     pub fn line(&self) -> String {
         // Microseconds: an absolute clock leaves no more digits.
         let mut out = format!("{},{}", self.point, (self.t_s * 1e6).round() / 1e6);
-        cells(&mut out, self.moments.as_ref().map(|m| &m.moment_nmm[..]), 2, 6);
-        let outside = self.moments.map_or_else(String::new, |m| u8::from(!m.valid).to_string());
+        cells(
+            &mut out,
+            self.moments.as_ref().map(|m| &m.moment_nmm[..]),
+            2,
+            6,
+        );
+        let outside = self
+            .moments
+            .map_or_else(String::new, |m| u8::from(!m.valid).to_string());
         let _ = write!(out, ",{outside},{}", u8::from(!self.doubts.is_empty()));
         let place = self.place();
-        cells(&mut out, self.estimate.map(|e| [e.probability]).as_ref().map(|v| &v[..]), 1, 4);
+        cells(
+            &mut out,
+            self.estimate
+                .map(|e| [e.probability])
+                .as_ref()
+                .map(|v| &v[..]),
+            1,
+            4,
+        );
         cells(&mut out, place.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(&mut out, place.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 8);
-        let _ = write!(out, ",{},{},{}", self.whisker, self.flags.text(), self.doubts);
+        cells(
+            &mut out,
+            place
+                .as_ref()
+                .map(|p| spread(&p.1))
+                .as_ref()
+                .map(|v| &v[..]),
+            6,
+            8,
+        );
+        let _ = write!(
+            out,
+            ",{},{},{}",
+            self.whisker,
+            self.flags.text(),
+            self.doubts
+        );
         cells(&mut out, self.moments.as_ref().map(|m| &m.sd_nmm[..]), 2, 6);
-        cells(&mut out, self.base_mm_s.map(|v| [v]).as_ref().map(|v| &v[..]), 1, 4);
+        cells(
+            &mut out,
+            self.base_mm_s.map(|v| [v]).as_ref().map(|v| &v[..]),
+            1,
+            4,
+        );
         let world = self.world();
         cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 8);
+        cells(
+            &mut out,
+            world
+                .as_ref()
+                .map(|p| spread(&p.1))
+                .as_ref()
+                .map(|v| &v[..]),
+            6,
+            8,
+        );
         let segment = self.segment.map_or_else(String::new, |n| n.to_string());
         let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
         let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
         let _ = write!(out, ",{segment},{regions}");
-        cells(&mut out, self.several.map(|p| [p]).as_ref().map(|v| &v[..]), 1, 4);
-        cells(&mut out, self.object_mm.map(|d| [d]).as_ref().map(|v| &v[..]), 1, 4);
+        cells(
+            &mut out,
+            self.several.map(|p| [p]).as_ref().map(|v| &v[..]),
+            1,
+            4,
+        );
+        cells(
+            &mut out,
+            self.object_mm.map(|d| [d]).as_ref().map(|v| &v[..]),
+            1,
+            4,
+        );
         out.push('\n');
         out
     }
@@ -117,7 +178,10 @@ impl TrackFiles {
         let file = File::create(out).map_err(ContactError::file("creating", out))?;
         let mut rows = BufWriter::new(file);
         writeln!(rows, "{COLUMNS}").map_err(ContactError::file("writing", out))?;
-        Ok(Self { rows, out: out.to_owned() })
+        Ok(Self {
+            rows,
+            out: out.to_owned(),
+        })
     }
 
     /// Writes a row.
@@ -138,19 +202,27 @@ impl TrackFiles {
         let out = &self.out;
         let bytes = wcal_core::files::read(out).map_err(ContactError::file("reading", out))?;
         let text = String::from_utf8_lossy(&bytes);
-        let at = |name: &str| COLUMNS.split(',').position(|column| column == name).unwrap_or_default();
+        let at = |name: &str| {
+            COLUMNS
+                .split(',')
+                .position(|column| column == name)
+                .unwrap_or_default()
+        };
         let (name, status) = (at("whisker"), at("status"));
         let flagged = |line: &str| {
             let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
             if cells[name] == whisker {
-                let before = Some(&cells[status]).filter(|s| *s != "ok").map(|s| format!("{s}|"));
+                let before = Some(&cells[status])
+                    .filter(|s| *s != "ok")
+                    .map(|s| format!("{s}|"));
                 cells[status] = before.unwrap_or_default() + &flag.text();
             }
             cells.join(",") + "\n"
         };
         let (header, rows) = text.split_once('\n').unwrap_or_default();
         let text = format!("{header}\n") + &rows.lines().map(flagged).collect::<String>();
-        wcal_core::files::write_atomic(out, text.as_bytes()).map_err(ContactError::file("writing", out))?;
+        wcal_core::files::write_atomic(out, text.as_bytes())
+            .map_err(ContactError::file("writing", out))?;
         let file = File::options().append(true).open(out);
         self.rows = BufWriter::new(file.map_err(ContactError::file("opening", out))?);
         Ok(())
@@ -161,7 +233,9 @@ impl TrackFiles {
     /// # Errors
     /// When the disk does not take it.
     pub fn flush(&mut self) -> Result<(), ContactError> {
-        self.rows.flush().map_err(ContactError::file("writing", &self.out))
+        self.rows
+            .flush()
+            .map_err(ContactError::file("writing", &self.out))
     }
 
     /// Writes the summary beside the table, and gives its text.
@@ -171,7 +245,8 @@ impl TrackFiles {
     pub fn finish(mut self, document: &TrackDocument) -> Result<String, ContactError> {
         self.flush()?;
         let path = companion(&self.out, ".json");
-        let text = serde_json::to_string_pretty(document).map_err(ContactError::file("writing", &path))?;
+        let text =
+            serde_json::to_string_pretty(document).map_err(ContactError::file("writing", &path))?;
         wcal_core::files::write_atomic(&path, text.as_bytes())
             .map_err(ContactError::file("writing", &path))?;
         Ok(text)
@@ -180,6 +255,9 @@ impl TrackFiles {
 
 /// `track.csv` -> `track` + ending.
 pub fn companion(out: &Path, ending: &str) -> PathBuf {
-    let stem = out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = out
+        .file_stem()
+        .map(|s| s.to_string_lossy().into_owned())
+        .unwrap_or_default();
     out.with_file_name(format!("{stem}{ending}"))
 }

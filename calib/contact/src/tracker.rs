@@ -13,11 +13,15 @@ use crate::ContactError;
 use crate::calibrated_wire::{Assumed, CalibratedWire};
 use crate::contact_so_far::ContactSoFar;
 use crate::estimator::{Contact, Estimator, Findings};
-use crate::known_motion::{CorrelatedNoise, MotionRow, MotionUnknown, Segmenter, Settings, Step, check_row};
+use crate::known_motion::{
+    CorrelatedNoise, MotionRow, MotionUnknown, Segmenter, Settings, Step, check_row,
+};
 use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use crate::regimes::{GAIN, POINT, RegimeWeights};
 use crate::static_arc::StaticArc;
-use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT};
+use crate::track_document::{
+    AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT,
+};
 use crate::whole_contact::{Known, WholeContact, located};
 use crate::zero::WHITE;
 use std::collections::BTreeMap;
@@ -62,12 +66,18 @@ pub struct ContactTracker {
 impl ContactTracker {
     /// Of a whisker's wire, by readings that are answered in the end; `prior`: how a contact may move on what it touches.
     pub fn of_record(wire: CalibratedWire, accuracy: MotionAccuracy, prior: RegimeWeights) -> Self {
-        Self { is_record: true, ..Self::of_stream(wire, accuracy, prior) }
+        Self {
+            is_record: true,
+            ..Self::of_stream(wire, accuracy, prior)
+        }
     }
 
     /// Of a session, whose trajectories are pieces of the motion that take turns, each past one point of the groove.
     pub fn of_session(wire: CalibratedWire, correlated: Option<CorrelatedNoise>) -> Self {
-        let accuracy = MotionAccuracy { moved_sd_mm: 0.0, clock_sd_s: 0.0 };
+        let accuracy = MotionAccuracy {
+            moved_sd_mm: 0.0,
+            clock_sd_s: 0.0,
+        };
         let mut own = Self::of_record(wire, accuracy, POINT);
         own.of.settings.correlated = correlated;
         own
@@ -89,7 +99,11 @@ impl ContactTracker {
             slid: 0,
             disagreeing: 0,
             ended: Vec::new(),
-            of: Assumed { settings: wire.settings(&accuracy), wire, prior },
+            of: Assumed {
+                settings: wire.settings(&accuracy),
+                wire,
+                prior,
+            },
             accuracy,
         }
     }
@@ -105,31 +119,57 @@ impl ContactTracker {
     }
 
     /// A reading of a stream whose motion is known.
-    fn along(&mut self, row: MotionRow, m: &Moments, motion: &RowMotion) -> Result<Contact, ContactError> {
-        let (last_s, shared) = self.last.unwrap_or((f64::NEG_INFINITY, row.shared_nmm.len()));
+    fn along(
+        &mut self,
+        row: MotionRow,
+        m: &Moments,
+        motion: &RowMotion,
+    ) -> Result<Contact, ContactError> {
+        let (last_s, shared) = self
+            .last
+            .unwrap_or((f64::NEG_INFINITY, row.shared_nmm.len()));
         check_row(&row, last_s, shared, "reading of a stream")?;
         self.last = Some((row.t_s, shared));
         if row.t_s - last_s > MAX_LOST_S {
             self.segmenter.interrupt();
         }
         // What is not the row's own noise is the draw of its pose, which the posterior carries.
-        let by_pose = CorrelatedNoise::ByPose { covariance_nmm2: m.pose_nmm2, length_mm: POSE_MM };
-        let settings = Settings { correlated: Some(by_pose), ..self.of.settings };
-        let mut row = MotionRow { free_nmm2: None, ..row };
+        let by_pose = CorrelatedNoise::ByPose {
+            covariance_nmm2: m.pose_nmm2,
+            length_mm: POSE_MM,
+        };
+        let settings = Settings {
+            correlated: Some(by_pose),
+            ..self.of.settings
+        };
+        let mut row = MotionRow {
+            free_nmm2: None,
+            ..row
+        };
         let noise_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2 * WHITE * WHITE);
-        let mut own = MotionRow { noise_nmm2, ..row.clone() };
+        let mut own = MotionRow {
+            noise_nmm2,
+            ..row.clone()
+        };
         let is_loaded = settings.is_loaded(&own);
-        let step = self.segmenter.push(&mut own, motion.piece, motion.push, is_loaded);
+        let step = self
+            .segmenter
+            .push(&mut own, motion.piece, motion.push, is_loaded);
         row.contact_segment = own.contact_segment;
         match step {
-            Step::Within => self.contact.iter_mut().for_each(|c| c.push(&self.of.wire.field, &own)),
+            Step::Within => self
+                .contact
+                .iter_mut()
+                .for_each(|c| c.push(&self.of.wire.field, &own)),
             Step::Begins(beginning) => {
                 self.end();
                 self.contact = ContactSoFar::begin(&self.of, settings, beginning);
             }
             Step::Outside => self.end(),
         }
-        let Some(contact) = &mut self.contact else { return Ok(Contact::default()) };
+        let Some(contact) = &mut self.contact else {
+            return Ok(Contact::default());
+        };
         let stated = contact.stated(&self.of, &row, (is_loaded, m.pose_nmm2))?;
         self.disagreeing += u64::from(stated.flags.has(Flags::MOTION_DISAGREES));
         self.slid += u64::from(stated.flags.has(Flags::SLIDING_ASSUMED));
@@ -139,12 +179,20 @@ impl ContactTracker {
     /// Ends the contact at hand.
     fn end(&mut self) {
         let long_enough = self.segmenter.take_ended().is_some();
-        let Some(contact) = self.contact.take().filter(|_| long_enough) else { return };
+        let Some(contact) = self.contact.take().filter(|_| long_enough) else {
+            return;
+        };
         let document = contact.document();
-        let said =
-            contact.innovations().sentence().map(|said| format!("{said}; marked motion-disagrees in status"));
+        let said = contact
+            .innovations()
+            .sentence()
+            .map(|said| format!("{said}; marked motion-disagrees in status"));
         let doubted = document.disagreement.is_some();
-        self.ended.push(Ended { document, said: said.into_iter().collect(), doubted });
+        self.ended.push(Ended {
+            document,
+            said: said.into_iter().collect(),
+            doubted,
+        });
     }
 
     fn messages(&self) -> Vec<String> {
@@ -158,7 +206,11 @@ impl ContactTracker {
         }
         let lost: u64 = self.lost.values().sum();
         if lost > 0 {
-            let why: Vec<String> = self.lost.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            let why: Vec<String> = self
+                .lost
+                .iter()
+                .map(|(name, n)| format!("{name} {n}"))
+                .collect();
             let why = why.join(", ");
             all.push(match self.is_record {
                 true => format!("the motion of {lost} of {readings} readings is not known ({why}); marked motion-lost in status"),
@@ -169,16 +221,27 @@ impl ContactTracker {
             });
         }
         let warning = if self.is_record { "" } else { "warning: " };
-        let said = self.ended.iter().enumerate().flat_map(|(n, e)| e.said.iter().map(move |said| (n, said)));
+        let said = self
+            .ended
+            .iter()
+            .enumerate()
+            .flat_map(|(n, e)| e.said.iter().map(move |said| (n, said)));
         all.extend(said.map(|(n, said)| format!("{warning}contact {n}: {said}")));
-        let by_gain_mm = self.ended.iter().filter_map(|e| e.document.mm_by_gain_percent).fold(0.0, f64::max);
+        let by_gain_mm = self
+            .ended
+            .iter()
+            .filter_map(|e| e.document.mm_by_gain_percent)
+            .fold(0.0, f64::max);
         if by_gain_mm > 0.0 {
-            all.push(format!("{GAIN}; 1 % of gain moves a contact by up to {by_gain_mm:.2} mm"));
+            all.push(format!(
+                "{GAIN}; 1 % of gain moves a contact by up to {by_gain_mm:.2} mm"
+            ));
         } else if !self.is_record && !self.ended.is_empty() {
             all.push(GAIN.to_owned());
         }
         if self.ended.is_empty() && self.is_along() {
-            let none = "no contact: no reading is loaded beyond its noise where the motion is known";
+            let none =
+                "no contact: no reading is loaded beyond its noise where the motion is known";
             all.push(none.to_owned());
         }
         all
@@ -200,7 +263,10 @@ impl Estimator for ContactTracker {
             (Some(m), Ok(motion), Some(row)) => self.along(row, m, &motion)?,
             (_, Err(why), _) if self.is_record => {
                 lose(why);
-                Contact { flags: Flags::MOTION_LOST, ..Contact::default() }
+                Contact {
+                    flags: Flags::MOTION_LOST,
+                    ..Contact::default()
+                }
             }
             (Some(m), Err(why), _) if !reading.in_prefix => {
                 let contact = self.alone.estimate_contact(m)?;
@@ -223,10 +289,17 @@ impl Estimator for ContactTracker {
         for (n, contact) in self.contacts.iter().enumerate() {
             for (k, number) in contact.numbers.iter().enumerate() {
                 let stated = contact.stated(k, &mut self.alone)?;
-                self.answers[*number] = Contact { number: Some(n as u64), ..stated };
+                self.answers[*number] = Contact {
+                    number: Some(n as u64),
+                    ..stated
+                };
             }
             let (document, said) = (contact.document(), contact.sentences());
-            self.ended.push(Ended { document, said, doubted: !contact.flags().none() });
+            self.ended.push(Ended {
+                document,
+                said,
+                doubted: !contact.flags().none(),
+            });
         }
         Ok(std::mem::take(&mut self.answers))
     }
@@ -237,13 +310,16 @@ impl Estimator for ContactTracker {
             true => (Method::KnownMotion, AXIS_OF_WIRE),
             false => (Method::StaticArc, POINT_OF_OBJECT),
         };
-        let contacts: Vec<ContactDocument> = self.ended.iter().map(|e| e.document.clone()).collect();
+        let contacts: Vec<ContactDocument> =
+            self.ended.iter().map(|e| e.document.clone()).collect();
         let span_s = |c: &ContactDocument| Some([c.from_s?, c.to_s?]);
         Findings {
             messages: self.messages(),
             lost: is_lost && self.is_record,
-            doubt: self.ended.iter().any(|e| e.doubted) || is_stream && (self.disagreeing > 0 || is_lost),
-            spans_s: (is_stream && self.is_along()).then(|| contacts.iter().filter_map(span_s).collect()),
+            doubt: self.ended.iter().any(|e| e.doubted)
+                || is_stream && (self.disagreeing > 0 || is_lost),
+            spans_s: (is_stream && self.is_along())
+                .then(|| contacts.iter().filter_map(span_s).collect()),
             document: EstimatorDocument {
                 method: Some(method),
                 place: Some(place),

@@ -22,7 +22,11 @@ pub struct TrustIssues(Vec<TrustIssue>);
 impl TrustIssues {
     /// Codes with `|` between them.
     pub fn codes(&self) -> String {
-        self.0.iter().map(TrustIssue::code).collect::<Vec<_>>().join("|")
+        self.0
+            .iter()
+            .map(TrustIssue::code)
+            .collect::<Vec<_>>()
+            .join("|")
     }
 
     /// Sentences.
@@ -49,7 +53,9 @@ pub struct WhiskerModel<'a> {
 
 /// Filters that know the noise of the moments that come through a calibration.
 pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {
-    let noise_nmm = model.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
+    let noise_nmm = model
+        .whisker()
+        .map_or(0.0, WhiskerCalibration::noise_sd_nmm);
     filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 
@@ -67,7 +73,11 @@ impl<'a> WhiskerModel<'a> {
     /// # Errors
     /// Where the moments are not across the wire's root.
     pub fn frame(&self) -> Result<WireFrame, ContactError> {
-        let own = self.file.whisker.as_ref().or(self.card.as_ref().map(|card| &card.whisker));
+        let own = self
+            .file
+            .whisker
+            .as_ref()
+            .or(self.card.as_ref().map(|card| &card.whisker));
         frame_of(&self.file, own.ok_or_else(|| self.nameless())?, &self.place)
     }
 
@@ -85,7 +95,11 @@ impl<'a> WhiskerModel<'a> {
 
     fn nameless(&self) -> ContactError {
         let place = self.place.display().to_string();
-        ContactError::value(place, "a calibration that says of which whisker it is", "an older one")
+        ContactError::value(
+            place,
+            "a calibration that says of which whisker it is",
+            "an older one",
+        )
     }
 
     /// Its network, with filters that know the calibration's noise; none without one.
@@ -93,12 +107,27 @@ impl<'a> WhiskerModel<'a> {
     /// # Errors
     /// Where the wire is another than the network's and cannot be bent.
     pub fn estimator(&self, vouched: bool) -> Result<Option<NetworkEstimator<'_>>, ContactError> {
-        let Some((tracker, card)) = self.tracker.zip(self.card.as_ref()) else { return Ok(None) };
-        let own = self.file.whisker.as_ref().map(|w| Ok::<_, ContactError>(self.frame()?.whisker(w)));
-        let other = own.transpose()?.filter(|w| w.difference(&card.whisker).is_some());
-        let other = other.map(|w| StaticInverse::new(&w, InverseGrid::coarse())).transpose()?;
+        let Some((tracker, card)) = self.tracker.zip(self.card.as_ref()) else {
+            return Ok(None);
+        };
+        let own = self
+            .file
+            .whisker
+            .as_ref()
+            .map(|w| Ok::<_, ContactError>(self.frame()?.whisker(w)));
+        let other = own
+            .transpose()?
+            .filter(|w| w.difference(&card.whisker).is_some());
+        let other = other
+            .map(|w| StaticInverse::new(&w, InverseGrid::coarse()))
+            .transpose()?;
         let filters = filters_for(tracker.filters, &self.file.model);
-        Ok(Some(NetworkEstimator::new((tracker, card), filters, vouched, other)))
+        Ok(Some(NetworkEstimator::new(
+            (tracker, card),
+            filters,
+            vouched,
+            other,
+        )))
     }
 
     /// Whether its contacts come from a network.
@@ -113,18 +142,35 @@ impl<'a> WhiskerModel<'a> {
     pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
         let (file, mut issues) = calibration_issues(place)?;
         // In the frame of the wire: a network knows one orientation.
-        let own = file.whisker.as_ref().map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
+        let own = file
+            .whisker
+            .as_ref()
+            .map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
         let own = own.transpose()?;
-        let differs = own.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
+        let differs = own
+            .as_ref()
+            .zip(card.as_ref())
+            .and_then(|(w, c)| w.difference(&c.whisker));
         issues.extend(differs.map(TrustIssue::OtherWhisker));
         let doubts = TrustIssues(issues);
         let (name, place) = (name.to_owned(), place.to_owned());
-        Ok(Self { name, place, file, card, tracker: None, doubts })
+        Ok(Self {
+            name,
+            place,
+            file,
+            card,
+            tracker: None,
+            doubts,
+        })
     }
 
     /// Judges the whisker of a session beside that of the calibration.
     pub fn check_session(&mut self, whisker: &WhiskerSpec) {
-        let differs = self.file.whisker.as_ref().and_then(|w| w.difference(whisker));
+        let differs = self
+            .file
+            .whisker
+            .as_ref()
+            .and_then(|w| w.difference(whisker));
         self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
     }
 
@@ -134,7 +180,9 @@ impl<'a> WhiskerModel<'a> {
         let trained_s = trained_steps_s(card.training.time_factor);
         let [low, high] = trained_s;
         if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
-            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
+            self.doubts
+                .0
+                .push(TrustIssue::SampleRate { trained_s, found_s });
         }
     }
 }
@@ -145,7 +193,10 @@ fn frame_of(
     whisker: &WhiskerSpec,
     place: &Path,
 ) -> Result<WireFrame, ContactError> {
-    let axes = file.frame.as_ref().map_or_else(MomentAxes::default, CalibrationFrame::moments);
+    let axes = file
+        .frame
+        .as_ref()
+        .map_or_else(MomentAxes::default, CalibrationFrame::moments);
     WireFrame::new(whisker, &axes).map_err(|e: OutOfRange| {
         let what = format!("{}: frame.{}", place.display(), e.key);
         ContactError::value(what, e.expected, e.found)

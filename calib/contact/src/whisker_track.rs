@@ -114,15 +114,35 @@ impl<'a> WhiskerTrack<'a> {
     fn settle(&mut self, contacts: Vec<Contact>) -> Vec<TrackRow> {
         let mut rows = Vec::with_capacity(contacts.len());
         for contact in contacts {
-            let Some(Pending { reading, moments }) = self.pending.pop_front() else { break };
+            let Some(Pending { reading, moments }) = self.pending.pop_front() else {
+                break;
+            };
             rows.push(self.row(reading, moments, contact));
         }
         rows
     }
 
-    fn row(&mut self, reading: Reading, moments: Option<StreamMoments>, contact: Contact) -> TrackRow {
-        let Reading { point, t_s, base, base_mm_s, .. } = reading;
-        let Contact { estimate, regions, several, number, on_object, .. } = contact;
+    fn row(
+        &mut self,
+        reading: Reading,
+        moments: Option<StreamMoments>,
+        contact: Contact,
+    ) -> TrackRow {
+        let Reading {
+            point,
+            t_s,
+            base,
+            base_mm_s,
+            ..
+        } = reading;
+        let Contact {
+            estimate,
+            regions,
+            several,
+            number,
+            on_object,
+            ..
+        } = contact;
         let estimate = estimate.map(|e| in_base_frame(&self.frame, e));
         if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
             groove.push(t_s, estimate);
@@ -133,11 +153,16 @@ impl<'a> WhiskerTrack<'a> {
         }
         let segment = estimate.as_ref().and_then(|e| {
             let step_mm = base_mm_s.unwrap_or(0.0) * step_s;
-            self.segments.push(t_s, e.probability, e.place_mm, e.covariance_mm2, step_mm)
+            self.segments
+                .push(t_s, e.probability, e.place_mm, e.covariance_mm2, step_mm)
         });
         let flags = reading.flags.with(contact.flags);
-        let object_mm =
-            self.object.as_ref().zip(estimate).zip(base).map(|((object, e), base)| {
+        let object_mm = self
+            .object
+            .as_ref()
+            .zip(estimate)
+            .zip(base)
+            .map(|((object, e), base)| {
                 object.distance_mm(&base.to_world(&e.place_mm, &e.covariance_mm2).0)
             });
         self.distances_mm.extend(object_mm.filter(|_| on_object));
@@ -163,8 +188,16 @@ impl<'a> WhiskerTrack<'a> {
 
     /// Whether the stated regions do not hold a known groove.
     pub fn coverage_rejected(&self) -> bool {
-        self.estimator.findings().groove.iter().flatten().any(coverage_rejected)
-            || self.groove.as_ref().is_some_and(KnownGroove::coverage_rejected)
+        self.estimator
+            .findings()
+            .groove
+            .iter()
+            .flatten()
+            .any(coverage_rejected)
+            || self
+                .groove
+                .as_ref()
+                .is_some_and(KnownGroove::coverage_rejected)
     }
 
     /// All of its rows are flagged.
@@ -189,7 +222,9 @@ impl<'a> WhiskerTrack<'a> {
         let end_rmse_mm = found.spans_s.map(|spans_s| groove?.end_rmse_mm(&spans_s));
         let mut messages = found.messages;
         if let Some(mm) = end_rmse_mm.flatten() {
-            messages.push(format!("known groove, last reading of each contact: off by {mm:.2} mm RMS"));
+            messages.push(format!(
+                "known groove, last reading of each contact: off by {mm:.2} mm RMS"
+            ));
         }
         messages.extend(groove.and_then(KnownGroove::message));
         let document = WhiskerDocument {

@@ -62,7 +62,13 @@ pub struct Zero {
 impl Zero {
     /// The mean over a time, s; 0: the calibration's zero.
     pub fn new(span_s: f64) -> Self {
-        Self { span_s, begun_s: None, sum_nmm: Vector2::zeros(), shared_nmm: Vec::new(), count: 0.0 }
+        Self {
+            span_s,
+            begun_s: None,
+            sum_nmm: Vector2::zeros(),
+            shared_nmm: Vec::new(),
+            count: 0.0,
+        }
     }
 
     /// Moments from the zero on, with what is not known of it.
@@ -71,7 +77,10 @@ impl Zero {
         if t_s - begun_s < self.span_s {
             self.sum_nmm += Vector2::from(m.moment_nmm);
             self.shared_nmm.resize(m.shared_nmm.len(), Vector2::zeros());
-            self.shared_nmm.iter_mut().zip(&m.shared_nmm).for_each(|(sum, h)| *sum += Vector2::from(*h));
+            self.shared_nmm
+                .iter_mut()
+                .zip(&m.shared_nmm)
+                .for_each(|(sum, h)| *sum += Vector2::from(*h));
             self.count += 1.0;
         }
         if self.count == 0.0 {
@@ -80,12 +89,23 @@ impl Zero {
         }
         let moment_nmm = (Vector2::from(m.moment_nmm) - self.sum_nmm / self.count).into();
         // An error that all readings share cancels as far as the free ones have it, too.
-        let less = |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
-        let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().zip(&self.shared_nmm).map(less).collect();
+        let less =
+            |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
+        let shared_nmm: Vec<[f64; 2]> = m
+            .shared_nmm
+            .iter()
+            .zip(&self.shared_nmm)
+            .map(less)
+            .collect();
         // Noise of the mean falls as g / n; free readings of one pose are one draw. Drift enters twice, at the zero and at the reading.
         let mean = |own: Matrix2<f64>| own * (m.inefficiency.max(1.0) / self.count);
         let zero_nmm2 = m.own_nmm2.map_or(m.pose_nmm2, mean) + m.drift_nmm2 * 2.0;
-        Moments { moment_nmm, shared_nmm, zero_nmm2, ..m }
+        Moments {
+            moment_nmm,
+            shared_nmm,
+            zero_nmm2,
+            ..m
+        }
     }
 }
 
@@ -103,26 +123,40 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
         return None;
     }
     // Second differences have no trend and six times the noise's variance; a quarter of the readings is taken to be quiet.
-    let mut bends: Vec<f64> =
-        moments_nmm.windows(3).map(|w| (w[0] - w[1] * 2.0 + w[2]).norm_squared() / 6.0).collect();
+    let mut bends: Vec<f64> = moments_nmm
+        .windows(3)
+        .map(|w| (w[0] - w[1] * 2.0 + w[2]).norm_squared() / 6.0)
+        .collect();
     bends.sort_by(f64::total_cmp);
     let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
     let limit_nmm = FREE_SDS * quiet.max(noise_nmm).max(MIN_NOISE_NMM);
     // The median of the first few withstands a gross reading.
     let middle = |c: usize| median(moments_nmm[..MIN_FREE].iter().map(|m| m[c]));
     let middle = Vector2::new(middle(0)?, middle(1)?);
-    let count = moments_nmm.iter().take_while(|m| (*m - middle).norm() <= limit_nmm).count();
+    let count = moments_nmm
+        .iter()
+        .take_while(|m| (*m - middle).norm() <= limit_nmm)
+        .count();
     (count >= MIN_FREE).then_some(Steady { count, limit_nmm })
 }
 
 /// What the first readings of a table are. A calibration that does not know the zero of the free wire cannot tell a beginning in contact: any
 /// steady one is taken for free.
 pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
-    let all: Vec<(f64, &Moments)> =
-        readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();
+    let all: Vec<(f64, &Moments)> = readings
+        .iter()
+        .filter_map(|r| Some((r.t_s, r.moments.as_ref()?)))
+        .collect();
     let moments: Vec<Vector2<f64>> = all.iter().map(|(_, m)| m.moment_nmm.into()).collect();
-    let known = all.first().and_then(|(_, m)| m.own_nmm2).map_or(0.0, |n| (0.5 * n.trace()).sqrt());
-    let Some(Steady { count: free, limit_nmm: limit }) = steady(&moments, known) else {
+    let known = all
+        .first()
+        .and_then(|(_, m)| m.own_nmm2)
+        .map_or(0.0, |n| (0.5 * n.trace()).sqrt());
+    let Some(Steady {
+        count: free,
+        limit_nmm: limit,
+    }) = steady(&moments, known)
+    else {
         return FreeStart::Unknown;
     };
     let at = |k: usize| moments[k];
@@ -138,14 +172,27 @@ pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
     let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
     let noise_nmm2 = spread / (free - 1) as f64 + floor;
     // Half a step past the last free reading.
-    let next = all.get(free).map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
+    let next = all
+        .get(free)
+        .map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
     let inefficiency = inefficiency(&off);
-    FreeStart::Free { span_s: next - all[0].0, readings: free, noise_nmm2, inefficiency }
+    FreeStart::Free {
+        span_s: next - all[0].0,
+        readings: free,
+        noise_nmm2,
+        inefficiency,
+    }
 }
 
 /// Statistical inefficiency of noise, see the module.
 fn inefficiency(off: &[Vector2<f64>]) -> f64 {
-    let covariance = |lag: usize| off[lag..].iter().zip(off).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let covariance = |lag: usize| {
+        off[lag..]
+            .iter()
+            .zip(off)
+            .map(|(a, b)| a.dot(b))
+            .sum::<f64>()
+    };
     let variance = covariance(0).max(f64::MIN_POSITIVE);
     let pairs = (0..off.len() / 4).map(|k| (covariance(2 * k) + covariance(2 * k + 1)) / variance);
     (2.0 * pairs.take_while(|pair| *pair > 0.0).sum::<f64>() - 1.0).max(1.0)
@@ -172,37 +219,66 @@ mod tests {
     fn record(zero: f64) -> Vec<Reading> {
         let noise = |k: usize| 0.002 * (k % 3) as f64 - 0.002;
         let load = |k: usize| 0.1 * k.saturating_sub(9) as f64;
-        (0..30).map(|k| reading(k, [zero + noise(k) + load(k), noise(k + 1)])).collect()
+        (0..30)
+            .map(|k| reading(k, [zero + noise(k) + load(k), noise(k + 1)]))
+            .collect()
     }
 
     #[test]
     fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
         let readings = record(0.2);
-        let FreeStart::Free { span_s, readings: free, noise_nmm2, .. } = beginning(&readings, true) else {
+        let FreeStart::Free {
+            span_s,
+            readings: free,
+            noise_nmm2,
+            ..
+        } = beginning(&readings, true)
+        else {
             panic!()
         };
-        assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
-        assert!((0.001..0.003).contains(&noise_nmm2[(0, 0)].sqrt()), "{noise_nmm2}");
+        assert!(
+            free == 10 && (span_s - 0.95).abs() < 1e-9,
+            "{free} {span_s}"
+        );
+        assert!(
+            (0.001..0.003).contains(&noise_nmm2[(0, 0)].sqrt()),
+            "{noise_nmm2}"
+        );
         let mut zero = Zero::new(span_s);
         let taken = |zero: &mut Zero, r: &Reading| zero.applied(r.t_s, r.moments.clone().unwrap());
         let all: Vec<Moments> = readings.iter().map(|r| taken(&mut zero, r)).collect();
-        assert!((all[29].moment_nmm[0] - 2.0).abs() < 0.005, "{:?}", all[29].moment_nmm);
+        assert!(
+            (all[29].moment_nmm[0] - 2.0).abs() < 0.005,
+            "{:?}",
+            all[29].moment_nmm
+        );
         // What all readings share is that of the difference from the free wire.
         assert!(
-            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001 && (all[29].zero_nmm2[(0, 0)] - 1e-2).abs() < 1e-9
+            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001
+                && (all[29].zero_nmm2[(0, 0)] - 1e-2).abs() < 1e-9
         );
         // With a noise of their own the mean of ten knows more; less where it is slow.
         let of = |inefficiency: f64| {
             let own_nmm2 = Some(Matrix2::identity() * 1e-4);
-            let known = |r: &Reading| Moments { own_nmm2, inefficiency, ..r.moments.clone().unwrap() };
+            let known = |r: &Reading| Moments {
+                own_nmm2,
+                inefficiency,
+                ..r.moments.clone().unwrap()
+            };
             let mut zero = Zero::new(span_s);
-            let all: Vec<Moments> = readings.iter().map(|r| zero.applied(r.t_s, known(r))).collect();
+            let all: Vec<Moments> = readings
+                .iter()
+                .map(|r| zero.applied(r.t_s, known(r)))
+                .collect();
             all[29].zero_nmm2[(0, 0)]
         };
         assert!((of(1.0) - 1e-5).abs() < 1e-12 && (of(4.0) - 4e-5).abs() < 1e-12);
         // Control: the calibration's zero stays, with its own uncertainty.
         let plain = taken(&mut Zero::new(0.0), &readings[29]);
-        assert!((plain.moment_nmm[0] - 2.2).abs() < 0.005 && (plain.zero_nmm2[(0, 0)] - 2.5e-3).abs() < 1e-9);
+        assert!(
+            (plain.moment_nmm[0] - 2.2).abs() < 0.005
+                && (plain.zero_nmm2[(0, 0)] - 2.5e-3).abs() < 1e-9
+        );
     }
 
     #[test]
@@ -211,7 +287,9 @@ mod tests {
         let g = |phi: f64| {
             let (mut state, mut last) = (7_u64, Vector2::zeros());
             let mut uniform = || {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
                 (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
             };
             let noise: Vec<Vector2<f64>> = (0..2000)
@@ -222,7 +300,12 @@ mod tests {
                 .collect();
             inefficiency(&noise)
         };
-        assert!(g(0.0) < 1.3 && (12.0..28.0).contains(&g(0.9)), "{} {}", g(0.0), g(0.9));
+        assert!(
+            g(0.0) < 1.3 && (12.0..28.0).contains(&g(0.9)),
+            "{} {}",
+            g(0.0),
+            g(0.9)
+        );
     }
 
     #[test]
@@ -232,7 +315,10 @@ mod tests {
         };
         assert!((nmm - 3.0).abs() < 0.01);
         // A calibration without the zero of the free wire takes the steady beginning for free.
-        assert!(matches!(beginning(&record(3.0), false), FreeStart::Free { readings: 10, .. }));
+        assert!(matches!(
+            beginning(&record(3.0), false),
+            FreeStart::Free { readings: 10, .. }
+        ));
         assert_eq!(beginning(&record(0.0)[9..], true), FreeStart::Unknown);
         assert_eq!(beginning(&record(0.0)[..3], true), FreeStart::Unknown);
     }

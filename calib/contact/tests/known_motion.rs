@@ -17,7 +17,13 @@ use wcal_plant::{Design, Noise};
 use wcal_rod::{Line, Outcome, Rod};
 
 fn drawn(seed: u64, design: Design) -> Case {
-    let request = Request { seed, design, want: CaseKind::Null, target_sigma: 0.0, rivals: false };
+    let request = Request {
+        seed,
+        design,
+        want: CaseKind::Null,
+        target_sigma: 0.0,
+        rivals: false,
+    };
     draw_under(&request, Noise::Gaussian, Make::Usual).unwrap()
 }
 
@@ -42,18 +48,29 @@ fn field(case: &Case) -> MomentField {
 /// Episodes by trajectory through the true sensitivity, each with the true place at its first reading.
 fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
     let b = &case.bench;
-    let inverse = Matrix2::new(b.k[0][0], b.k[0][1], b.k[1][0], b.k[1][1]).try_inverse().unwrap();
+    let inverse = Matrix2::new(b.k[0][0], b.k[0][1], b.k[1][0], b.k[1][1])
+        .try_inverse()
+        .unwrap();
     let noise_pm = case.truth.new_pose_noise_pm;
     let trajectories = b.trajectories();
     let mut all: BTreeMap<usize, (Episode, Vector3<f64>)> = BTreeMap::new();
     for r in &case.readings {
-        let t = trajectories.iter().find(|t| t.id == r.trajectory_id).unwrap();
+        let t = trajectories
+            .iter()
+            .find(|t| t.id == r.trajectory_id)
+            .unwrap();
         let warm = 1e3 * (r.reference_nm - b.reference_nominal_nm);
         let shift = |c: usize| 1e3 * (r.fbg_nm[c] - b.nominal_nm[c]) - b.zero_pm[c] - warm;
         let m = inverse * nalgebra::Vector2::new(shift(0), shift(1));
         let direction = t.path.direction;
         let (episode, _) = all.entry(r.trajectory_id).or_insert_with(|| {
-            (Episode { rows: Vec::new(), push: Some(direction) }, Vector3::from(r.groove_mm))
+            (
+                Episode {
+                    rows: Vec::new(),
+                    push: Some(direction),
+                },
+                Vector3::from(r.groove_mm),
+            )
         });
         let p = &r.planned;
         episode.rows.push(MotionRow {
@@ -84,13 +101,19 @@ struct Score {
     doubted: usize,
 }
 
-fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -> Vec<EpisodeEstimate> {
+fn score(
+    case: &Case,
+    change: impl Fn(&Episode) -> Episode,
+    score: &mut Score,
+) -> Vec<EpisodeEstimate> {
     let (field, settings) = (field(case), Settings::default());
     let mut out = Vec::new();
     for (episode, place) in episodes(case) {
         let path = ContactPath::new(&field, &episode).unwrap();
         let truth = path.state_of(&place, 0, None).unwrap();
-        let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
+        let bound = bound::bound_mm(&field, &episode, &settings, &truth)
+            .unwrap()
+            .unwrap();
         let changed = change(&episode);
         let found = estimate_contact(&field, &changed, &settings).unwrap();
         score.episodes += 1;
@@ -100,7 +123,10 @@ fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -
             score.squared_mm2 += off.norm_squared();
             score.bound_mm2 += bound * bound;
             score.held += usize::from(p.holds(&truth));
-            let c = found.places[0].covariance_mm2.cholesky().map(|c| off.dot(&c.solve(&off)));
+            let c = found.places[0]
+                .covariance_mm2
+                .cholesky()
+                .map(|c| off.dot(&c.solve(&off)));
             score.ellipse += usize::from(c.is_some_and(|m| m <= 7.815));
         }
         out.push(found);
@@ -137,7 +163,10 @@ fn contacts_are_found_at_the_bound_and_their_regions_hold() {
         assert!((0.7..1.3).contains(&ratio), "{design:?}: {s}");
         // Ninety episodes: 95 % within 3 sd of the binomial.
         assert!((s.held as f64 / n - 0.95).abs() < 0.07, "{design:?}: {s}");
-        assert!((s.ellipse as f64 / n - 0.95).abs() < 0.07, "{design:?}: {s}");
+        assert!(
+            (s.ellipse as f64 / n - 0.95).abs() < 0.07,
+            "{design:?}: {s}"
+        );
         assert!(s.doubted == 0, "{design:?}: {s}");
     }
 }
@@ -149,25 +178,39 @@ fn a_gross_reading_is_named_and_draws_nothing() {
     let case = drawn(3, Design::Paper);
     let (field, settings) = (field(&case), Settings::default());
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let (mut robust, mut plain, mut bound_mm2, mut named, mut episodes_count) = (0.0, 0.0, 0.0, 0, 0);
+    let (mut robust, mut plain, mut bound_mm2, mut named, mut episodes_count) =
+        (0.0, 0.0, 0.0, 0, 0);
     for (mut episode, place) in episodes(&case) {
         let path = ContactPath::new(&field, &episode).unwrap();
         let truth = path.state_of(&place, 0, None).unwrap();
-        bound_mm2 += bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap().powi(2);
-        let loaded: Vec<usize> = (0..episode.rows.len()).filter(|&k| !episode.rows[k].free).collect();
+        bound_mm2 += bound::bound_mm(&field, &episode, &settings, &truth)
+            .unwrap()
+            .unwrap()
+            .powi(2);
+        let loaded: Vec<usize> = (0..episode.rows.len())
+            .filter(|&k| !episode.rows[k].free)
+            .collect();
         // The deepest readings locate the contact.
         let k = loaded[rng.random_range(loaded.len() / 2..loaded.len())];
         episode.rows[k].moment_nmm[rng.random_range(0..2_usize)] += rng.random_range(0.3..3.0);
         let found = estimate_contact(&field, &episode, &settings).unwrap();
         named += usize::from(found.places[k].outlier && !found.disagrees());
         robust += (found.places[0].place_mm.unwrap() - place).norm_squared();
-        let without = Settings { gross_share: 0.0, ..settings };
+        let without = Settings {
+            gross_share: 0.0,
+            ..settings
+        };
         let found = estimate_contact(&field, &episode, &without).unwrap();
-        plain += found.places[0].place_mm.map_or(1e3, |at| (at - place).norm_squared());
+        plain += found.places[0]
+            .place_mm
+            .map_or(1e3, |at| (at - place).norm_squared());
         episodes_count += 1;
     }
     // With three loaded readings of a pose each, one less doubles the bound at most; the errors scatter about it.
-    assert!(robust < 9.0 * bound_mm2 && plain > 100.0 * bound_mm2, "{robust} {plain} {bound_mm2} mm^2");
+    assert!(
+        robust < 9.0 * bound_mm2 && plain > 100.0 * bound_mm2,
+        "{robust} {plain} {bound_mm2} mm^2"
+    );
     assert!(named >= episodes_count - 1, "{named} of {episodes_count}");
 }
 
@@ -192,7 +235,11 @@ fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
         let moved_mm = push * *along + aside * *across;
         let place = turn * touch + moved_mm;
         let held = (place - touch).dot(&push) > 0.0;
-        let m = if held { field.held(&place, 0.0).unwrap().moment_nmm } else { [0.0; 2] };
+        let m = if held {
+            field.held(&place, 0.0).unwrap().moment_nmm
+        } else {
+            [0.0; 2]
+        };
         MotionRow {
             t_s: k as f64,
             moment_nmm: m.map(|m| m + noise_nmm * rng.sample::<f64, _>(StandardNormal)),
@@ -225,15 +272,24 @@ fn motion_in_any_direction_with_holds_reversals_and_turns_is_followed() {
         let path = ContactPath::new(&field, &episode).unwrap();
         let last = episode.rows.len() - 1;
         let truth = path.state_of(&place, last, None).unwrap();
-        let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
+        let bound = bound::bound_mm(&field, &episode, &settings, &truth)
+            .unwrap()
+            .unwrap();
         let found = estimate_contact(&field, &episode, &settings).unwrap();
         assert!(!found.disagrees(), "{seed}: {:?}", found.innovations);
         held += usize::from(found.posterior.unwrap().holds(&truth));
         ratios.push((found.places[last].place_mm.unwrap() - place).norm() / bound);
         // Control: the same motion without its turn.
         let mut straight = episode.clone();
-        straight.rows.iter_mut().for_each(|r| r.turn = Rotation3::identity());
-        ignored += usize::from(estimate_contact(&field, &straight, &settings).unwrap().disagrees());
+        straight
+            .rows
+            .iter_mut()
+            .for_each(|r| r.turn = Rotation3::identity());
+        ignored += usize::from(
+            estimate_contact(&field, &straight, &settings)
+                .unwrap()
+                .disagrees(),
+        );
     }
     ratios.sort_by(f64::total_cmp);
     assert!(held >= EPISODES - 3, "{held} of {EPISODES}: {ratios:?}");
@@ -248,7 +304,9 @@ fn a_wrong_map_is_neither_covered_nor_trusted() {
     let off = |e: &Episode| {
         let mut e = e.clone();
         // A map of another wire: one moment is a fifth too large, the other too small.
-        e.rows.iter_mut().for_each(|r| r.moment_nmm = [1.2 * r.moment_nmm[0], 0.8 * r.moment_nmm[1]]);
+        e.rows
+            .iter_mut()
+            .for_each(|r| r.moment_nmm = [1.2 * r.moment_nmm[0], 0.8 * r.moment_nmm[1]]);
         e
     };
     score(&drawn(1, Design::Rich), off, &mut s);
@@ -275,7 +333,12 @@ fn a_first_reading_that_is_left_out_moves_no_contact() {
     let (field, settings) = (field(&case), Settings::default());
     let mut steps = Vec::new();
     for (mut episode, _) in episodes(&case) {
-        let along = |found: &EpisodeEstimate| found.places[0].place_mm.unwrap().dot(&episode.push.unwrap());
+        let along = |found: &EpisodeEstimate| {
+            found.places[0]
+                .place_mm
+                .unwrap()
+                .dot(&episode.push.unwrap())
+        };
         let own = along(&estimate_contact(&field, &episode, &settings).unwrap());
         let loaded = |r: &MotionRow| {
             !r.free && r.moment_nmm[0].hypot(r.moment_nmm[1]) > 4.0 * r.noise_nmm2.trace().sqrt()
@@ -285,11 +348,17 @@ fn a_first_reading_that_is_left_out_moves_no_contact() {
         episode.rows[first].moment_nmm[0] += 1.5;
         let found = estimate_contact(&field, &episode, &settings).unwrap();
         if found.places[first].outlier {
-            let along = found.places[0].place_mm.unwrap().dot(&episode.push.unwrap());
+            let along = found.places[0]
+                .place_mm
+                .unwrap()
+                .dot(&episode.push.unwrap());
             steps.push((along - own) / step);
         }
     }
-    assert!(!steps.is_empty() && steps.iter().all(|s: &f64| s.abs() < 0.3), "in steps: {steps:?}");
+    assert!(
+        !steps.is_empty() && steps.iter().all(|s: &f64| s.abs() < 0.3),
+        "in steps: {steps:?}"
+    );
 }
 
 #[test]
@@ -303,28 +372,48 @@ fn motion_that_is_reversed_or_in_metres_is_doubted() {
                 &case,
                 |e| {
                     let e = scaled(e, factor);
-                    if known { e } else { Episode { push: None, ..e } }
+                    if known {
+                        e
+                    } else {
+                        Episode { push: None, ..e }
+                    }
                 },
                 &mut s,
             );
             let doubted = found.iter().filter(|f| f.disagrees()).count();
-            assert!(doubted * 10 >= found.len() * 9, "{factor}: {doubted} of {}", found.len());
+            assert!(
+                doubted * 10 >= found.len() * 9,
+                "{factor}: {doubted} of {}",
+                found.len()
+            );
         }
     }
 }
 
 /// A straight press in a random direction by the rod itself, not by the table that the tracker interpolates in; each pose is read twice.
-fn pressed(rod: &Rod, field: &MomentField, noise_nmm: f64, seed: u64) -> Option<(Episode, Vector3<f64>)> {
+fn pressed(
+    rod: &Rod,
+    field: &MomentField,
+    noise_nmm: f64,
+    seed: u64,
+) -> Option<(Episode, Vector3<f64>)> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let arclength_mm = rng.random_range(16.0..50.0);
     let (origin_mm, tangent) = field.free(arclength_mm);
     let normal = Vector3::new(-tangent.z, 0.0, tangent.x).normalize();
     let turn: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-    let line = Line { origin_mm, direction: normal * turn.cos() + normal.cross(&tangent) * turn.sin() };
-    let xs: Vec<f64> = (1..=8).map(|k| 0.17 * arclength_mm * f64::from(k) / 8.0).collect();
+    let line = Line {
+        origin_mm,
+        direction: normal * turn.cos() + normal.cross(&tangent) * turn.sin(),
+    };
+    let xs: Vec<f64> = (1..=8)
+        .map(|k| 0.17 * arclength_mm * f64::from(k) / 8.0)
+        .collect();
     let mut moments = vec![(-1.0, [0.0; 2]), (-0.5, [0.0; 2])];
     for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
-        let Outcome::Held(e) = outcome else { return None };
+        let Outcome::Held(e) = outcome else {
+            return None;
+        };
         moments.push((*x, MomentAxes::default().components_nmm(&e.moment_nmm)));
     }
     let row = |(k, (x, m)): (usize, &(f64, [f64; 2]))| MotionRow {
@@ -343,7 +432,13 @@ fn pressed(rod: &Rod, field: &MomentField, noise_nmm: f64, seed: u64) -> Option<
     };
     let twice: Vec<_> = moments.iter().flat_map(|m| [*m, *m]).collect();
     let rows = twice.iter().enumerate().map(row).collect();
-    Some((Episode { rows, push: Some(line.direction) }, line.point(-1.0)))
+    Some((
+        Episode {
+            rows,
+            push: Some(line.direction),
+        },
+        line.point(-1.0),
+    ))
 }
 
 /// Where the readings are better than the table, the table's own error is most of what is not known.
@@ -355,7 +450,9 @@ fn regions_hold_where_the_noise_is_smaller_than_the_table_s_error() {
     let held = |noise_nmm: f64, stated_nmm: f64| {
         let (mut held, mut all, mut squares) = (0, 0, 0.0);
         for seed in 0..60 {
-            let Some((mut episode, place)) = pressed(&rod, &field, noise_nmm, seed) else { continue };
+            let Some((mut episode, place)) = pressed(&rod, &field, noise_nmm, seed) else {
+                continue;
+            };
             let stated = Matrix2::identity() * stated_nmm * stated_nmm;
             episode.rows.iter_mut().for_each(|r| r.noise_nmm2 = stated);
             let path = ContactPath::new(&field, &episode).unwrap();

@@ -26,7 +26,10 @@ const ROUNDING_MM: f64 = 1e-9;
 const STREAMED: std::ops::Range<usize> = 4..7;
 /// Mesh of the rod of a field, mm, and what is assumed of the motion.
 const MESH_MM: f64 = 2.0;
-const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.005, clock_sd_s: 0.001 };
+const ACCURACY: MotionAccuracy = MotionAccuracy {
+    moved_sd_mm: 0.005,
+    clock_sd_s: 0.001,
+};
 /// By how much the truth of the control is shifted along the wire, mm.
 const SHIFT_MM: f64 = 4.0;
 
@@ -35,7 +38,10 @@ fn rows(case: &SweepCase, way: f64) -> Vec<MotionRow> {
     let wire = calibrated(&whisker(case), MESH_MM);
     readings(case, way)
         .iter()
-        .map(|r| MotionRow { free_nmm2: None, ..wire.row(r, &ACCURACY).unwrap() })
+        .map(|r| MotionRow {
+            free_nmm2: None,
+            ..wire.row(r, &ACCURACY).unwrap()
+        })
         .collect()
 }
 
@@ -46,14 +52,19 @@ fn wire(case: &SweepCase) -> TouchedWire {
 /// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
 /// truth; one a reading in contact.
 fn judged(case: &SweepCase, found: &SlidingContact, shift_mm: f64) -> Vec<(f64, bool, bool)> {
-    let all = case.readings.iter().zip(found.places.iter().zip(&found.arcs));
+    let all = case
+        .readings
+        .iter()
+        .zip(found.places.iter().zip(&found.arcs));
     all.filter_map(|(reading, (place, arc))| {
         let (truth, at) = (reading.touch?, place.place_mm?);
         let off = at - truth.axis_mm;
         let inside = off.dot(&(place.covariance_mm2.try_inverse()? * off)) < 7.815;
         let s = truth.arclength_mm - shift_mm;
-        let held =
-            arc.regions().iter().any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));
+        let held = arc
+            .regions()
+            .iter()
+            .any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));
         Some((off.norm(), held, inside))
     })
     .collect()
@@ -75,7 +86,12 @@ fn followed() -> &'static [(SweepCase, SlidingContact)] {
 #[test]
 fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let one = |(case, found): &(SweepCase, SlidingContact)| {
-        (case.seed, judged(case, found, 0.0), judged(case, found, SHIFT_MM), found.clone())
+        (
+            case.seed,
+            judged(case, found, 0.0),
+            judged(case, found, SHIFT_MM),
+            found.clone(),
+        )
     };
     let found: Vec<_> = followed().iter().map(one).collect();
     println!("SIMULATED; error of the wire's axis in space, mm");
@@ -86,19 +102,32 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     }
     let of = |sure: bool, shifted: bool| -> Vec<(f64, bool, bool)> {
         let those = found.iter().filter(|f| f.3.sure() == sure);
-        those.flat_map(|f| if shifted { f.2.clone() } else { f.1.clone() }).collect()
+        those
+            .flat_map(|f| if shifted { f.2.clone() } else { f.1.clone() })
+            .collect()
     };
     let (followed, others) = (of(true, false), of(false, false));
     let sure = found.iter().filter(|f| f.3.sure()).count();
-    println!("{sure} of {} sure: {}; the others: {}", found.len(), said(&followed), said(&others));
+    println!(
+        "{sure} of {} sure: {}; the others: {}",
+        found.len(),
+        said(&followed),
+        said(&others)
+    );
     // Five of eight on these seeds; seven of eight were on seeds 300 to 307, before answers with gaps in the surface were not sure any more.
     assert!(sure * 2 > found.len(), "{sure}");
     let [median, rms, held, inside] = summary(&followed);
     // A regression limit: these seeds had 0.39 and 0.78 mm at first sight.
-    assert!(followed.len() > 300 && median < 0.5 && rms < 1.0, "{median} {rms}");
+    assert!(
+        followed.len() > 300 && median < 0.5 && rms < 1.0,
+        "{median} {rms}"
+    );
     // Readings of a sweep share their errors: a dozen sweeps determine the coverage to some per cent.
     // The ellipsoids in space are too small: 84 % for 95 at first sight.
-    assert!((0.9..=1.0).contains(&held) && inside > 0.75, "{held} {inside}");
+    assert!(
+        (0.9..=1.0).contains(&held) && inside > 0.75,
+        "{held} {inside}"
+    );
     // Control: places beside the truth are mostly not held.
     let [.., beside_held, _] = summary(&of(true, true));
     assert!(beside_held < 0.4, "{beside_held}");
@@ -135,7 +164,11 @@ fn a_contact_is_followed_past_a_slip() {
 fn a_wrong_motion_is_worse_than_the_true_one() {
     let one = |(case, right): &(SweepCase, SlidingContact)| {
         let backward = locate_sliding(&wire(case), &rows(case, -1.0));
-        (right.evidence > backward.evidence, right.supported(), backward.supported())
+        (
+            right.evidence > backward.evidence,
+            right.supported(),
+            backward.supported(),
+        )
     };
     let all: Vec<_> = followed()[..4].par_iter().map(one).collect();
     println!("{all:?}");
@@ -151,13 +184,23 @@ fn a_stream_follows_a_contact_that_slides() {
             let wire = calibrated(&whisker(case), MESH_MM);
             let mut stream = ContactTracker::of_stream(wire, ACCURACY, ANY_OBJECT);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
-            readings(case, way).into_iter().map(push).collect::<Vec<Contact>>()
+            readings(case, way)
+                .into_iter()
+                .map(push)
+                .collect::<Vec<Contact>>()
         };
         let error = |(c, r): (&Contact, &SweepReading)| {
-            let at = c.estimate.filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?.place_mm;
+            let at = c
+                .estimate
+                .filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?
+                .place_mm;
             Some((at - r.touch?.axis_mm).norm())
         };
-        stream.iter().zip(&case.readings).filter_map(error).collect::<Vec<f64>>()
+        stream
+            .iter()
+            .zip(&case.readings)
+            .filter_map(error)
+            .collect::<Vec<f64>>()
     };
     let streamed = &followed()[STREAMED];
     let pooled = |way: f64| {
@@ -166,9 +209,16 @@ fn a_stream_follows_a_contact_that_slides() {
         errors
     };
     let (right, reversed) = (pooled(1.0), pooled(-1.0));
-    let median = |errors: &[f64]| errors.get(errors.len() / 2).copied().unwrap_or(f64::INFINITY);
-    let touching: usize =
-        streamed.iter().map(|f| f.0.readings.iter().filter(|r| r.touch.is_some()).count()).sum();
+    let median = |errors: &[f64]| {
+        errors
+            .get(errors.len() / 2)
+            .copied()
+            .unwrap_or(f64::INFINITY)
+    };
+    let touching: usize = streamed
+        .iter()
+        .map(|f| f.0.readings.iter().filter(|r| r.touch.is_some()).count())
+        .sum();
     println!(
         "SIMULATED: {} of {touching} readings slide, median {:.2} mm; the motion reversed {}, {:.2} mm",
         right.len(),
@@ -186,8 +236,14 @@ fn summary(rows: &[(f64, bool, bool)]) -> [f64; 4] {
     let mut errors: Vec<f64> = rows.iter().map(|r| r.0).collect();
     errors.sort_by(f64::total_cmp);
     let rms = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
-    let share = |of: fn(&(f64, bool, bool)) -> bool| rows.iter().filter(|r| of(r)).count() as f64 / n;
-    [errors.get(errors.len() / 2).copied().unwrap_or(f64::NAN), rms, share(|r| r.1), share(|r| r.2)]
+    let share =
+        |of: fn(&(f64, bool, bool)) -> bool| rows.iter().filter(|r| of(r)).count() as f64 / n;
+    [
+        errors.get(errors.len() / 2).copied().unwrap_or(f64::NAN),
+        rms,
+        share(|r| r.1),
+        share(|r| r.2),
+    ]
 }
 
 fn said(rows: &[(f64, bool, bool)]) -> String {

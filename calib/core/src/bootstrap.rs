@@ -12,7 +12,11 @@ use rand_chacha::ChaCha8Rng;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// Values of `statistic`, one a draw, in order; the same for the same seed.
-pub fn replicates<T>(draws: usize, seed: u64, mut statistic: impl FnMut(&mut ChaCha8Rng) -> T) -> Vec<T> {
+pub fn replicates<T>(
+    draws: usize,
+    seed: u64,
+    mut statistic: impl FnMut(&mut ChaCha8Rng) -> T,
+) -> Vec<T> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..draws).map(|_| statistic(&mut rng)).collect()
 }
@@ -25,8 +29,14 @@ pub fn redrawn<R: Rng>(units: usize, rng: &mut R) -> impl Iterator<Item = usize>
 /// Central 95 % of the replicates, wider as few `units` ask for; none for fewer than two.
 pub fn expanded_interval95(replicates: Vec<f64>, units: usize) -> Option<[f64; 2]> {
     let n = units as f64;
-    let t = StudentsT::new(0.0, 1.0, n - 1.0).ok().filter(|_| units > 1)?.inverse_cdf(0.975);
-    interval(replicates, Normal::standard().cdf(-t * (n / (n - 1.0)).sqrt()))
+    let t = StudentsT::new(0.0, 1.0, n - 1.0)
+        .ok()
+        .filter(|_| units > 1)?
+        .inverse_cdf(0.975);
+    interval(
+        replicates,
+        Normal::standard().cdf(-t * (n / (n - 1.0)).sqrt()),
+    )
 }
 
 /// From the quantile `share` to that of `1 - share`.
@@ -49,18 +59,28 @@ mod tests {
         let mean = values.iter().sum::<f64>() / n as f64;
         let sd = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n as f64).sqrt();
         let means = |of: usize| {
-            replicates(4000, 3, |rng| redrawn(of, rng).map(|k| values[k]).sum::<f64>() / of as f64)
+            replicates(4000, 3, |rng| {
+                redrawn(of, rng).map(|k| values[k]).sum::<f64>() / of as f64
+            })
         };
         let [low, high] = interval(means(n), 0.025).unwrap();
         let exact = 2.0 * 1.96 * sd / (n as f64).sqrt();
-        assert!(((high - low) / exact - 1.0).abs() < 0.06, "{low} {high} {exact}");
+        assert!(
+            ((high - low) / exact - 1.0).abs() < 0.06,
+            "{low} {high} {exact}"
+        );
         // Of five units the interval must be wider than its quantiles; two hundred hardly ask for it.
         let wider = |of: usize| {
             let [a, b] = expanded_interval95(means(of), of).unwrap();
             let [low, high] = interval(means(of), 0.025).unwrap();
             (b - a) / (high - low)
         };
-        assert!(wider(5) > 1.3 && (1.0..1.1).contains(&wider(n)), "{} {}", wider(5), wider(n));
+        assert!(
+            wider(5) > 1.3 && (1.0..1.1).contains(&wider(n)),
+            "{} {}",
+            wider(5),
+            wider(n)
+        );
     }
 
     #[test]

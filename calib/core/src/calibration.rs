@@ -43,7 +43,10 @@ pub struct CalibrationFrame {
 impl CalibrationFrame {
     /// The moments that the calibration gives.
     pub fn moments(&self) -> MomentAxes {
-        MomentAxes { axes: self.moment_axes, sign: self.moment_sign }
+        MomentAxes {
+            axes: self.moment_axes,
+            sign: self.moment_sign,
+        }
     }
 }
 
@@ -101,11 +104,18 @@ impl<M: Serialize> CalibrationFile<M> {
     /// Where the model cannot be written as JSON.
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
         let (session, model, made) = (&self.session, &self.model, &self.provenance);
-        let (judged, until, wire, noise) = (&self.verification, &self.expires, &self.whisker, &self.noise);
+        let (judged, until, wire, noise) = (
+            &self.verification,
+            &self.expires,
+            &self.whisker,
+            &self.noise,
+        );
         let (contact, frame) = (&self.contact_uncertainty, &self.frame);
         let body = match (wire, contact, frame, noise) {
             (None, None, None, None) => serde_json::to_vec(&(session, judged, until, model, made))?,
-            _ => serde_json::to_vec(&(session, judged, until, model, made, wire, contact, frame, noise))?,
+            _ => serde_json::to_vec(&(
+                session, judged, until, model, made, wire, contact, frame, noise,
+            ))?,
         };
         Ok(crate::provenance::sha256_hex(&body))
     }
@@ -118,7 +128,11 @@ mod tests {
     use crate::verify_document::ContactUncertainty;
 
     fn whisker() -> WhiskerSpec {
-        let rest_shape = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
+        let rest_shape = RestShape::StraightArc {
+            straight_mm: 30.0,
+            arc_radius_mm: 20.0,
+            length_mm: 60.0,
+        };
         WhiskerSpec {
             diameter_mm: 0.3,
             youngs_gpa: 75.0,
@@ -159,7 +173,10 @@ mod tests {
             coverage_factor: factor,
             method: "m".to_owned(),
             split: "fit".to_owned(),
-            rows: vec![ContactUncertainty { contact_u_mm, ..row }],
+            rows: vec![ContactUncertainty {
+                contact_u_mm,
+                ..row
+            }],
         };
         let frame = |moment_sign: f64| CalibrationFrame {
             rest_shape: whisker().rest_shape,
@@ -167,23 +184,35 @@ mod tests {
             moment_sign,
             sweep_direction: None,
         };
-        let noise = CalibrationNoise { reading_sd_nmm: Some([0.01, 0.02]), ..CalibrationNoise::default() };
+        let noise = CalibrationNoise {
+            reading_sd_nmm: Some([0.01, 0.02]),
+            ..CalibrationNoise::default()
+        };
         let with = file(Some(whisker()));
         let of = |contact: CalibrationContact| CalibrationFile {
             contact_uncertainty: Some(contact),
             ..with.clone()
         };
-        let framed = |sign: f64| CalibrationFile { frame: Some(frame(sign)), ..with.clone() };
+        let framed = |sign: f64| CalibrationFile {
+            frame: Some(frame(sign)),
+            ..with.clone()
+        };
         let all = [
             file(None),
             with.clone(),
-            file(Some(WhiskerSpec { diameter_mm: 0.29, ..whisker() })),
+            file(Some(WhiskerSpec {
+                diameter_mm: 0.29,
+                ..whisker()
+            })),
             of(contact(2.0, 0.22)),
             of(contact(2.0, 0.21)),
             of(contact(1.0, 0.22)),
             framed(1.0),
             framed(-1.0),
-            CalibrationFile { noise: Some(noise), ..framed(1.0) },
+            CalibrationFile {
+                noise: Some(noise),
+                ..framed(1.0)
+            },
         ];
         let hashes: std::collections::BTreeSet<String> =
             all.iter().map(|f| f.compute_hash().unwrap()).collect();
@@ -200,26 +229,67 @@ mod tests {
     fn whiskers_differ_by_what_bends_them() {
         let own = whisker();
         assert_eq!(
-            own.difference(&WhiskerSpec { youngs_gpa: 75.5, density_kg_m3: Some(6450.0), ..whisker() }),
+            own.difference(&WhiskerSpec {
+                youngs_gpa: 75.5,
+                density_kg_m3: Some(6450.0),
+                ..whisker()
+            }),
             None
         );
-        let found = own.difference(&WhiskerSpec { youngs_gpa: 60.0, ..whisker() }).unwrap();
+        let found = own
+            .difference(&WhiskerSpec {
+                youngs_gpa: 60.0,
+                ..whisker()
+            })
+            .unwrap();
         assert_eq!(found, "youngs_gpa: 75 and 60");
-        let bent = RestShape::StraightArc { straight_mm: 28.0, arc_radius_mm: 20.0, length_mm: 60.0 };
+        let bent = RestShape::StraightArc {
+            straight_mm: 28.0,
+            arc_radius_mm: 20.0,
+            length_mm: 60.0,
+        };
         assert!(
-            own.difference(&WhiskerSpec { rest_shape: bent, ..whisker() }).unwrap().contains("straight_mm")
+            own.difference(&WhiskerSpec {
+                rest_shape: bent,
+                ..whisker()
+            })
+            .unwrap()
+            .contains("straight_mm")
         );
         let line = RestShape::Polyline(vec![nalgebra::Vector3::zeros(), nalgebra::Vector3::x()]);
         assert!(
-            own.difference(&WhiskerSpec { rest_shape: line, ..whisker() }).unwrap().contains("length_mm")
+            own.difference(&WhiskerSpec {
+                rest_shape: line,
+                ..whisker()
+            })
+            .unwrap()
+            .contains("length_mm")
         );
         // The same wire as points; and one that leans by four degrees at its root.
         let points = RestShape::Polyline(own.rest_shape.points(0.5));
-        assert_eq!(own.difference(&WhiskerSpec { rest_shape: points, ..whisker() }), None);
+        assert_eq!(
+            own.difference(&WhiskerSpec {
+                rest_shape: points,
+                ..whisker()
+            }),
+            None
+        );
         let lean = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 0.07);
-        let leaning = own.rest_shape.points(0.5).iter().map(|p| lean * p).collect();
-        let found =
-            own.difference(&WhiskerSpec { rest_shape: RestShape::Polyline(leaning), ..whisker() }).unwrap();
-        assert!(found.contains("rest_shape") && found.contains("mm apart"), "{found}");
+        let leaning = own
+            .rest_shape
+            .points(0.5)
+            .iter()
+            .map(|p| lean * p)
+            .collect();
+        let found = own
+            .difference(&WhiskerSpec {
+                rest_shape: RestShape::Polyline(leaning),
+                ..whisker()
+            })
+            .unwrap();
+        assert!(
+            found.contains("rest_shape") && found.contains("mm apart"),
+            "{found}"
+        );
     }
 }

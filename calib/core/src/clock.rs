@@ -20,8 +20,14 @@ pub struct HostClock {
 impl HostClock {
     /// Starts at the system time.
     pub fn start(scale: f64) -> Self {
-        let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { start_ns: now_ns(), start_epoch_s: epoch.as_secs_f64(), scale }
+        let epoch = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        Self {
+            start_ns: now_ns(),
+            start_epoch_s: epoch.as_secs_f64(),
+            scale,
+        }
     }
 
     /// Now, s.

@@ -15,7 +15,9 @@ const LARGEST: f64 = 1e30;
 pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
     let rows = covariance.len();
     if rows != parameters {
-        return Err(format!("{parameters} rows and columns expected, {rows} rows found"));
+        return Err(format!(
+            "{parameters} rows and columns expected, {rows} rows found"
+        ));
     }
     if let Some(k) = (0..rows).find(|&k| covariance[k].len() != parameters) {
         return Err(format!(
@@ -25,7 +27,11 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
         ));
     }
     if let Some(k) = (0..parameters).find(|&k| !(covariance[k][k] >= 0.0)) {
-        return Err(format!("variances of 0 or more expected, {} found in row {}", covariance[k][k], k + 1));
+        return Err(format!(
+            "variances of 0 or more expected, {} found in row {}",
+            covariance[k][k],
+            k + 1
+        ));
     }
     // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance is taken as known.
     let sd: Vec<f64> = (0..parameters).map(|i| covariance[i][i].sqrt()).collect();
@@ -33,10 +39,21 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
         scale if scale > 0.0 => covariance[i][j] / scale,
         scale => scale,
     });
-    let numbers = correlation.iter().chain(&sd).all(|v| v.is_finite() && v.abs() <= LARGEST);
+    let numbers = correlation
+        .iter()
+        .chain(&sd)
+        .all(|v| v.is_finite() && v.abs() <= LARGEST);
     let symmetric = numbers && (&correlation - correlation.transpose()).amax() <= ROUNDING;
-    let positive = symmetric && correlation.symmetric_eigenvalues().iter().all(|v| *v >= -ROUNDING);
-    if positive { Ok(()) } else { Err("a symmetric matrix without negative eigenvalues expected".to_owned()) }
+    let positive = symmetric
+        && correlation
+            .symmetric_eigenvalues()
+            .iter()
+            .all(|v| *v >= -ROUNDING);
+    if positive {
+        Ok(())
+    } else {
+        Err("a symmetric matrix without negative eigenvalues expected".to_owned())
+    }
 }
 
 /// The lower triangle L with L L^T = `covariance` (Cholesky): its columns are errors of one standard deviation that are independent of each
@@ -52,7 +69,9 @@ where
         return Ok(covariance.clone());
     }
     let factor = covariance.clone().cholesky();
-    factor.map(|c| c.l()).ok_or_else(|| "a matrix with eigenvalues above zero expected".to_owned())
+    factor
+        .map(|c| c.l())
+        .ok_or_else(|| "a matrix with eigenvalues above zero expected".to_owned())
 }
 
 #[cfg(test)]
@@ -64,9 +83,16 @@ mod tests {
     fn a_root_makes_its_covariance_and_none_is_made_up() {
         let covariance = Matrix2::new(4.0, 1.0, 1.0, 2.0);
         let found = root(&covariance).unwrap();
-        assert!((found * found.transpose() - covariance).norm() < 1e-14, "{found}");
+        assert!(
+            (found * found.transpose() - covariance).norm() < 1e-14,
+            "{found}"
+        );
         assert_eq!(root(&Matrix2::zeros()), Ok(Matrix2::zeros()));
-        for none in [Matrix2::new(1.0, 2.0, 2.0, 1.0), Matrix2::identity() * f64::NAN, -covariance] {
+        for none in [
+            Matrix2::new(1.0, 2.0, 2.0, 1.0),
+            Matrix2::identity() * f64::NAN,
+            -covariance,
+        ] {
             assert!(root(&none).is_err(), "{none}");
         }
     }
@@ -74,7 +100,10 @@ mod tests {
     #[test]
     fn what_no_parameters_can_have_is_refused() {
         let of = |a: f64, b: f64, c: f64| vec![vec![a, b], vec![b, c]];
-        assert!(check(&of(4.0, 1.0, 1e-8), 2).is_err(), "correlation above 1");
+        assert!(
+            check(&of(4.0, 1.0, 1e-8), 2).is_err(),
+            "correlation above 1"
+        );
         for good in [of(4.0, 1.0, 1.0), of(1e-10, 0.0, 1e6), of(0.0, 0.0, 1.0)] {
             assert_eq!(check(&good, 2), Ok(()), "negative control");
         }

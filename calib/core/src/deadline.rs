@@ -53,8 +53,9 @@ impl Signal {
 
     /// The one that an error of [`Interrupt::check`] states.
     pub fn of(error: &DeviceError) -> Option<Self> {
-        let stated =
-            |signal: &Self| error.kind == DeviceErrorKind::Interrupted && error.found == signal.name();
+        let stated = |signal: &Self| {
+            error.kind == DeviceErrorKind::Interrupted && error.found == signal.name()
+        };
         Self::ALL.into_iter().find(stated)
     }
 }
@@ -82,14 +83,18 @@ impl Interrupt {
         // The flag stays as it is; the closure never declines.
         let _ = self
             .0
-            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |old| Some(old & HELD | (signal as u8 + 1)));
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |old| {
+                Some(old & HELD | (signal as u8 + 1))
+            });
     }
 
     /// Who asks for an end, if anybody does.
     pub fn signal(&self) -> Option<Signal> {
         let code = self.0.load(Ordering::SeqCst);
         // While they are held back nobody asks: the code with its flag is past the last signal.
-        usize::from(code).checked_sub(1).and_then(|k| Signal::ALL.get(k).copied())
+        usize::from(code)
+            .checked_sub(1)
+            .and_then(|k| Signal::ALL.get(k).copied())
     }
 
     /// The request so far is being obeyed, and what comes now must not be broken off by another: stopping a stage, and reaching it again.
@@ -104,12 +109,19 @@ impl Interrupt {
     /// # Errors
     /// Who asks.
     pub fn check(&self, device: &str, action: &str) -> Result<(), DeviceError> {
-        self.signal().map_or(Ok(()), |signal| Err(interrupted(device, action, signal)))
+        self.signal()
+            .map_or(Ok(()), |signal| Err(interrupted(device, action, signal)))
     }
 }
 
 fn interrupted(device: &str, action: &str, signal: Signal) -> DeviceError {
-    DeviceError::new(DeviceErrorKind::Interrupted, device, action, "no interruption", signal.name())
+    DeviceError::new(
+        DeviceErrorKind::Interrupted,
+        device,
+        action,
+        "no interruption",
+        signal.name(),
+    )
 }
 
 /// When a wait ends. Connecting, reading, writing and every loop that waits for a device take one: what a device sends meanwhile does not
@@ -129,7 +141,12 @@ impl Deadline {
     pub fn after(allowed: Duration, interrupt: &Interrupt) -> Self {
         let allowed = allowed.min(LONGEST);
         let still = standstill::total();
-        Self { end: now() + allowed, allowed, interrupt: interrupt.clone(), still }
+        Self {
+            end: now() + allowed,
+            allowed,
+            interrupt: interrupt.clone(),
+            still,
+        }
     }
 
     /// For what must be tried whatever the user wants: to stop a stage.
@@ -141,7 +158,12 @@ impl Deadline {
     pub fn within(&self, allowed: Duration) -> Self {
         let still = standstill::total();
         let end = (self.end + still.saturating_sub(self.still)).min(now() + allowed.min(LONGEST));
-        Self { end, allowed: self.allowed.min(allowed), interrupt: self.interrupt.clone(), still }
+        Self {
+            end,
+            allowed: self.allowed.min(allowed),
+            interrupt: self.interrupt.clone(),
+            still,
+        }
     }
 
     /// The time that was allowed.
@@ -224,13 +246,19 @@ mod tests {
         let short = Deadline::after(Duration::ZERO, &interrupt);
         assert!(short.is_over() && !short.slice().is_zero());
         let error = short.error("stage", "poll", "a reply", "none");
-        assert_eq!(error.to_string(), "stage: poll: expected a reply within 0.0 s, found none [timeout]");
+        assert_eq!(
+            error.to_string(),
+            "stage: poll: expected a reply within 0.0 s, found none [timeout]"
+        );
         let stop = Deadline::uninterruptible(Duration::from_secs(3600));
         interrupt.set(Signal::Terminate);
         assert!(long.is_over() && !stop.is_over());
         let error = long.error("stage", "poll", "a reply", "none");
         assert_eq!(error.to_string(), "stage: interrupted by SIGTERM");
-        assert_eq!(interrupt.check("stage", "poll").unwrap_err().kind, DeviceErrorKind::Interrupted);
+        assert_eq!(
+            interrupt.check("stage", "poll").unwrap_err().kind,
+            DeviceErrorKind::Interrupted
+        );
         // What was asked is being obeyed; a second request waits until the stage has been stopped.
         let held = interrupt.hold();
         assert!(!long.is_over() && interrupt.check("stage", "poll").is_ok());
@@ -243,7 +271,8 @@ mod tests {
     #[test]
     fn a_pause_ends_with_its_deadline() {
         let start = std::time::Instant::now();
-        Deadline::after(Duration::from_millis(20), &Interrupt::default()).pause(Duration::from_secs(3600));
+        Deadline::after(Duration::from_millis(20), &Interrupt::default())
+            .pause(Duration::from_secs(3600));
         assert!(start.elapsed() < Duration::from_secs(600));
     }
 
@@ -252,11 +281,19 @@ mod tests {
         let plain = |way: f64, speed: f64| move_allowance(way, speed, 1.0) - MOVE_MARGIN;
         assert_eq!(plain(10.0, 2.0), Duration::from_secs_f64(7.5));
         assert_eq!(plain(-10.0, 2.0), Duration::from_secs_f64(7.5));
-        assert_eq!(move_allowance(10.0, 2.0, 5.0) - MOVE_MARGIN, Duration::from_secs_f64(1.5));
+        assert_eq!(
+            move_allowance(10.0, 2.0, 5.0) - MOVE_MARGIN,
+            Duration::from_secs_f64(1.5)
+        );
         for [way, speed] in [[0.0, 0.0], [f64::NAN, 1.0], [1.0, f64::NAN]] {
             assert_eq!(plain(way, speed), Duration::ZERO, "{way} {speed}");
         }
-        for [way, speed] in [[1.0, 0.0], [1.0, 1e-300], [f64::INFINITY, 1.0], [1e308, 1.0]] {
+        for [way, speed] in [
+            [1.0, 0.0],
+            [1.0, 1e-300],
+            [f64::INFINITY, 1.0],
+            [1e308, 1.0],
+        ] {
             assert_eq!(move_allowance(way, speed, 1.0), LONGEST, "{way} {speed}");
         }
     }

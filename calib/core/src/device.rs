@@ -50,7 +50,10 @@ pub enum DeviceErrorKind {
 impl DeviceErrorKind {
     /// The name used in sessions and reports, e.g. `not-homed`: as it is written to files.
     pub fn name(self) -> String {
-        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
+        serde_json::to_value(self)
+            .ok()
+            .and_then(|name| name.as_str().map(str::to_owned))
+            .unwrap_or_default()
     }
 
     /// Whether the same request may succeed when it is sent again.
@@ -77,11 +80,20 @@ pub struct DeviceError {
 
 impl DeviceError {
     fn sentence(&self) -> String {
-        let Self { kind, device, action, expected, found } = self;
+        let Self {
+            kind,
+            device,
+            action,
+            expected,
+            found,
+        } = self;
         match kind {
             // Nothing failed: somebody wanted it so.
             DeviceErrorKind::Interrupted => format!("{device}: interrupted by {found}"),
-            _ => format!("{device}: {action}: expected {expected}, found {found} [{}]", kind.name()),
+            _ => format!(
+                "{device}: {action}: expected {expected}, found {found} [{}]",
+                kind.name()
+            ),
         }
     }
 
@@ -275,7 +287,10 @@ impl InterrogatorHealth {
             (self.tec_under, "tec-under-temperature"),
             (self.error_code != 0, "error-code"),
         ];
-        all.iter().filter(|(on, _)| *on).map(|(_, name)| *name).collect()
+        all.iter()
+            .filter(|(on, _)| *on)
+            .map(|(_, name)| *name)
+            .collect()
     }
 }
 
@@ -348,7 +363,11 @@ pub trait Camera {
     ///
     /// # Errors
     /// `Unsupported` where the camera cannot.
-    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError>;
+    fn configure(
+        &mut self,
+        exposure_ms: Option<f64>,
+        gain_db: Option<f64>,
+    ) -> Result<(), DeviceError>;
     /// The next picture, waiting at most `timeout`.
     ///
     /// # Errors
@@ -362,16 +381,28 @@ mod tests {
 
     #[test]
     fn an_error_states_action_expectation_and_finding() {
-        let error =
-            DeviceError::new(DeviceErrorKind::NotHomed, "stage", "move to 3 mm", "a homed axis", "WH");
-        assert_eq!(error.to_string(), "stage: move to 3 mm: expected a homed axis, found WH [not-homed]");
+        let error = DeviceError::new(
+            DeviceErrorKind::NotHomed,
+            "stage",
+            "move to 3 mm",
+            "a homed axis",
+            "WH",
+        );
+        assert_eq!(
+            error.to_string(),
+            "stage: move to 3 mm: expected a homed axis, found WH [not-homed]"
+        );
         assert!(!error.kind.may_retry() && DeviceErrorKind::Timeout.may_retry());
     }
 
     #[test]
     fn health_lists_every_fault_and_nothing_when_good() {
         assert!(InterrogatorHealth::default().faults().is_empty());
-        let bad = InterrogatorHealth { calibration_fault: true, error_code: 9, ..Default::default() };
+        let bad = InterrogatorHealth {
+            calibration_fault: true,
+            error_code: 9,
+            ..Default::default()
+        };
         assert_eq!(bad.faults(), ["calibration-fault", "error-code"]);
     }
 }

@@ -33,10 +33,14 @@ fn toml_error(text: &str, error: &toml::de::Error) -> DocumentError {
         Some(span) => {
             let before = &text.as_bytes()[..span.start.min(text.len())];
             let line = before.iter().filter(|byte| **byte == b'\n').count();
-            let key =
-                text.split('\n').nth(line).and_then(|own| own.split_once('=')).map(|(key, _)| key.trim());
-            let key =
-                key.filter(|key| !key.is_empty()).map_or_else(String::new, |key| format!("{}: ", brief(key)));
+            let key = text
+                .split('\n')
+                .nth(line)
+                .and_then(|own| own.split_once('='))
+                .map(|(key, _)| key.trim());
+            let key = key
+                .filter(|key| !key.is_empty())
+                .map_or_else(String::new, |key| format!("{}: ", brief(key)));
             format!("{key}{} at line {}", brief(error.message()), line + 1)
         }
         None => brief(&error.to_string()),
@@ -56,7 +60,8 @@ pub fn json(text: &str) -> Result<serde_json::Value, DocumentError> {
 /// # Errors
 /// Where it is none.
 pub fn toml(text: &str) -> Result<toml::Table, DocumentError> {
-    text.parse().map_err(|e: toml::de::Error| toml_error(text, &e))
+    text.parse()
+        .map_err(|e: toml::de::Error| toml_error(text, &e))
 }
 
 /// Reads JSON whose format is no matter, or is judged later.
@@ -100,7 +105,12 @@ pub fn from_toml<T: DeserializeOwned>(
     ranges: &[&[Range]],
 ) -> Result<T, DocumentError> {
     let table = toml(text)?;
-    checked(&table, table.get("format").and_then(toml::Value::as_str), format, ranges)?;
+    checked(
+        &table,
+        table.get("format").and_then(toml::Value::as_str),
+        format,
+        ranges,
+    )?;
     toml_as(text)
 }
 
@@ -129,19 +139,31 @@ mod tests {
     #[test]
     fn syntax_format_ranges_and_types_are_judged_in_this_order() {
         let json = |text: &str| from_json::<Plan>(text, "wcal-plan/1", &[RANGES]);
-        assert_eq!(json("{\"format\": \"wcal-plan/1\", \"count\": 3}"), Ok(Plan { count: 3 }));
+        assert_eq!(
+            json("{\"format\": \"wcal-plan/1\", \"count\": 3}"),
+            Ok(Plan { count: 3 })
+        );
         for (text, says) in [
             ("{", "EOF"),
             ("{\"count\": 1e9}", "`format`: expected"),
-            ("{\"format\": \"wcal-plan/1\", \"count\": 1e9}", "count: expected"),
+            (
+                "{\"format\": \"wcal-plan/1\", \"count\": 1e9}",
+                "count: expected",
+            ),
             ("{\"format\": \"wcal-plan/1\"}", "missing field"),
         ] {
             let error = json(text).unwrap_err().to_string();
             assert!(error.contains(says), "{says}: {error}");
         }
         let toml = |text: &str| from_toml::<Plan>(text, "wcal-plan/1", &[RANGES]);
-        assert_eq!(toml("format = \"wcal-plan/1\"\ncount = 3"), Ok(Plan { count: 3 }));
-        let long = format!("format = \"wcal-plan/1\"\ncount = \"{}\"", "x".repeat(100_000));
+        assert_eq!(
+            toml("format = \"wcal-plan/1\"\ncount = 3"),
+            Ok(Plan { count: 3 })
+        );
+        let long = format!(
+            "format = \"wcal-plan/1\"\ncount = \"{}\"",
+            "x".repeat(100_000)
+        );
         let error = toml(&long).unwrap_err().to_string();
         assert!(
             error.starts_with("count: ")
@@ -150,11 +172,23 @@ mod tests {
                 && !error.contains('\n'),
             "{error}"
         );
-        let error =
-            json(&format!("{{\"format\": \"wcal-plan/1\",\n\"count\": \"{}\"}}", "x".repeat(100_000)));
+        let error = json(&format!(
+            "{{\"format\": \"wcal-plan/1\",\n\"count\": \"{}\"}}",
+            "x".repeat(100_000)
+        ));
         let error = error.unwrap_err().to_string();
         assert!(error.contains("line 2") && error.len() < 400, "{error}");
-        assert!(toml("format = \"wcal-plan/1\"\ncount = inf").unwrap_err().to_string().contains("count"));
-        assert!(toml("format = \"wcal-plan/2\"\ncount = 3").unwrap_err().to_string().contains("update wcal"));
+        assert!(
+            toml("format = \"wcal-plan/1\"\ncount = inf")
+                .unwrap_err()
+                .to_string()
+                .contains("count")
+        );
+        assert!(
+            toml("format = \"wcal-plan/2\"\ncount = 3")
+                .unwrap_err()
+                .to_string()
+                .contains("update wcal")
+        );
     }
 }

@@ -25,7 +25,11 @@ pub struct FileError {
 impl FileError {
     /// The error of `action` on `path`, for `map_err`.
     pub fn of<'a>(action: &'static str, path: &'a Path) -> impl Fn(io::Error) -> Self + 'a {
-        move |source| Self { action, path: path.to_owned(), source }
+        move |source| Self {
+            action,
+            path: path.to_owned(),
+            source,
+        }
     }
 }
 
@@ -39,9 +43,15 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<fs::File> {
     if kind.is_file() {
         return fs::File::open(path);
     }
-    let found =
-        if kind.is_dir() { "a folder" } else { "a device or a pipe (save what comes out of it as a file)" };
-    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("expected a file, found {found}")))
+    let found = if kind.is_dir() {
+        "a folder"
+    } else {
+        "a device or a pipe (save what comes out of it as a file)"
+    };
+    Err(io::Error::new(
+        io::ErrorKind::InvalidInput,
+        format!("expected a file, found {found}"),
+    ))
 }
 
 /// Reads a regular file of at most [`MAX_BYTES`] whole.
@@ -76,7 +86,10 @@ pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
         file.take(most + 1).read_to_end(&mut bytes)?;
     }
     if size.max(bytes.len() as u64) > most {
-        let found = format!("expected a file of at most {most} bytes, found {}", size.max(most + 1));
+        let found = format!(
+            "expected a file of at most {most} bytes, found {}",
+            size.max(most + 1)
+        );
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, found));
     }
     Ok(bytes)
@@ -112,7 +125,9 @@ pub const HALF_WRITTEN: [&str; 2] = [".wcal-", ".tmp"];
 
 /// A file or folder that is being written, locked until the result is dropped; none where somebody else holds it, or the file system has no locks.
 pub fn hold(path: &Path) -> Option<fs::File> {
-    fs::File::open(path).ok().filter(|open| open.try_lock().is_ok())
+    fs::File::open(path)
+        .ok()
+        .filter(|open| open.try_lock().is_ok())
 }
 
 /// Removes what programs that were killed left half-written in a folder: what nobody holds locked any more.
@@ -121,13 +136,19 @@ pub fn remove_abandoned(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let (name, path) = (entry.file_name(), entry.path());
         let name = name.to_string_lossy();
-        let plain = entry.file_type().is_ok_and(|kind| kind.is_file() || kind.is_dir());
+        let plain = entry
+            .file_type()
+            .is_ok_and(|kind| kind.is_file() || kind.is_dir());
         if plain
             && name.starts_with(HALF_WRITTEN[0])
             && name.ends_with(HALF_WRITTEN[1])
             && hold(&path).is_some()
         {
-            let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            let _ = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
         }
     }
 }
@@ -137,13 +158,19 @@ pub fn remove_abandoned(folder: &Path) {
 /// # Errors
 /// [`FileError`] where the folder cannot be opened or synced.
 pub fn sync_folder(folder: &Path) -> Result<(), FileError> {
-    let synced = if cfg!(unix) { fs::File::open(folder).and_then(|f| f.sync_all()) } else { Ok(()) };
+    let synced = if cfg!(unix) {
+        fs::File::open(folder).and_then(|f| f.sync_all())
+    } else {
+        Ok(())
+    };
     synced.map_err(FileError::of("writing", folder))
 }
 
 /// The folder that holds `path`; the working folder for a bare name.
 pub fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    path.parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]
@@ -157,16 +184,37 @@ mod tests {
         fs::write(&path, "\u{feff}a = 1\n").unwrap();
         assert_eq!(read_text(&path).unwrap(), "a = 1\n");
         assert_eq!(read(&path).unwrap().len(), 9);
-        assert!(read(folder.path()).unwrap_err().to_string().contains("a folder"));
-        assert_eq!(read(folder.path().join("b")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert!(
+            read(folder.path())
+                .unwrap_err()
+                .to_string()
+                .contains("a folder")
+        );
+        assert_eq!(
+            read(folder.path().join("b")).unwrap_err().kind(),
+            io::ErrorKind::NotFound
+        );
         if cfg!(unix) {
-            assert!(read(Path::new("/dev/zero")).unwrap_err().to_string().contains("a device"));
+            assert!(
+                read(Path::new("/dev/zero"))
+                    .unwrap_err()
+                    .to_string()
+                    .contains("a device")
+            );
         }
         // A file with a hole: as large as it says, and not on the disk.
-        fs::File::create(&path).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        fs::File::create(&path)
+            .unwrap()
+            .set_len(MAX_BYTES + 1)
+            .unwrap();
         assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         fs::write(&path, b"Temp (\xb0C)\n").unwrap();
-        assert!(read_text(&path).unwrap_err().to_string().contains("Latin-1"));
+        assert!(
+            read_text(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("Latin-1")
+        );
     }
 
     #[test]
@@ -178,8 +226,13 @@ mod tests {
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-        let error = write_atomic(&folder.path().join("missing/a.txt"), b"x").unwrap_err().to_string();
-        assert!(error.starts_with("writing ") && error.contains("a.txt"), "{error}");
+        let error = write_atomic(&folder.path().join("missing/a.txt"), b"x")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.starts_with("writing ") && error.contains("a.txt"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -187,19 +240,29 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         fs::create_dir(path(".wcal-a1B2c3.tmp")).unwrap();
-        for name in
-            [".wcal-a1B2c3.tmp/points.csv", ".wcal-left99.tmp", ".wcal-reserve.tmp", "points.csv", ".wcal-x"]
-        {
+        for name in [
+            ".wcal-a1B2c3.tmp/points.csv",
+            ".wcal-left99.tmp",
+            ".wcal-reserve.tmp",
+            "points.csv",
+            ".wcal-x",
+        ] {
             fs::write(path(name), "x").unwrap();
         }
         let held = fs::File::create(path(".wcal-held00.tmp")).unwrap();
         held.try_lock().unwrap();
         remove_abandoned(folder.path());
-        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        let mut left: Vec<_> = fs::read_dir(folder.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name())
+            .collect();
         left.sort();
         assert_eq!(left, [".wcal-held00.tmp", ".wcal-x", "points.csv"]);
         drop(held);
         remove_abandoned(folder.path());
-        assert!(!path(".wcal-held00.tmp").exists(), "control: its program has ended");
+        assert!(
+            !path(".wcal-held00.tmp").exists(),
+            "control: its program has ended"
+        );
     }
 }

@@ -20,12 +20,17 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), FormatMismatch>
     }
     let hint = match found {
         Some(found) if is_newer(expected, found) => " (a newer version: update wcal to read it)",
-        Some(found) if is_newer(found, expected) => " (an older version, which this wcal no longer reads)",
+        Some(found) if is_newer(found, expected) => {
+            " (an older version, which this wcal no longer reads)"
+        }
         _ => "",
     };
     let shown = |found: &str| format!("{:?}{hint}", found.chars().take(60).collect::<String>());
     let found = found.map_or_else(|| "nothing".to_owned(), shown);
-    Err(FormatMismatch { expected: expected.to_owned(), found })
+    Err(FormatMismatch {
+        expected: expected.to_owned(),
+        found,
+    })
 }
 
 /// Whether `found` is a later version of the format.
@@ -34,7 +39,9 @@ pub fn is_newer(expected: &str, found: &str) -> bool {
         let (name, version) = format.rsplit_once('/')?;
         Some((name.to_owned(), version.parse().ok()?))
     };
-    version(expected).zip(version(found)).is_some_and(|(a, b)| a.0 == b.0 && b.1 > a.1)
+    version(expected)
+        .zip(version(found))
+        .is_some_and(|(a, b)| a.0 == b.0 && b.1 > a.1)
 }
 
 #[cfg(test)]
@@ -47,9 +54,18 @@ mod tests {
         let says = |found| expect("wcal-plan/1", found).unwrap_err().to_string();
         assert!(says(Some("wcal-plan/9")).contains("update wcal"));
         assert!(says(Some("wcal-plan/0")).contains("an older version"));
-        for other in [None, Some("wcal-plan/0"), Some("wcal-rig/9"), Some("wcal-plan/1 "), Some("")] {
+        for other in [
+            None,
+            Some("wcal-plan/0"),
+            Some("wcal-rig/9"),
+            Some("wcal-plan/1 "),
+            Some(""),
+        ] {
             let error = says(other);
-            assert!(error.contains("expected \"wcal-plan/1\"") && !error.contains("update"), "{error}");
+            assert!(
+                error.contains("expected \"wcal-plan/1\"") && !error.contains("update"),
+                "{error}"
+            );
         }
     }
 }

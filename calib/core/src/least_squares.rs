@@ -87,11 +87,18 @@ impl Linearised for BoundedNormalEquations {
             let at = |i: usize, j: usize| self.free.matrix[(open[i], open[j])];
             let matrix = DMatrix::from_fn(open.len(), open.len(), at);
             let descent = DVector::from_fn(open.len(), |i, _| self.free.descent[open[i]]);
-            let short = NormalEquations { cost: self.free.cost, matrix, descent }.step(damping)?;
-            open.iter().zip(short.iter()).for_each(|(k, d)| step[*k] = *d);
-            let pushing = open
-                .iter()
-                .position(|&k| (step[k] < 0.0 && !self.may[k][0]) || (step[k] > 0.0 && !self.may[k][1]));
+            let short = NormalEquations {
+                cost: self.free.cost,
+                matrix,
+                descent,
+            }
+            .step(damping)?;
+            open.iter()
+                .zip(short.iter())
+                .for_each(|(k, d)| step[*k] = *d);
+            let pushing = open.iter().position(|&k| {
+                (step[k] < 0.0 && !self.may[k][0]) || (step[k] > 0.0 && !self.may[k][1])
+            });
             match pushing {
                 Some(at) => {
                     open.remove(at);
@@ -121,7 +128,14 @@ pub struct Damping {
 
 impl Default for Damping {
     fn default() -> Self {
-        Self { start: 1e-3, shrink: 0.2, min: 1e-9, grow: 8.0, max: 1e8, max_steps: 40 }
+        Self {
+            start: 1e-3,
+            shrink: 0.2,
+            min: 1e-9,
+            grow: 8.0,
+            max: 1e8,
+            max_steps: 40,
+        }
     }
 }
 
@@ -158,7 +172,11 @@ pub fn minimise<X, L: Linearised>(
     moved: impl Fn(&X, &L, &L::Step) -> X,
     converged: impl Fn(&L::Step, [f64; 2]) -> bool,
 ) -> Minimum<X, L> {
-    let mut here = Minimum { place, at, ending: Ending::Exhausted };
+    let mut here = Minimum {
+        place,
+        at,
+        ending: Ending::Exhausted,
+    };
     let mut lambda = damping.start;
     for _ in 0..damping.max_steps {
         let step = here.at.step(lambda);
@@ -181,7 +199,11 @@ pub fn minimise<X, L: Linearised>(
             (step, _) => {
                 lambda *= damping.grow;
                 if lambda > damping.max {
-                    here.ending = if step.is_some() { Ending::Stalled } else { Ending::Singular };
+                    here.ending = if step.is_some() {
+                        Ending::Stalled
+                    } else {
+                        Ending::Singular
+                    };
                     return here;
                 }
             }
@@ -199,39 +221,81 @@ mod tests {
     fn valley(p: &Vector2<f64>) -> Option<NormalEquations<Const<2>>> {
         let r = Vector2::new(10.0 * (p.y - p.x * p.x), 1.0 - p.x);
         let j = Matrix2::new(-20.0 * p.x, 10.0, -1.0, 0.0);
-        Some(NormalEquations { cost: r.norm_squared(), matrix: j.tr_mul(&j), descent: -j.tr_mul(&r) })
+        Some(NormalEquations {
+            cost: r.norm_squared(),
+            matrix: j.tr_mul(&j),
+            descent: -j.tr_mul(&r),
+        })
     }
 
-    fn settle(start: Vector2<f64>, damping: &Damping) -> Minimum<Vector2<f64>, NormalEquations<Const<2>>> {
+    fn settle(
+        start: Vector2<f64>,
+        damping: &Damping,
+    ) -> Minimum<Vector2<f64>, NormalEquations<Const<2>>> {
         let first = (start, valley(&start).unwrap());
-        minimise(first, damping, valley, |p, _, d| p + d, |d, _| d.norm() < 1e-12)
+        minimise(
+            first,
+            damping,
+            valley,
+            |p, _, d| p + d,
+            |d, _| d.norm() < 1e-12,
+        )
     }
 
     #[test]
     fn the_bottom_of_a_bent_valley_is_found() {
         let found = settle(Vector2::new(-1.2, 1.0), &Damping::default());
         assert_eq!(found.ending, Ending::Converged);
-        assert!((found.place - Vector2::repeat(1.0)).norm() < 1e-9, "{}", found.place);
+        assert!(
+            (found.place - Vector2::repeat(1.0)).norm() < 1e-9,
+            "{}",
+            found.place
+        );
         // Controls: too few steps do not get there and say so; a wrong descent stalls.
-        let few = settle(Vector2::new(-1.2, 1.0), &Damping { max_steps: 3, ..Damping::default() });
+        let few = settle(
+            Vector2::new(-1.2, 1.0),
+            &Damping {
+                max_steps: 3,
+                ..Damping::default()
+            },
+        );
         assert!(few.ending == Ending::Exhausted && (few.place - Vector2::repeat(1.0)).norm() > 0.1);
-        let uphill = |p: &Vector2<f64>| valley(p).map(|n| NormalEquations { descent: -n.descent, ..n });
-        let damping = Damping { max_steps: 200, ..Damping::default() };
+        let uphill = |p: &Vector2<f64>| {
+            valley(p).map(|n| NormalEquations {
+                descent: -n.descent,
+                ..n
+            })
+        };
+        let damping = Damping {
+            max_steps: 200,
+            ..Damping::default()
+        };
         let start = Vector2::new(-1.2, 1.0);
         let first = (start, uphill(&start).unwrap());
         let stalled = minimise(first, &damping, uphill, |p, _, d| p + d, |_, _| false);
-        assert!(stalled.ending == Ending::Stalled && stalled.place == start, "{:?}", stalled.ending);
+        assert!(
+            stalled.ending == Ending::Stalled && stalled.place == start,
+            "{:?}",
+            stalled.ending
+        );
     }
 
     #[test]
     fn no_step_leaves_where_residuals_exist() {
         // Beside the edge of what exists, steps across it are refused and shorter ones taken.
         let fenced = |p: &Vector2<f64>| valley(p).filter(|_| p.x < 0.5);
-        let damping = Damping { max_steps: 200, ..Damping::default() };
+        let damping = Damping {
+            max_steps: 200,
+            ..Damping::default()
+        };
         let start = Vector2::new(-1.2, 1.0);
         let first = (start, fenced(&start).unwrap());
         let found = minimise(first, &damping, fenced, |p, _, d| p + d, |_, _| false);
-        assert!(found.place.x < 0.5 && found.place.x > 0.4, "{}", found.place);
+        assert!(
+            found.place.x < 0.5 && found.place.x > 0.4,
+            "{}",
+            found.place
+        );
     }
 
     #[test]
@@ -247,14 +311,24 @@ mod tests {
                 matrix: DMatrix::from_column_slice(2, 2, matrix.as_slice()),
                 descent: DVector::from_column_slice(descent.as_slice()),
             };
-            Some(BoundedNormalEquations { free, may: vec![[true, p[0] < top], [true, true]] })
+            Some(BoundedNormalEquations {
+                free,
+                may: vec![[true, p[0] < top], [true, true]],
+            })
         };
         let at = |p: &DVector<f64>| bounded_at(top, p);
-        let cut =
-            |p: &DVector<f64>, d: &DVector<f64>| DVector::from_vec(vec![(p[0] + d[0]).min(top), p[1] + d[1]]);
+        let cut = |p: &DVector<f64>, d: &DVector<f64>| {
+            DVector::from_vec(vec![(p[0] + d[0]).min(top), p[1] + d[1]])
+        };
         let start = DVector::from_vec(vec![0.0, 0.0]);
         let first = (start.clone(), at(&start).unwrap());
-        let found = minimise(first, &Damping::default(), at, |p, _, d| cut(p, d), |d, _| d.norm() < 1e-12);
+        let found = minimise(
+            first,
+            &Damping::default(),
+            at,
+            |p, _, d| cut(p, d),
+            |d, _| d.norm() < 1e-12,
+        );
         assert!((found.place - DVector::from_vec(vec![1.5, 1.0])).norm() < 1e-6);
         // Control: without the bound the bottom lies beyond it.
         let free = |p: &DVector<f64>| bounded_at(f64::INFINITY, p);
@@ -273,10 +347,20 @@ mod tests {
         let flat = |p: &Vector2<f64>| {
             let r = p.x - 1.0;
             let matrix = Matrix2::new(1.0, 0.0, 0.0, 0.0);
-            Some(NormalEquations { cost: r * r, matrix, descent: Vector2::new(-r, 0.0) })
+            Some(NormalEquations {
+                cost: r * r,
+                matrix,
+                descent: Vector2::new(-r, 0.0),
+            })
         };
         let first = (Vector2::zeros(), flat(&Vector2::zeros()).unwrap());
-        let found = minimise(first, &Damping::default(), flat, |p, _, d| p + d, |_, _| false);
+        let found = minimise(
+            first,
+            &Damping::default(),
+            flat,
+            |p, _, d| p + d,
+            |_, _| false,
+        );
         assert_eq!(found.ending, Ending::Singular);
     }
 }

@@ -45,7 +45,11 @@ impl FileLock {
         let fail = FileError::of("locking", path);
         for _ in 0..ATTEMPTS {
             // Only a file that this process makes is written to: a name may be a link to somebody's file.
-            let made = OpenOptions::new().read(true).write(true).create_new(true).open(path);
+            let made = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .create_new(true)
+                .open(path);
             let (mut file, own) = match made {
                 Ok(file) => (file, true),
                 Err(e) if e.kind() == ErrorKind::AlreadyExists => match open_plain(path) {
@@ -75,9 +79,13 @@ impl FileLock {
             }
             if own {
                 // The words are for people.
-                let _ = file.write_all(format!("process {} ({purpose})\n", std::process::id()).as_bytes());
+                let _ = file
+                    .write_all(format!("process {} ({purpose})\n", std::process::id()).as_bytes());
             }
-            return Ok(Self { file, path: path.to_owned() });
+            return Ok(Self {
+                file,
+                path: path.to_owned(),
+            });
         }
         Err(LockError::Held("another process".to_owned()))
     }
@@ -89,7 +97,10 @@ impl FileLock {
     pub fn of_port(port: &str, purpose: &str) -> Result<Vec<Self>, LockError> {
         let take = |name: &String| {
             let hash = crate::provenance::sha256_hex(name.as_bytes());
-            Self::take(&Path::new(PORT_LOCKS).join(format!("wcal-port-{}.lock", &hash[..16])), purpose)
+            Self::take(
+                &Path::new(PORT_LOCKS).join(format!("wcal-port-{}.lock", &hash[..16])),
+                purpose,
+            )
         };
         names_of(port).iter().map(take).collect()
     }
@@ -106,13 +117,14 @@ impl Drop for FileLock {
 /// The names of a port, the same however it is written: the addresses behind a host's name, or the path behind links.
 fn names_of(port: &str) -> BTreeSet<String> {
     let Some(address) = port.strip_prefix("tcp://") else {
-        let path = std::fs::canonicalize(port).map_or_else(|_| port.to_owned(), |p| p.display().to_string());
+        let path = std::fs::canonicalize(port)
+            .map_or_else(|_| port.to_owned(), |p| p.display().to_string());
         return BTreeSet::from([path]);
     };
     match address.to_socket_addrs() {
-        Ok(all) => {
-            all.map(|one| format!("tcp://{}", SocketAddr::new(host_of(one.ip()), one.port()))).collect()
-        }
+        Ok(all) => all
+            .map(|one| format!("tcp://{}", SocketAddr::new(host_of(one.ip()), one.port())))
+            .collect(),
         // A name that nobody knows opens no link.
         Err(_) => BTreeSet::from([port.to_lowercase()]),
     }
@@ -128,8 +140,12 @@ fn host_of(ip: IpAddr) -> IpAddr {
 
 /// Opens a plain file, never what a link points to; for reading alone where it is another user's.
 fn open_plain(path: &Path) -> std::io::Result<File> {
-    let refuse =
-        || std::io::Error::new(ErrorKind::InvalidInput, "expected a plain file, found a link or a folder");
+    let refuse = || {
+        std::io::Error::new(
+            ErrorKind::InvalidInput,
+            "expected a plain file, found a link or a folder",
+        )
+    };
     if !std::fs::symlink_metadata(path)?.is_file() {
         return Err(refuse());
     }
@@ -143,7 +159,9 @@ fn open_plain(path: &Path) -> std::io::Result<File> {
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    let (Ok(own), Ok(there)) = (file.metadata(), std::fs::symlink_metadata(path)) else { return false };
+    let (Ok(own), Ok(there)) = (file.metadata(), std::fs::symlink_metadata(path)) else {
+        return false;
+    };
     (own.dev(), own.ino()) == (there.dev(), there.ino())
 }
 
@@ -162,7 +180,9 @@ mod tests {
         let path = folder.path().join("a.lock");
         std::fs::write(&path, "process 1 (killed)\n").unwrap();
         let first = FileLock::take(&path, "sweep of s1").unwrap();
-        let LockError::Held(who) = FileLock::take(&path, "sweep of s2").unwrap_err() else { panic!("held") };
+        let LockError::Held(who) = FileLock::take(&path, "sweep of s2").unwrap_err() else {
+            panic!("held")
+        };
         assert_eq!(who, format!("process {} (sweep of s1)", std::process::id()));
         drop(first);
         assert!(!path.exists(), "nothing is left");
@@ -179,8 +199,18 @@ mod tests {
         std::os::unix::fs::symlink(&device, &link).unwrap();
         let [device, link] = [device, link].map(|p| p.display().to_string());
         assert_eq!(names_of(&device), names_of(&link));
-        let names = ["127.1", "0.0.0.0", "LOCALHOST", "127.0.0.1", "[::1]", "[::ffff:127.0.0.1]"];
-        for (host, port) in names.iter().flat_map(|host| [(host, "5000"), (host, "05000")]) {
+        let names = [
+            "127.1",
+            "0.0.0.0",
+            "LOCALHOST",
+            "127.0.0.1",
+            "[::1]",
+            "[::ffff:127.0.0.1]",
+        ];
+        for (host, port) in names
+            .iter()
+            .flat_map(|host| [(host, "5000"), (host, "05000")])
+        {
             assert_eq!(
                 names_of(&format!("tcp://{host}:{port}")),
                 names_of("tcp://127.0.0.1:5000"),
@@ -193,9 +223,15 @@ mod tests {
                 "control: {other}"
             );
         }
-        assert_eq!(names_of("tcp://[::ffff:192.0.2.7]:5000"), names_of("tcp://192.0.2.7:5000"));
+        assert_eq!(
+            names_of("tcp://[::ffff:192.0.2.7]:5000"),
+            names_of("tcp://192.0.2.7:5000")
+        );
         let held = FileLock::of_port(&device, "a").unwrap();
-        assert!(matches!(FileLock::of_port(&link, "b"), Err(LockError::Held(_))));
+        assert!(matches!(
+            FileLock::of_port(&link, "b"),
+            Err(LockError::Held(_))
+        ));
         drop(held);
         FileLock::of_port(&link, "b").unwrap();
     }
@@ -204,11 +240,17 @@ mod tests {
     #[test]
     fn what_a_link_in_place_of_a_lock_points_to_stays_as_it_is() {
         let folder = tempfile::tempdir().unwrap();
-        let [victim, link, hard] = ["victim", "link.lock", "hard.lock"].map(|name| folder.path().join(name));
+        let [victim, link, hard] =
+            ["victim", "link.lock", "hard.lock"].map(|name| folder.path().join(name));
         std::fs::write(&victim, "kept").unwrap();
         std::os::unix::fs::symlink(&victim, &link).unwrap();
-        let why = FileLock::take(&link, "sweep of s1").unwrap_err().to_string();
-        assert!(why.contains("link.lock") && why.contains("found a link"), "{why}");
+        let why = FileLock::take(&link, "sweep of s1")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            why.contains("link.lock") && why.contains("found a link"),
+            "{why}"
+        );
         std::fs::hard_link(&victim, &hard).unwrap();
         drop(FileLock::take(&hard, "sweep of s1").unwrap());
         // One that leads to nothing yet makes nothing.

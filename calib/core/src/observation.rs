@@ -54,14 +54,20 @@ pub struct MomentAxes {
 
 impl Default for MomentAxes {
     fn default() -> Self {
-        Self { axes: [Vector3::y(), Vector3::z()], sign: 1.0 }
+        Self {
+            axes: [Vector3::y(), Vector3::z()],
+            sign: 1.0,
+        }
     }
 }
 
 impl MomentAxes {
     /// Components (N mm) of a base moment vector r x F (N mm, base frame).
     pub fn components_nmm(&self, moment_nmm: &Vector3<f64>) -> [f64; 2] {
-        [self.sign * self.axes[0].dot(moment_nmm), self.sign * self.axes[1].dot(moment_nmm)]
+        [
+            self.sign * self.axes[0].dot(moment_nmm),
+            self.sign * self.axes[1].dot(moment_nmm),
+        ]
     }
 }
 
@@ -86,12 +92,16 @@ impl FbgSpec {
     pub fn needs_reference(&self) -> bool {
         !self.temperature_compensated
             && self.temperature_pm_per_degc.is_some()
-            && self.reference_temperature_pm_per_degc.is_some_and(|k| k != 0.0)
+            && self
+                .reference_temperature_pm_per_degc
+                .is_some_and(|k| k != 0.0)
     }
 
     /// Temperature over that of the reference grating's nominal wavelength, K, from its shift (pm), where its coefficient is known.
     pub fn rise_degc(&self, reference_shift_pm: f64) -> Option<f64> {
-        self.reference_temperature_pm_per_degc.filter(|k| *k != 0.0).map(|k| reference_shift_pm / k)
+        self.reference_temperature_pm_per_degc
+            .filter(|k| *k != 0.0)
+            .map(|k| reference_shift_pm / k)
     }
 
     /// Temperature-compensated shifts, pm, from raw shifts and the reference grating's: see [`WhiskerRow::compensated_pm`].
@@ -99,8 +109,14 @@ impl FbgSpec {
         if self.temperature_compensated {
             return shift_pm;
         }
-        match (reference_shift_pm.and_then(|s| self.rise_degc(s)), self.temperature_pm_per_degc) {
-            (Some(rise_degc), Some(k)) => [shift_pm[0] - k[0] * rise_degc, shift_pm[1] - k[1] * rise_degc],
+        match (
+            reference_shift_pm.and_then(|s| self.rise_degc(s)),
+            self.temperature_pm_per_degc,
+        ) {
+            (Some(rise_degc), Some(k)) => [
+                shift_pm[0] - k[0] * rise_degc,
+                shift_pm[1] - k[1] * rise_degc,
+            ],
             _ => shift_pm,
         }
     }

@@ -26,7 +26,11 @@ pub fn quantile(values: impl IntoIterator<Item = f64>, q: f64) -> Option<f64> {
     let last = sorted.len().checked_sub(1)?;
     let at = last as f64 * q;
     let (k, f) = ((at as usize).min(last), at.fract());
-    Some(if f == 0.0 { sorted[k] } else { sorted[k] * (1.0 - f) + sorted[k + 1] * f })
+    Some(if f == 0.0 {
+        sorted[k]
+    } else {
+        sorted[k] * (1.0 - f) + sorted[k + 1] * f
+    })
 }
 
 #[cfg(test)]
@@ -38,8 +42,14 @@ mod tests {
         assert_eq!(median([3.0, -1.0, 2.0]), Some(2.0));
         assert_eq!(median([4.0, 1.0, 3.0, 2.0]), Some(3.0));
         assert_eq!(quantile([4.0, 1.0, 3.0, 2.0], 0.5), Some(2.5));
-        assert_eq!([0.0, 0.25, 1.0].map(|q| quantile([5.0, 1.0, 3.0], q)), [Some(1.0), Some(2.0), Some(5.0)]);
-        assert_eq!((median([]), mad_sd([], 0.0), quantile([], 0.5)), (None, None, None));
+        assert_eq!(
+            [0.0, 0.25, 1.0].map(|q| quantile([5.0, 1.0, 3.0], q)),
+            [Some(1.0), Some(2.0), Some(5.0)]
+        );
+        assert_eq!(
+            (median([]), mad_sd([], 0.0), quantile([], 0.5)),
+            (None, None, None)
+        );
     }
 
     /// One value far out moves no median deviation; the root mean square of the same values is far off.
@@ -47,10 +57,15 @@ mod tests {
     fn the_deviation_of_a_normal_sample_is_its_standard_deviation() {
         use statrs::distribution::{ContinuousCDF, Normal};
         let normal = Normal::standard();
-        let mut sample: Vec<f64> =
-            (1..1000).map(|k| 5.0 + 2.0 * normal.inverse_cdf(f64::from(k) / 1000.0)).collect();
+        let mut sample: Vec<f64> = (1..1000)
+            .map(|k| 5.0 + 2.0 * normal.inverse_cdf(f64::from(k) / 1000.0))
+            .collect();
         sample[3] = 1e6;
-        let sd = mad_sd(sample.iter().copied(), median(sample.iter().copied()).unwrap()).unwrap();
+        let sd = mad_sd(
+            sample.iter().copied(),
+            median(sample.iter().copied()).unwrap(),
+        )
+        .unwrap();
         assert!((sd - 2.0).abs() < 0.02, "{sd}");
         let rms = (sample.iter().map(|v| (v - 5.0).powi(2)).sum::<f64>() / 999.0).sqrt();
         assert!(rms > 100.0, "negative control: {rms}");

@@ -56,14 +56,20 @@ pub struct Provenance {
 }
 
 /// For the documents that carry the mark only where it holds.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde asks for a reference"
+)]
 pub(crate) fn is_measured(simulated: &bool) -> bool {
     !simulated
 }
 
 /// SHA-256 of `bytes`, lower-case hex.
 pub fn sha256_hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+    Sha256::digest(bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect()
 }
 
 /// JSON without spaces and with the keys of every object sorted: equal content is equal text, and so has one hash.
@@ -79,7 +85,9 @@ pub fn canonical_json(value: &serde_json::Value) -> String {
             entries.sort_by_key(|(key, _)| *key);
             let entries: Vec<String> = entries
                 .into_iter()
-                .map(|(key, value)| format!("{}:{}", Value::from(key.as_str()), canonical_json(value)))
+                .map(|(key, value)| {
+                    format!("{}:{}", Value::from(key.as_str()), canonical_json(value))
+                })
                 .collect();
             format!("{{{}}}", entries.join(","))
         }
@@ -96,7 +104,10 @@ mod tests {
         let read = |text: &str| canonical_json(&serde_json::from_str(text).unwrap());
         let text = r#"{"a":[1,{"x":"y","z":null}],"b":2.5}"#;
         assert_eq!(read(text), text);
-        assert_eq!(read("{ \"b\": 2.5, \"a\": [1, {\"z\": null, \"x\": \"y\"}] }"), text);
+        assert_eq!(
+            read("{ \"b\": 2.5, \"a\": [1, {\"z\": null, \"x\": \"y\"}] }"),
+            text
+        );
         assert_ne!(read(r#"{"a":[{"x":"y","z":null},1],"b":2.5}"#), text);
     }
 
@@ -104,14 +115,25 @@ mod tests {
     fn the_mark_of_simulated_data_is_kept_and_older_files_stay_as_they_were() {
         let measured = serde_json::to_value(Provenance::default()).unwrap();
         assert!(measured.get("simulated").is_none(), "{measured}");
-        assert!(!serde_json::from_value::<Provenance>(measured).unwrap().simulated);
-        let marked = Provenance { simulated: true, ..Provenance::default() };
-        let again: Provenance = serde_json::from_value(serde_json::to_value(&marked).unwrap()).unwrap();
+        assert!(
+            !serde_json::from_value::<Provenance>(measured)
+                .unwrap()
+                .simulated
+        );
+        let marked = Provenance {
+            simulated: true,
+            ..Provenance::default()
+        };
+        let again: Provenance =
+            serde_json::from_value(serde_json::to_value(&marked).unwrap()).unwrap();
         assert_eq!(again, marked);
     }
 
     #[test]
     fn hash_of_abc_is_the_one_of_fips_180() {
-        assert_eq!(sha256_hex(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+        assert_eq!(
+            sha256_hex(b"abc"),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        );
     }
 }

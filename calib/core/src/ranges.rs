@@ -19,12 +19,22 @@ pub struct Range {
 impl Range {
     /// Real numbers.
     pub const fn real(key: &'static str, low: f64, high: f64) -> Self {
-        Self { key, low, high, whole: false }
+        Self {
+            key,
+            low,
+            high,
+            whole: false,
+        }
     }
 
     /// Whole numbers.
     pub const fn whole(key: &'static str, low: f64, high: f64) -> Self {
-        Self { key, low, high, whole: true }
+        Self {
+            key,
+            low,
+            high,
+            whole: true,
+        }
     }
 
     fn holds(&self, value: f64) -> bool {
@@ -39,8 +49,16 @@ impl Range {
         if self.holds(value) && (whole || !self.whole) {
             return Ok(());
         }
-        let found = format!("{}{}", number(value, 17), self.other_unit(own_part(name), value));
-        Err(OutOfRange { key: brief(name), expected: self.to_string(), found })
+        let found = format!(
+            "{}{}",
+            number(value, 17),
+            self.other_unit(own_part(name), value)
+        );
+        Err(OutOfRange {
+            key: brief(name),
+            expected: self.to_string(),
+            found,
+        })
     }
 
     /// Judges a number by its own key.
@@ -60,9 +78,13 @@ impl Range {
             ("_gpa", 1e-9, "Pa"),
             ("_nm", 1e9, "m"),
         ];
-        let fits =
-            |(suffix, factor, _): &&(&str, f64, &str)| key.ends_with(suffix) && self.holds(value * factor);
-        UNITS.iter().find(fits).map_or_else(String::new, |unit| format!(" (in {}?)", unit.2))
+        let fits = |(suffix, factor, _): &&(&str, f64, &str)| {
+            key.ends_with(suffix) && self.holds(value * factor)
+        };
+        UNITS
+            .iter()
+            .find(fits)
+            .map_or_else(String::new, |unit| format!(" (in {}?)", unit.2))
     }
 
     fn fits(&self, path: &str) -> bool {
@@ -73,8 +95,17 @@ impl Range {
 
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = if self.whole { "a whole number" } else { "a number" };
-        write!(f, "{kind} between {} and {}", number(self.low, 17), number(self.high, 17))
+        let kind = if self.whole {
+            "a whole number"
+        } else {
+            "a number"
+        };
+        write!(
+            f,
+            "{kind} between {} and {}",
+            number(self.low, 17),
+            number(self.high, 17)
+        )
     }
 }
 
@@ -110,7 +141,11 @@ fn own_part(name: &str) -> &str {
 
 /// `above.key`.
 fn below(above: &str, key: &str) -> String {
-    if above.is_empty() { key.to_owned() } else { format!("{above}.{key}") }
+    if above.is_empty() {
+        key.to_owned()
+    } else {
+        format!("{above}.{key}")
+    }
 }
 
 impl Numbers for Value {
@@ -121,9 +156,9 @@ impl Numbers for Value {
                 let mut entries = entries.iter().enumerate();
                 entries.try_for_each(|(k, v)| v.each(key, &format!("{name} #{}", k + 1), see))
             }
-            Self::Object(map) => {
-                map.iter().try_for_each(|(k, v)| v.each(&below(key, k), &below(name, k), see))
-            }
+            Self::Object(map) => map
+                .iter()
+                .try_for_each(|(k, v)| v.each(&below(key, k), &below(name, k), see)),
             Self::Null | Self::Bool(_) | Self::String(_) => Ok(()),
         }
     }
@@ -147,7 +182,8 @@ impl Numbers for toml::Value {
 
 impl Numbers for toml::Table {
     fn each(&self, key: &str, name: &str, see: &mut See<'_>) -> Result<(), OutOfRange> {
-        self.iter().try_for_each(|(k, v)| v.each(&below(key, k), &below(name, k), see))
+        self.iter()
+            .try_for_each(|(k, v)| v.each(&below(key, k), &below(name, k), see))
     }
 }
 
@@ -160,9 +196,18 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
     let mut latest: (String, Option<&Range>) = (String::new(), None);
     document.each("", "", &mut |key, name, value, whole| {
         if latest.0 != key || key.is_empty() {
-            latest = (key.to_owned(), ranges.iter().copied().flatten().find(|range| range.fits(key)));
+            latest = (
+                key.to_owned(),
+                ranges
+                    .iter()
+                    .copied()
+                    .flatten()
+                    .find(|range| range.fits(key)),
+            );
         }
-        latest.1.map_or(Ok(()), |range| range.judge(name, value, whole))
+        latest
+            .1
+            .map_or(Ok(()), |range| range.judge(name, value, whole))
     })
 }
 
@@ -183,15 +228,21 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    const RANGES: &[Range] =
-        &[Range::whole("net.layers", 1.0, 64.0), Range::real("rate", 0.0, 1e9), Range::real("", -1e12, 1e12)];
+    const RANGES: &[Range] = &[
+        Range::whole("net.layers", 1.0, 64.0),
+        Range::real("rate", 0.0, 1e9),
+        Range::real("", -1e12, 1e12),
+    ];
 
     #[test]
     fn a_number_is_refused_by_its_key_in_either_language() {
         let good = json!({"net": {"layers": 3, "rate": [1.5, 2]}, "title": "x", "none": null});
         assert_eq!(check(&good, &[RANGES]), Ok(()));
         for (bad, says) in [
-            (json!({"net": {"layers": 0}}), "net.layers: expected a whole number between 1 and 64, found 0"),
+            (
+                json!({"net": {"layers": 0}}),
+                "net.layers: expected a whole number between 1 and 64, found 0",
+            ),
             (
                 json!({"net": {"layers": 2.5}}),
                 "net.layers: expected a whole number between 1 and 64, found 2.5",
@@ -200,18 +251,27 @@ mod tests {
                 json!({"a": [{"rate": [1, 1e300]}]}),
                 "a #1.rate #2: expected a number between 0 and 1e9, found 1e300",
             ),
-            (json!({"crate": 1e13}), "crate: expected a number between -1e12 and 1e12, found 1e13"),
+            (
+                json!({"crate": 1e13}),
+                "crate: expected a number between -1e12 and 1e12, found 1e13",
+            ),
         ] {
             assert_eq!(check(&bad, &[RANGES]).unwrap_err().to_string(), says);
         }
         let length = [Range::real("length_mm", 1.0, 2000.0)];
-        let error = check(&json!({"length_mm": 0.06}), &[&length]).unwrap_err().to_string();
+        let error = check(&json!({"length_mm": 0.06}), &[&length])
+            .unwrap_err()
+            .to_string();
         assert!(error.ends_with("found 0.06 (in m?)"), "{error}");
         let table: toml::Table = "[net]\nlayers = 3\n[[a]]\nrate = nan\n".parse().unwrap();
         assert_eq!(
             check(&table, &[RANGES]).unwrap_err().to_string(),
             "a #1.rate: expected a number between 0 and 1e9, found NaN"
         );
-        assert_eq!(check(&json!({"rate": 1e300}), &[]), Ok(()), "negative control: no range, no refusal");
+        assert_eq!(
+            check(&json!({"rate": 1e300}), &[]),
+            Ok(()),
+            "negative control: no range, no refusal"
+        );
     }
 }

@@ -9,7 +9,11 @@ pub fn decimal_step(values: &[f64]) -> Option<f64> {
     if !(largest > 0.0) {
         return None;
     }
-    let on = |step: f64| values.iter().all(|v| ((v / step) - (v / step).round()).abs() < 1e-6);
+    let on = |step: f64| {
+        values
+            .iter()
+            .all(|v| ((v / step) - (v / step).round()).abs() < 1e-6)
+    };
     #[allow(clippy::cast_possible_truncation)]
     let top = largest.log10().floor() as i32;
     let decimal = (0..DIGITS).map(|k| 10f64.powi(top - k)).find(|s| on(*s))?;
@@ -17,7 +21,10 @@ pub fn decimal_step(values: &[f64]) -> Option<f64> {
     let mut different = values.to_vec();
     different.sort_by(f64::total_cmp);
     different.dedup();
-    let coarser = [5.0, 2.0].map(|n| n * decimal).into_iter().find(|s| different.len() >= 8 && on(*s));
+    let coarser = [5.0, 2.0]
+        .map(|n| n * decimal)
+        .into_iter()
+        .find(|s| different.len() >= 8 && on(*s));
     Some(coarser.unwrap_or(decimal))
 }
 

@@ -68,7 +68,11 @@ pub trait DeviceOpener {
     ///
     /// # Errors
     /// What the unit reports.
-    fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError>;
+    fn mount(
+        &mut self,
+        rig: &MountRig,
+        clock: HostClock,
+    ) -> Result<Option<Box<dyn Mount>>, DeviceError>;
     /// The interrogator.
     ///
     /// # Errors
@@ -82,7 +86,11 @@ pub trait DeviceOpener {
     ///
     /// # Errors
     /// What the camera reports.
-    fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError>;
+    fn camera(
+        &mut self,
+        rig: &CameraRig,
+        clock: HostClock,
+    ) -> Result<Box<dyn Camera + Send>, DeviceError>;
     /// Questions to the stage that had to be repeated so far.
     fn repeats(&self) -> u64;
 }
@@ -217,7 +225,9 @@ impl InterrogatorRig {
 
     /// A grating of a whisker by name.
     pub fn grating_of(&self, whisker: &str, name: &str) -> Option<&GratingRig> {
-        self.grating.iter().find(|g| g.whisker == whisker && g.name == name)
+        self.grating
+            .iter()
+            .find(|g| g.whisker == whisker && g.name == name)
     }
 }
 
@@ -317,8 +327,17 @@ pub enum TagBody {
 
 fn known_family<'de, D: Deserializer<'de>>(of: D) -> Result<String, D::Error> {
     let family = String::deserialize(of)?;
-    let expected = || format!("expected one of the families {}, found {family}", TAG_FAMILIES.join(", "));
-    if TAG_FAMILIES.contains(&family.as_str()) { Ok(family) } else { Err(D::Error::custom(expected())) }
+    let expected = || {
+        format!(
+            "expected one of the families {}, found {family}",
+            TAG_FAMILIES.join(", ")
+        )
+    };
+    if TAG_FAMILIES.contains(&family.as_str()) {
+        Ok(family)
+    } else {
+        Err(D::Error::custom(expected()))
+    }
 }
 
 /// The V-groove, and the tag that carries it.

@@ -100,8 +100,14 @@ impl<R> Default for Sealed<R> {
 /// Hash of a row by the numbers that were set and read, to ten digits: 16 hex digits. Form and place in a table do not change it.
 pub fn fingerprint(numbers: &[f64]) -> String {
     // A zero has no sign.
-    let text: Vec<String> = numbers.iter().map(|number| format!("{:.9e}", number + 0.0)).collect();
-    sha256_hex(text.join(" ").as_bytes()).chars().take(16).collect()
+    let text: Vec<String> = numbers
+        .iter()
+        .map(|number| format!("{:.9e}", number + 0.0))
+        .collect();
+    sha256_hex(text.join(" ").as_bytes())
+        .chars()
+        .take(16)
+        .collect()
 }
 
 /// A decision that holds still: what is hashed is what is judged.
@@ -145,14 +151,20 @@ pub struct Ledger(Option<Arc<Record>>);
 
 impl Ledger {
     /// One that records each opening and gives its number; its error keeps the rows sealed.
-    pub fn new(record: impl Fn(&Opening<'_>) -> Result<usize, String> + Send + Sync + 'static) -> Self {
+    pub fn new(
+        record: impl Fn(&Opening<'_>) -> Result<usize, String> + Send + Sync + 'static,
+    ) -> Self {
         Self(Some(Arc::new(record)))
     }
 }
 
 impl fmt::Debug for Ledger {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.0.is_some() { "Ledger" } else { "no ledger" })
+        f.write_str(if self.0.is_some() {
+            "Ledger"
+        } else {
+            "no ledger"
+        })
     }
 }
 
@@ -205,7 +217,9 @@ impl<R> Sealed<R> {
 
     /// The same rows in another form, still sealed.
     pub fn convert<T>(self, form: fn(R) -> T) -> Sealed<T> {
-        Sealed { rows: self.rows.into_iter().map(form).collect() }
+        Sealed {
+            rows: self.rows.into_iter().map(form).collect(),
+        }
     }
 
     /// Who the rows are.
@@ -223,11 +237,17 @@ impl<R> Sealed<R> {
         content: fn(&R, &C) -> (String, Vec<f64>),
     ) -> BTreeMap<String, String> {
         let contents = self.rows.iter().map(|row| content(row, with));
-        contents.map(|(file, numbers)| (fingerprint(&numbers), file)).collect()
+        contents
+            .map(|(file, numbers)| (fingerprint(&numbers), file))
+            .collect()
     }
 
     /// Hands the rows to a check of admission, which decides whether the data can be used; only its refusal comes out, in a sentence.
-    pub fn refusal<C: ?Sized>(&self, with: &C, check: fn(&[R], &C) -> Option<String>) -> Option<String> {
+    pub fn refusal<C: ?Sized>(
+        &self,
+        with: &C,
+        check: fn(&[R], &C) -> Option<String>,
+    ) -> Option<String> {
         check(&self.rows, with)
     }
 
@@ -237,12 +257,26 @@ impl<R> Sealed<R> {
     /// What the ledger says where it cannot be written: nothing comes out then.
     pub fn unseal<D: Decide>(self, decision: D, ledger: &Ledger) -> Result<Opened<R, D>, String> {
         if self.is_empty() {
-            return Ok(Opened { rows: self.rows, decision, look: None });
+            return Ok(Opened {
+                rows: self.rows,
+                decision,
+                look: None,
+            });
         }
         let decision_sha256 = sha256_hex(canonical_json(&decision.content()).as_bytes());
-        let opening = Opening { decision_sha256: &decision_sha256, rows: self.rows.len() };
+        let opening = Opening {
+            decision_sha256: &decision_sha256,
+            rows: self.rows.len(),
+        };
         let number = ledger.0.as_ref().map_or(Ok(1), |record| record(&opening))?;
-        Ok(Opened { rows: self.rows, decision, look: Some(Look { number, decision_sha256 }) })
+        Ok(Opened {
+            rows: self.rows,
+            decision,
+            look: Some(Look {
+                number,
+                decision_sha256,
+            }),
+        })
     }
 }
 
@@ -275,11 +309,27 @@ mod tests {
     #[test]
     fn a_row_is_known_by_its_numbers_to_ten_digits() {
         let known = |numbers: &[f64]| fingerprint(numbers);
-        assert_eq!(known(&[1.0, 0.0]), known(&["1.00000000000001".parse().unwrap(), -0.0]));
-        assert_ne!(known(&[1.0, 0.0]), known(&[0.0, 1.0]), "negative control: columns that are exchanged");
-        assert_ne!(known(&[1.0]), known(&[1.000_000_1]), "negative control: another reading");
+        assert_eq!(
+            known(&[1.0, 0.0]),
+            known(&["1.00000000000001".parse().unwrap(), -0.0])
+        );
+        assert_ne!(
+            known(&[1.0, 0.0]),
+            known(&[0.0, 1.0]),
+            "negative control: columns that are exchanged"
+        );
+        assert_ne!(
+            known(&[1.0]),
+            known(&[1.000_000_1]),
+            "negative control: another reading"
+        );
         let sealed = Sealed::new(vec![1.5, 1.5, 2.5]);
-        assert_eq!(sealed.fingerprints("h.csv", |row, file| (file.to_owned(), vec![*row])).len(), 2);
+        assert_eq!(
+            sealed
+                .fingerprints("h.csv", |row, file| (file.to_owned(), vec![*row]))
+                .len(),
+            2
+        );
     }
 
     #[test]
@@ -295,7 +345,9 @@ mod tests {
             Ok(of(&all).unwrap() + 1)
         });
         let look = |value: f64| {
-            let opened = Sealed::new(vec![1.0]).unseal(Value(value), &ledger).unwrap();
+            let opened = Sealed::new(vec![1.0])
+                .unseal(Value(value), &ledger)
+                .unwrap();
             opened.assess(|_, _, look| look.unwrap().clone()).1
         };
         let [first, second, again] = [look(1.0), look(2.0), look(1.0)];
@@ -304,13 +356,19 @@ mod tests {
             (1, 2, 1),
             "the same decision is the same look"
         );
-        assert_eq!([first.level(0.6), second.level(0.6)], [0.6 / 2.0, 0.6 / 6.0]);
+        assert_eq!(
+            [first.level(0.6), second.level(0.6)],
+            [0.6 / 2.0, 0.6 / 6.0]
+        );
     }
 
     #[test]
     fn rows_come_out_after_the_ledger_is_written_and_not_without() {
         let full = Ledger::new(|_| Err("disk full".to_owned()));
-        let error = Sealed::new(vec![1.0]).unseal(Value(0.0), &full).map(|_| ()).unwrap_err();
+        let error = Sealed::new(vec![1.0])
+            .unseal(Value(0.0), &full)
+            .map(|_| ())
+            .unwrap_err();
         assert_eq!(error, "disk full");
         // Control: what is empty was not opened.
         let nothing = Sealed::<f64>::default().unseal(Value(0.0), &full).unwrap();

@@ -59,12 +59,22 @@ impl Labelled for WhiskerRow {
 
 impl Labelled for TransducerRow {
     fn label(&self) -> RowLabel {
-        RowLabel { point: self.point, t_s: self.t_s, series: self.replicate, ..RowLabel::default() }
+        RowLabel {
+            point: self.point,
+            t_s: self.t_s,
+            series: self.replicate,
+            ..RowLabel::default()
+        }
     }
 }
 
 impl Labelled for AxisRow {
     fn label(&self) -> RowLabel {
-        RowLabel { point: self.point, t_s: self.t_s, series: self.cycle, ..RowLabel::default() }
+        RowLabel {
+            point: self.point,
+            t_s: self.t_s,
+            series: self.cycle,
+            ..RowLabel::default()
+        }
     }
 }

@@ -33,11 +33,18 @@ struct Time {
 }
 
 impl Time {
-    const REAL: Self = Self { stood_ns: 0, granted_ns: u64::MAX, latest_ns: 0, parts: Vec::new() };
+    const REAL: Self = Self {
+        stood_ns: 0,
+        granted_ns: u64::MAX,
+        latest_ns: 0,
+        parts: Vec::new(),
+    };
 
     fn now_ns(&mut self, computer_ns: u64) -> u64 {
         let running_ns = computer_ns.saturating_sub(self.stood_ns);
-        let now_ns = running_ns.min(self.granted_ns).max(running_ns.saturating_sub(GONE_NS));
+        let now_ns = running_ns
+            .min(self.granted_ns)
+            .max(running_ns.saturating_sub(GONE_NS));
         self.latest_ns = self.latest_ns.max(now_ns);
         self.latest_ns
     }
@@ -52,9 +59,12 @@ impl Time {
             self.parts.push(Arc::clone(part));
         }
         let last_ns = self.parts.iter().map(|part| part.load(Ordering::SeqCst));
-        let oldest_ns = last_ns.filter(|last_ns| computer_ns.saturating_sub(*last_ns) < GONE_NS).min();
-        self.granted_ns =
-            oldest_ns.map_or(u64::MAX, |last_ns| (last_ns + ALIVE_NS).saturating_sub(self.stood_ns));
+        let oldest_ns = last_ns
+            .filter(|last_ns| computer_ns.saturating_sub(*last_ns) < GONE_NS)
+            .min();
+        self.granted_ns = oldest_ns.map_or(u64::MAX, |last_ns| {
+            (last_ns + ALIVE_NS).saturating_sub(self.stood_ns)
+        });
     }
 }
 
@@ -130,16 +140,26 @@ mod tests {
     #[test]
     fn time_stands_while_a_part_does_not_run_and_never_goes_back() {
         let mut real = Time::REAL;
-        assert_eq!(real.now_ns(77_000 * MS), 77_000 * MS, "control: without a bench");
+        assert_eq!(
+            real.now_ns(77_000 * MS),
+            77_000 * MS,
+            "control: without a bench"
+        );
         let mut time = Time::REAL;
         let (scanner, server) = (Part::default(), Part::default());
         let run = |time: &mut Time, from: u64, to: u64, parts: &[&Part]| {
             for ms in (from..to).step_by(20) {
-                parts.iter().for_each(|part| time.sign(ms * MS, part, Some(ms * MS)));
+                parts
+                    .iter()
+                    .for_each(|part| time.sign(ms * MS, part, Some(ms * MS)));
             }
         };
         run(&mut time, 0, 1000, &[&scanner, &server]);
-        assert_eq!((time.now_ns(1000 * MS), time.stood_ns), (1000 * MS, 0), "control: both run");
+        assert_eq!(
+            (time.now_ns(1000 * MS), time.stood_ns),
+            (1000 * MS, 0),
+            "control: both run"
+        );
         // The scanner stands from 1 s to 4 s: time does, too, and both go on from there.
         run(&mut time, 1000, 4000, &[&server]);
         let stands = time.now_ns(4000 * MS);

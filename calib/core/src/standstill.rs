@@ -29,7 +29,11 @@ struct Watch {
 impl Watch {
     fn new(now_ns: u64) -> Self {
         let zero = || AtomicU64::new(0);
-        Self { looked_ns: AtomicU64::new(now_ns), still_ns: zero(), latest_ns: [zero(), zero()] }
+        Self {
+            looked_ns: AtomicU64::new(now_ns),
+            still_ns: zero(),
+            latest_ns: [zero(), zero()],
+        }
     }
 
     /// The gap since the latest look, where it is one, ns.
@@ -67,12 +71,16 @@ pub fn now_ns() -> u64 {
     #[cfg(target_os = "linux")]
     {
         let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
-        u64::try_from(now.tv_sec).unwrap_or(0) * 1_000_000_000 + u64::try_from(now.tv_nsec).unwrap_or(0)
+        u64::try_from(now.tv_sec).unwrap_or(0) * 1_000_000_000
+            + u64::try_from(now.tv_nsec).unwrap_or(0)
     }
     #[cfg(not(target_os = "linux"))]
     {
         static START: OnceLock<std::time::Instant> = OnceLock::new();
-        START.get_or_init(std::time::Instant::now).elapsed().as_nanos() as u64
+        START
+            .get_or_init(std::time::Instant::now)
+            .elapsed()
+            .as_nanos() as u64
     }
 }
 
@@ -88,14 +96,19 @@ fn watch() -> Option<&'static Watch> {
                 watch.look(now_ns());
             }
         };
-        std::thread::Builder::new().name("standstill".to_owned()).spawn(looker).is_ok()
+        std::thread::Builder::new()
+            .name("standstill".to_owned())
+            .spawn(looker)
+            .is_ok()
     };
     THREAD.get_or_init(looks).then_some(watch)
 }
 
 /// How long this program has stood still since the first call.
 pub fn total() -> Duration {
-    watch().map_or(Duration::ZERO, |watch| Duration::from_nanos(watch.total_ns(now_ns())))
+    watch().map_or(Duration::ZERO, |watch| {
+        Duration::from_nanos(watch.total_ns(now_ns()))
+    })
 }
 
 /// What a device reports: where this program has just stood still, that is said first, and no device is blamed.
@@ -108,7 +121,13 @@ pub fn blame(error: DeviceError) -> DeviceError {
         "{:.1} s in which it stood still (stopped by a signal, or the computer slept); then {error}",
         Duration::from_nanos(still_ns).as_secs_f64()
     );
-    DeviceError::new(error.kind, "this program", "read the stream", "to run on", found)
+    DeviceError::new(
+        error.kind,
+        "this program",
+        "read the stream",
+        "to run on",
+        found,
+    )
 }
 
 #[cfg(test)]
@@ -122,7 +141,11 @@ mod tests {
         watch.look(second / 2);
         watch.look(second);
         assert_eq!(watch.total_ns(second + second / 2), 0, "negative control");
-        assert_eq!(watch.total_ns(8 * second), 7 * second, "before the thread has looked");
+        assert_eq!(
+            watch.total_ns(8 * second),
+            7 * second,
+            "before the thread has looked"
+        );
         watch.look(8 * second);
         assert_eq!(watch.total_ns(8 * second), 7 * second, "and after");
         watch.look(8 * second + second / 10);

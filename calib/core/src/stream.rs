@@ -77,7 +77,11 @@ impl Flags {
         if self.none() {
             return "ok".to_owned();
         }
-        let names: Vec<&str> = Self::NAMES.iter().filter(|(f, _)| self.has(*f)).map(|(_, n)| *n).collect();
+        let names: Vec<&str> = Self::NAMES
+            .iter()
+            .filter(|(f, _)| self.has(*f))
+            .map(|(_, n)| *n)
+            .collect();
         names.join("|")
     }
 }

@@ -20,8 +20,20 @@ pub struct NotUtf8 {
 pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     let start = &bytes[..bytes.len().min(START)];
     let sheet = "save the sheet as CSV UTF-8";
-    let says = |found, way_out| Some(NotUtf8 { found, way_out, is_text: false });
-    let utf16 = || Some(NotUtf8 { found: UTF_16, way_out: SAVE, is_text: true });
+    let says = |found, way_out| {
+        Some(NotUtf8 {
+            found,
+            way_out,
+            is_text: false,
+        })
+    };
+    let utf16 = || {
+        Some(NotUtf8 {
+            found: UTF_16,
+            way_out: SAVE,
+            is_text: true,
+        })
+    };
     match start {
         [b'P', b'K', 3, 4, ..] => says("a spreadsheet (.xlsx, .ods) or another zip archive", sheet),
         [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet),
@@ -29,7 +41,12 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
         [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => utf16(),
         _ if !start.contains(&0) => None,
         // Western text in UTF-16 without a mark: every other byte is zero.
-        _ if start.chunks_exact(2).filter(|pair| pair.contains(&0)).count() * 5 > start.len() * 2
+        _ if start
+            .chunks_exact(2)
+            .filter(|pair| pair.contains(&0))
+            .count()
+            * 5
+            > start.len() * 2
             && start.iter().filter(|byte| **byte == 0).count() * 5 < start.len() * 3 =>
         {
             utf16()
@@ -66,7 +83,15 @@ pub fn printable(text: &str) -> String {
                 | '\u{1d173}'..='\u{1d17a}' | '\u{e0001}' | '\u{e0020}'..='\u{e007f}'
         )
     };
-    text.chars().map(|c| if c != '\n' && (c.is_control() || controls(c)) { ' ' } else { c }).collect()
+    text.chars()
+        .map(|c| {
+            if c != '\n' && (c.is_control() || controls(c)) {
+                ' '
+            } else {
+                c
+            }
+        })
+        .collect()
 }
 
 /// UTF-8 text without its byte order mark.
@@ -82,7 +107,11 @@ pub fn utf8(bytes: &[u8]) -> Result<&str, NotUtf8> {
 }
 
 /// Bytes that are text, and not in UTF-8.
-const LATIN_1: NotUtf8 = NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, is_text: true };
+const LATIN_1: NotUtf8 = NotUtf8 {
+    found: "text in Latin-1 or Windows-1252",
+    way_out: SAVE,
+    is_text: true,
+};
 const UTF_16: &str = "UTF-16 text";
 
 /// Text in the encoding that its bytes have (UTF-8, UTF-16, else Windows-1252, which has all of Latin-1), and which it is where it is not UTF-8.
@@ -104,14 +133,22 @@ pub fn decoded(bytes: &[u8]) -> Result<(String, Option<&'static str>), NotUtf8> 
     };
     if damaged {
         let found = "UTF-16 text that is cut or damaged";
-        return Err(NotUtf8 { found, way_out: SAVE, is_text: false });
+        return Err(NotUtf8 {
+            found,
+            way_out: SAVE,
+            is_text: false,
+        });
     }
     Ok((text.into_owned(), Some(other.found)))
 }
 
 /// A name or number with its unit; "1" is no unit.
 pub fn with_unit(what: &str, unit: &str) -> String {
-    if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
+    if matches!(unit, "" | "1") {
+        what.to_owned()
+    } else {
+        format!("{what} {unit}")
+    }
 }
 
 /// A number with so many significant digits at most and no zeros behind them; an exponent where it is very small or large.
@@ -149,7 +186,10 @@ mod tests {
     use super::*;
 
     fn utf16(text: &str, mark: bool) -> Vec<u8> {
-        let units = mark.then_some(0xfeff).into_iter().chain(text.encode_utf16());
+        let units = mark
+            .then_some(0xfeff)
+            .into_iter()
+            .chain(text.encode_utf16());
         units.flat_map(u16::to_le_bytes).collect()
     }
 
@@ -157,16 +197,35 @@ mod tests {
     fn each_encoding_is_found_by_its_bytes() {
         let text = "Force (N),T (\u{b0}C)\n1,2\n";
         let read = |bytes: &[u8]| decoded(bytes).unwrap();
-        assert_eq!(read(format!("\u{feff}{text}").as_bytes()), (text.to_owned(), None));
-        let latin: Vec<u8> = text.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect();
-        assert_eq!(utf8(&latin), Err(LATIN_1), "a session's own tables are UTF-8");
+        assert_eq!(
+            read(format!("\u{feff}{text}").as_bytes()),
+            (text.to_owned(), None)
+        );
+        let latin: Vec<u8> = text
+            .chars()
+            .map(|c| u8::try_from(u32::from(c)).unwrap())
+            .collect();
+        assert_eq!(
+            utf8(&latin),
+            Err(LATIN_1),
+            "a session's own tables are UTF-8"
+        );
         assert_eq!(read(&latin), (text.to_owned(), Some(LATIN_1.found)));
-        let swapped: Vec<u8> = utf16(text, true).chunks(2).flat_map(|pair| [pair[1], pair[0]]).collect();
+        let swapped: Vec<u8> = utf16(text, true)
+            .chunks(2)
+            .flat_map(|pair| [pair[1], pair[0]])
+            .collect();
         for wide in [utf16(text, true), utf16(text, false), swapped] {
             let (found, name) = read(&wide);
-            assert_eq!((found.trim_start_matches('\u{feff}'), name), (text, Some("UTF-16 text")));
+            assert_eq!(
+                (found.trim_start_matches('\u{feff}'), name),
+                (text, Some("UTF-16 text"))
+            );
         }
-        assert!(decoded(&utf16(text, true)[..11]).is_err(), "cut in a character");
+        assert!(
+            decoded(&utf16(text, true)[..11]).is_err(),
+            "cut in a character"
+        );
         assert_eq!(read(b"\x80\x99").0, "\u{20ac}\u{2122}");
     }
 
@@ -175,7 +234,10 @@ mod tests {
         assert_eq!(brief(" a\nb\tc "), "a b c");
         let long = format!("begin{}end at line 3", "\u{e9}".repeat(6_000_000));
         let found = brief(&long);
-        assert!(found.starts_with("begin") && found.ends_with("end at line 3"), "{found}");
+        assert!(
+            found.starts_with("begin") && found.ends_with("end at line 3"),
+            "{found}"
+        );
         assert!(found.chars().count() < 320, "{}", found.chars().count());
         let hidden = brief("a\u{1b}]0;t\u{7}b\u{9b}2J\u{202e}c\u{200b}d\ne");
         assert_eq!(hidden, "a ]0;t b 2J c d e");

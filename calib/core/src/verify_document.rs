@@ -11,10 +11,12 @@ use serde::{Deserialize, Serialize};
 
 pub use errors::{
     CalibrationContact, CalibrationJudgement, ContactComparison, ContactError, ContactUncertainty,
-    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, TrajectoryContact,
+    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome,
+    TrajectoryContact,
 };
 pub use findings::{
-    Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, TwinCheck, TwinFault, UnknownEffect,
+    Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, TwinCheck, TwinFault,
+    UnknownEffect,
 };
 pub use noise::{CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseFloor, NoiseLaw, NoisePart};
 pub use witness::WitnessTest;
@@ -129,7 +131,10 @@ impl VerifyDocument {
             session: session.into(),
             kind: kind.into(),
             reason: reason.into(),
-            noise_floor: NoiseFloor { source: "none".into(), ..NoiseFloor::default() },
+            noise_floor: NoiseFloor {
+                source: "none".into(),
+                ..NoiseFloor::default()
+            },
             seed,
             ..Self::default()
         }

@@ -47,22 +47,38 @@ impl WhiskerSpec {
     /// The first key that cannot be.
     pub fn check(&self) -> Result<(), OutOfRange> {
         let of = |key: &str, expected: String, found: f64| {
-            Err(OutOfRange { key: key.to_owned(), expected, found: found.to_string() })
+            Err(OutOfRange {
+                key: key.to_owned(),
+                expected,
+                found: found.to_string(),
+            })
         };
         ranges::check_value(self, &[WHISKER_RANGES])?;
         // E = 2 (1 + nu) G, and nu is above -1/2 for every known wire: G is below E.
         if !(self.shear_gpa < self.youngs_gpa) {
-            let expected = format!("less than youngs_gpa = {} (are the two exchanged?)", self.youngs_gpa);
+            let expected = format!(
+                "less than youngs_gpa = {} (are the two exchanged?)",
+                self.youngs_gpa
+            );
             return of("shear_gpa", expected, self.shear_gpa);
         }
         match &self.rest_shape {
-            RestShape::StraightArc { straight_mm, length_mm, .. } if straight_mm > length_mm => {
-                of("straight_mm", format!("at most length_mm = {length_mm}"), *straight_mm)
-            }
+            RestShape::StraightArc {
+                straight_mm,
+                length_mm,
+                ..
+            } if straight_mm > length_mm => of(
+                "straight_mm",
+                format!("at most length_mm = {length_mm}"),
+                *straight_mm,
+            ),
             RestShape::Polyline(points) => {
                 let length_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
                 let ranges = [Range::real("length_mm", 1.0, 2000.0)];
-                ranges::check(&serde_json::json!({"rest_shape": {"length_mm": length_mm}}), &[&ranges])
+                ranges::check(
+                    &serde_json::json!({"rest_shape": {"length_mm": length_mm}}),
+                    &[&ranges],
+                )
             }
             RestShape::StraightArc { .. } => Ok(()),
         }
@@ -80,7 +96,11 @@ impl WhiskerSpec {
             youngs_gpa: 75.0,
             shear_gpa: 28.2,
             density_kg_m3: None,
-            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+            rest_shape: RestShape::StraightArc {
+                straight_mm: 30.0,
+                arc_radius_mm: 20.0,
+                length_mm: 60.0,
+            },
             gravity_direction: None,
         }
     }
@@ -111,16 +131,24 @@ impl RestShape {
     pub fn points(&self, step_mm: f64) -> Vec<Vector3<f64>> {
         let (straight_mm, radius_mm, length_mm) = match self {
             Self::Polyline(points) => return points.clone(),
-            Self::StraightArc { straight_mm, arc_radius_mm, length_mm } => {
-                (*straight_mm, *arc_radius_mm, *length_mm)
-            }
+            Self::StraightArc {
+                straight_mm,
+                arc_radius_mm,
+                length_mm,
+            } => (*straight_mm, *arc_radius_mm, *length_mm),
         };
         let count = (length_mm / step_mm).ceil().max(2.0) as usize;
         let at = |s: f64| {
             let (sine, cosine) = ((s - straight_mm).max(0.0) / radius_mm).sin_cos();
-            Vector3::new(s.min(straight_mm) + radius_mm * sine, 0.0, -radius_mm * (1.0 - cosine))
+            Vector3::new(
+                s.min(straight_mm) + radius_mm * sine,
+                0.0,
+                -radius_mm * (1.0 - cosine),
+            )
         };
-        (0..=count).map(|k| at(length_mm * k as f64 / count as f64)).collect()
+        (0..=count)
+            .map(|k| at(length_mm * k as f64 / count as f64))
+            .collect()
     }
 }
 
@@ -147,7 +175,11 @@ fn distance_along(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
         let u = ((s - of_b[k - 1]) / (of_b[k] - of_b[k - 1]).max(1e-12)).clamp(0.0, 1.0);
         b[k - 1].lerp(&b[k], u)
     };
-    arclengths(a).iter().zip(a).map(|(s, p)| ((p - a[0]) - (at(*s) - b[0])).norm()).fold(0.0, f64::max)
+    arclengths(a)
+        .iter()
+        .zip(a)
+        .map(|(s, p)| ((p - a[0]) - (at(*s) - b[0])).norm())
+        .fold(0.0, f64::max)
 }
 
 impl WhiskerSpec {
@@ -166,8 +198,16 @@ impl WhiskerSpec {
         }
         match (&self.rest_shape, &other.rest_shape) {
             (
-                RestShape::StraightArc { straight_mm: s, arc_radius_mm: r, length_mm: l },
-                RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm },
+                RestShape::StraightArc {
+                    straight_mm: s,
+                    arc_radius_mm: r,
+                    length_mm: l,
+                },
+                RestShape::StraightArc {
+                    straight_mm,
+                    arc_radius_mm,
+                    length_mm,
+                },
             ) => [
                 ("straight_mm", *s, *straight_mm),
                 ("arc_radius_mm", *r, *arc_radius_mm),

@@ -34,8 +34,12 @@ impl WireFrame {
     /// # Errors
     /// Where the axes do not span a plane across the wire's root.
     pub fn new(whisker: &WhiskerSpec, axes: &MomentAxes) -> Result<Self, OutOfRange> {
-        if matches!(whisker.rest_shape, RestShape::StraightArc { .. }) && *axes == MomentAxes::default() {
-            return Ok(Self { wire_from_base: None });
+        if matches!(whisker.rest_shape, RestShape::StraightArc { .. })
+            && *axes == MomentAxes::default()
+        {
+            return Ok(Self {
+                wire_from_base: None,
+            });
         }
         let refuse = |expected: &str, found: String| OutOfRange {
             key: "moments.axes".to_owned(),
@@ -50,7 +54,10 @@ impl WireFrame {
         let normal = a.cross(&b).try_normalize(MIN_SINE);
         let x = normal.map(|n| n * n.dot(&tangent).signum());
         let Some(x) = x.filter(|x| x.dot(&tangent) >= MIN_COSINE) else {
-            let found = format!("{:?} and {:?} at a root along {tangent:?}", axes.axes[0], axes.axes[1]);
+            let found = format!(
+                "{:?} and {:?} at a root along {tangent:?}",
+                axes.axes[0], axes.axes[1]
+            );
             return Err(refuse("two directions across the wire's root", found));
         };
         // A straight wire: the second axis, which turns with the session.
@@ -63,12 +70,16 @@ impl WireFrame {
         let Some(mix) = seen.try_inverse() else {
             return Err(refuse("two directions", "one".to_owned()));
         };
-        Ok(Self { wire_from_base: Some((Rotation3::from_matrix_unchecked(turn), mix * axes.sign)) })
+        Ok(Self {
+            wire_from_base: Some((Rotation3::from_matrix_unchecked(turn), mix * axes.sign)),
+        })
     }
 
     /// The whisker in this frame.
     pub fn whisker(&self, whisker: &WhiskerSpec) -> WhiskerSpec {
-        let Some((turn, _)) = &self.wire_from_base else { return whisker.clone() };
+        let Some((turn, _)) = &self.wire_from_base else {
+            return whisker.clone();
+        };
         let points = match &whisker.rest_shape {
             RestShape::Polyline(points) => points.clone(),
             // Other moments of a wire that is given by lengths: it lies along x already.
@@ -84,17 +95,23 @@ impl WireFrame {
 
     /// Rotation from base coordinates to those of this frame.
     pub fn rotation(&self) -> Rotation3<f64> {
-        self.wire_from_base.as_ref().map_or_else(Rotation3::identity, |(turn, _)| *turn)
+        self.wire_from_base
+            .as_ref()
+            .map_or_else(Rotation3::identity, |(turn, _)| *turn)
     }
 
     /// Moments (N mm) as components along y and z of this frame.
     pub fn moment(&self, moment_nmm: [f64; 2]) -> [f64; 2] {
-        self.wire_from_base.as_ref().map_or(moment_nmm, |(_, mix)| (mix * Vector2::from(moment_nmm)).into())
+        self.wire_from_base.as_ref().map_or(moment_nmm, |(_, mix)| {
+            (mix * Vector2::from(moment_nmm)).into()
+        })
     }
 
     /// Their covariance, (N mm)^2.
     pub fn covariance(&self, nmm2: &Matrix2<f64>) -> Matrix2<f64> {
-        self.wire_from_base.as_ref().map_or(*nmm2, |(_, mix)| mix * nmm2 * mix.transpose())
+        self.wire_from_base
+            .as_ref()
+            .map_or(*nmm2, |(_, mix)| mix * nmm2 * mix.transpose())
     }
 
     /// Way of the base past an object at rest that sweeps have: against the wire's bend. Base frame.
@@ -115,10 +132,19 @@ fn is_identity(turn: &Rotation3<f64>) -> bool {
 /// Direction of a wire at its root, and where its tip is off that direction, over its length.
 fn root_and_bend(points: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
     let length_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    let first = points.windows(2).map(|w| w[1] - w[0]).find_map(|e| e.try_normalize(1e-9));
+    let first = points
+        .windows(2)
+        .map(|w| w[1] - w[0])
+        .find_map(|e| e.try_normalize(1e-9));
     let tangent = first.unwrap_or_else(Vector3::x);
-    let chord = points.last().zip(points.first()).map_or_else(Vector3::zeros, |(tip, root)| tip - root);
-    (tangent, (chord - tangent * chord.dot(&tangent)) / length_mm.max(1e-9))
+    let chord = points
+        .last()
+        .zip(points.first())
+        .map_or_else(Vector3::zeros, |(tip, root)| tip - root);
+    (
+        tangent,
+        (chord - tangent * chord.dot(&tangent)) / length_mm.max(1e-9),
+    )
 }
 
 #[cfg(test)]
@@ -127,20 +153,32 @@ mod tests {
 
     fn wire() -> WhiskerSpec {
         let shape = WhiskerSpec::nominal().rest_shape;
-        WhiskerSpec { rest_shape: RestShape::Polyline(shape.points(0.5)), ..WhiskerSpec::nominal() }
+        WhiskerSpec {
+            rest_shape: RestShape::Polyline(shape.points(0.5)),
+            ..WhiskerSpec::nominal()
+        }
     }
 
     #[test]
     fn a_turned_wire_has_the_same_shape_and_moments_in_its_frame() {
         let spec = WhiskerSpec::nominal();
-        assert!(WireFrame::new(&spec, &MomentAxes::default()).unwrap().is_base());
+        assert!(
+            WireFrame::new(&spec, &MomentAxes::default())
+                .unwrap()
+                .is_base()
+        );
         let moment = Vector3::new(0.1, 0.7, -0.4);
         let plain = WireFrame::new(&wire(), &MomentAxes::default()).unwrap();
         let own = plain.whisker(&wire());
         for (k, sign) in (0..20).zip([1.0, -1.0].into_iter().cycle()) {
-            let turn =
-                Rotation3::from_euler_angles(0.3 * f64::from(k), 1.1 * f64::from(k), -0.7 * f64::from(k));
-            let RestShape::Polyline(points) = wire().rest_shape else { unreachable!() };
+            let turn = Rotation3::from_euler_angles(
+                0.3 * f64::from(k),
+                1.1 * f64::from(k),
+                -0.7 * f64::from(k),
+            );
+            let RestShape::Polyline(points) = wire().rest_shape else {
+                unreachable!()
+            };
             let rest_shape = RestShape::Polyline(points.iter().map(|p| turn * p).collect());
             // Other axes in the same plane, not at right angles.
             let axes = [
@@ -148,21 +186,41 @@ mod tests {
                 turn * Vector3::new(0.0, -0.5, 1.0).normalize(),
             ];
             let axes = MomentAxes { axes, sign };
-            let turned = WhiskerSpec { rest_shape, ..wire() };
+            let turned = WhiskerSpec {
+                rest_shape,
+                ..wire()
+            };
             let frame = WireFrame::new(&turned, &axes).unwrap();
-            let (a, b) = (own.rest_shape.points(1.0), frame.whisker(&turned).rest_shape.points(1.0));
+            let (a, b) = (
+                own.rest_shape.points(1.0),
+                frame.whisker(&turned).rest_shape.points(1.0),
+            );
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).norm() < 1e-9), "{k}");
             let seen = frame.moment(axes.components_nmm(&(turn * moment)));
-            assert!((seen[0] - 0.7).abs() < 1e-12 && (seen[1] + 0.4).abs() < 1e-12, "{k}: {seen:?}");
+            assert!(
+                (seen[0] - 0.7).abs() < 1e-12 && (seen[1] + 0.4).abs() < 1e-12,
+                "{k}: {seen:?}"
+            );
             assert!((frame.sweep_direction() - turn * Vector3::z()).norm() < 1e-9);
         }
     }
 
     #[test]
     fn moments_along_the_wire_are_refused() {
-        let along = MomentAxes { axes: [Vector3::x(), Vector3::y()], sign: 1.0 };
-        assert!(WireFrame::new(&wire(), &along).unwrap_err().to_string().contains("moments.axes"));
-        let same = MomentAxes { axes: [Vector3::y(), Vector3::y()], sign: 1.0 };
+        let along = MomentAxes {
+            axes: [Vector3::x(), Vector3::y()],
+            sign: 1.0,
+        };
+        assert!(
+            WireFrame::new(&wire(), &along)
+                .unwrap_err()
+                .to_string()
+                .contains("moments.axes")
+        );
+        let same = MomentAxes {
+            axes: [Vector3::y(), Vector3::y()],
+            sign: 1.0,
+        };
         assert!(WireFrame::new(&wire(), &same).is_err());
     }
 }

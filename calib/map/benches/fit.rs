@@ -17,27 +17,40 @@ use wcal_map::{FitOptions, MapKind, fit_map};
 mod support;
 
 /// The candidates that scikit-learn fits in tests/peers/map_peers.py.
-const PEERS: [MapKind; 4] =
-    [MapKind::Affine, MapKind::Quadratic, MapKind::ThinPlateConstant, MapKind::Matern52];
+const PEERS: [MapKind; 4] = [
+    MapKind::Affine,
+    MapKind::Quadratic,
+    MapKind::ThinPlateConstant,
+    MapKind::Matern52,
+];
 
 fn fit(c: &mut Criterion) {
     let training = support::whiskerfbg();
     let options = FitOptions::default();
-    c.benchmark_group("fit").sample_size(10).bench_function("fit and choose", |b| {
-        b.iter(|| fit_map(black_box(&training), &options));
-    });
+    c.benchmark_group("fit")
+        .sample_size(10)
+        .bench_function("fit and choose", |b| {
+            b.iter(|| fit_map(black_box(&training), &options));
+        });
     for candidates in [options.candidates.clone(), PEERS.to_vec()] {
-        let options = FitOptions { candidates, ..options.clone() };
+        let options = FitOptions {
+            candidates,
+            ..options.clone()
+        };
         let mut each_ms: Vec<f64> = (0..9)
             .map(|_| {
                 let start = Instant::now();
-                black_box(fit_map(black_box(&training), &options)).expect("the measured set can be fitted");
+                black_box(fit_map(black_box(&training), &options))
+                    .expect("the measured set can be fitted");
                 start.elapsed().as_secs_f64() * 1e3
             })
             .collect();
         each_ms.sort_by(f64::total_cmp);
         let count = options.candidates.len();
-        println!("{{\"bench\":\"fit\",\"candidates\":{count},\"median_ms\":{:.3}}}", each_ms[4]);
+        println!(
+            "{{\"bench\":\"fit\",\"candidates\":{count},\"median_ms\":{:.3}}}",
+            each_ms[4]
+        );
     }
 }
 

@@ -22,11 +22,15 @@ mod support;
 fn stream(c: &mut Criterion) {
     let training = support::whiskerfbg();
     for candidate in [MapKind::Affine, MapKind::ThinPlate, MapKind::Matern52] {
-        let options = FitOptions { candidates: vec![candidate], ..FitOptions::default() };
+        let options = FitOptions {
+            candidates: vec![candidate],
+            ..FitOptions::default()
+        };
         let fit = fit_map(&training, &options).expect("the measured set can be fitted");
         // One map a whisker: 16 predictors, as a stream of 16 whiskers would hold them.
-        let mut whiskers: Vec<MapPredictor> =
-            (0..16).map(|_| MapPredictor::new(&fit.artefact).expect("a sound artefact")).collect();
+        let mut whiskers: Vec<MapPredictor> = (0..16)
+            .map(|_| MapPredictor::new(&fit.artefact).expect("a sound artefact"))
+            .collect();
         let shift = |i: usize| {
             let s = training.shifts_pm[i % training.len()];
             [s[0] + 0.01 * (i % 7) as f64, s[1]]

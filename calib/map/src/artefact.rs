@@ -84,7 +84,11 @@ impl OutputMap {
             inflation,
             offset_nmm,
             beta: fit.beta.as_slice().to_vec(),
-            alpha: if plain { Vec::new() } else { fit.alpha.as_slice().to_vec() },
+            alpha: if plain {
+                Vec::new()
+            } else {
+                fit.alpha.as_slice().to_vec()
+            },
         }
     }
 
@@ -110,13 +114,27 @@ impl MapArtefact {
     /// [`MapError::Version`], [`MapError::Artefact`] or [`MapError::RadiusTooSmall`].
     pub fn check(&self) -> Result<(), MapError> {
         if self.version != ARTEFACT_VERSION {
-            return Err(MapError::Version { expected: ARTEFACT_VERSION, found: self.version });
+            return Err(MapError::Version {
+                expected: ARTEFACT_VERSION,
+                found: self.version,
+            });
         }
         let require = |sound: bool, expected: &str, found: String| {
-            if sound { Ok(()) } else { Err(MapError::Artefact { expected: expected.into(), found }) }
+            if sound {
+                Ok(())
+            } else {
+                Err(MapError::Artefact {
+                    expected: expected.into(),
+                    found,
+                })
+            }
         };
         let scale = self.scale_pm;
-        require(scale.is_finite() && scale > 0.0, "`scale_pm` above 0", scale.to_string())?;
+        require(
+            scale.is_finite() && scale > 0.0,
+            "`scale_pm` above 0",
+            scale.to_string(),
+        )?;
         let readings = self.training_pm.len();
         require(
             (1..=MAX_READINGS).contains(&readings),
@@ -124,15 +142,39 @@ impl MapArtefact {
             readings.to_string(),
         )?;
         let kind = &self.valid_region.kind;
-        require(kind == "hull", "`valid_region.kind` \"hull\"", format!("{kind:?}"))?;
-        let numbers =
-            || self.training_pm.iter().chain(&self.valid_region.vertices_pm).chain([&self.centre_pm]);
-        require(finite(numbers().flatten().copied()), "finite shifts", "NaN or infinity".into())?;
+        require(
+            kind == "hull",
+            "`valid_region.kind` \"hull\"",
+            format!("{kind:?}"),
+        )?;
+        let numbers = || {
+            self.training_pm
+                .iter()
+                .chain(&self.valid_region.vertices_pm)
+                .chain([&self.centre_pm])
+        };
+        require(
+            finite(numbers().flatten().copied()),
+            "finite shifts",
+            "NaN or infinity".into(),
+        )?;
         let margin = self.valid_region.margin_pm;
-        require(margin.is_finite() && margin >= 0.0, "`margin_pm` of at least 0", margin.to_string())?;
-        require(!self.valid_region.vertices_pm.is_empty(), "`vertices_pm` with vertices", "none".into())?;
+        require(
+            margin.is_finite() && margin >= 0.0,
+            "`margin_pm` of at least 0",
+            margin.to_string(),
+        )?;
+        require(
+            !self.valid_region.vertices_pm.is_empty(),
+            "`vertices_pm` with vertices",
+            "none".into(),
+        )?;
         for (m, out) in self.outputs.iter().enumerate() {
-            let weights = if out.kernel == Kernel::None { 0 } else { self.training_pm.len() };
+            let weights = if out.kernel == Kernel::None {
+                0
+            } else {
+                self.training_pm.len()
+            };
             let count = |name: &str| format!("`outputs[{m}].{name}`");
             require(
                 out.beta.len() == out.trend.terms(),
@@ -146,20 +188,30 @@ impl MapArtefact {
             )?;
             let sizes = [out.nugget, out.variance_nmm2, out.inflation];
             let sound = finite(sizes) && sizes.iter().all(|v| *v >= 0.0) && out.nugget > 0.0;
-            require(sound, &format!("outputs[{m}] with variances of at least 0"), format!("{sizes:?}"))?;
+            require(
+                sound,
+                &format!("outputs[{m}] with variances of at least 0"),
+                format!("{sizes:?}"),
+            )?;
             let shape = out.kernel.shape().unwrap_or(1.0);
             require(
                 shape.is_finite() && shape > 0.0,
                 &format!("{} above 0", count("kernel")),
                 shape.to_string(),
             )?;
-            let coefficients = out.beta.iter().chain(&out.alpha).copied().chain([out.offset_nmm]);
+            let coefficients = out
+                .beta
+                .iter()
+                .chain(&out.alpha)
+                .copied()
+                .chain([out.offset_nmm]);
             require(
                 finite(coefficients),
                 &format!("finite coefficients in outputs[{m}]"),
                 "NaN or infinity".into(),
             )?;
-            out.kernel.check_radius(self.valid_region.diameter_pm() / scale)?;
+            out.kernel
+                .check_radius(self.valid_region.diameter_pm() / scale)?;
         }
         Ok(())
     }

@@ -70,15 +70,25 @@ impl MapKind {
     /// Starting kernel and range of its shape, for a region of this diameter (scaled input units).
     fn kernel(self, diameter: f64, radius: f64) -> (Kernel, Option<ShapeSearch>) {
         // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the trend is left.
-        let length = ShapeSearch { low: 0.1 * diameter, high: 20.0 * diameter, steps: 10 };
+        let length = ShapeSearch {
+            low: 0.1 * diameter,
+            high: 20.0 * diameter,
+            steps: 10,
+        };
         match self {
             Self::Affine | Self::Quadratic => (Kernel::None, None),
             Self::ThinPlate => (Kernel::ThinPlate { radius }, None),
             Self::ThinPlateConstant => (
                 Kernel::ThinPlate { radius },
-                Some(ShapeSearch { low: radius, high: 64.0 * radius, steps: 7 }),
+                Some(ShapeSearch {
+                    low: radius,
+                    high: 64.0 * radius,
+                    steps: 7,
+                }),
             ),
-            Self::Matern52 | Self::Matern52Affine => (Kernel::Matern52 { length: diameter }, Some(length)),
+            Self::Matern52 | Self::Matern52Affine => {
+                (Kernel::Matern52 { length: diameter }, Some(length))
+            }
         }
     }
 }
@@ -109,7 +119,12 @@ impl Scaled {
         radius_pm: Option<f64>,
     ) -> Result<Self, MapError> {
         // One scale for both gratings: the kernel stays isotropic in wavelength.
-        let scale = |s: &[f64; 2]| [(s[0] - centre_pm[0]) / scale_pm, (s[1] - centre_pm[1]) / scale_pm];
+        let scale = |s: &[f64; 2]| {
+            [
+                (s[0] - centre_pm[0]) / scale_pm,
+                (s[1] - centre_pm[1]) / scale_pm,
+            ]
+        };
         let diameter = diameter_pm / scale_pm;
         let radius = radius_pm.map_or(RADIUS_PER_DIAMETER * diameter, |r| r / scale_pm);
         Kernel::ThinPlate { radius }.check_radius(diameter)?;
@@ -140,15 +155,28 @@ impl LeftOutSummary {
         let n = errors.len().max(1) as f64;
         let rmse_nmm = (errors.iter().map(|e| e.error * e.error).sum::<f64>() / n).sqrt();
         // Density of the error: that of e / s, over s.
-        let nll = errors.iter().map(|e| e.sd.ln() - log_density(e.error / e.sd, e.dof)).sum::<f64>() / n;
-        let mut out = Self { rmse_nmm, coverage95: 0.0, nll, errors };
+        let nll = errors
+            .iter()
+            .map(|e| e.sd.ln() - log_density(e.error / e.sd, e.dof))
+            .sum::<f64>()
+            / n;
+        let mut out = Self {
+            rmse_nmm,
+            coverage95: 0.0,
+            nll,
+            errors,
+        };
         out.coverage95 = out.coverage_with(1.0);
         out
     }
 
     /// Share of the readings inside their 95 % interval once every interval is widened by `inflation`.
     pub fn coverage_with(&self, inflation: f64) -> f64 {
-        let inside = self.errors.iter().filter(|e| Self::reach(e) <= inflation).count();
+        let inside = self
+            .errors
+            .iter()
+            .filter(|e| Self::reach(e) <= inflation)
+            .count();
         inside as f64 / self.errors.len().max(1) as f64
     }
 
@@ -250,12 +278,17 @@ pub(crate) fn fit_candidate(
         .map(|(fit, y)| {
             // A likelihood with a given variance is on another scale.
             let whole = fit.model.fixed_variance.is_none();
-            whole.then(|| log_evidence(&fit.model, &scaled.inputs, y)).flatten()
+            whole
+                .then(|| log_evidence(&fit.model, &scaled.inputs, y))
+                .flatten()
         })
         .sum::<Option<f64>>();
     let loto = loto_1.zip(loto_2).map(|(a, b)| [a, b]);
-    let judged =
-        loto.as_ref().unwrap_or(&[loo_1.clone(), loo_2.clone()]).each_ref().map(LeftOutSummary::inflation);
+    let judged = loto
+        .as_ref()
+        .unwrap_or(&[loo_1.clone(), loo_2.clone()])
+        .each_ref()
+        .map(LeftOutSummary::inflation);
     Ok(CandidateFit {
         name,
         fits: [fit_1, fit_2],
@@ -286,7 +319,12 @@ fn leave_trajectories_out(
         let fit = Process::fit(model, &inputs, &outputs)?;
         for index in held {
             let (mean, _, variance) = fit.predict(scaled.inputs[index]);
-            out.push(LeftOut { index, error: y[index] - mean, sd: variance.sqrt(), dof: fit.dof });
+            out.push(LeftOut {
+                index,
+                error: y[index] - mean,
+                sd: variance.sqrt(),
+                dof: fit.dof,
+            });
         }
     }
     Ok(out)

@@ -35,7 +35,11 @@ pub struct Choice {
 pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let by_trajectory = candidates.iter().all(|c| c.loto.is_some());
     let group_of: Vec<usize> = if by_trajectory {
-        training.trajectory.iter().map(|t| t.map_or(usize::MAX, |t| t as usize)).collect()
+        training
+            .trajectory
+            .iter()
+            .map(|t| t.map_or(usize::MAX, |t| t as usize))
+            .collect()
     } else {
         let mut of = vec![0; training.len()];
         for (g, members) in training.pose_groups().iter().enumerate() {
@@ -47,15 +51,20 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let squares: Vec<[BTreeMap<usize, f64>; 2]> = candidates
         .iter()
         .map(|c| {
-            let summaries = if by_trajectory { c.loto.as_ref().unwrap_or(&c.loo) } else { &c.loo };
+            let summaries = if by_trajectory {
+                c.loto.as_ref().unwrap_or(&c.loo)
+            } else {
+                &c.loo
+            };
             summaries.each_ref().map(|s| by_group(s, &group_of))
         })
         .collect();
     // Labels that a map reproduces exactly would divide by zero.
     let total = |s: &BTreeMap<usize, f64>| s.values().sum::<f64>().max(1e-24);
     let score = |s: &[BTreeMap<usize, f64>; 2]| total(&s[0]).ln() + total(&s[1]).ln();
-    let best =
-        (0..candidates.len()).min_by(|a, b| score(&squares[*a]).total_cmp(&score(&squares[*b]))).unwrap_or(0);
+    let best = (0..candidates.len())
+        .min_by(|a, b| score(&squares[*a]).total_cmp(&score(&squares[*b])))
+        .unwrap_or(0);
     // Paired by group: what all candidates find hard in one trajectory drops out of the difference.
     let (mut excess, mut excess_se) = (Vec::new(), Vec::new());
     for candidate in &squares {
@@ -73,11 +82,23 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
         let sum: f64 = groups.iter().sum();
         let spread: f64 = groups.iter().map(|d| (d - sum / n).powi(2)).sum();
         excess.push(sum);
-        excess_se.push(if n > 1.0 { (spread * n / (n - 1.0)).sqrt() } else { 0.0 });
+        excess_se.push(if n > 1.0 {
+            (spread * n / (n - 1.0)).sqrt()
+        } else {
+            0.0
+        });
     }
     // The simplest that is not worse by more than chance.
-    let chosen = (0..candidates.len()).find(|c| excess[*c] <= excess_se[*c].max(EQUAL)).unwrap_or(best);
-    Choice { chosen, best, by: if by_trajectory { "loto" } else { "loo" }, excess, excess_se }
+    let chosen = (0..candidates.len())
+        .find(|c| excess[*c] <= excess_se[*c].max(EQUAL))
+        .unwrap_or(best);
+    Choice {
+        chosen,
+        best,
+        by: if by_trajectory { "loto" } else { "loo" },
+        excess,
+        excess_se,
+    }
 }
 
 fn by_group(summary: &LeftOutSummary, group_of: &[usize]) -> BTreeMap<usize, f64> {

@@ -43,13 +43,23 @@ fn hyperparameters(fit: &MapFit, training: &MapTraining) -> BTreeMap<String, ser
     let out = &fit.artefact.outputs;
     let judged = chosen.loto.as_ref().unwrap_or(&chosen.loo);
     let excess = |values: &[f64]| -> BTreeMap<&str, f64> {
-        fit.candidates.iter().zip(values).map(|(c, v)| (c.name, *v)).collect()
+        fit.candidates
+            .iter()
+            .zip(values)
+            .map(|(c, v)| (c.name, *v))
+            .collect()
     };
     BTreeMap::from([
         ("kernel".into(), json!(out.each_ref().map(|o| o.kernel))),
         ("trend".into(), json!(out.each_ref().map(|o| o.trend))),
-        ("signal_sd_nmm".into(), json!(out.each_ref().map(|o| o.signal_sd_nmm()))),
-        ("noise_sd_nmm".into(), json!(out.each_ref().map(|o| o.noise_sd_nmm()))),
+        (
+            "signal_sd_nmm".into(),
+            json!(out.each_ref().map(|o| o.signal_sd_nmm())),
+        ),
+        (
+            "noise_sd_nmm".into(),
+            json!(out.each_ref().map(|o| o.noise_sd_nmm())),
+        ),
         ("input_scale_pm".into(), json!(fit.artefact.scale_pm)),
         (
             "calibration".into(),
@@ -79,7 +89,10 @@ fn hyperparameters(fit: &MapFit, training: &MapTraining) -> BTreeMap<String, ser
         (
             "skipped".into(),
             json!(
-                fit.skipped.iter().map(|(name, why)| json!({"name": name, "why": why})).collect::<Vec<_>>()
+                fit.skipped
+                    .iter()
+                    .map(|(name, why)| json!({"name": name, "why": why}))
+                    .collect::<Vec<_>>()
             ),
         ),
     ])

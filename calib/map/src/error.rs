@@ -16,7 +16,9 @@ pub enum MapError {
         found: usize,
     },
     /// A value is NaN or infinite.
-    #[error("checking the training set: `{field}` of point {point}: expected a finite number, found {found}")]
+    #[error(
+        "checking the training set: `{field}` of point {point}: expected a finite number, found {found}"
+    )]
     NotFinite {
         /// Field of [`crate::MapTraining`].
         field: &'static str,
@@ -78,7 +80,9 @@ pub enum MapError {
         found: String,
     },
     /// No candidate could be fitted.
-    #[error("choosing a map: expected at least one candidate that can be fitted, found none: {reasons}")]
+    #[error(
+        "choosing a map: expected at least one candidate that can be fitted, found none: {reasons}"
+    )]
     NoCandidate {
         /// Why each one failed.
         reasons: String,

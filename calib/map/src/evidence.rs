@@ -29,7 +29,11 @@ pub struct ShapeSearch {
 impl ShapeSearch {
     /// A bracket of a factor 3 either way about a value, inside the range: folds start from the full fit.
     pub fn about(&self, value: f64) -> Self {
-        Self { low: (value / 3.0).max(self.low), high: (value * 3.0).min(self.high), steps: 3 }
+        Self {
+            low: (value / 3.0).max(self.low),
+            high: (value * 3.0).min(self.high),
+            steps: 3,
+        }
     }
 }
 
@@ -68,7 +72,10 @@ impl TrendNull {
             h.ger(-1.0, &v, &w, 1.0);
             reflectors.push(v);
         }
-        Self { terms: reflectors.len(), reflectors }
+        Self {
+            terms: reflectors.len(),
+            reflectors,
+        }
     }
 
     fn project_vector(&self, y: &[f64]) -> DVector<f64> {
@@ -99,11 +106,19 @@ impl Contrasts {
         let projected = null.project_matrix(kernel.matrix(inputs));
         let y = null.project_vector(y);
         if y.len() < 2 {
-            return Self { diagonal: projected.diagonal(), off: DVector::zeros(0), y };
+            return Self {
+                diagonal: projected.diagonal(),
+                off: DVector::zeros(0),
+                y,
+            };
         }
         // Adding nu I leaves V as it is: one reduction serves every noise ratio.
         let (q, diagonal, off) = SymmetricTridiagonal::new(projected).unpack();
-        Self { diagonal, off, y: q.tr_mul(&y) }
+        Self {
+            diagonal,
+            off,
+            y: q.tr_mul(&y),
+        }
     }
 
     /// Restricted log likelihood with s2 profiled out, in O(n); none where the matrix is not positive definite.
@@ -141,7 +156,11 @@ pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Opt
         // Without a kernel C = nu I, whose determinant is nu^n'.
         let free = null.project_vector(y);
         let log_det = free.len() as f64 * model.nugget.ln();
-        return Some(profiled(free.len(), free.norm_squared() / model.nugget, log_det));
+        return Some(profiled(
+            free.len(),
+            free.norm_squared() / model.nugget,
+            log_det,
+        ));
     }
     Contrasts::new(&null, &model.kernel, inputs, y).log_evidence(model.nugget)
 }
@@ -149,7 +168,11 @@ pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Opt
 /// Best noise ratio (log10) and evidence at one kernel.
 fn best_nugget(null: &TrendNull, kernel: Kernel, inputs: &[[f64; 2]], y: &[f64]) -> (f64, f64) {
     let contrasts = Contrasts::new(null, &kernel, inputs, y);
-    let evidence = |p: f64| contrasts.log_evidence(10f64.powf(p)).unwrap_or(f64::NEG_INFINITY);
+    let evidence = |p: f64| {
+        contrasts
+            .log_evidence(10f64.powf(p))
+            .unwrap_or(f64::NEG_INFINITY)
+    };
     maximise(evidence, LOG10_NUGGET, 46, 20)
 }
 
@@ -165,7 +188,12 @@ pub fn choose_hyperparameters(
     y: &[f64],
 ) -> Result<ProcessModel, MapError> {
     if kernel == Kernel::None {
-        return Ok(ProcessModel { trend, kernel, nugget: 1.0, fixed_variance: None });
+        return Ok(ProcessModel {
+            trend,
+            kernel,
+            nugget: 1.0,
+            fixed_variance: None,
+        });
     }
     // Nested: the best noise ratio is cheap for a given shape, which costs a factorisation.
     let null = TrendNull::new(trend, inputs);
@@ -173,7 +201,8 @@ pub fn choose_hyperparameters(
     let shape = match (search, kernel.shape()) {
         (Some(s), _) => {
             // In logarithms: a length is known by its order of magnitude first.
-            let (log_shape, _) = maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);
+            let (log_shape, _) =
+                maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);
             log_shape.exp()
         }
         (None, Some(shape)) => shape,
@@ -181,7 +210,9 @@ pub fn choose_hyperparameters(
     };
     let (log_nugget, value) = best(shape);
     if value == f64::NEG_INFINITY {
-        return Err(MapError::NotPositiveDefinite { readings: inputs.len() });
+        return Err(MapError::NotPositiveDefinite {
+            readings: inputs.len(),
+        });
     }
     Ok(ProcessModel {
         trend,
@@ -192,7 +223,12 @@ pub fn choose_hyperparameters(
 }
 
 /// Largest value on a grid of `steps` points, refined by golden section between its neighbours.
-fn maximise(mut f: impl FnMut(f64) -> f64, range: [f64; 2], steps: usize, refinements: usize) -> (f64, f64) {
+fn maximise(
+    mut f: impl FnMut(f64) -> f64,
+    range: [f64; 2],
+    steps: usize,
+    refinements: usize,
+) -> (f64, f64) {
     // The likelihood may have several maxima: the grid chooses one, golden section refines it.
     let spacing = (range[1] - range[0]) / (steps.max(2) - 1) as f64;
     let mut best = (range[0], f64::NEG_INFINITY);
@@ -205,7 +241,10 @@ fn maximise(mut f: impl FnMut(f64) -> f64, range: [f64; 2], steps: usize, refine
     }
     // Golden section: each step keeps 0.618 of the bracket and one of its two inner values.
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-    let (mut low, mut high) = ((best.0 - spacing).max(range[0]), (best.0 + spacing).min(range[1]));
+    let (mut low, mut high) = (
+        (best.0 - spacing).max(range[0]),
+        (best.0 + spacing).min(range[1]),
+    );
     let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
     let (mut fa, mut fb) = (f(a), f(b));
     for _ in 0..refinements {

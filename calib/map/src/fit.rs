@@ -64,15 +64,24 @@ pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, M
     training.validate()?;
     let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, DEFAULT_MARGIN);
     let (centre_pm, scale_pm, offset_nmm) = if options.released {
-        ([released::SHIFT_OFFSET_PM; 2], released::SHIFT_SCALE_PM, released::MOMENT_OFFSET_NMM)
+        (
+            [released::SHIFT_OFFSET_PM; 2],
+            released::SHIFT_SCALE_PM,
+            released::MOMENT_OFFSET_NMM,
+        )
     } else {
         let (centre, scale) = training.input_scaling();
         (centre, scale, 0.0)
     };
     let (candidates, skipped) = fit_all(training, options, &valid_region, centre_pm, scale_pm)?;
     if candidates.is_empty() {
-        let reasons: Vec<String> = skipped.iter().map(|(name, why)| format!("{name}: {why}")).collect();
-        return Err(MapError::NoCandidate { reasons: reasons.join("; ") });
+        let reasons: Vec<String> = skipped
+            .iter()
+            .map(|(name, why)| format!("{name}: {why}"))
+            .collect();
+        return Err(MapError::NoCandidate {
+            reasons: reasons.join("; "),
+        });
     }
     let choice = choose(&candidates, training);
     let chosen = &candidates[choice.chosen];
@@ -90,10 +99,18 @@ pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, M
         fbg: options.fbg.clone(),
         rest: None,
         // The readings' own noise, through the affine law.
-        reading_sd_nmm: training.noise_sd_pm.and_then(|sd| identifiability.law.moment_sd_nmm(sd)),
+        reading_sd_nmm: training
+            .noise_sd_pm
+            .and_then(|sd| identifiability.law.moment_sd_nmm(sd)),
     };
     artefact.check()?;
-    Ok(MapFit { artefact, candidates, choice, identifiability, skipped })
+    Ok(MapFit {
+        artefact,
+        candidates,
+        choice,
+        identifiability,
+        skipped,
+    })
 }
 
 type Fitted = (Vec<CandidateFit>, Vec<(&'static str, String)>);
@@ -108,7 +125,12 @@ fn fit_all(
     let (mut candidates, mut skipped) = (Vec::new(), Vec::new());
     if options.released {
         let scaled = released::scale(training, region.diameter_pm())?;
-        let mut fit = fit_candidate("released", &|_, _, _| Ok(released::model()), &scaled, training)?;
+        let mut fit = fit_candidate(
+            "released",
+            &|_, _, _| Ok(released::model()),
+            &scaled,
+            training,
+        )?;
         // The released map is reproduced as it is, its deviations too.
         fit.inflation = [1.0; 2];
         return Ok((vec![fit], skipped));
@@ -124,8 +146,9 @@ fn fit_all(
             skipped.push((candidate.name(), why));
             continue;
         }
-        let recipe =
-            |x: &[[f64; 2]], y: &[f64], near: Option<&ProcessModel>| candidate.searched(&scaled, x, y, near);
+        let recipe = |x: &[[f64; 2]], y: &[f64], near: Option<&ProcessModel>| {
+            candidate.searched(&scaled, x, y, near)
+        };
         match fit_candidate(candidate.name(), &recipe, &scaled, training) {
             Ok(fit) => candidates.push(fit),
             Err(why) => skipped.push((candidate.name(), why.to_string())),

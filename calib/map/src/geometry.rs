@@ -9,7 +9,10 @@ pub(crate) fn centre_and_spread(points: &[[f64; 2]]) -> ([f64; 2], f64) {
     let n = points.len().max(1) as f64;
     let centre = [0, 1].map(|c| points.iter().map(|p| p[c]).sum::<f64>() / n);
     // Half of the mean squared distance is the variance of one coordinate.
-    let square: f64 = points.iter().map(|p| (p[0] - centre[0]).powi(2) + (p[1] - centre[1]).powi(2)).sum();
+    let square: f64 = points
+        .iter()
+        .map(|p| (p[0] - centre[0]).powi(2) + (p[1] - centre[1]).powi(2))
+        .sum();
     (centre, (square / (2.0 * n)).sqrt())
 }
 
@@ -47,7 +50,9 @@ pub(crate) fn convex_hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let half = |points: &mut dyn Iterator<Item = &[f64; 2]>| {
         let mut chain: Vec<[f64; 2]> = Vec::new();
         for p in points {
-            while chain.len() >= 2 && cross(chain[chain.len() - 2], chain[chain.len() - 1], *p) <= 0.0 {
+            while chain.len() >= 2
+                && cross(chain[chain.len() - 2], chain[chain.len() - 1], *p) <= 0.0
+            {
                 chain.pop();
             }
             chain.push(*p);
@@ -67,7 +72,9 @@ pub(crate) fn distance_to_polygon(vertices: &[[f64; 2]], p: [f64; 2]) -> f64 {
     if n >= 3 && edges().all(|(a, b)| cross(a, b, p) >= 0.0) {
         return 0.0;
     }
-    edges().map(|(a, b)| distance_to_segment(a, b, p)).fold(f64::INFINITY, f64::min)
+    edges()
+        .map(|(a, b)| distance_to_segment(a, b, p))
+        .fold(f64::INFINITY, f64::min)
 }
 
 fn distance_to_segment(a: [f64; 2], b: [f64; 2], p: [f64; 2]) -> f64 {
@@ -86,7 +93,14 @@ fn distance_to_segment(a: [f64; 2], b: [f64; 2], p: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    const SQUARE: [[f64; 2]; 6] = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5], [0.5, 0.0]];
+    const SQUARE: [[f64; 2]; 6] = [
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [1.0, 1.0],
+        [0.0, 1.0],
+        [0.5, 0.5],
+        [0.5, 0.0],
+    ];
 
     #[test]
     fn hull_of_a_square_has_its_four_corners() {

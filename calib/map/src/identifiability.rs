@@ -72,13 +72,18 @@ pub struct IdentifiabilityReport {
 ///
 /// # Errors
 /// [`MapError::RankDeficient`] where the labels lie on a line.
-pub fn identify(training: &MapTraining, loo_rmse_nmm: [f64; 2]) -> Result<IdentifiabilityReport, MapError> {
+pub fn identify(
+    training: &MapTraining,
+    loo_rmse_nmm: [f64; 2],
+) -> Result<IdentifiabilityReport, MapError> {
     let law = fit_law(training)?;
     let singular = Matrix2::from_fn(|i, j| law.k_pm_per_nmm[i][j]).singular_values();
     let singular = [singular.max(), singular.min()];
     let label_sd_nmm = covariance(&training.moments_nmm).diagonal().map(f64::sqrt);
     // Principal deviations of the cloud: readings on a line say nothing across it.
-    let cloud = covariance(&training.shifts_pm).symmetric_eigenvalues().map(|v| v.max(0.0).sqrt());
+    let cloud = covariance(&training.shifts_pm)
+        .symmetric_eigenvalues()
+        .map(|v| v.max(0.0).sqrt());
     let cloud_sd_pm = [cloud.max(), cloud.min()];
     // In label units: a map no better than the labels' mean explains nothing.
     let explained = [0, 1].map(|m| 1.0 - (loo_rmse_nmm[m] / label_sd_nmm[m].max(1e-12)).powi(2));
@@ -120,8 +125,17 @@ fn sentences(r: &IdentifiabilityReport, loo_rmse_nmm: [f64; 2]) -> Vec<String> {
 /// Least squares of both shifts on (1, m_1, m_2).
 fn fit_law(training: &MapTraining) -> Result<WavelengthFromMoment, MapError> {
     let n = training.len();
-    let deficient = MapError::RankDeficient { trend: "affine wavelength-from-moment", readings: n };
-    let h = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { training.moments_nmm[i][j - 1] });
+    let deficient = MapError::RankDeficient {
+        trend: "affine wavelength-from-moment",
+        readings: n,
+    };
+    let h = DMatrix::from_fn(n, 3, |i, j| {
+        if j == 0 {
+            1.0
+        } else {
+            training.moments_nmm[i][j - 1]
+        }
+    });
     let y = DMatrix::from_fn(n, 2, |i, g| training.shifts_pm[i][g]);
     // Labels on a line leave one column of K open.
     let svd = h.clone().svd(true, true);
@@ -142,7 +156,11 @@ fn fit_law(training: &MapTraining) -> Result<WavelengthFromMoment, MapError> {
 /// Covariance with divisor n: deviations next to the root mean square errors.
 fn covariance(pairs: &[[f64; 2]]) -> Matrix2<f64> {
     let n = pairs.len() as f64;
-    let mean = pairs.iter().map(|p| Vector2::from(*p)).sum::<Vector2<f64>>() / n;
+    let mean = pairs
+        .iter()
+        .map(|p| Vector2::from(*p))
+        .sum::<Vector2<f64>>()
+        / n;
     pairs
         .iter()
         .map(|p| (Vector2::from(*p) - mean) * (Vector2::from(*p) - mean).transpose())

@@ -84,7 +84,10 @@ impl Kernel {
         match *self {
             // The tolerance covers only the rounding of the scaling.
             Self::ThinPlate { radius } if radius < required * (1.0 - 1e-9) => {
-                Err(MapError::RadiusTooSmall { required, found: radius })
+                Err(MapError::RadiusTooSmall {
+                    required,
+                    found: radius,
+                })
             }
             _ => Ok(()),
         }

@@ -88,7 +88,8 @@ impl MapPredictor {
     /// As [`MapArtefact::check`], and [`MapError::NotPositiveDefinite`] where the covariance cannot be factorised.
     pub fn new(artefact: &MapArtefact) -> Result<Self, MapError> {
         artefact.check()?;
-        let scale = |s: &[f64; 2]| [0, 1].map(|c| (s[c] - artefact.centre_pm[c]) / artefact.scale_pm);
+        let scale =
+            |s: &[f64; 2]| [0, 1].map(|c| (s[c] - artefact.centre_pm[c]) / artefact.scale_pm);
         let inputs: Box<[[f64; 2]]> = artefact.training_pm.iter().map(scale).collect();
         let [first, second] = &artefact.outputs;
         Ok(Self {
@@ -106,12 +107,15 @@ impl MapPredictor {
     /// Moments (N mm) of one temperature-compensated reading (pm), with deviations and the distance from the valid region.
     pub fn predict(&mut self, shift_pm: [f64; 2]) -> MapPrediction {
         let z = [0, 1].map(|c| (shift_pm[c] - self.centre_pm[c]) / self.scale_pm);
-        let mut out =
-            MapPrediction { outside_by_pm: self.region.outside_by_pm(shift_pm), ..MapPrediction::default() };
+        let mut out = MapPrediction {
+            outside_by_pm: self.region.outside_by_pm(shift_pm),
+            ..MapPrediction::default()
+        };
         for m in 0..2 {
             let output = &self.outputs[m];
             // Moments that share a kernel share its correlations.
-            if output.kernel != Kernel::None && (m == 0 || output.kernel != self.outputs[0].kernel) {
+            if output.kernel != Kernel::None && (m == 0 || output.kernel != self.outputs[0].kernel)
+            {
                 for (k, x) in self.correlation.iter_mut().zip(&self.inputs) {
                     *k = output.kernel.at(distance(*x, z));
                 }
@@ -130,7 +134,13 @@ impl MapPredictor {
         let z = [0, 1].map(|c| (shift_pm[c] - self.centre_pm[c]) / self.scale_pm);
         self.outputs.each_ref().map(|output| {
             let weighted = |(x, a): (&[f64; 2], &f64)| a * output.kernel.at(distance(*x, z));
-            output.trend_mean(z) + self.inputs.iter().zip(&output.alpha).map(weighted).sum::<f64>()
+            output.trend_mean(z)
+                + self
+                    .inputs
+                    .iter()
+                    .zip(&output.alpha)
+                    .map(weighted)
+                    .sum::<f64>()
         })
     }
 }
@@ -143,7 +153,11 @@ impl MomentStream for MapPredictor {
     fn moments(&mut self, _t_s: f64, shift_pm: [f64; 2], _rise_degc: f64) -> StreamMoments {
         let p = self.predict(shift_pm);
         self.last = p;
-        StreamMoments { moment_nmm: p.moment_nmm, sd_nmm: p.sd_nmm, valid: p.is_valid() }
+        StreamMoments {
+            moment_nmm: p.moment_nmm,
+            sd_nmm: p.sd_nmm,
+            valid: p.is_valid(),
+        }
     }
 
     fn spread(&self) -> MomentSpread {
@@ -204,7 +218,10 @@ impl Output {
     #[inline]
     fn trend_mean(&self, z: [f64; 2]) -> f64 {
         let h = self.trend.basis(z);
-        self.offset_nmm + (0..self.trend.terms()).map(|j| h[j] * self.beta[j]).sum::<f64>()
+        self.offset_nmm
+            + (0..self.trend.terms())
+                .map(|j| h[j] * self.beta[j])
+                .sum::<f64>()
     }
 
     /// Mean (N mm) and variance of the mean ((N mm)^2, noise excluded).
@@ -214,12 +231,19 @@ impl Output {
         let mut u = self.trend.basis(z);
         let mut spread = self.prior;
         if self.kernel != Kernel::None {
-            mean += correlation.iter().zip(&self.alpha).map(|(k, a)| k * a).sum::<f64>();
+            mean += correlation
+                .iter()
+                .zip(&self.alpha)
+                .map(|(k, a)| k * a)
+                .sum::<f64>();
             // v = L^-1 k row by row; the variance loses v'v.
             let mut row = 0;
             for i in 0..correlation.len() {
-                let known: f64 =
-                    self.lower[row..row + i].iter().zip(&whitened[..i]).map(|(l, v)| l * v).sum();
+                let known: f64 = self.lower[row..row + i]
+                    .iter()
+                    .zip(&whitened[..i])
+                    .map(|(l, v)| l * v)
+                    .sum();
                 let v = (correlation[i] - known) * self.lower[row + i];
                 whitened[i] = v;
                 spread -= v * v;

@@ -64,18 +64,26 @@ impl Factor {
             for i in 0..readings {
                 c[(i, i)] += model.nugget;
             }
-            Cholesky::new(c).ok_or(MapError::NotPositiveDefinite { readings })?.unpack()
+            Cholesky::new(c)
+                .ok_or(MapError::NotPositiveDefinite { readings })?
+                .unpack()
         };
-        let g = l.solve_lower_triangular(&h).ok_or(MapError::NotPositiveDefinite { readings })?;
+        let g = l
+            .solve_lower_triangular(&h)
+            .ok_or(MapError::NotPositiveDefinite { readings })?;
         let a = if model.trend.terms() == 0 {
             None
         } else {
-            let deficient = MapError::RankDeficient { trend: model.trend.name(), readings };
+            let deficient = MapError::RankDeficient {
+                trend: model.trend.name(),
+                readings,
+            };
             let gram = g.transpose() * &g;
             // Columns differ in size, so rank is judged on the correlation of the basis functions.
             let size = gram.diagonal().map(f64::sqrt);
-            let scaled =
-                DMatrix::from_fn(gram.nrows(), gram.ncols(), |i, j| gram[(i, j)] / (size[i] * size[j]));
+            let scaled = DMatrix::from_fn(gram.nrows(), gram.ncols(), |i, j| {
+                gram[(i, j)] / (size[i] * size[j])
+            });
             let smallest = scaled.symmetric_eigenvalues().min();
             if smallest.is_nan() || smallest < 1e-10 {
                 return Err(deficient);
@@ -107,13 +115,19 @@ impl Process {
     pub fn fit(model: ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Result<Self, MapError> {
         let terms = model.trend.terms();
         if inputs.len() < terms + 2 {
-            return Err(MapError::TooFew { expected: terms + 2, found: inputs.len() });
+            return Err(MapError::TooFew {
+                expected: terms + 2,
+                found: inputs.len(),
+            });
         }
         let factor = Factor::new(&model, inputs)?;
         let readings = inputs.len();
         let lost = MapError::NotPositiveDefinite { readings };
         // Whitened by L, generalised least squares is ordinary least squares on G.
-        let yt = factor.l.solve_lower_triangular(&DVector::from_column_slice(y)).ok_or(lost.clone())?;
+        let yt = factor
+            .l
+            .solve_lower_triangular(&DVector::from_column_slice(y))
+            .ok_or(lost.clone())?;
         let beta = match &factor.a {
             Some(a) => a.solve(&(factor.g.transpose() * &yt)),
             None => DVector::zeros(0),
@@ -127,7 +141,15 @@ impl Process {
             Some(v) => (v, None),
             None => (whitened.norm_squared() / free, Some(free)),
         };
-        Ok(Self { model, inputs: inputs.to_vec(), beta, alpha, variance, dof, factor })
+        Ok(Self {
+            model,
+            inputs: inputs.to_vec(),
+            beta,
+            alpha,
+            variance,
+            dof,
+            factor,
+        })
     }
 
     /// Noise variance, output units squared.
@@ -140,7 +162,9 @@ impl Process {
         let kernel = &self.model.kernel;
         let k = DVector::from_iterator(
             self.inputs.len(),
-            self.inputs.iter().map(|x| kernel.at(crate::geometry::distance(*x, z))),
+            self.inputs
+                .iter()
+                .map(|x| kernel.at(crate::geometry::distance(*x, z))),
         );
         let h = DVector::from_column_slice(&self.model.trend.basis(z)[..self.model.trend.terms()]);
         // What the data tell of f takes its prior variance down; what they leave open of b puts some on again.
@@ -183,7 +207,9 @@ impl Process {
             let m = group.len();
             let block = DMatrix::from_fn(m, m, |i, j| p[(group[i], group[j])]);
             // A group that alone determines a trend coefficient cannot be predicted from the rest.
-            let Some(inverse) = Cholesky::new(block).map(|c| c.inverse()) else { continue };
+            let Some(inverse) = Cholesky::new(block).map(|c| c.inverse()) else {
+                continue;
+            };
             let py = DVector::from_iterator(m, group.iter().map(|i| self.alpha[*i]));
             let error = &inverse * &py;
             // s2 of the rest: the group's own misfit comes off the sum of squares.

@@ -28,7 +28,11 @@ impl ValidRegion {
         let all: Vec<[f64; 2]> = readings.iter().chain(declared).copied().collect();
         let vertices_pm = convex_hull(&all);
         let margin_pm = margin * diameter(&vertices_pm);
-        Self { kind: "hull".into(), vertices_pm, margin_pm }
+        Self {
+            kind: "hull".into(),
+            vertices_pm,
+            margin_pm,
+        }
     }
 
     /// How far a reading lies outside the grown hull, pm; 0 inside. No allocation.

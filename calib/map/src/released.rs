@@ -40,9 +40,22 @@ pub fn model() -> ProcessModel {
 ///
 /// # Errors
 /// [`MapError::RadiusTooSmall`] where the readings spread over more than R / 1.6 scaled units.
-pub fn scale(training: &MapTraining, diameter_pm: f64) -> Result<crate::candidate::Scaled, MapError> {
+pub fn scale(
+    training: &MapTraining,
+    diameter_pm: f64,
+) -> Result<crate::candidate::Scaled, MapError> {
     let mut moved = training.clone();
-    moved.moments_nmm.iter_mut().flatten().for_each(|m| *m -= MOMENT_OFFSET_NMM);
+    moved
+        .moments_nmm
+        .iter_mut()
+        .flatten()
+        .for_each(|m| *m -= MOMENT_OFFSET_NMM);
     let radius_pm = Some(RADIUS * SHIFT_SCALE_PM);
-    crate::candidate::Scaled::new(&moved, [SHIFT_OFFSET_PM; 2], SHIFT_SCALE_PM, diameter_pm, radius_pm)
+    crate::candidate::Scaled::new(
+        &moved,
+        [SHIFT_OFFSET_PM; 2],
+        SHIFT_SCALE_PM,
+        diameter_pm,
+        radius_pm,
+    )
 }

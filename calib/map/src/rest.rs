@@ -24,9 +24,14 @@ const MIN_LOADED: usize = 5;
 ///
 /// # Errors
 /// As for [`fit_map`].
-pub fn test_rest(training: &MapTraining, options: &FitOptions) -> Result<Option<RestZero>, MapError> {
+pub fn test_rest(
+    training: &MapTraining,
+    options: &FitOptions,
+) -> Result<Option<RestZero>, MapError> {
     let loaded = training.loaded();
-    let rest: Vec<usize> = (0..training.len()).filter(|i| training.trajectory[*i].is_none()).collect();
+    let rest: Vec<usize> = (0..training.len())
+        .filter(|i| training.trajectory[*i].is_none())
+        .collect();
     if rest.is_empty() || loaded.len() < MIN_LOADED {
         return Ok(None);
     }

@@ -9,7 +9,10 @@ use statrs::distribution::{Binomial, Continuous, ContinuousCDF, DiscreteCDF, Nor
 /// Half width of a central 95 % interval in standard deviations (the t scale, not the t standard deviation).
 pub fn half95(dof: Option<f64>) -> f64 {
     // Past a million degrees of freedom it is the normal distribution's to 2e-6, and the search for it takes minutes.
-    match dof.filter(|nu| *nu <= 1e6).and_then(|nu| StudentsT::new(0.0, 1.0, nu).ok()) {
+    match dof
+        .filter(|nu| *nu <= 1e6)
+        .and_then(|nu| StudentsT::new(0.0, 1.0, nu).ok())
+    {
         Some(t) => t.inverse_cdf(0.975),
         None => 1.959_963_984_540_054,
     }
@@ -33,7 +36,9 @@ pub(crate) fn log_density(z: f64, dof: Option<f64>) -> f64 {
 
 /// Smallest and largest count of `n` trials that a success rate of `p` does not contradict at the two-sided 5 % level.
 pub fn binomial_bounds(n: usize, p: f64) -> [usize; 2] {
-    let Ok(law) = Binomial::new(p, n as u64) else { return [0, n] };
+    let Ok(law) = Binomial::new(p, n as u64) else {
+        return [0, n];
+    };
     // Counts with more than 2.5 % on either side.
     let low = (0..=n).find(|k| law.cdf(*k as u64) > 0.025).unwrap_or(0);
     let high = (0..=n).find(|k| law.cdf(*k as u64) >= 0.975).unwrap_or(n);

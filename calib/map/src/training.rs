@@ -46,21 +46,39 @@ impl MapTraining {
         ];
         for (field, found) in lengths {
             if found != n {
-                return Err(MapError::Length { field, expected: n, found });
+                return Err(MapError::Length {
+                    field,
+                    expected: n,
+                    found,
+                });
             }
         }
         if !self.pose.is_empty() && self.pose.len() != n {
-            return Err(MapError::Length { field: "pose", expected: n, found: self.pose.len() });
+            return Err(MapError::Length {
+                field: "pose",
+                expected: n,
+                found: self.pose.len(),
+            });
         }
         for (i, point) in self.point.iter().enumerate() {
-            for (field, pair) in [("shifts_pm", self.shifts_pm[i]), ("moments_nmm", self.moments_nmm[i])] {
+            for (field, pair) in [
+                ("shifts_pm", self.shifts_pm[i]),
+                ("moments_nmm", self.moments_nmm[i]),
+            ] {
                 if let Some(found) = pair.into_iter().find(|v| !v.is_finite()) {
-                    return Err(MapError::NotFinite { field, point: *point, found });
+                    return Err(MapError::NotFinite {
+                        field,
+                        point: *point,
+                        found,
+                    });
                 }
             }
         }
         if n < 5 {
-            return Err(MapError::TooFew { expected: 5, found: n });
+            return Err(MapError::TooFew {
+                expected: 5,
+                found: n,
+            });
         }
         Ok(())
     }
@@ -68,9 +86,15 @@ impl MapTraining {
     /// Without the readings at rest.
     pub fn loaded(&self) -> Self {
         fn kept<T: Copy>(all: &[T], loaded: &[usize]) -> Vec<T> {
-            if all.is_empty() { Vec::new() } else { loaded.iter().map(|i| all[*i]).collect() }
+            if all.is_empty() {
+                Vec::new()
+            } else {
+                loaded.iter().map(|i| all[*i]).collect()
+            }
         }
-        let loaded: Vec<usize> = (0..self.len()).filter(|i| self.trajectory[*i].is_some()).collect();
+        let loaded: Vec<usize> = (0..self.len())
+            .filter(|i| self.trajectory[*i].is_some())
+            .collect();
         Self {
             shifts_pm: kept(&self.shifts_pm, &loaded),
             moments_nmm: kept(&self.moments_nmm, &loaded),
@@ -83,7 +107,13 @@ impl MapTraining {
 
     /// Distinct trajectories in ascending order, rest not counted.
     pub fn trajectories(&self) -> Vec<u32> {
-        self.trajectory.iter().flatten().copied().collect::<BTreeSet<_>>().into_iter().collect()
+        self.trajectory
+            .iter()
+            .flatten()
+            .copied()
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect()
     }
 
     /// Readings left out together by leave-one-out: one entry a pose, in order of first appearance.

@@ -9,18 +9,28 @@ use wcal_rod::{Guess, Rod, Tangential};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let [links, out] = &words[..] else { return Err("expected LINKS OUT.xml".into()) };
+    let [links, out] = &words[..] else {
+        return Err("expected LINKS OUT.xml".into());
+    };
     let whisker = WhiskerSpec::nominal();
-    let options = MjcfOptions { links: links.parse()?, ..MjcfOptions::default() };
+    let options = MjcfOptions {
+        links: links.parse()?,
+        ..MjcfOptions::default()
+    };
     std::fs::write(out, mjcf(&whisker, &options)?)?;
     let rod = Rod::new(&whisker, 0.5)?;
     let s_mm = 40.0;
     let from = rod.shape.rest_point(s_mm);
-    let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: s_mm };
+    let mut guess = Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: s_mm,
+    };
     let mut held = None;
     for leg in 1..=10 {
         let point = from + Vector3::new(0.0, 3.0, 4.0) * (f64::from(leg) / 10.0);
-        let found = rod.solve(&point, &guess, Tangential::Frictionless).map_err(|e| format!("{e:?}"))?;
+        let found = rod
+            .solve(&point, &guess, Tangential::Frictionless)
+            .map_err(|e| format!("{e:?}"))?;
         guess = Guess::from(&found);
         held = Some(found);
     }

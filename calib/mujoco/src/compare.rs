@@ -43,13 +43,17 @@ pub fn statics(
     let rod = Rod::new(whisker, 0.5).map_err(|e| refuse(e.to_string()))?;
     let length_mm = rod.shape.length_mm;
     let from = rod.shape.rest_point(LOADED_AT * length_mm);
-    let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: LOADED_AT * length_mm };
+    let mut guess = Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: LOADED_AT * length_mm,
+    };
     let mut held = None;
     // Continuation: each pull starts from the equilibrium before.
     for leg in 1..=PULLS {
         let point = from + Vector3::from(PULLED) * (length_mm * f64::from(leg) / f64::from(PULLS));
-        let found =
-            rod.solve(&point, &guess, Tangential::Frictionless).map_err(|e| refuse(format!("{e:?}")))?;
+        let found = rod
+            .solve(&point, &guess, Tangential::Frictionless)
+            .map_err(|e| refuse(format!("{e:?}")))?;
         guess = Guess::from(&found);
         held = Some(found);
     }

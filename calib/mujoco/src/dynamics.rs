@@ -88,13 +88,17 @@ impl Sensitivity {
 fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
     let normal = Matrix4::from_fn(|i, j| {
         let pairs = changes[i].iter().zip(&changes[j]);
-        pairs.map(|(a, b)| a * b).filter(|p| p.is_finite()).sum::<f64>()
+        pairs
+            .map(|(a, b)| a * b)
+            .filter(|p| p.is_finite())
+            .sum::<f64>()
     });
     // Directions that change nothing have no information: their variance is bounded, not infinite.
     let axes = normal.symmetric_eigen();
     let sd = |k: usize| {
-        let along =
-            |n: usize| axes.eigenvectors[(k, n)].powi(2) / axes.eigenvalues[n].max(UNKNOWN_STEPS.powi(-2));
+        let along = |n: usize| {
+            axes.eigenvectors[(k, n)].powi(2) / axes.eigenvalues[n].max(UNKNOWN_STEPS.powi(-2))
+        };
         (0..4).map(along).sum::<f64>().sqrt().min(UNKNOWN_STEPS)
     };
     [0, 1, 2, 3].map(sd)
@@ -113,16 +117,28 @@ pub fn fit_dynamics(
     let mut bench = TrialRig::new(whisker, targets)?;
     let mut trials: Vec<Trial> = Vec::new();
     let mut add = |bench: &mut TrialRig, stage, parameters, full| -> Result<f64, TwinError> {
-        let trial = Trial { stage, parameters, score: bench.score(&parameters, full)? };
+        let trial = Trial {
+            stage,
+            parameters,
+            score: bench.score(&parameters, full)?,
+        };
         progress(&trial);
         trials.push(trial);
         Ok(trial.score.total)
     };
     // Damping with a hard contact, then the contact with that damping: the two barely meet in ring-down and overlap.
-    let mut best = Parameters { damping_nms_rad: 0.0, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
+    let mut best = Parameters {
+        damping_nms_rad: 0.0,
+        width_mm: 1.0,
+        d0: 0.95,
+        dmax: 1.0,
+    };
     let mut least = f64::INFINITY;
     for damping in DAMPINGS {
-        let tried = Parameters { damping_nms_rad: damping, ..best };
+        let tried = Parameters {
+            damping_nms_rad: damping,
+            ..best
+        };
         let total = add(&mut bench, "grid-damping", tried, true)?;
         if total < least {
             (least, best.damping_nms_rad) = (total, damping);
@@ -130,8 +146,20 @@ pub fn fit_dynamics(
     }
     let mut candidates: Vec<(f64, Parameters)> = Vec::new();
     for width_mm in [1.0, 4.0, 7.0, 10.0] {
-        for (d0, dmax) in [(0.0, 0.5), (0.0, 1.0), (0.5, 0.5), (0.5, 1.0), (0.8, 0.95), (0.95, 1.0)] {
-            let tried = Parameters { width_mm, d0, dmax, ..best };
+        for (d0, dmax) in [
+            (0.0, 0.5),
+            (0.0, 1.0),
+            (0.5, 0.5),
+            (0.5, 1.0),
+            (0.8, 0.95),
+            (0.95, 1.0),
+        ] {
+            let tried = Parameters {
+                width_mm,
+                d0,
+                dmax,
+                ..best
+            };
             candidates.push((add(&mut bench, "grid-contact", tried, false)?, tried));
         }
     }
@@ -161,11 +189,19 @@ pub fn fit_dynamics(
         search(stage, algorithm, &from, evaluations, &shared, &progress)?;
     }
     let (mut bench, trials, _) = shared.into_inner();
-    let best = best_of(&trials).ok_or_else(|| TwinError::Engine("no trial was judged in full".to_owned()))?;
+    let best = best_of(&trials)
+        .ok_or_else(|| TwinError::Engine("no trial was judged in full".to_owned()))?;
     let sensitivity = sensitivity(&mut bench, &trials[best].parameters)?;
-    let options =
-        MjcfOptions { links: MjcfOptions::default().links, ..bench.options(&trials[best].parameters) };
-    Ok(DynamicsFit { trials, best, sensitivity, options })
+    let options = MjcfOptions {
+        links: MjcfOptions::default().links,
+        ..bench.options(&trials[best].parameters)
+    };
+    Ok(DynamicsFit {
+        trials,
+        best,
+        sensitivity,
+        options,
+    })
 }
 
 /// What a wire of these parameters does: a record to fit against (SIMULATED).
@@ -173,7 +209,12 @@ pub fn fit_dynamics(
 /// # Errors
 /// Where the engine is missing, the wire cannot be, or its sweeps are rejected.
 pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets, TwinError> {
-    let wanted = Targets { ring_down_s: None, bounce_ratio: None, ripple_nmm: 0.0, bias: 0.0 };
+    let wanted = Targets {
+        ring_down_s: None,
+        bounce_ratio: None,
+        ripple_nmm: 0.0,
+        bias: 0.0,
+    };
     let score = TrialRig::new(whisker, wanted)?.score(parameters, true)?;
     // A soft contact lets the wire through the ball: no sweep, no record.
     let swept = |v: Option<f64>| {
@@ -196,21 +237,52 @@ fn sensitivity(bench: &mut TrialRig, at: &Parameters) -> Result<Sensitivity, Twi
     let step = |x: f64, by: f64, most: f64| if x + by <= most { x + by } else { x - by };
     let mut over = |there: Parameters| -> Result<Vec<f64>, TwinError> {
         let there = bench.score(&there, true)?;
-        Ok(bench.demands(&here).into_iter().zip(bench.demands(&there)).map(|(a, b)| b - a).collect())
+        Ok(bench
+            .demands(&here)
+            .into_iter()
+            .zip(bench.demands(&there))
+            .map(|(a, b)| b - a)
+            .collect())
     };
-    let dmax =
-        if at.dmax + IMPEDANCE_STEP <= 1.0 { at.dmax + IMPEDANCE_STEP } else { at.dmax - IMPEDANCE_STEP };
+    let dmax = if at.dmax + IMPEDANCE_STEP <= 1.0 {
+        at.dmax + IMPEDANCE_STEP
+    } else {
+        at.dmax - IMPEDANCE_STEP
+    };
     let mut changes = [
-        over(Parameters { damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03), ..*at })?,
-        over(Parameters { width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]), ..*at })?,
-        over(Parameters { d0: step(at.d0, IMPEDANCE_STEP, at.dmax), ..*at })?,
-        over(Parameters { dmax, d0: at.d0.min(dmax), ..*at })?,
+        over(Parameters {
+            damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03),
+            ..*at
+        })?,
+        over(Parameters {
+            width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]),
+            ..*at
+        })?,
+        over(Parameters {
+            d0: step(at.d0, IMPEDANCE_STEP, at.dmax),
+            ..*at
+        })?,
+        over(Parameters {
+            dmax,
+            d0: at.d0.min(dmax),
+            ..*at
+        })?,
     ];
     // A demand that a step breaks tells nothing of its size.
-    changes.iter_mut().flatten().filter(|d| !d.is_finite()).for_each(|d| *d = 0.0);
+    changes
+        .iter_mut()
+        .flatten()
+        .filter(|d| !d.is_finite())
+        .for_each(|d| *d = 0.0);
     let [damping, width, d0, dmax] =
         [0, 1, 2, 3].map(|k| changes[k].iter().map(|d| d * d).sum::<f64>().sqrt());
-    Ok(Sensitivity { damping, width, d0, dmax, together_steps: together_steps(&changes) })
+    Ok(Sensitivity {
+        damping,
+        width,
+        d0,
+        dmax,
+        together_steps: together_steps(&changes),
+    })
 }
 
 /// Best of the trials that were judged in full.
@@ -223,10 +295,22 @@ fn neighbours(p: &Parameters) -> Vec<Parameters> {
     let mut all = Vec::new();
     for sign in [-1.0, 1.0] {
         let damping = (p.damping_nms_rad + sign * 0.005).clamp(0.0, 0.03);
-        all.push(Parameters { damping_nms_rad: damping, ..*p });
-        all.push(Parameters { width_mm: (p.width_mm + sign).clamp(WIDTHS_MM[0], WIDTHS_MM[1]), ..*p });
-        all.push(Parameters { d0: (p.d0 + sign * IMPEDANCE_STEP).clamp(0.0, p.dmax), ..*p });
-        all.push(Parameters { dmax: (p.dmax + sign * IMPEDANCE_STEP).clamp(p.d0, 1.0), ..*p });
+        all.push(Parameters {
+            damping_nms_rad: damping,
+            ..*p
+        });
+        all.push(Parameters {
+            width_mm: (p.width_mm + sign).clamp(WIDTHS_MM[0], WIDTHS_MM[1]),
+            ..*p
+        });
+        all.push(Parameters {
+            d0: (p.d0 + sign * IMPEDANCE_STEP).clamp(0.0, p.dmax),
+            ..*p
+        });
+        all.push(Parameters {
+            dmax: (p.dmax + sign * IMPEDANCE_STEP).clamp(p.d0, 1.0),
+            ..*p
+        });
     }
     all.retain(|q| q != p);
     all
@@ -245,17 +329,38 @@ fn search(
 ) -> Result<(), TwinError> {
     let fault = |e: String| TwinError::value("NLopt", "a search", e);
     // Share of dmax stands for d0, so that d0 <= dmax holds by itself.
-    let start = [from.damping_nms_rad, from.width_mm, from.d0 / from.dmax.max(1e-6), from.dmax];
+    let start = [
+        from.damping_nms_rad,
+        from.width_mm,
+        from.d0 / from.dmax.max(1e-6),
+        from.dmax,
+    ];
     let reach = [0.01, 2.0, 0.2, 0.1];
-    let (lowest, highest) = ([0.0, WIDTHS_MM[0], 0.0, 0.05], [0.03, WIDTHS_MM[1], 1.0, 1.0]);
-    let lower: Vec<f64> = (0..4).map(|k| (start[k] - reach[k]).max(lowest[k])).collect();
-    let upper: Vec<f64> = (0..4).map(|k| (start[k] + reach[k]).min(highest[k])).collect();
+    let (lowest, highest) = (
+        [0.0, WIDTHS_MM[0], 0.0, 0.05],
+        [0.03, WIDTHS_MM[1], 1.0, 1.0],
+    );
+    let lower: Vec<f64> = (0..4)
+        .map(|k| (start[k] - reach[k]).max(lowest[k]))
+        .collect();
+    let upper: Vec<f64> = (0..4)
+        .map(|k| (start[k] + reach[k]).min(highest[k]))
+        .collect();
     let objective = |x: &[f64], _: Option<&mut [f64]>, _: &mut ()| {
-        let parameters = Parameters { damping_nms_rad: x[0], width_mm: x[1], d0: x[2] * x[3], dmax: x[3] };
+        let parameters = Parameters {
+            damping_nms_rad: x[0],
+            width_mm: x[1],
+            d0: x[2] * x[3],
+            dmax: x[3],
+        };
         let (bench, trials, error) = &mut *shared.borrow_mut();
         match bench.score(&parameters, true) {
             Ok(score) => {
-                let trial = Trial { stage, parameters, score };
+                let trial = Trial {
+                    stage,
+                    parameters,
+                    score,
+                };
                 progress(&trial);
                 trials.push(trial);
                 score.total
@@ -267,9 +372,12 @@ fn search(
         }
     };
     let mut opt = Nlopt::new(algorithm, 4, objective, Target::Minimize, ());
-    opt.set_lower_bounds(&lower).map_err(|e| fault(format!("{e:?}")))?;
-    opt.set_upper_bounds(&upper).map_err(|e| fault(format!("{e:?}")))?;
-    opt.set_maxeval(evaluations.max(1)).map_err(|e| fault(format!("{e:?}")))?;
+    opt.set_lower_bounds(&lower)
+        .map_err(|e| fault(format!("{e:?}")))?;
+    opt.set_upper_bounds(&upper)
+        .map_err(|e| fault(format!("{e:?}")))?;
+    opt.set_maxeval(evaluations.max(1))
+        .map_err(|e| fault(format!("{e:?}")))?;
     let mut x: Vec<f64> = (0..4).map(|k| start[k].clamp(lower[k], upper[k])).collect();
     // How it ended is not asked: the best trial counts.
     let _ = opt.optimize(&mut x);
@@ -283,16 +391,34 @@ mod tests {
 
     #[test]
     fn parameters_that_trade_are_not_determined_together() {
-        let changes = |d0: Vec<f64>| [vec![5.0, 0.0, 0.0], vec![0.0, 4.0, 0.0], d0, vec![0.0, 0.0, 0.0]];
+        let changes = |d0: Vec<f64>| {
+            [
+                vec![5.0, 0.0, 0.0],
+                vec![0.0, 4.0, 0.0],
+                d0,
+                vec![0.0, 0.0, 0.0],
+            ]
+        };
         // Width and d0 do the same to the demands; dmax does nothing.
         let traded = together_steps(&changes(vec![0.0, 8.0, 0.0]));
-        assert!((traded[0] - 0.2).abs() < 1e-9 && traded[1..].iter().all(|sd| *sd > 100.0), "{traded:?}");
-        let sensitivity =
-            Sensitivity { damping: 5.0, width: 4.0, d0: 8.0, dmax: 0.0, together_steps: traded };
+        assert!(
+            (traded[0] - 0.2).abs() < 1e-9 && traded[1..].iter().all(|sd| *sd > 100.0),
+            "{traded:?}"
+        );
+        let sensitivity = Sensitivity {
+            damping: 5.0,
+            width: 4.0,
+            d0: 8.0,
+            dmax: 0.0,
+            together_steps: traded,
+        };
         assert_eq!(sensitivity.undetermined(), ["width", "d0", "dmax"]);
         // Negative control: separately, each is as well known as it acts.
         let separate = together_steps(&changes(vec![0.0, 0.0, 8.0]));
-        assert!((separate[1] - 0.25).abs() < 1e-9 && (separate[2] - 0.125).abs() < 1e-9, "{separate:?}");
+        assert!(
+            (separate[1] - 0.25).abs() < 1e-9 && (separate[2] - 0.125).abs() < 1e-9,
+            "{separate:?}"
+        );
     }
 
     #[test]
@@ -301,7 +427,10 @@ mod tests {
         let creep: Vec<f64> = t.iter().map(|t| 3.0 + 2.0 * (-t / 0.12).exp()).collect();
         assert!((ring_down_s(&t, &creep).unwrap() - 0.12).abs() < 2e-3);
         // A vibration's envelope, to within a half period.
-        let ring: Vec<f64> = t.iter().map(|t| (-t / 0.12).exp() * (200.0 * t).cos()).collect();
+        let ring: Vec<f64> = t
+            .iter()
+            .map(|t| (-t / 0.12).exp() * (200.0 * t).cos())
+            .collect();
         assert!((ring_down_s(&t, &ring).unwrap() - 0.12).abs() < 0.017);
         assert!(ring_down_s(&t[..5], &ring[..5]).is_none());
     }

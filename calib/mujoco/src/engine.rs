@@ -55,7 +55,10 @@ fn program() -> Result<PathBuf, TwinError> {
         };
     }
     let own = std::env::current_exe().ok();
-    let own = own.iter().flat_map(|exe| exe.ancestors().skip(1).take(2)).map(PathBuf::from);
+    let own = own
+        .iter()
+        .flat_map(|exe| exe.ancestors().skip(1).take(2))
+        .map(PathBuf::from);
     let path = std::env::var_os("PATH").unwrap_or_default();
     own.chain(std::env::split_paths(&path)).map(|folder| folder.join(PROGRAM)).find(|p| p.is_file()).ok_or_else(|| {
         TwinError::Engine(format!(
@@ -72,7 +75,8 @@ impl MujocoEngine {
     pub fn start() -> Result<Self, TwinError> {
         let path = program()?;
         let wait_s = wait_s()?;
-        let lost = |e: std::io::Error| TwinError::Engine(format!("starting {}: {e}", path.display()));
+        let lost =
+            |e: std::io::Error| TwinError::Engine(format!("starting {}: {e}", path.display()));
         let mut child = Command::new(&path)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -80,15 +84,28 @@ impl MujocoEngine {
             .spawn()
             .map_err(lost)?;
         let (Some(to), Some(from)) = (child.stdin.take(), child.stdout.take()) else {
-            return Err(TwinError::Engine(format!("starting {}: no pipe", path.display())));
+            return Err(TwinError::Engine(format!(
+                "starting {}: no pipe",
+                path.display()
+            )));
         };
         let (send, from_program) = channel();
         std::thread::spawn(move || {
             // Ends with the program, or with whoever listened.
             let lines = BufReader::new(from).lines().map_while(Result::ok);
-            lines.map(|line| send.send(line)).take_while(Result::is_ok).for_each(drop);
+            lines
+                .map(|line| send.send(line))
+                .take_while(Result::is_ok)
+                .for_each(drop);
         });
-        let mut engine = Self { child, to, from: from_program, wait_s, version: String::new(), core_s: 0.0 };
+        let mut engine = Self {
+            child,
+            to,
+            from: from_program,
+            wait_s,
+            version: String::new(),
+            core_s: 0.0,
+        };
         match engine.ask(&Request::Hello)? {
             Reply::Hello { mujoco } => engine.version = mujoco,
             other => return Err(unexpected("a greeting", &other)),
@@ -101,7 +118,10 @@ impl MujocoEngine {
     /// # Errors
     /// Where MuJoCo refuses it, or the cable plugin is missing.
     pub fn load(&mut self, xml: &str, cable_plugin: bool) -> Result<LoadedModel, TwinError> {
-        match self.ask(&Request::Load { xml: xml.to_owned(), cable_plugin })? {
+        match self.ask(&Request::Load {
+            xml: xml.to_owned(),
+            cable_plugin,
+        })? {
             Reply::LoadedModel(loaded) => Ok(loaded),
             other => Err(unexpected("a loaded model", &other)),
         }
@@ -136,7 +156,10 @@ impl MujocoEngine {
     ///
     /// # Errors
     /// Where the library is missing or finds none.
-    pub fn convex_parts(&mut self, request: &protocol::Decompose) -> Result<Vec<protocol::Part>, TwinError> {
+    pub fn convex_parts(
+        &mut self,
+        request: &protocol::Decompose,
+    ) -> Result<Vec<protocol::Part>, TwinError> {
         match self.ask(&Request::Decompose(request.clone()))? {
             Reply::Parts { parts } => Ok(parts),
             other => Err(unexpected("convex parts", &other)),
@@ -144,12 +167,22 @@ impl MujocoEngine {
     }
 
     fn ask(&mut self, request: &Request) -> Result<Reply, TwinError> {
-        let mut line = serde_json::to_string(request).map_err(|e| TwinError::Engine(e.to_string()))?;
+        let mut line =
+            serde_json::to_string(request).map_err(|e| TwinError::Engine(e.to_string()))?;
         line.push('\n');
-        if self.to.write_all(line.as_bytes()).and_then(|()| self.to.flush()).is_err() {
+        if self
+            .to
+            .write_all(line.as_bytes())
+            .and_then(|()| self.to.flush())
+            .is_err()
+        {
             return Err(self.dead());
         }
-        let usual_s = if let Request::Decompose(_) = request { COACD_WAIT_S } else { WAIT_S };
+        let usual_s = if let Request::Decompose(_) = request {
+            COACD_WAIT_S
+        } else {
+            WAIT_S
+        };
         let wait_s = self.wait_s.unwrap_or(usual_s);
         match self.from.recv_timeout(Duration::from_secs_f64(wait_s)) {
             Ok(answer) => match serde_json::from_str(&answer) {
@@ -182,7 +215,10 @@ impl MujocoEngine {
             std::thread::sleep(Duration::from_millis(100));
         }
         let _ = self.child.kill();
-        let status = self.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
+        let status = self
+            .child
+            .wait()
+            .map_or_else(|e| e.to_string(), |s| s.to_string());
         let mut said = String::new();
         if let Some(mut errors) = self.child.stderr.take() {
             let _ = errors.read_to_string(&mut said);
@@ -203,10 +239,17 @@ impl Drop for MujocoEngine {
 
 /// Seconds of [`WAIT_VARIABLE`], where it is set.
 fn wait_s() -> Result<Option<f64>, TwinError> {
-    let Ok(text) = std::env::var(WAIT_VARIABLE) else { return Ok(None) };
+    let Ok(text) = std::env::var(WAIT_VARIABLE) else {
+        return Ok(None);
+    };
     let seconds = text.parse().ok().filter(|s| (1e-3..1e7).contains(s));
-    let refuse =
-        || TwinError::value(WAIT_VARIABLE, "seconds above 0.001 and below 10,000,000", format!("{text:?}"));
+    let refuse = || {
+        TwinError::value(
+            WAIT_VARIABLE,
+            "seconds above 0.001 and below 10,000,000",
+            format!("{text:?}"),
+        )
+    };
     seconds.map(Some).ok_or_else(refuse)
 }
 

@@ -18,7 +18,15 @@ pub enum TwinError {
 
 impl TwinError {
     /// A value that cannot be.
-    pub fn value(what: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Sim(SimError::Value { what: what.to_owned(), expected: expected.into(), found: found.into() })
+    pub fn value(
+        what: &'static str,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Sim(SimError::Value {
+            what: what.to_owned(),
+            expected: expected.into(),
+            found: found.into(),
+        })
     }
 }

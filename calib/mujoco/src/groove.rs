@@ -50,7 +50,11 @@ pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
         .map(|bytes| {
             let wrong = |found| TwinError::from(SimError::Engine(format!("groove_tip: {found}")));
             let stl = Stl::parse(bytes).map_err(wrong)?;
-            Ok(stl.points.iter().map(|v| Vector3::from(v.map(|x| f64::from(x) * 1e3))).collect())
+            Ok(stl
+                .points
+                .iter()
+                .map(|v| Vector3::from(v.map(|x| f64::from(x) * 1e3)))
+                .collect())
         })
         .collect()
 }
@@ -81,17 +85,27 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Stri
             place(TIP_MM)
         ),
         head: assets,
-        tail: ["x", "z", "y"].iter().fold(String::from("<actuator>"), |text, axis| {
-            text + &format!("<position joint=\"tip{axis}\" kp=\"6000\" kv=\"100\"/>")
-        }) + "</actuator>",
+        tail: ["x", "z", "y"]
+            .iter()
+            .fold(String::from("<actuator>"), |text, axis| {
+                text + &format!("<position joint=\"tip{axis}\" kp=\"6000\" kv=\"100\"/>")
+            })
+            + "</actuator>",
         base: [String::new(), String::new()],
     };
     match preset {
         Preset::Paper => {
-            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(released_from(
-                whisker,
-            )));
-            around.base[0] = format!("pos=\"{}\" quat=\"{} {} {} {}\"", place(ROOT_MM), q.w, q.i, q.j, q.k);
+            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+                released_from(whisker),
+            ));
+            around.base[0] = format!(
+                "pos=\"{}\" quat=\"{} {} {} {}\"",
+                place(ROOT_MM),
+                q.w,
+                q.i,
+                q.j,
+                q.k
+            );
             let usual = paper_options(whisker);
             let options = MjcfOptions { touch, ..usual };
             mjcf_among(whisker, &options, &around)
@@ -102,7 +116,8 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Stri
 
 /// The wire of [`Preset::Paper`]: damping, armature and contact as released, scaled with the links.
 pub fn paper_options(whisker: &WhiskerSpec) -> MjcfOptions {
-    let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
+    let section =
+        wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
     // Stiffness of a joint of the released cable, N m.
     let joint_nm = section.ei_nmm2 * 1e-3 / RELEASED_LINK_MM;
     MjcfOptions {
@@ -124,9 +139,12 @@ fn released(
     let vertices: Vec<Vector3<f64>> = match &whisker.rest_shape {
         RestShape::Polyline(points) => points.clone(),
         shape @ RestShape::StraightArc { length_mm, .. } => {
-            let fine = wcal_rod::Shape::new(shape, 0.25)
-                .map_err(|e| TwinError::value("whisker", "a wire that can be bent", e.to_string()))?;
-            (0..VERTICES).map(|k| fine.rest_point(length_mm * k as f64 / (VERTICES - 1) as f64)).collect()
+            let fine = wcal_rod::Shape::new(shape, 0.25).map_err(|e| {
+                TwinError::value("whisker", "a wire that can be bent", e.to_string())
+            })?;
+            (0..VERTICES)
+                .map(|k| fine.rest_point(length_mm * k as f64 / (VERTICES - 1) as f64))
+                .collect()
         }
     };
     let mut text = String::new();
@@ -134,7 +152,9 @@ fn released(
         let _ = write!(text, "{} {} {} ", p.x, p.y, p.z);
     }
     let density = whisker.density_or_niti_kg_m3();
-    let WorldParts { head, bodies, tail, .. } = around;
+    let WorldParts {
+        head, bodies, tail, ..
+    } = around;
     Ok(format!(
         "<mujoco model=\"released\"><extension><plugin plugin=\"mujoco.elasticity.cable\"/></extension>\
          <option timestep=\"0.001\" gravity=\"0 0 0\"/>{head}<worldbody><body name=\"base\" pos=\"{root}\">\

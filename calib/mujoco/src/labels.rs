@@ -20,9 +20,15 @@ const MAX_STEPS: u64 = 20_000;
 /// Way beyond the last pose to which the released program retreats between trajectories, m.
 const RELEASED_RETREAT_M: f64 = 0.06;
 /// Steps that settle a pose in the released program: all of them, at rest or not.
-const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 0.0 };
+const SETTLE: Settle = Settle {
+    steps: 4000,
+    rest_rad_s: 0.0,
+};
 /// The same on another way, where other equilibria are distinguished from this one.
-const AGAIN: Settle = Settle { steps: 2500, rest_rad_s: 3e-3 };
+const AGAIN: Settle = Settle {
+    steps: 2500,
+    rest_rad_s: 3e-3,
+};
 /// Steps after which it is checked whether the wire rests.
 const CHECK_STEPS: u64 = 250;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
@@ -93,11 +99,18 @@ pub fn labels(
         || run(whisker, preset, touch, trajectories, AGAIN, true, each),
     );
     let mut labels = labels?;
-    for (label, other) in labels.iter_mut().flatten().zip(straight?.into_iter().flatten()) {
+    for (label, other) in labels
+        .iter_mut()
+        .flatten()
+        .zip(straight?.into_iter().flatten())
+    {
         if let (Some(here), Some(there)) = (label.moment_nmm, other.moment_nmm)
             && (there - here).norm() > ELSEWHERE[0] * here.norm() + ELSEWHERE[1]
         {
-            label.elsewhere = Some(Other { moment_nmm: there, arclength_mm: other.arclength_mm });
+            label.elsewhere = Some(Other {
+                moment_nmm: there,
+                arclength_mm: other.arclength_mm,
+            });
         }
     }
     Ok(labels)
@@ -115,9 +128,15 @@ fn released(
     let mut last = Vector3::<f64>::zeros();
     let mut labels = Vec::with_capacity(trajectories.len());
     for (t, places) in trajectories.iter().enumerate() {
-        let retreat = if t == 0 { Vec::new() } else { vec![0.0, -last.y - RELEASED_RETREAT_M, 0.0] };
+        let retreat = if t == 0 {
+            Vec::new()
+        } else {
+            vec![0.0, -last.y - RELEASED_RETREAT_M, 0.0]
+        };
         bench.control(vec![0.0; 3], retreat, true)?;
-        bench.engine.frame(&Request::Run { steps: SETTLE.steps })?;
+        bench.engine.frame(&Request::Run {
+            steps: SETTLE.steps,
+        })?;
         let mut found = Vec::with_capacity(places.len());
         for place in places {
             let place = bench.turn * place;
@@ -177,10 +196,18 @@ impl GrooveEngine {
     fn start(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Self, TwinError> {
         let mut engine = MujocoEngine::start()?;
         engine.load(&bench(whisker, preset, touch)?, preset == Preset::Released)?;
-        Ok(Self { engine, turn: released_from(whisker) })
+        Ok(Self {
+            engine,
+            turn: released_from(whisker),
+        })
     }
 
-    fn control(&mut self, control: Vec<f64>, retreat: Vec<f64>, goes_on: bool) -> Result<Frame, TwinError> {
+    fn control(
+        &mut self,
+        control: Vec<f64>,
+        retreat: Vec<f64>,
+        goes_on: bool,
+    ) -> Result<Frame, TwinError> {
         self.engine.frame(&Request::Control {
             control,
             retreat,
@@ -199,7 +226,10 @@ impl GrooveEngine {
     /// From the free wire: the groove retreats, then comes to the trajectories' start.
     fn begin(&mut self) -> Result<(), TwinError> {
         self.engine.frame(&Request::Reset)?;
-        self.go(&(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM), false)?;
+        self.go(
+            &(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM),
+            false,
+        )?;
         self.go(&Vector3::from(START_MM), false).map(drop)
     }
 
@@ -223,11 +253,13 @@ impl GrooveEngine {
         }
         let (early, late) = frames.split_at(frames.len() / 2);
         let (Some(half), Some(frame)) = (early.last(), late.last()) else {
-            return Err(TwinError::Engine("expected two checks of a pose or more, found fewer".to_owned()));
+            return Err(TwinError::Engine(
+                "expected two checks of a pose or more, found fewer".to_owned(),
+            ));
         };
         let (before, moment) = (self.moment(half)?, self.moment(frame)?);
-        let [toggles, steps] =
-            [|f: &Frame| f.toggles, |f: &Frame| f.steps].map(|of| late.iter().map(of).sum::<u64>() as f64);
+        let [toggles, steps] = [|f: &Frame| f.toggles, |f: &Frame| f.steps]
+            .map(|of| late.iter().map(of).sum::<u64>() as f64);
         Ok(PoseLabel {
             moment_nmm: moment,
             arclength_mm: arclength_mm(frame),
@@ -247,8 +279,8 @@ impl GrooveEngine {
         }
         let own = frame.base_moment_nm.map(Vector3::from);
         let moment = own.or_else(|| frame.sensor_nm.map(|t| -Vector3::from(t)));
-        let moment =
-            moment.ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
+        let moment = moment
+            .ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
         Ok(Some(self.turn.tr_mul(&moment) * 1e3))
     }
 }

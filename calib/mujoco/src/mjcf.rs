@@ -81,7 +81,14 @@ impl Touch {
 
     /// Attributes of a geom.
     pub fn attributes(&self) -> String {
-        let Self { friction, turning_m: [turn, roll], time_s, impedance: [d0, most], width_mm, bend } = self;
+        let Self {
+            friction,
+            turning_m: [turn, roll],
+            time_s,
+            impedance: [d0, most],
+            width_mm,
+            bend,
+        } = self;
         let [middle, power] = bend;
         let kind = if *friction > 0.0 { 6 } else { 1 };
         format!(
@@ -139,11 +146,15 @@ pub fn mjcf_among(
     options: &MjcfOptions,
     around: &WorldParts,
 ) -> Result<String, TwinError> {
-    let refuse = |what: &'static str, expected: &str, found: String| TwinError::value(what, expected, found);
+    let refuse =
+        |what: &'static str, expected: &str, found: String| TwinError::value(what, expected, found);
     if !(options.step_s > 0.0 && options.step_s.is_finite()) {
         return Err(refuse("step_s", "above 0", options.step_s.to_string()));
     }
-    for (what, value) in [("damping_s", options.damping_s), ("armature_s2", options.armature_s2)] {
+    for (what, value) in [
+        ("damping_s", options.damping_s),
+        ("armature_s2", options.armature_s2),
+    ] {
         if !(value >= 0.0 && value.is_finite()) {
             return Err(refuse(what, "0 or more", value.to_string()));
         }
@@ -157,8 +168,8 @@ pub fn mjcf_among(
     let density = whisker.density_or_niti_kg_m3();
     // Of the cylinder, not of the capsule: the round ends overlap.
     let mass_kg = density * PI * (whisker.diameter_mm * 0.5e-3).powi(2) * h_m;
-    let root =
-        Rotation3::from_scaled_axis(options.root_turn_rad) * Rotation3::from_matrix_unchecked(shape.root);
+    let root = Rotation3::from_scaled_axis(options.root_turn_rad)
+        * Rotation3::from_matrix_unchecked(shape.root);
     let mut text = String::new();
     let mut line = |depth: usize, content: &str| {
         let _ = writeln!(text, "{:indent$}{content}", "", indent = depth.min(20) * 2);
@@ -167,7 +178,10 @@ pub fn mjcf_among(
     line(1, &format!("<!-- {} -->", comment(&options.provenance)));
     line(1, "<compiler angle=\"radian\" autolimits=\"true\"/>");
     let step = options.step_s;
-    line(1, &format!("<option timestep=\"{step}\" integrator=\"implicitfast\" gravity=\"0 0 0\"/>"));
+    line(
+        1,
+        &format!("<option timestep=\"{step}\" integrator=\"implicitfast\" gravity=\"0 0 0\"/>"),
+    );
     line(1, &around.head);
     line(1, "<worldbody>");
     line(2, &around.bodies);
@@ -207,7 +221,10 @@ pub fn mjcf_among(
         );
         (turn, place) = (UnitQuaternion::identity(), Vector3::new(h_m, 0.0, 0.0));
     }
-    line(3 + joints.len(), &format!("<site name=\"tip\" pos=\"{h_m} 0 0\"/>"));
+    line(
+        3 + joints.len(),
+        &format!("<site name=\"tip\" pos=\"{h_m} 0 0\"/>"),
+    );
     for j in (0..joints.len()).rev() {
         line(3 + j, "</body>");
     }

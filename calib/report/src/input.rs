@@ -56,7 +56,11 @@ impl ReportInput {
 
     /// Title, or the session identifier where there is none.
     pub fn heading(&self) -> &str {
-        if self.title.is_empty() { &self.verify.session } else { &self.title }
+        if self.title.is_empty() {
+            &self.verify.session
+        } else {
+            &self.title
+        }
     }
 
     /// See [`model_after`].
@@ -67,7 +71,10 @@ impl ReportInput {
     /// Unit of the response as the residual records give it; empty for kinds that name their unit themselves.
     pub(crate) fn response_unit(&self) -> &str {
         let own = self.verify.kind == "transducer";
-        self.residuals.first().filter(|_| own).map_or("", |r| r.unit.as_str())
+        self.residuals
+            .first()
+            .filter(|_| own)
+            .map_or("", |r| r.unit.as_str())
     }
 }
 
@@ -108,7 +115,10 @@ pub struct Fact {
 impl Fact {
     /// Pairs a name with a printable value.
     pub fn new(name: impl Into<String>, value: impl Into<String>) -> Self {
-        Self { name: name.into(), value: value.into() }
+        Self {
+            name: name.into(),
+            value: value.into(),
+        }
     }
 }
 

@@ -24,7 +24,8 @@ mod sections;
 mod shapes;
 
 pub use input::{
-    EvidenceRow, Fact, GateTest, IndexEntry, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
+    EvidenceRow, Fact, GateTest, IndexEntry, NamedError, ReportInput, TwinMark, TwinTrajectory,
+    model_after,
 };
 pub use markup::{Table, TableCell, list};
 pub use number::{number, p_value, percent, with_interval};

@@ -22,7 +22,11 @@ pub fn escape(text: &str) -> String {
 
 /// `= 0.02` or `< 0.0001` of a p-value, ready for HTML.
 pub fn with_sign(p: &str) -> String {
-    if p.starts_with('<') { escape(p) } else { format!("= {}", escape(p)) }
+    if p.starts_with('<') {
+        escape(p)
+    } else {
+        format!("= {}", escape(p))
+    }
 }
 
 /// `<p>` of escaped text.
@@ -35,7 +39,10 @@ pub fn list(items: &[String]) -> String {
     if items.is_empty() {
         return String::new();
     }
-    let rows: String = items.iter().map(|item| format!("<li>{}</li>", escape(item))).collect();
+    let rows: String = items
+        .iter()
+        .map(|item| format!("<li>{}</li>", escape(item)))
+        .collect();
     format!("<ul>{rows}</ul>")
 }
 
@@ -62,13 +69,22 @@ impl TableCell {
             Self::Text(text) => ("", escape(text)),
             Self::Number(text) => ("num", escape(text)),
             Self::NumberWithNotes(text, notes) => {
-                let notes: String = notes.iter().map(|n| format!("<small>{}</small>", escape(n))).collect();
+                let notes: String = notes
+                    .iter()
+                    .map(|n| format!("<small>{}</small>", escape(n)))
+                    .collect();
                 ("num", escape(text) + &notes)
             }
             Self::Code(text) => ("", format!("<code>{}</code>", escape(text))),
-            Self::Badge(class, text) => ("", format!("<span class=\"pill {class}\">{}</span>", escape(text))),
+            Self::Badge(class, text) => (
+                "",
+                format!("<span class=\"pill {class}\">{}</span>", escape(text)),
+            ),
             Self::Link(href, text) if href.is_empty() || href.contains(':') => ("", escape(text)),
-            Self::Link(href, text) => ("", format!("<a href=\"{}\">{}</a>", escape(href), escape(text))),
+            Self::Link(href, text) => (
+                "",
+                format!("<a href=\"{}\">{}</a>", escape(href), escape(text)),
+            ),
         }
     }
 }
@@ -90,12 +106,20 @@ impl Table {
             None => ((*c).to_owned(), false),
         };
         let columns = columns.iter().map(split).collect();
-        Self { caption: caption.into(), columns, stacked: false, rows: Vec::new() }
+        Self {
+            caption: caption.into(),
+            columns,
+            stacked: false,
+            rows: Vec::new(),
+        }
     }
 
     /// A table whose rows become cards where the page is narrow.
     pub fn stacked(caption: &str, columns: &[&str]) -> Self {
-        Self { stacked: true, ..Self::new(caption, columns) }
+        Self {
+            stacked: true,
+            ..Self::new(caption, columns)
+        }
     }
 
     /// Adds a row.
@@ -116,7 +140,11 @@ impl Table {
     /// The table inside a box that scrolls sideways where the page is narrow.
     pub fn html(&self) -> String {
         let caption = escape(&self.caption);
-        let class = if self.stacked { " class=\"stacked\"" } else { "" };
+        let class = if self.stacked {
+            " class=\"stacked\""
+        } else {
+            ""
+        };
         let mut out = format!(
             "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table{class}><caption>{caption}</caption><thead><tr>"
         );
@@ -131,7 +159,11 @@ impl Table {
                 let (kind, html) = cell.html();
                 let class = attribute("class", kind);
                 // A card has no head: each cell says what it is.
-                let name = self.columns.get(k).filter(|_| self.stacked).map_or("", |c| c.0.as_str());
+                let name = self
+                    .columns
+                    .get(k)
+                    .filter(|_| self.stacked)
+                    .map_or("", |c| c.0.as_str());
                 let label = attribute("data-label", &escape(name));
                 let _ = match k {
                     0 => write!(out, "<th scope=\"row\"{class}>{html}</th>"),
@@ -146,7 +178,11 @@ impl Table {
 }
 
 fn attribute(name: &str, value: &str) -> String {
-    if value.is_empty() { String::new() } else { format!(" {name}=\"{value}\"") }
+    if value.is_empty() {
+        String::new()
+    } else {
+        format!(" {name}=\"{value}\"")
+    }
 }
 
 #[cfg(test)]
@@ -162,9 +198,14 @@ mod tests {
     #[test]
     fn table_heads_rows_and_columns() {
         let mut table = Table::new("a <b>", &["name", "#value"]);
-        table.row(vec![TableCell::Code("x&y".into()), TableCell::Number("1".into())]);
+        table.row(vec![
+            TableCell::Code("x&y".into()),
+            TableCell::Number("1".into()),
+        ]);
         let html = table.html();
         assert!(html.contains("<caption>a &lt;b&gt;</caption>"));
-        assert!(html.contains("<th scope=\"row\"><code>x&amp;y</code></th><td class=\"num\">1</td>"));
+        assert!(
+            html.contains("<th scope=\"row\"><code>x&amp;y</code></th><td class=\"num\">1</td>")
+        );
     }
 }

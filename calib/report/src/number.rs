@@ -21,7 +21,11 @@ pub fn significant(value: f64, digits: usize) -> String {
         let decimals = (digits as i32 - 1 - exponent).max(0) as usize;
         trim(format!("{value:.decimals$}")).replace('-', "\u{2212}")
     } else {
-        format!("{}×10{}", trim(mantissa).replace('-', "\u{2212}"), superscript(exponent))
+        format!(
+            "{}×10{}",
+            trim(mantissa).replace('-', "\u{2212}"),
+            superscript(exponent)
+        )
     }
 }
 
@@ -29,7 +33,12 @@ pub fn significant(value: f64, digits: usize) -> String {
 pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
     let half = (interval[1] - interval[0]).abs() / 2.0;
     let largest = value.abs().max(interval[0].abs()).max(interval[1].abs());
-    let plain = || (number(value), bracket(&number(interval[0]), &number(interval[1])));
+    let plain = || {
+        (
+            number(value),
+            bracket(&number(interval[0]), &number(interval[1])),
+        )
+    };
     // Without a finite width there is nothing to round to.
     if !(half > 0.0 && half.is_finite() && largest.is_finite() && value.is_finite()) {
         return plain();
@@ -46,9 +55,16 @@ pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
         let text = format!("{:.*}", decimals.max(0) as usize, v / 10f64.powi(power));
         let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
         let text = text.replace('-', if is_zero { "" } else { "\u{2212}" });
-        if power == 0 || is_zero { text } else { format!("{text}×10{}", superscript(power)) }
+        if power == 0 || is_zero {
+            text
+        } else {
+            format!("{text}×10{}", superscript(power))
+        }
     };
-    (fixed(value), bracket(&fixed(interval[0]), &fixed(interval[1])))
+    (
+        fixed(value),
+        bracket(&fixed(interval[0]), &fixed(interval[1])),
+    )
 }
 
 fn bracket(low: &str, high: &str) -> String {
@@ -67,7 +83,11 @@ pub fn p_value(p: f64) -> String {
 
 /// A share of one in percent, e.g. `94.1 %`.
 pub fn percent(share: f64) -> String {
-    if share.is_finite() { format!("{} %", significant(share * 100.0, 3)) } else { NOT_AVAILABLE.into() }
+    if share.is_finite() {
+        format!("{} %", significant(share * 100.0, 3))
+    } else {
+        NOT_AVAILABLE.into()
+    }
 }
 
 /// Unit as printed: `1` vanishes, `degc` and `N mm` take their usual form.
@@ -114,7 +134,9 @@ pub fn split_unit(column: &str) -> (String, String) {
         ("_px", "px"),
         ("_s", "s"),
     ];
-    let found = SUFFIXES.iter().find_map(|(suffix, unit)| Some((column.strip_suffix(suffix)?, *unit)));
+    let found = SUFFIXES
+        .iter()
+        .find_map(|(suffix, unit)| Some((column.strip_suffix(suffix)?, *unit)));
     let (name, unit) = found.unwrap_or((column, ""));
     (name.replace('_', " "), unit.into())
 }
@@ -129,7 +151,11 @@ fn split(value: f64, digits: usize) -> (String, i32) {
 }
 
 fn trim(text: String) -> String {
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').into()
+    } else {
+        text
+    }
 }
 
 /// Exponent in superscript digits.
@@ -161,16 +187,31 @@ mod tests {
             assert_eq!(percent(v), NOT_AVAILABLE);
             assert_eq!(p_value(v), NOT_AVAILABLE);
         }
-        assert_eq!(with_interval(1.0, [f64::NAN, 2.0]), ("1".into(), "[n/a, 2]".into()));
+        assert_eq!(
+            with_interval(1.0, [f64::NAN, 2.0]),
+            ("1".into(), "[n/a, 2]".into())
+        );
     }
 
     #[test]
     fn the_interval_sets_the_digits() {
-        assert_eq!(with_interval(0.21, [0.18, 0.24]), ("0.210".into(), "[0.180, 0.240]".into()));
-        assert_eq!(with_interval(134.07, [120.0, 150.0]), ("134".into(), "[120, 150]".into()));
+        assert_eq!(
+            with_interval(0.21, [0.18, 0.24]),
+            ("0.210".into(), "[0.180, 0.240]".into())
+        );
+        assert_eq!(
+            with_interval(134.07, [120.0, 150.0]),
+            ("134".into(), "[120, 150]".into())
+        );
         assert_eq!(with_interval(0.02, [-0.0001, 0.04]).1, "[0.000, 0.040]");
-        assert_eq!(with_interval(2.05e-4, [1.9e-4, 2.3e-4]).1, "[1.90×10⁻⁴, 2.30×10⁻⁴]");
-        assert_eq!(with_interval(1.0, [1.0, 1.0]), ("1".into(), "[1, 1]".into()));
+        assert_eq!(
+            with_interval(2.05e-4, [1.9e-4, 2.3e-4]).1,
+            "[1.90×10⁻⁴, 2.30×10⁻⁴]"
+        );
+        assert_eq!(
+            with_interval(1.0, [1.0, 1.0]),
+            ("1".into(), "[1, 1]".into())
+        );
     }
 
     #[test]
@@ -183,8 +224,14 @@ mod tests {
     #[test]
     fn units_leave_the_column_name() {
         assert_eq!(split_unit("speed_mm_s"), ("speed".into(), "mm/s".into()));
-        assert_eq!(split_unit("temperature_degc"), ("temperature".into(), "°C".into()));
-        assert_eq!(split_unit("contact_arclength_mm"), ("contact arclength".into(), "mm".into()));
+        assert_eq!(
+            split_unit("temperature_degc"),
+            ("temperature".into(), "°C".into())
+        );
+        assert_eq!(
+            split_unit("contact_arclength_mm"),
+            ("contact arclength".into(), "mm".into())
+        );
         assert_eq!(split_unit("order"), ("order".into(), String::new()));
     }
 }

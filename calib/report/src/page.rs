@@ -36,10 +36,19 @@ pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
 /// Header with the verdict, contents and all sections of a session.
 fn session(input: &ReportInput) -> String {
     let sections = sections::all(input);
-    let mut out = format!("<article id=\"top\">\n<header>\n{}{}", headline(input), banner(input));
+    let mut out = format!(
+        "<article id=\"top\">\n<header>\n{}{}",
+        headline(input),
+        banner(input)
+    );
     out.push_str("<nav aria-label=\"Contents\"><ul>");
     for section in &sections {
-        let _ = write!(out, "<li><a href=\"#{}\">{}</a></li>", section.id, escape(section.title));
+        let _ = write!(
+            out,
+            "<li><a href=\"#{}\">{}</a></li>",
+            section.id,
+            escape(section.title)
+        );
     }
     out.push_str("</ul></nav>\n</header>\n");
     for section in &sections {
@@ -65,7 +74,10 @@ fn headline(input: &ReportInput) -> String {
         escape(input.heading())
     );
     if verify.simulated {
-        let how = input.simulated_by.as_ref().map_or(String::new(), |how| format!(": {}", escape(how)));
+        let how = input
+            .simulated_by
+            .as_ref()
+            .map_or(String::new(), |how| format!(": {}", escape(how)));
         out += &format!("<p class=\"simulated\">Simulated data, not a measurement{how}.</p>\n");
     }
     out + &facts(&input.facts)
@@ -77,8 +89,12 @@ fn banner(input: &ReportInput) -> String {
         "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
         paragraph(&input.verify.reason)
     );
-    if let Some([name, before, after, floor]) = before_after::summary(&input.verify, input.response_unit()) {
-        let cell = |head: &str, value: &str| format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value));
+    if let Some([name, before, after, floor]) =
+        before_after::summary(&input.verify, input.response_unit())
+    {
+        let cell = |head: &str, value: &str| {
+            format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value))
+        };
         let _ = write!(
             out,
             "<dl><div class=\"wide\"><dt>held-out error</dt><dd>{}</dd></div>{}{}{}</dl>",
@@ -114,7 +130,10 @@ pub fn plain_page(
     parts: &[(&str, &str, String)],
 ) -> String {
     let (badge, line) = match simulated {
-        true => (SIMULATED, "<p class=\"simulated\">Simulated data, not a measurement.</p>\n"),
+        true => (
+            SIMULATED,
+            "<p class=\"simulated\">Simulated data, not a measurement.</p>\n",
+        ),
         false => ("", ""),
     };
     let mut body = format!(
@@ -135,13 +154,22 @@ pub(crate) fn facts(facts: &[Fact]) -> String {
     }
     let rows: String = facts
         .iter()
-        .map(|f| format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(&f.name), escape(&f.value)))
+        .map(|f| {
+            format!(
+                "<div><dt>{}</dt><dd>{}</dd></div>",
+                escape(&f.name),
+                escape(&f.value)
+            )
+        })
         .collect();
     format!("<dl class=\"facts\">{rows}</dl>\n")
 }
 
 fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
-    let mut out = format!("<header><p class=\"over\">Overview</p><h1>{}</h1>\n", escape(title));
+    let mut out = format!(
+        "<header><p class=\"over\">Overview</p><h1>{}</h1>\n",
+        escape(title)
+    );
     for text in introduction {
         out += &paragraph(text);
     }
@@ -167,13 +195,13 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
     );
     for entry in entries {
         let (class, short, _) = verdict::of(&entry.verify);
-        let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
-            .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
-        let contact = entry
-            .verify
-            .contact
-            .as_ref()
-            .map_or_else(|| "–".to_owned(), |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm));
+        let [name, before, after, floor] =
+            before_after::summary(&entry.verify, &entry.response_unit)
+                .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
+        let contact = entry.verify.contact.as_ref().map_or_else(
+            || "–".to_owned(),
+            |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm),
+        );
         let data = match entry.verify.simulated {
             true => TableCell::Badge("sim", "SIMULATED".into()),
             false => TableCell::Text("measured".into()),

@@ -68,8 +68,16 @@ pub struct ShapePicture {
 
 /// The page.
 pub fn render_shapes(input: &ShapesInput) -> String {
-    let pairs: String = input.pairs.iter().map(|p| pair(p, input.simulated)).collect();
-    let space = if input.pairs.is_empty() { String::new() } else { space(input) };
+    let pairs: String = input
+        .pairs
+        .iter()
+        .map(|p| pair(p, input.simulated))
+        .collect();
+    let space = if input.pairs.is_empty() {
+        String::new()
+    } else {
+        space(input)
+    };
     plain_page(
         ("Shapes from stereo pictures", &input.title),
         input.simulated,
@@ -86,17 +94,32 @@ pub fn render_shapes(input: &ShapesInput) -> String {
 fn rejected(pairs: &[[String; 2]]) -> String {
     let mut table = Table::new("Pairs that could not be used", &["pair", "why"]);
     for [name, why] in pairs {
-        table.row(vec![TableCell::Code(name.clone()), TableCell::Text(why.clone())]);
+        table.row(vec![
+            TableCell::Code(name.clone()),
+            TableCell::Text(why.clone()),
+        ]);
     }
-    if table.is_empty() { String::new() } else { table.html() }
+    if table.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    }
 }
 
 fn badge(simulated: bool) -> &'static str {
-    if simulated { "<span class=\"pill sim\">SIMULATED</span> " } else { "" }
+    if simulated {
+        "<span class=\"pill sim\">SIMULATED</span> "
+    } else {
+        ""
+    }
 }
 
 fn pair(input: &ShapePair, simulated: bool) -> String {
-    let mut out = format!("<div class=\"card\"><h3>{}</h3>{}", escape(&input.name), facts(&input.facts));
+    let mut out = format!(
+        "<div class=\"card\"><h3>{}</h3>{}",
+        escape(&input.name),
+        facts(&input.facts)
+    );
     out += &list(&input.remarks);
     out += "</div><figure class=\"pictures\"><div class=\"charts\">";
     out += &input.pictures.iter().map(picture).collect::<String>();
@@ -120,19 +143,36 @@ fn picture(input: &ShapePicture) -> String {
         escape(&input.jpeg_base64)
     );
     let points = |list: &[[f64; 2]]| {
-        list.iter().map(|p| format!("{:.2},{:.2}", p[0], p[1])).collect::<Vec<_>>().join(" ")
+        list.iter()
+            .map(|p| format!("{:.2},{:.2}", p[0], p[1]))
+            .collect::<Vec<_>>()
+            .join(" ")
     };
     for corners in &input.tags {
-        let _ = write!(out, "<polygon class=\"tag\" points=\"{}\"/>", points(corners));
+        let _ = write!(
+            out,
+            "<polygon class=\"tag\" points=\"{}\"/>",
+            points(corners)
+        );
     }
-    let _ = write!(out, "<polyline class=\"wire\" points=\"{}\"/>", points(&input.curve));
+    let _ = write!(
+        out,
+        "<polyline class=\"wire\" points=\"{}\"/>",
+        points(&input.curve)
+    );
     for (class, centres) in [("seen", &input.seen), ("unseen", &input.unseen)] {
         for [x, y] in centres {
-            let _ = write!(out, "<circle class=\"{class}\" cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"0.8\"/>");
+            let _ = write!(
+                out,
+                "<circle class=\"{class}\" cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"0.8\"/>"
+            );
         }
     }
     if let Some([x, y]) = input.groove {
-        let _ = write!(out, "<circle class=\"groove\" cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"6\"/>");
+        let _ = write!(
+            out,
+            "<circle class=\"groove\" cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"6\"/>"
+        );
     }
     out + "</svg>"
 }
@@ -142,11 +182,19 @@ fn residuals(input: &ShapePair, simulated: bool) -> String {
     let mut layers = vec![Layer::HorizontalRule { at: 0.0 }];
     for (k, at) in input.residuals.iter().enumerate() {
         let (class, marker) = series(k);
-        layers.push(Layer::Points { class, marker, at: at.clone(), titles: Vec::new() });
+        layers.push(Layer::Points {
+            class,
+            marker,
+            at: at.clone(),
+            titles: Vec::new(),
+        });
     }
     let plot = Plot {
         title: "Distance from the fitted wire".to_owned(),
-        description: format!("Measured centres from the reprojected curve of {}", input.name),
+        description: format!(
+            "Measured centres from the reprojected curve of {}",
+            input.name
+        ),
         width: 460.0,
         height: 210.0,
         x: Axis::covering("arc length from the root (mm)", all().map(|p| p[0])),
@@ -167,19 +215,34 @@ fn space(input: &ShapesInput) -> String {
     let pairs: Vec<serde_json::Value> = input
         .pairs
         .iter()
-        .map(|p| serde_json::json!({"name": p.name, "line": p.centreline_mm, "groove": p.groove_mm}))
+        .map(
+            |p| serde_json::json!({"name": p.name, "line": p.centreline_mm, "groove": p.groove_mm}),
+        )
         .collect();
     // Neither markup nor the end of the script may come out of a name, and the page stays well-formed XML.
     let data = serde_json::Value::from(pairs).to_string();
-    let data = data.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026");
-    let mut table =
-        Table::new("Contacts with the groove, base frame", &["pair", "#x (mm)", "#y (mm)", "#z (mm)"]);
-    for (name, place) in input.pairs.iter().filter_map(|p| Some((&p.name, p.groove_mm?))) {
+    let data = data
+        .replace('<', "\\u003c")
+        .replace('>', "\\u003e")
+        .replace('&', "\\u0026");
+    let mut table = Table::new(
+        "Contacts with the groove, base frame",
+        &["pair", "#x (mm)", "#y (mm)", "#z (mm)"],
+    );
+    for (name, place) in input
+        .pairs
+        .iter()
+        .filter_map(|p| Some((&p.name, p.groove_mm?)))
+    {
         let mut row = vec![TableCell::Code(name.clone())];
         row.extend(place.map(|v| TableCell::Number(number(v))));
         table.row(row);
     }
-    let table = if table.is_empty() { String::new() } else { table.html() };
+    let table = if table.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    };
     format!(
         "<figure class=\"whole\"><canvas id=\"turn\" role=\"img\" aria-label=\"Centre lines in space\"></canvas>\
          <div id=\"names\" class=\"legend\"></div><figcaption>{}Centre lines in the base frame. Drag to turn, wheel to zoom.</figcaption>\
@@ -251,20 +314,35 @@ mod tests {
     #[test]
     fn the_page_is_whole_names_do_not_break_it_and_the_mark_is_at_every_picture() {
         let page = render_shapes(&input());
-        assert!(page.contains("no &lt;wire&gt;") && page.contains("[1.0,0.0,0.5]"), "{page}");
+        assert!(
+            page.contains("no &lt;wire&gt;") && page.contains("[1.0,0.0,0.5]"),
+            "{page}"
+        );
         assert_eq!(page.matches("</script>").count(), 1);
         let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
         assert!(!outside.contains("://"), "nothing is loaded from elsewhere");
-        assert_eq!(page.matches("<figcaption>").count(), page.matches("SIMULATED</span> ").count());
+        assert_eq!(
+            page.matches("<figcaption>").count(),
+            page.matches("SIMULATED</span> ").count()
+        );
         let mut reader = quick_xml::Reader::from_str(&page);
         while !matches!(reader.read_event().unwrap(), quick_xml::events::Event::Eof) {}
         // Negative control: pictures that were taken carry no mark.
-        assert!(!render_shapes(&ShapesInput { simulated: false, ..input() }).contains("SIMULATED"));
+        assert!(
+            !render_shapes(&ShapesInput {
+                simulated: false,
+                ..input()
+            })
+            .contains("SIMULATED")
+        );
     }
 
     #[test]
     fn without_a_usable_pair_there_is_no_empty_space() {
-        let page = render_shapes(&ShapesInput { pairs: vec![], ..input() });
+        let page = render_shapes(&ShapesInput {
+            pairs: vec![],
+            ..input()
+        });
         assert!(!page.contains("<canvas") && page.contains("Rejected pairs"));
     }
 }

@@ -8,7 +8,9 @@ mod headless;
 mod not_run;
 
 use std::fs;
-use wcal_report::{IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_shapes};
+use wcal_report::{
+    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_shapes,
+};
 
 /// A pair whose names would break a careless page.
 fn shapes() -> ShapesInput {
@@ -34,10 +36,15 @@ fn shapes() -> ShapesInput {
 
 #[test]
 fn pages_load_without_a_word_on_the_console() {
-    let Some(browser) = headless::browser() else { return };
+    let Some(browser) = headless::browser() else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let samples = data::all();
-    let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "report.html")).collect();
+    let entries: Vec<IndexEntry> = samples
+        .iter()
+        .map(|i| IndexEntry::of(i, "report.html"))
+        .collect();
     let pages = [
         ("report.html", render(&samples[0])),
         ("index.html", render_index("Index", &[], &entries)),
@@ -49,30 +56,53 @@ fn pages_load_without_a_word_on_the_console() {
         let visit = headless::visit(&browser, &path, 1280);
         assert!(visit.console.is_empty(), "{name}: {:?}", visit.console);
         let sections = |text: &str| text.matches("<section ").count();
-        assert_eq!(sections(&visit.dom), sections(&page), "{name}: the browser sees other sections");
+        assert_eq!(
+            sections(&visit.dom),
+            sections(&page),
+            "{name}: the browser sees other sections"
+        );
     }
 }
 
 #[test]
 fn a_page_with_a_console_error_is_noticed() {
-    let Some(browser) = headless::browser() else { return };
+    let Some(browser) = headless::browser() else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.html");
     let bad = "<script>console.error('told'); nosuch()</script></main>";
     fs::write(&path, render(&data::transducer()).replace("</main>", bad)).unwrap();
     let console = headless::visit(&browser, &path, 1280).console;
-    assert!(console.iter().any(|line| line.contains("told")), "{console:?}");
-    assert!(console.iter().any(|line| line.contains("nosuch is not defined")), "{console:?}");
+    assert!(
+        console.iter().any(|line| line.contains("told")),
+        "{console:?}"
+    );
+    assert!(
+        console
+            .iter()
+            .any(|line| line.contains("nosuch is not defined")),
+        "{console:?}"
+    );
 }
 
 #[test]
 fn nothing_is_wider_than_a_phone() {
-    let Some(browser) = headless::browser() else { return };
+    let Some(browser) = headless::browser() else {
+        return;
+    };
     let page = render(&data::whisker());
     let entries = [IndexEntry::of(&data::whisker(), "report.html")];
-    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes())] {
+    for page in [
+        &page,
+        &render_index("Index", &[], &entries),
+        &render_shapes(&shapes()),
+    ] {
         assert!(headless::content_width(&browser, page, 400) <= 400);
     }
     let wide = page.replace("<main>", "<main><div style=\"width:900px\">wide</div>");
-    assert!(headless::content_width(&browser, &wide, 400) > 800, "a wide page must be noticed");
+    assert!(
+        headless::content_width(&browser, &wide, 400) > 800,
+        "a wide page must be noticed"
+    );
 }

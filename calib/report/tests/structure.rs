@@ -20,7 +20,10 @@ fn text_of(page: &str) -> Result<String, String> {
     let mut text = String::new();
     let mut ids = std::collections::HashSet::new();
     loop {
-        match reader.read_event().map_err(|e| format!("{e} at {}", reader.error_position()))? {
+        match reader
+            .read_event()
+            .map_err(|e| format!("{e} at {}", reader.error_position()))?
+        {
             Event::Eof => return Ok(text),
             Event::Start(tag) | Event::Empty(tag) => {
                 for attribute in tag.attributes() {
@@ -43,20 +46,27 @@ fn text_of(page: &str) -> Result<String, String> {
 }
 
 fn bare(kind: &str) -> ReportInput {
-    ReportInput::new(data::document("bare", kind, Verdict::Adequate), Provenance::default())
+    ReportInput::new(
+        data::document("bare", kind, Verdict::Adequate),
+        Provenance::default(),
+    )
 }
 
 #[test]
 fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
     let samples = data::all();
-    let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "a.html")).collect();
+    let entries: Vec<IndexEntry> = samples
+        .iter()
+        .map(|i| IndexEntry::of(i, "a.html"))
+        .collect();
     let mut pages: Vec<String> = samples.iter().map(render).collect();
     pages.push(render_index("Index", &[], &entries));
     for page in &pages {
         text_of(page).unwrap();
         let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
-        for forbidden in ["http:", "https:", "src=", "<script", "@import", "url(", "NaN", ">inf", "infinity"]
-        {
+        for forbidden in [
+            "http:", "https:", "src=", "<script", "@import", "url(", "NaN", ">inf", "infinity",
+        ] {
             assert!(!outside.contains(forbidden), "{forbidden}");
         }
     }
@@ -92,9 +102,18 @@ fn every_section_is_there_and_the_contents_lead_to_it() {
         assert!(page.contains(&format!("<section id=\"{id}\"")), "{id}");
         assert!(page.contains(&format!("href=\"#{id}\"")), "{id}");
     }
-    assert_eq!(page.matches("<table>").count(), page.matches("<caption>").count());
-    assert_eq!(page.matches("<svg ").count(), page.matches("<desc>").count());
-    assert!(page.find("Ambiguous").unwrap() < page.find("<section").unwrap(), "the verdict comes first");
+    assert_eq!(
+        page.matches("<table>").count(),
+        page.matches("<caption>").count()
+    );
+    assert_eq!(
+        page.matches("<svg ").count(),
+        page.matches("<desc>").count()
+    );
+    assert!(
+        page.find("Ambiguous").unwrap() < page.find("<section").unwrap(),
+        "the verdict comes first"
+    );
 }
 
 #[test]
@@ -132,10 +151,15 @@ fn every_number_of_the_result_shows_up() {
     let input = data::whisker();
     let text = text_of(&render(&input)).unwrap();
     let verify = &input.verify;
-    let mut wanted =
-        vec![percent(verify.coverage95.unwrap()), number(verify.noise_floor.wavelength_pm.unwrap())];
-    let errors =
-        [verify.before.as_ref().unwrap(), verify.after.as_ref().unwrap(), &input.further_errors[0].error];
+    let mut wanted = vec![
+        percent(verify.coverage95.unwrap()),
+        number(verify.noise_floor.wavelength_pm.unwrap()),
+    ];
+    let errors = [
+        verify.before.as_ref().unwrap(),
+        verify.after.as_ref().unwrap(),
+        &input.further_errors[0].error,
+    ];
     for error in errors {
         for (key, value) in &error.rmse {
             let (value, interval) = with_interval(*value, error.interval95[key]);
@@ -151,20 +175,56 @@ fn every_number_of_the_result_shows_up() {
     let next = verify.next_measurement.as_ref().unwrap();
     wanted.push(percent(next.expected_power));
     wanted.extend(
-        next.poses.iter().flat_map(|p| [number(p.stage_mm), number(p.speed_mm_s), number(p.dwell_s)]),
+        next.poses
+            .iter()
+            .flat_map(|p| [number(p.stage_mm), number(p.speed_mm_s), number(p.dwell_s)]),
     );
-    wanted.extend(verify.detectable.iter().filter_map(|d| d.smallest.map(number)));
-    wanted.extend(verify.twin.faults.iter().flat_map(|f| f.points.iter().map(i64::to_string)));
+    wanted.extend(
+        verify
+            .detectable
+            .iter()
+            .filter_map(|d| d.smallest.map(number)),
+    );
+    wanted.extend(
+        verify
+            .twin
+            .faults
+            .iter()
+            .flat_map(|f| f.points.iter().map(i64::to_string)),
+    );
     for row in &input.evidence {
-        wanted.extend([number(row.chi2_gain), p_value(row.p_value), number(row.log_likelihood_ratio)]);
+        wanted.extend([
+            number(row.chi2_gain),
+            p_value(row.p_value),
+            number(row.log_likelihood_ratio),
+        ]);
     }
     for record in &input.residuals {
-        wanted.extend([record.measured, record.predicted_before, record.predicted_after].map(number));
+        wanted.extend(
+            [
+                record.measured,
+                record.predicted_before,
+                record.predicted_after,
+            ]
+            .map(number),
+        );
     }
-    wanted.extend(input.provenance.inputs.iter().flat_map(|f| [f.path.clone(), f.sha256.clone()]));
-    let absent: Vec<_> = wanted.iter().filter(|w| !text.contains(w.as_str())).collect();
+    wanted.extend(
+        input
+            .provenance
+            .inputs
+            .iter()
+            .flat_map(|f| [f.path.clone(), f.sha256.clone()]),
+    );
+    let absent: Vec<_> = wanted
+        .iter()
+        .filter(|w| !text.contains(w.as_str()))
+        .collect();
     assert!(absent.is_empty(), "{absent:?}");
-    assert!(!text.contains("7654.3"), "the search must not find what was never given");
+    assert!(
+        !text.contains("7654.3"),
+        "the search must not find what was never given"
+    );
 }
 
 #[test]
@@ -196,13 +256,24 @@ fn hostile_text_stays_text() {
     effect.parameters[0].name = text();
     effect.parameters[0].unit = text();
     input.verify.before.as_mut().unwrap().split = text();
-    input.verify.before.as_mut().unwrap().rmse.insert(text(), 1.0);
+    input
+        .verify
+        .before
+        .as_mut()
+        .unwrap()
+        .rmse
+        .insert(text(), 1.0);
     input.verify.next_measurement.as_mut().unwrap().instruction = text();
     input.verify.next_measurement.as_mut().unwrap().separates = vec![text()];
     input.verify.detectable[0].why = text();
     let effects = vec![text()];
-    let test =
-        WitnessTest { witness: text(), effects, unit: text(), sentence: text(), ..WitnessTest::default() };
+    let test = WitnessTest {
+        witness: text(),
+        effects,
+        unit: text(),
+        sentence: text(),
+        ..WitnessTest::default()
+    };
     input.verify.tests = vec![test];
     input.verify.holdout.outcome = HoldoutOutcome::Contradicted;
     input.verify.holdout.why = text();
@@ -223,7 +294,11 @@ fn hostile_text_stays_text() {
     let pages = [render(&input), index];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
-        assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));
+        assert!(
+            text_of(&page)
+                .unwrap()
+                .contains("<script>alert(1)</script>")
+        );
     }
 }
 
@@ -235,22 +310,38 @@ fn links_cannot_run_scripts() {
 
 #[test]
 fn broken_numbers_leave_the_page_whole() {
-    let broken = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, f64::MIN_POSITIVE, -0.0];
+    let broken = [
+        f64::NAN,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        f64::MAX,
+        f64::MIN_POSITIVE,
+        -0.0,
+    ];
     for value in broken {
         let mut input = data::whisker();
         input.verify.coverage95 = Some(value);
-        input.verify.noise_floor = NoiseFloor { wavelength_pm: Some(value), ..NoiseFloor::default() };
+        input.verify.noise_floor = NoiseFloor {
+            wavelength_pm: Some(value),
+            ..NoiseFloor::default()
+        };
         for error in [&mut input.verify.before, &mut input.verify.after] {
             let error: &mut HeldOutError = error.as_mut().unwrap();
             error.rmse.values_mut().for_each(|v| *v = value);
-            error.interval95.values_mut().for_each(|v| *v = [value, 1.0]);
+            error
+                .interval95
+                .values_mut()
+                .for_each(|v| *v = [value, 1.0]);
             error.moment_rmse_nmm_each = Some([value; 2]);
         }
         input.verify.effects[0].p_value = value;
         input.verify.effects[0].parameters[0].interval95 = [value; 2];
         input.residuals[3].measured = value;
         input.residuals[5].predicted_after = value;
-        input.residuals[7].covariates.iter_mut().for_each(|c| c.1 = value);
+        input.residuals[7]
+            .covariates
+            .iter_mut()
+            .for_each(|c| c.1 = value);
         input.twin[0].labels[0].moment_nmm = [value; 2];
         input.twin[1].stage_mm[3] = value;
         input.evidence[1].log_likelihood_ratio = value;
@@ -258,7 +349,10 @@ fn broken_numbers_leave_the_page_whole() {
         let page = render(&input);
         text_of(&page).unwrap();
         let body = &page[page.find("<body>").unwrap()..];
-        assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
+        assert!(
+            !body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"),
+            "{value}"
+        );
     }
 }
 
@@ -266,10 +360,16 @@ fn broken_numbers_leave_the_page_whole() {
 fn simulated_data_is_labelled_at_the_top_and_at_every_picture() {
     let mut input = data::whisker();
     let page = render(&input);
-    assert_eq!(page.matches("<figure").count(), page.matches("\">SIMULATED</span> ").count());
+    assert_eq!(
+        page.matches("<figure").count(),
+        page.matches("\">SIMULATED</span> ").count()
+    );
     assert!(page.contains(">SIMULATED</span>"));
     input.verify.simulated = false;
-    assert!(!render(&input).to_lowercase().contains(">simulated<"), "measured data must not carry the badge");
+    assert!(
+        !render(&input).to_lowercase().contains(">simulated<"),
+        "measured data must not carry the badge"
+    );
 }
 
 #[test]
@@ -288,7 +388,10 @@ fn large_sessions_are_thinned_but_keep_what_was_rejected() {
 
 #[test]
 fn a_page_of_shapes_without_a_pair_is_whole() {
-    let page = render_shapes(&ShapesInput { rejected: vec![["a".into(), "b".into()]], ..Default::default() });
+    let page = render_shapes(&ShapesInput {
+        rejected: vec![["a".into(), "b".into()]],
+        ..Default::default()
+    });
     text_of(&page).unwrap();
     assert!(page.contains("could not be used"));
 }

@@ -13,14 +13,25 @@ fn rod() -> Rod {
 
 fn bench(c: &mut Criterion) {
     let rod = rod();
-    let line = Line { origin_mm: rod.shape.rest_point(31.0), direction: Vector3::new(0.0, 0.6, 0.8) };
+    let line = Line {
+        origin_mm: rod.shape.rest_point(31.0),
+        direction: Vector3::new(0.0, 0.6, 0.8),
+    };
     let xs: Vec<f64> = (1..=30).map(|k| 0.3 * f64::from(k)).collect();
     let held = rod.follow(&line, &xs);
     let near = Guess::from(held[20].equilibrium().expect("held"));
     c.bench_function("solve_from_neighbour", |b| {
-        b.iter(|| rod.solve(black_box(&line.point(xs[21])), black_box(&near), Tangential::Frictionless));
+        b.iter(|| {
+            rod.solve(
+                black_box(&line.point(xs[21])),
+                black_box(&near),
+                Tangential::Frictionless,
+            )
+        });
     });
-    c.bench_function("trajectory_of_30_poses", |b| b.iter(|| rod.follow(black_box(&line), black_box(&xs))));
+    c.bench_function("trajectory_of_30_poses", |b| {
+        b.iter(|| rod.follow(black_box(&line), black_box(&xs)))
+    });
 }
 
 criterion_group!(benches, bench);

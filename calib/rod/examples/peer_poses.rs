@@ -44,7 +44,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         },
         gravity_direction: None,
     };
-    let (rod, fine) = (Rod::new(&spec, WORKING_STEP_MM)?, Rod::new(&spec, FINE_STEP_MM)?);
+    let (rod, fine) = (
+        Rod::new(&spec, WORKING_STEP_MM)?,
+        Rod::new(&spec, FINE_STEP_MM)?,
+    );
     let mut poses = Vec::new();
     for (touch_mm, direction, depth_mm) in [
         (34.0, Vector3::new(0.0, 0.6, 0.8), 6.0),
@@ -53,13 +56,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         (46.0, Vector3::new(0.0, 0.0, 1.0), 12.0),
         (50.0, Vector3::new(-0.36, 0.48, 0.8), 12.0),
     ] {
-        let line = Line { origin_mm: fine.shape.rest_point(touch_mm), direction };
+        let line = Line {
+            origin_mm: fine.shape.rest_point(touch_mm),
+            direction,
+        };
         let near = rod.follow(&line, &[depth_mm - APART_MM])[0];
         let near = near.equilibrium().ok_or("the neighbour pose is not held")?;
         let guess = Guess::from(near);
         let point = line.point(depth_mm);
         let solve = |rod: &Rod| {
-            rod.solve(&point, &guess, Tangential::Frictionless).map_err(|why| format!("{why:?} at {point}"))
+            rod.solve(&point, &guess, Tangential::Frictionless)
+                .map_err(|why| format!("{why:?} at {point}"))
         };
         let (found, exact) = (solve(&rod)?, solve(&fine)?);
         let time_us = median_us(|| {

@@ -27,22 +27,34 @@ impl DiscreteRod {
     ///
     /// # Errors
     /// Without links, or where the wire has no thickness or stiffness.
-    pub fn new(section: &Section, shape: &Shape, diameter_mm: f64, links: usize) -> Result<Self, RodError> {
+    pub fn new(
+        section: &Section,
+        shape: &Shape,
+        diameter_mm: f64,
+        links: usize,
+    ) -> Result<Self, RodError> {
         if links < 2 || !(diameter_mm > 0.0) || !(section.ei_nmm2 > 0.0 && section.gj_nmm2 > 0.0) {
             return Err(RodError::Shape {
                 expected: "two links or more, diameter and stiffness above 0",
-                found: format!("{links} links, diameter {diameter_mm} mm, EI {} N mm2", section.ei_nmm2),
+                found: format!(
+                    "{links} links, diameter {diameter_mm} mm, EI {} N mm2",
+                    section.ei_nmm2
+                ),
             });
         }
         let link_mm = shape.length_mm / links as f64;
         // A joint stands for the wire between the middles of its two links; the first from the clamp to the middle of link 0.
         let joints = (0..links)
             .map(|j| {
-                let (from, to) = ((j as f64 - 0.5).max(0.0) * link_mm, (j as f64 + 0.5) * link_mm);
+                let (from, to) = (
+                    (j as f64 - 0.5).max(0.0) * link_mm,
+                    (j as f64 + 0.5) * link_mm,
+                );
                 let span = to - from;
                 // D / span, at the diameter of the span's middle.
                 let factor = section.taper_factor((from + to) / 2.0 / shape.length_mm) / span;
-                let stiffness = Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor;
+                let stiffness =
+                    Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor;
                 (turn(shape, from, to), stiffness)
             })
             .collect();
@@ -63,15 +75,28 @@ impl DiscreteRod {
     /// As [`Self::new`].
     pub fn of_rod(rod: &Rod, diameter_mm: f64, links: usize) -> Result<Self, RodError> {
         let compliance = rod.compliance_axes * rod.compliance_rad_per_nmm;
-        Ok(Self { compliance, ..Self::new(&rod.section, &rod.shape, diameter_mm, links)? })
+        Ok(Self {
+            compliance,
+            ..Self::new(&rod.section, &rod.shape, diameter_mm, links)?
+        })
     }
 
     /// Turn of a joint from its rest, rad, where a linear one turns by `linear`: past the onset bending is softer.
     pub(crate) fn softened(&self, joint: usize, linear: Vector3<f64>) -> Vector3<f64> {
-        let Some(softening) = self.softening else { return linear };
-        let span_mm = if joint == 0 { self.link_mm / 2.0 } else { self.link_mm };
+        let Some(softening) = self.softening else {
+            return linear;
+        };
+        let span_mm = if joint == 0 {
+            self.link_mm / 2.0
+        } else {
+            self.link_mm
+        };
         let bend = linear.y.hypot(linear.z) / (span_mm * softening.onset_per_mm());
-        let gain = if bend > 1.0 { softening.relative_curvature(bend).0 / bend } else { 1.0 };
+        let gain = if bend > 1.0 {
+            softening.relative_curvature(bend).0 / bend
+        } else {
+            1.0
+        };
         Vector3::new(linear.x, gain * linear.y, gain * linear.z)
     }
 

@@ -77,7 +77,12 @@ impl Mul for Dual3 {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         let (a, b) = (self.0, other.0);
-        Self([a[0] * b[0], a[0] * b[1] + b[0] * a[1], a[0] * b[2] + b[0] * a[2], a[0] * b[3] + b[0] * a[3]])
+        Self([
+            a[0] * b[0],
+            a[0] * b[1] + b[0] * a[1],
+            a[0] * b[2] + b[0] * a[2],
+            a[0] * b[3] + b[0] * a[3],
+        ])
     }
 }
 
@@ -111,7 +116,11 @@ pub type M3<T> = [[T; 3]; 3];
 /// Cross product.
 #[inline(always)]
 pub fn cross<T: Scalar>(a: &V3<T>, b: &V3<T>) -> V3<T> {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 /// Scalar product.

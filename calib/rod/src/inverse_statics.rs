@@ -40,7 +40,8 @@ impl DiscreteRod {
         let last = ((arclength_mm / self.link_mm).max(0.0) as usize).min(self.links() - 1);
         // In the frame of the link that is pushed, from its inner end.
         let touched = Vector3::x() * (arclength_mm - last as f64 * self.link_mm);
-        let (mut frame, mut node, mut moment) = (Matrix3::identity(), Vector3::zeros(), Vector3::zeros());
+        let (mut frame, mut node, mut moment) =
+            (Matrix3::identity(), Vector3::zeros(), Vector3::zeros());
         for j in (0..=last).rev() {
             // Beyond a joint only f acts: its moment gives the joint's turn, and that the next link inward.
             moment = (touched - node).cross(force_n);
@@ -74,10 +75,15 @@ impl DiscreteRod {
         let mut turn = rest + moment_nmm.component_mul(&soft);
         // What changes with the turn, but for the change of its factors: third order in it.
         let (_, a, b) = rotation_factors(turn.norm_squared());
-        let (m, once) = (moment_nmm.cross_matrix(), turn.cross(moment_nmm).cross_matrix());
+        let (m, once) = (
+            moment_nmm.cross_matrix(),
+            turn.cross(moment_nmm).cross_matrix(),
+        );
         let change = m * a + (once + turn.cross_matrix() * m) * b;
         let slope = Matrix3::identity() + Matrix3::from_diagonal(&soft) * change;
-        let Some(newton) = slope.try_inverse() else { return turn };
+        let Some(newton) = slope.try_inverse() else {
+            return turn;
+        };
         for _ in 0..TURN_STEPS {
             let linear = right_jacobian_transposed(&turn, moment_nmm).component_mul(&soft);
             let off = rest + self.softened(joint, linear) - turn;
@@ -147,7 +153,10 @@ mod tests {
     #[test]
     fn taper_softening_and_a_clamp_that_yields_are_those_of_the_continuous_rod() {
         let nominal = Rod::new(&WhiskerSpec::nominal(), 1.0).unwrap();
-        let softening = Some(Softening::Section { onset_per_m: 8.0, hardening: 0.3 });
+        let softening = Some(Softening::Section {
+            onset_per_m: 8.0,
+            hardening: 0.3,
+        });
         let changed = |k: usize| {
             let mut rod = nominal.clone();
             rod.section.taper = if k == 1 { -0.3 } else { 0.0 };
@@ -158,8 +167,13 @@ mod tests {
         let s_mm = 40.0;
         let off = |rod: &Rod, links: &DiscreteRod| {
             let load = links.under_point_load(s_mm, &Vector3::new(0.0, 0.006, 0.02));
-            let guess = Guess { force_n: load.force_n, arclength_mm: s_mm };
-            let held = rod.solve(&load.axis_mm, &guess, Tangential::Stick(s_mm)).ok()?;
+            let guess = Guess {
+                force_n: load.force_n,
+                arclength_mm: s_mm,
+            };
+            let held = rod
+                .solve(&load.axis_mm, &guess, Tangential::Stick(s_mm))
+                .ok()?;
             Some((held.force_n - load.force_n).norm() / load.force_n.norm())
         };
         for k in 0..4 {

@@ -34,7 +34,9 @@ impl Softening {
     /// Change of curvature past which the wire softens, 1/mm.
     pub fn onset_per_mm(self) -> f64 {
         match self {
-            Self::Bilinear { onset_per_m, .. } | Self::Section { onset_per_m, .. } => onset_per_m * 1e-3,
+            Self::Bilinear { onset_per_m, .. } | Self::Section { onset_per_m, .. } => {
+                onset_per_m * 1e-3
+            }
         }
     }
 
@@ -51,7 +53,10 @@ impl Softening {
                 let value = 2.0 / (3.0 * PI) * ((5.0 - 2.0 * q * q) * root + 3.0 * q.asin() * x);
                 // Only the elastic core carries more: share of the second moment of area inside |y| < q.
                 let slope = 2.0 / PI * (q.asin() - q * (1.0 - 2.0 * q * q) * root);
-                ((1.0 - hardening) * value + hardening * x, (1.0 - hardening) * slope + hardening)
+                (
+                    (1.0 - hardening) * value + hardening * x,
+                    (1.0 - hardening) * slope + hardening,
+                )
             }
         }
     }
@@ -66,8 +71,8 @@ impl Softening {
             Self::Section { hardening, .. } => {
                 let q = 1.0 / x;
                 let root = (x * x - 1.0).sqrt();
-                let flat =
-                    2.0 / (3.0 * PI) * (1.5 * x * x * q.asin() + (6.5 + q * q) * root - 6.0 * q.acos());
+                let flat = 2.0 / (3.0 * PI)
+                    * (1.5 * x * x * q.asin() + (6.5 + q * q) * root - 6.0 * q.acos());
                 (1.0 - hardening) * flat + hardening * 0.5 * x * x
             }
         }
@@ -135,7 +140,9 @@ impl Section {
         let twist = m[0].scale(1.0 / (self.gj_nmm2 * factor));
         let ei = self.ei_nmm2 * factor;
         let linear = [twist, m[1].scale(1.0 / ei), m[2].scale(1.0 / ei)];
-        let Some(softening) = self.softening else { return linear };
+        let Some(softening) = self.softening else {
+            return linear;
+        };
         let onset = softening.onset_per_mm();
         let squared = linear[1] * linear[1] + linear[2] * linear[2];
         let y = squared.value().sqrt() / onset;
@@ -158,14 +165,20 @@ mod tests {
 
     #[test]
     fn section_law_is_continuous_and_tends_to_the_plastic_moment() {
-        let law = Softening::Section { onset_per_m: 40.0, hardening: 0.0 };
+        let law = Softening::Section {
+            onset_per_m: 40.0,
+            hardening: 0.0,
+        };
         assert!((law.relative_moment(1.0 + 1e-9).0 - 1.0).abs() < 1e-8);
         assert!((law.relative_moment(1e6).0 - 16.0 / (3.0 * PI)).abs() < 1e-6);
         for x in [1.1, 1.7, 3.0] {
             let d = (law.relative_moment(x + 1e-6).0 - law.relative_moment(x - 1e-6).0) / 2e-6;
             assert!((d - law.relative_moment(x).1).abs() < 1e-8, "slope at {x}");
             let work = (law.relative_energy(x + 1e-6) - law.relative_energy(x - 1e-6)) / 2e-6;
-            assert!((work - law.relative_moment(x).0).abs() < 1e-8, "energy at {x}");
+            assert!(
+                (work - law.relative_moment(x).0).abs() < 1e-8,
+                "energy at {x}"
+            );
             let (back, _) = law.relative_curvature(law.relative_moment(x).0);
             assert!((back - x).abs() < 1e-9);
         }
@@ -174,8 +187,14 @@ mod tests {
     #[test]
     fn curvature_derivative_matches_finite_differences() {
         for softening in [
-            Softening::Bilinear { onset_per_m: 30.0, ratio: 0.4 },
-            Softening::Section { onset_per_m: 30.0, hardening: 0.1 },
+            Softening::Bilinear {
+                onset_per_m: 30.0,
+                ratio: 0.4,
+            },
+            Softening::Section {
+                onset_per_m: 30.0,
+                hardening: 0.1,
+            },
         ] {
             let mut section = Section::round(0.3, 75.0, 28.0);
             section.softening = Some(softening);
@@ -185,10 +204,16 @@ mod tests {
                 let (mut hi, mut lo) = (m, m);
                 hi[j] += 1e-6;
                 lo[j] -= 1e-6;
-                let (hi, lo) = (section.curvature_change(&hi, 0.9), section.curvature_change(&lo, 0.9));
+                let (hi, lo) = (
+                    section.curvature_change(&hi, 0.9),
+                    section.curvature_change(&lo, 0.9),
+                );
                 for i in 0..3 {
                     let fd = (hi[i] - lo[i]) / 2e-6;
-                    assert!((fd - dual[i].partial(j)).abs() < 1e-7, "{softening:?} {i} {j}");
+                    assert!(
+                        (fd - dual[i].partial(j)).abs() < 1e-7,
+                        "{softening:?} {i} {j}"
+                    );
                 }
             }
         }

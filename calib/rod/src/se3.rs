@@ -23,8 +23,16 @@ pub type Twist<T> = (V3<T>, V3<T>);
 /// sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3 as series in t^2; ten terms hold 1e-15 up to t = 1.5.
 #[inline(always)]
 fn exp_coefficients<T: Scalar>(squared: T) -> (T, T, T) {
-    const FACTORIAL: [f64; 8] =
-        [1.0, 6.0, 120.0, 5040.0, 362_880.0, 39_916_800.0, 6_227_020_800.0, 1_307_674_368_000.0];
+    const FACTORIAL: [f64; 8] = [
+        1.0,
+        6.0,
+        120.0,
+        5040.0,
+        362_880.0,
+        39_916_800.0,
+        6_227_020_800.0,
+        1_307_674_368_000.0,
+    ];
     // Horner from the highest term: near t = 0 the quotients themselves would be 0 / 0.
     let x = squared;
     let mut a = T::constant(-1.0 / FACTORIAL[7]);
@@ -50,13 +58,19 @@ fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
     let (xy, xz, yz) = (b * w[0] * w[1], b * w[0] * w[2], b * w[1] * w[2]);
     let (ax, ay, az) = (a * w[0], a * w[1], a * w[2]);
     // Rodrigues' formula: 1 + a [w] + b [w]^2.
-    let rotation =
-        [[diagonal(0), xy - az, xz + ay], [xy + az, diagonal(1), yz - ax], [xz - ay, yz + ax, diagonal(2)]];
+    let rotation = [
+        [diagonal(0), xy - az, xz + ay],
+        [xy + az, diagonal(1), yz - ax],
+        [xz - ay, yz + ax, diagonal(2)],
+    ];
     // The place moves along an arc, not along its chord: left Jacobian of the rotation.
     let wv = cross(w, v);
     let wwv = cross(w, &wv);
     let shift = [0, 1, 2].map(|i| v[i] + b * wv[i] + c * wwv[i]);
-    Pose { frame: mat_mat(&g.frame, &rotation), position: add(&g.position, &mat_vec(&g.frame, &shift)) }
+    Pose {
+        frame: mat_mat(&g.frame, &rotation),
+        position: add(&g.position, &mat_vec(&g.frame, &shift)),
+    }
 }
 
 /// k = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12, enough for fourth order.
@@ -64,13 +78,20 @@ fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
 fn dexp_inverse<T: Scalar>(omega: &Twist<T>, xi: &Twist<T>) -> Twist<T> {
     // Bracket of se(3): [(w, v), (w', v')] = (w x w', w x v' - w' x v).
     let bracket = |a: &Twist<T>, b: &Twist<T>| -> Twist<T> {
-        (cross(&a.0, &b.0), sub(&cross(&a.0, &b.1), &cross(&b.0, &a.1)))
+        (
+            cross(&a.0, &b.0),
+            sub(&cross(&a.0, &b.1), &cross(&b.0, &a.1)),
+        )
     };
     let first = bracket(omega, xi);
     let second = bracket(omega, &first);
-    let sum =
-        |x: &V3<T>, y: &V3<T>, z: &V3<T>| [0, 1, 2].map(|i| x[i] + y[i].scale(0.5) + z[i].scale(1.0 / 12.0));
-    (sum(&xi.0, &first.0, &second.0), sum(&xi.1, &first.1, &second.1))
+    let sum = |x: &V3<T>, y: &V3<T>, z: &V3<T>| {
+        [0, 1, 2].map(|i| x[i] + y[i].scale(0.5) + z[i].scale(1.0 / 12.0))
+    };
+    (
+        sum(&xi.0, &first.0, &second.0),
+        sum(&xi.1, &first.1, &second.1),
+    )
 }
 
 /// One Runge-Kutta step of `h` along the wire from `g`; `twist` gives (u, e1) at an offset from there.
@@ -89,7 +110,13 @@ pub fn step<T: Scalar>(h: f64, g: &Pose<T>, twist: impl Fn(f64, &Pose<T>) -> Twi
     let mix = |a: &V3<T>, b: &V3<T>, c: &V3<T>, d: &V3<T>| {
         [0, 1, 2].map(|i| (a[i] + (b[i] + c[i]).scale(2.0) + d[i]).scale(h / 6.0))
     };
-    advance(g, &(mix(&k1.0, &k2.0, &k3.0, &k4.0), mix(&k1.1, &k2.1, &k3.1, &k4.1)))
+    advance(
+        g,
+        &(
+            mix(&k1.0, &k2.0, &k3.0, &k4.0),
+            mix(&k1.1, &k2.1, &k3.1, &k4.1),
+        ),
+    )
 }
 
 /// nalgebra to row arrays.
@@ -107,8 +134,10 @@ pub fn matrix_of(m: &M3<f64>) -> Matrix3<f64> {
 pub fn turn<T: Scalar>(turn: &V3<T>, frame: &M3<T>) -> M3<T> {
     let zero = T::constant(0.0);
     let one = T::constant(1.0);
-    let identity =
-        Pose { frame: [[one, zero, zero], [zero, one, zero], [zero, zero, one]], position: [zero; 3] };
+    let identity = Pose {
+        frame: [[one, zero, zero], [zero, one, zero], [zero, zero, one]],
+        position: [zero; 3],
+    };
     let turned = advance(&identity, &(*turn, [zero; 3]));
     mat_mat(&turned.frame, frame)
 }

@@ -50,7 +50,11 @@ impl Shape {
             });
         }
         match rest {
-            RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } => {
+            RestShape::StraightArc {
+                straight_mm,
+                arc_radius_mm,
+                length_mm,
+            } => {
                 if !(*length_mm > 0.0 && *arc_radius_mm > 0.0 && *straight_mm >= 0.0) {
                     return Err(RodError::Shape {
                         expected: "length and arc radius above 0 mm, straight part at least 0 mm",
@@ -77,7 +81,11 @@ impl Shape {
     ///
     /// # Errors
     /// For fewer than two places, or a length or step that is not positive.
-    pub fn from_curvature(length_mm: f64, bends: &[[f64; 2]], step_mm: f64) -> Result<Self, RodError> {
+    pub fn from_curvature(
+        length_mm: f64,
+        bends: &[[f64; 2]],
+        step_mm: f64,
+    ) -> Result<Self, RodError> {
         if !(length_mm > 0.0 && step_mm > 0.0) || bends.len() < 2 {
             return Err(RodError::Shape {
                 expected: "two curvatures or more, length and mesh step above 0 mm",
@@ -85,8 +93,10 @@ impl Shape {
             });
         }
         let cell_mm = length_mm / (bends.len() - 1) as f64;
-        let pieces: Vec<_> =
-            bends.windows(2).map(|w| (cell_mm, [0.0, w[0][0], w[0][1]], [0.0, w[1][0], w[1][1]])).collect();
+        let pieces: Vec<_> = bends
+            .windows(2)
+            .map(|w| (cell_mm, [0.0, w[0][0], w[0][1]], [0.0, w[1][0], w[1][1]]))
+            .collect();
         Ok(Self::from_pieces(Matrix3::identity(), &pieces, step_mm))
     }
 
@@ -101,7 +111,11 @@ impl Shape {
         }
         let tangents: Vec<Vector3<f64>> = edges.iter().map(|e| e.normalize()).collect();
         // A round wire has no preferred normal: any direction across the tangent starts the frame.
-        let helper = if tangents[0].z.abs() < 0.9 { Vector3::z() } else { Vector3::y() };
+        let helper = if tangents[0].z.abs() < 0.9 {
+            Vector3::z()
+        } else {
+            Vector3::y()
+        };
         let e2 = helper.cross(&tangents[0]).normalize();
         let mut frame = Matrix3::from_columns(&[tangents[0], e2, tangents[0].cross(&e2)]);
         let root = frame;
@@ -123,8 +137,11 @@ impl Shape {
         // No turning angle is known at the ends.
         bend[0] = bend[1];
         bend[points.len() - 1] = bend[points.len() - 2];
-        let pieces: Vec<_> =
-            edges.iter().enumerate().map(|(j, e)| (e.norm(), bend[j], bend[j + 1])).collect();
+        let pieces: Vec<_> = edges
+            .iter()
+            .enumerate()
+            .map(|(j, e)| (e.norm(), bend[j], bend[j + 1]))
+            .collect();
         Ok(Self::from_pieces(root, &pieces, step_mm))
     }
 
@@ -147,20 +164,34 @@ impl Shape {
             }
             s += length;
         }
-        let mut shape = Self { intervals, length_mm: s, root, nodes_mm: Vec::new(), frames: Vec::new() };
+        let mut shape = Self {
+            intervals,
+            length_mm: s,
+            root,
+            nodes_mm: Vec::new(),
+            frames: Vec::new(),
+        };
         (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
     }
 
     /// Points and frames at the interval ends: g' = g (u0, e1) from the root on.
     fn rest_curve(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
-        let mut g = Pose { frame: rows_of(&self.root), position: [0.0; 3] };
+        let mut g = Pose {
+            frame: rows_of(&self.root),
+            position: [0.0; 3],
+        };
         let (mut nodes, mut frames) = (vec![Vector3::zeros()], vec![self.root]);
         for (j, interval) in self.intervals.iter().enumerate() {
             let last = j + 1 == self.intervals.len();
             // The last one ends at the tip, however the lengths add up.
-            let h = if last { self.length_mm - interval.start_mm } else { interval.length_mm };
-            let u = |offset: f64| [0, 1, 2].map(|i| interval.u_start[i] + interval.u_slope[i] * offset);
+            let h = if last {
+                self.length_mm - interval.start_mm
+            } else {
+                interval.length_mm
+            };
+            let u =
+                |offset: f64| [0, 1, 2].map(|i| interval.u_start[i] + interval.u_slope[i] * offset);
             g = step(h, &g, |offset, _| (u(offset), [1.0, 0.0, 0.0]));
             nodes.push(Vector3::from(g.position));
             frames.push(matrix_of(&g.frame));
@@ -170,17 +201,21 @@ impl Shape {
 
     /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
     pub fn extended(&self, by_mm: f64) -> Self {
-        let Some(last) = self.intervals.last().filter(|_| by_mm > 0.0) else { return self.clone() };
+        let Some(last) = self.intervals.last().filter(|_| by_mm > 0.0) else {
+            return self.clone();
+        };
         let u = [0, 1, 2].map(|i| last.u_start[i] + last.u_slope[i] * last.length_mm);
         let count = (by_mm / last.length_mm).ceil().max(1.0);
         let (start, length_mm) = (last.start_mm + last.length_mm, by_mm / count);
         let mut shape = self.clone();
-        shape.intervals.extend((0..count as usize).map(|k| Interval {
-            start_mm: start + length_mm * k as f64,
-            length_mm,
-            u_start: u,
-            u_slope: [0.0; 3],
-        }));
+        shape
+            .intervals
+            .extend((0..count as usize).map(|k| Interval {
+                start_mm: start + length_mm * k as f64,
+                length_mm,
+                u_start: u,
+                u_slope: [0.0; 3],
+            }));
         shape.length_mm += by_mm;
         (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
@@ -196,7 +231,9 @@ impl Shape {
 
     /// Interval that holds arc length `s_mm` (the last one past the tip).
     pub fn interval_at(&self, s_mm: f64) -> usize {
-        self.intervals.partition_point(|i| i.start_mm <= s_mm).saturating_sub(1)
+        self.intervals
+            .partition_point(|i| i.start_mm <= s_mm)
+            .saturating_sub(1)
     }
 
     /// Point of the unloaded wire at arc length `s_mm`, by cubic Hermite interpolation between nodes.
@@ -205,7 +242,10 @@ impl Shape {
         let h = self.intervals[j].length_mm;
         let x = (s_mm - self.intervals[j].start_mm) / h;
         let (p0, p1) = (self.nodes_mm[j], self.nodes_mm[j + 1]);
-        let (t0, t1) = (self.frames[j].column(0) * h, self.frames[j + 1].column(0) * h);
+        let (t0, t1) = (
+            self.frames[j].column(0) * h,
+            self.frames[j + 1].column(0) * h,
+        );
         // Hermite's basis on both places and tangents: error of fourth order in h.
         let (x2, x3) = (x * x, x * x * x);
         p0 * (2.0 * x3 - 3.0 * x2 + 1.0)

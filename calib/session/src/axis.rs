@@ -30,7 +30,11 @@ pub(crate) fn read_rows(
     exchanged(table, ["commanded_mm", "measured_mm"])?;
     // A column that holds something else is named as that before its single values are judged.
     unit_mismatch(name, &set)?;
-    warnings.extend(overflow(table, [&["commanded_mm"], &["measured_mm", "temperature_degc"]], &mut out)?);
+    warnings.extend(overflow(
+        table,
+        [&["commanded_mm"], &["measured_mm", "temperature_degc"]],
+        &mut out,
+    )?);
     warnings.extend(copied(table, Some("measured_mm"), &mut out)?);
     let mut rows = Vec::new();
     for row in Row::all(table).filter(|row| !out[row.index]) {
@@ -47,7 +51,10 @@ pub(crate) fn read_rows(
             temperature_degc: row.temperature()?,
         });
     }
-    let steps: Vec<_> = rows.iter().map(|r| (r.line, r.commanded_mm, r.t_s, r.direction)).collect();
+    let steps: Vec<_> = rows
+        .iter()
+        .map(|r| (r.line, r.commanded_mm, r.t_s, r.direction))
+        .collect();
     contradiction(name, "commanded_mm", &steps)?;
     warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
     warnings.extend(table.warning());
@@ -77,17 +84,29 @@ fn unit_mismatch(name: &str, rows: &[[f64; 2]]) -> Result<(), InputError> {
     const UNITS: [f64; 7] = [1e3, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, -1.0];
     /// From here to 1 the slope is a scale error, as large as the catalogue lets it be.
     const MIN_SLOPE: f64 = 0.5;
-    let Some(slope) = slope(rows) else { return Ok(()) };
-    let error = |expected: &str, found: String| InputError::new(name, expected, found).field("measured_mm");
-    if let Some(factor) = UNITS.into_iter().find(|factor| (slope / factor - 1.0).abs() < 0.02) {
+    let Some(slope) = slope(rows) else {
+        return Ok(());
+    };
+    let error =
+        |expected: &str, found: String| InputError::new(name, expected, found).field("measured_mm");
+    if let Some(factor) = UNITS
+        .into_iter()
+        .find(|factor| (slope / factor - 1.0).abs() < 0.02)
+    {
         let found = format!("a slope of {slope:.5} between the columns");
-        let error = error("measured and commanded positions in the same unit, mm, and sense", found);
+        let error = error(
+            "measured and commanded positions in the same unit, mm, and sense",
+            found,
+        );
         return Err(error.hint(format!("--measured 'COLUMN*{}' at import", 1.0 / factor)));
     }
     if slope.abs() >= MIN_SLOPE {
         return Ok(());
     }
-    if let Some(first) = rows.first().filter(|first| rows.iter().all(|r| r[1] == first[1])) {
+    if let Some(first) = rows
+        .first()
+        .filter(|first| rows.iter().all(|r| r[1] == first[1]))
+    {
         let found = format!("{} in every row: the encoder stands still", first[1]);
         return Err(error("positions that follow the commanded ones", found));
     }
@@ -104,7 +123,11 @@ mod tests {
     fn rows(measured: impl Fn(f64, f64) -> f64) -> Vec<[f64; 2]> {
         let of = |k: usize| {
             let place = k % 22;
-            let (step, way) = if place < 11 { (place, 1.0) } else { (21 - place, -1.0) };
+            let (step, way) = if place < 11 {
+                (place, 1.0)
+            } else {
+                (21 - place, -1.0)
+            };
             let x = 40.0 * step as f64;
             [x, measured(x, way)]
         };
@@ -115,13 +138,19 @@ mod tests {
     fn what_is_no_column_of_positions_is_named_with_the_way_out() {
         let error = |x: f64, way: f64| 0.02 * x - 1.7 * way;
         let said = |measured: &dyn Fn(f64, f64) -> f64| {
-            unit_mismatch("t.csv", &rows(measured)).unwrap_err().to_string()
+            unit_mismatch("t.csv", &rows(measured))
+                .unwrap_err()
+                .to_string()
         };
         for factor in [1.0, 1e-3, 1e-3 / 25.4] {
             let said = said(&|x, way| factor * error(x, way));
             assert!(said.contains("error_um="), "{factor}: {said}");
         }
-        for (factor, says) in [(1e3, "COLUMN*0.001'"), (1.0 / 25.4, "COLUMN*25.4'"), (-1.0, "COLUMN*-1'")] {
+        for (factor, says) in [
+            (1e3, "COLUMN*0.001'"),
+            (1.0 / 25.4, "COLUMN*25.4'"),
+            (-1.0, "COLUMN*-1'"),
+        ] {
             let said = said(&|x, _| factor * x);
             assert!(said.contains(says), "{factor}: {said}");
         }

@@ -81,14 +81,21 @@ pub(crate) fn content(cell: &str) -> Content {
     let is_value = is_number(&plain)
         || plain.contains(',') && is_number(&plain.replace('.', "").replace(',', "."))
         || stamp::is_stamp(cell);
-    if is_value { Content::Value } else { Content::Text }
+    if is_value {
+        Content::Value
+    } else {
+        Content::Text
+    }
 }
 
 /// Whether a cell is a word for a missing value. Spreadsheets begin their errors with `#`, old C libraries have `#` after a digit
 /// (`1.#INF`, `-1.#IND`).
 pub(crate) fn is_missing(cell: &str) -> bool {
     let word = cell.to_lowercase();
-    let unsigned = word.strip_prefix(['+', '-']).filter(|rest| !rest.is_empty()).unwrap_or(&word);
+    let unsigned = word
+        .strip_prefix(['+', '-'])
+        .filter(|rest| !rest.is_empty())
+        .unwrap_or(&word);
     let of_sheet = word
         .strip_prefix('#')
         .is_some_and(|error| error == "na" || error.ends_with(['!', '?']) || error == "n/a");
@@ -103,10 +110,15 @@ pub(crate) fn is_missing(cell: &str) -> bool {
 
 /// Whether a cell holds a negative number as bookkeepers write it: `(300)`, or `300-`.
 pub(crate) fn is_accounted(cell: &str) -> bool {
-    let inner = cell.strip_prefix('(').and_then(|c| c.strip_suffix(')')).or_else(|| cell.strip_suffix('-'));
+    let inner = cell
+        .strip_prefix('(')
+        .and_then(|c| c.strip_suffix(')'))
+        .or_else(|| cell.strip_suffix('-'));
     inner.is_some_and(|inner| {
         inner.starts_with(|c: char| c.is_ascii_digit())
-            && inner.chars().all(|c| c.is_ascii_digit() || matches!(c, '.' | ',') || GROUP_MARKS.contains(&c))
+            && inner
+                .chars()
+                .all(|c| c.is_ascii_digit() || matches!(c, '.' | ',') || GROUP_MARKS.contains(&c))
     })
 }
 
@@ -123,7 +135,11 @@ pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
         return Cow::Borrowed(cell);
     }
     let text = cell.replace(MINUS, "-").replace(exponent, "E");
-    let whole = text.trim_start_matches(['-', '+']).split(['.', ',', 'E']).next().unwrap_or_default();
+    let whole = text
+        .trim_start_matches(['-', '+'])
+        .split(['.', ',', 'E'])
+        .next()
+        .unwrap_or_default();
     if !whole.contains(GROUP_MARKS) || !grouped(whole, &GROUP_MARKS) {
         return Cow::Owned(text);
     }
@@ -134,9 +150,13 @@ pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
 pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
     let mut groups = text.split(marks);
     let digits = |g: &str| g.chars().all(|c| c.is_ascii_digit());
-    let first = groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));
+    let first = groups
+        .next()
+        .is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));
     let between: Vec<char> = text.chars().filter(|c| !c.is_ascii_digit()).collect();
-    let alike = between.first().is_some_and(|mark| between.iter().all(|other| other == mark));
+    let alike = between
+        .first()
+        .is_some_and(|mark| between.iter().all(|other| other == mark));
     first && alike && groups.all(|g| g.len() == 3 && digits(g))
 }
 
@@ -186,7 +206,11 @@ pub(crate) fn direction(cell: &str) -> Option<f64> {
     ];
     let word = cell.replace('\u{2212}', "-").to_lowercase();
     let is = |words: &[&str]| words.contains(&&*word);
-    if is(UP) { Some(1.0) } else { is(DOWN).then_some(-1.0) }
+    if is(UP) {
+        Some(1.0)
+    } else {
+        is(DOWN).then_some(-1.0)
+    }
 }
 
 /// Name of a column in one line with single blanks.
@@ -232,9 +256,19 @@ mod tests {
         ] {
             assert_eq!(number(cell), None, "{cell}");
         }
-        for cell in
-            ["NaN", "n/a", "-", "#DIV/0!", "#N/A", "1.#INF", "-1.#IND00", "-inf", "+OL", "Overflow", "0L"]
-        {
+        for cell in [
+            "NaN",
+            "n/a",
+            "-",
+            "#DIV/0!",
+            "#N/A",
+            "1.#INF",
+            "-1.#IND00",
+            "-inf",
+            "+OL",
+            "Overflow",
+            "0L",
+        ] {
             assert_eq!(content(cell), Content::Missing, "{cell}");
         }
         for cell in ["Mean", "#40", "-b", "A1", "mV/V", "1.5.2"] {

@@ -33,7 +33,14 @@ mod tests {
     #[test]
     fn every_column_has_a_range_and_codes_of_instruments_get_through() {
         let judge = |name: &str, value| column_range(name).judge(name, value, true);
-        for name in ["stage_mm", "t_s", "groove_x_mm", "response", "a column of the user's", ""] {
+        for name in [
+            "stage_mm",
+            "t_s",
+            "groove_x_mm",
+            "response",
+            "a column of the user's",
+            "",
+        ] {
             for value in [1e300, -1e300, f64::NAN, f64::INFINITY] {
                 assert!(judge(name, value).is_err(), "{name} {value}");
             }
@@ -41,6 +48,9 @@ mod tests {
         }
         assert_eq!(judge("response", 9.91e37), Ok(()));
         let error = judge("stage_mm", 1e9).unwrap_err().to_string();
-        assert_eq!(error, "stage_mm: expected a number between -100000 and 100000, found 1e9");
+        assert_eq!(
+            error,
+            "stage_mm: expected a number between -100000 and 100000, found 1e9"
+        );
     }
 }

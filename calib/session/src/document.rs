@@ -44,14 +44,31 @@ fn of_serde(file: &str, path: &Path, message: &str) -> InputError {
             Segment::Enum { .. } | Segment::Unknown => {}
         }
     }
-    if let Some(name) = message.strip_prefix("missing field `").and_then(|m| m.strip_suffix('`')) {
-        let name = if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") };
+    if let Some(name) = message
+        .strip_prefix("missing field `")
+        .and_then(|m| m.strip_suffix('`'))
+    {
+        let name = if key.is_empty() {
+            name.to_owned()
+        } else {
+            format!("{key}.{name}")
+        };
         return InputError::new(file, "a value", "nothing").field(name);
     }
-    let (found, expected) = message.split_once(", expected ").unwrap_or((message, "another value"));
-    let found = found.split_once("invalid type: ").map_or(found, |(_, found)| found);
-    InputError::new(file, expected.replace("f64", "a number").replace("a boolean", "true or false"), found)
-        .field(key)
+    let (found, expected) = message
+        .split_once(", expected ")
+        .unwrap_or((message, "another value"));
+    let found = found
+        .split_once("invalid type: ")
+        .map_or(found, |(_, found)| found);
+    InputError::new(
+        file,
+        expected
+            .replace("f64", "a number")
+            .replace("a boolean", "true or false"),
+        found,
+    )
+    .field(key)
 }
 
 /// A unit vector: exact to 1e-3, then normalised.

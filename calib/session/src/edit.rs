@@ -11,16 +11,19 @@ use wcal_core::files::write_atomic;
 /// Where the file cannot be read or written, is no TOML, or has something else where a table must be.
 pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), SessionError> {
     let path = folder.join("session.toml");
-    let text = wcal_core::files::read_text(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let text =
+        wcal_core::files::read_text(&path).map_err(|e| SessionError::io("reading", &path, e))?;
     let wrong = |e: TomlError| InputError::new("session.toml", "TOML", e.message().to_owned());
     let mut content: DocumentMut = text.parse().map_err(wrong)?;
     for (name, key, entry) in entries {
         let held = content.entry(name).or_insert_with(table);
         let found = quote(held.to_string().trim());
         let Some(held) = held.as_table_like_mut() else {
-            return Err(InputError::new("session.toml", format!("a table [{name}]"), found)
-                .field(*name)
-                .into());
+            return Err(
+                InputError::new("session.toml", format!("a table [{name}]"), found)
+                    .field(*name)
+                    .into(),
+            );
         };
         held.insert(key, value(*entry));
     }
@@ -38,7 +41,10 @@ mod tests {
         let path = place.path().join("session.toml");
         let before = "# by hand\nid = \"a\" # kept\n[files]\npoints   = \"points.csv\"\n\n[whisker]\ndiameter_mm = 0.30\n";
         std::fs::write(&path, before).unwrap();
-        let entries = [("files", "shapes", "shapes.json"), ("provenance", "cameras_sha256", "12")];
+        let entries = [
+            ("files", "shapes", "shapes.json"),
+            ("provenance", "cameras_sha256", "12"),
+        ];
         set_entries(place.path(), &entries).unwrap();
         let after = std::fs::read_to_string(&path).unwrap();
         for line in before.lines() {
@@ -61,7 +67,10 @@ mod tests {
         ] {
             std::fs::write(&path, text).unwrap();
             let mut expected: toml::Table = text.parse().unwrap();
-            expected["files"].as_table_mut().unwrap().insert("shapes".into(), "shapes.json".into());
+            expected["files"]
+                .as_table_mut()
+                .unwrap()
+                .insert("shapes".into(), "shapes.json".into());
             set_entries(place.path(), &[("files", "shapes", "shapes.json")]).unwrap();
             let found: toml::Table = std::fs::read_to_string(&path).unwrap().parse().unwrap();
             assert_eq!(found, expected, "{text}");
@@ -73,11 +82,19 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("session.toml");
         let entry = [("files", "shapes", "shapes.json")];
-        assert!(set_entries(place.path(), &entry).unwrap_err().to_string().contains("session.toml"));
+        assert!(
+            set_entries(place.path(), &entry)
+                .unwrap_err()
+                .to_string()
+                .contains("session.toml")
+        );
         for bad in ["files = 3\n", "[files\n", "files = \"x\"\n"] {
             std::fs::write(&path, bad).unwrap();
             let error = set_entries(place.path(), &entry).unwrap_err().to_string();
-            assert!(error.contains("session.toml") && error.contains("expected"), "{error}");
+            assert!(
+                error.contains("session.toml") && error.contains("expected"),
+                "{error}"
+            );
             assert_eq!(std::fs::read_to_string(&path).unwrap(), bad);
         }
     }

@@ -108,14 +108,20 @@ impl std::error::Error for InputError {}
 pub(crate) fn not_utf8(file: &str, bytes: &[u8], found: NotUtf8) -> InputError {
     let valid = std::str::from_utf8(bytes).map_or_else(|e| e.valid_up_to(), str::len);
     let line = 1 + bytes[..valid].iter().filter(|b| **b == b'\n').count();
-    InputError::new(file, "UTF-8 text", found.found).at(line).hint(found.way_out)
+    InputError::new(file, "UTF-8 text", found.found)
+        .at(line)
+        .hint(found.way_out)
 }
 
 /// Columns of a table as listed in messages: the first of them, and how many there are.
 pub(crate) fn listed(columns: &[String]) -> String {
     const MOST: usize = 30;
     let names = columns[..columns.len().min(MOST)].join(", ");
-    if columns.len() > MOST { format!("{names}, ... ({} in all)", columns.len()) } else { names }
+    if columns.len() > MOST {
+        format!("{names}, ... ({} in all)", columns.len())
+    } else {
+        names
+    }
 }
 
 /// Why a session could not be read or written.
@@ -144,7 +150,11 @@ impl From<InputError> for SessionError {
 
 impl From<wcal_core::files::FileError> for SessionError {
     fn from(error: wcal_core::files::FileError) -> Self {
-        Self::Io { action: error.action, path: error.path, source: error.source }
+        Self::Io {
+            action: error.action,
+            path: error.path,
+            source: error.source,
+        }
     }
 }
 
@@ -152,9 +162,18 @@ impl SessionError {
     /// Wraps an I/O error; a missing file becomes an error that says which file was expected.
     pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
         if source.kind() == std::io::ErrorKind::NotFound {
-            return InputError::new(&path.display().to_string(), "a readable file", "no such file").into();
+            return InputError::new(
+                &path.display().to_string(),
+                "a readable file",
+                "no such file",
+            )
+            .into();
         }
-        Self::Io { action, path: path.to_owned(), source }
+        Self::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
     }
 }
 

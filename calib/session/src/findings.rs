@@ -46,7 +46,10 @@ struct Seen {
 
 impl Seen {
     fn new(role: Role, pose: &[f64]) -> Self {
-        Self { role, pose: pose.iter().map(|v| v.to_bits()).collect() }
+        Self {
+            role,
+            pose: pose.iter().map(|v| v.to_bits()).collect(),
+        }
     }
 }
 
@@ -54,7 +57,11 @@ impl Seen {
 pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     let mut list = Vec::new();
     let mut add = |severity, topic: &str, message: String| {
-        list.push(Finding { severity, topic: topic.to_owned(), message });
+        list.push(Finding {
+            severity,
+            topic: topic.to_owned(),
+            message,
+        });
     };
     let sealed = session.sealed.len();
     let (rows, columns) = match &session.data {
@@ -64,51 +71,109 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
                 let [direction, speed] = [r.direction, r.speed_mm_s].map(|v| v.unwrap_or(0.0));
                 Seen::new(r.role, &[g.x, g.y, g.z, direction, speed])
             };
-            (data.rows.iter().map(pose).collect::<Vec<_>>(), whisker_columns(data))
+            (
+                data.rows.iter().map(pose).collect::<Vec<_>>(),
+                whisker_columns(data),
+            )
         }
         SessionData::Transducer(data) => {
             let rows = &data.rows;
-            let pose = |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
+            let pose =
+                |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
             let columns = vec![
-                ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-                ("direction", rows.iter().any(|r| r.direction.is_some()), BY_ORDER),
-                ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
-                ("a further covariate", !data.covariates.is_empty(), "cross-axis"),
+                (
+                    "t_s",
+                    rows.iter().any(|r| r.t_s.is_some()),
+                    "drift, creep, lag and step in time",
+                ),
+                (
+                    "direction",
+                    rows.iter().any(|r| r.direction.is_some()),
+                    BY_ORDER,
+                ),
+                (
+                    "temperature_degc",
+                    rows.iter().any(|r| r.temperature_degc.is_some()),
+                    "temperature",
+                ),
+                (
+                    "a further covariate",
+                    !data.covariates.is_empty(),
+                    "cross-axis",
+                ),
             ];
             (rows.iter().map(pose).collect(), columns)
         }
         SessionData::Axis(data) => {
             let rows = &data.rows;
-            let pose = |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
+            let pose =
+                |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
             let columns = vec![
-                ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-                ("direction", rows.iter().any(|r| r.direction.is_some()), BY_ORDER),
-                ("cycle", rows.iter().any(|r| r.cycle.is_some()), "changes from stroke to stroke"),
-                ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
+                (
+                    "t_s",
+                    rows.iter().any(|r| r.t_s.is_some()),
+                    "drift, creep, lag and step in time",
+                ),
+                (
+                    "direction",
+                    rows.iter().any(|r| r.direction.is_some()),
+                    BY_ORDER,
+                ),
+                (
+                    "cycle",
+                    rows.iter().any(|r| r.cycle.is_some()),
+                    "changes from stroke to stroke",
+                ),
+                (
+                    "temperature_degc",
+                    rows.iter().any(|r| r.temperature_degc.is_some()),
+                    "temperature",
+                ),
             ];
             (rows.iter().map(pose).collect(), columns)
         }
     };
     let at_rest = rows.iter().filter(|r| r.role == Role::Rest).count();
-    add(Severity::Ok, "rows", format!("{} rows to fit ({at_rest} at rest), {sealed} sealed", rows.len()));
+    add(
+        Severity::Ok,
+        "rows",
+        format!(
+            "{} rows to fit ({at_rest} at rest), {sealed} sealed",
+            rows.len()
+        ),
+    );
     if at_rest == rows.len() {
-        add(Severity::Error, "rows", "every row is at rest: nothing can be fitted".to_owned());
+        add(
+            Severity::Error,
+            "rows",
+            "every row is at rest: nothing can be fitted".to_owned(),
+        );
     }
     if let SessionData::Whisker(data) = &session.data {
         let loaded = data.rows.iter().filter(|r| r.role != Role::Rest);
-        let paths = loaded.filter_map(|r| r.trajectory).collect::<BTreeSet<_>>().len();
+        let paths = loaded
+            .filter_map(|r| r.trajectory)
+            .collect::<BTreeSet<_>>()
+            .len();
         if paths < 3 {
             let message = format!("{paths} trajectories: leaving one out needs three");
             add(Severity::Warn, "trajectories", message);
         }
         if at_rest == 0 {
-            add(Severity::Warn, "rows", "no row at rest: the zero is extrapolated".to_owned());
+            add(
+                Severity::Warn,
+                "rows",
+                "no row at rest: the zero is extrapolated".to_owned(),
+            );
         }
     }
     for (name, present, hides) in columns {
         let absent = format!("{name} is absent: {hides} cannot be traced");
-        let (severity, message) =
-            if present { (Severity::Ok, format!("{name} is present")) } else { (Severity::Note, absent) };
+        let (severity, message) = if present {
+            (Severity::Ok, format!("{name} is present"))
+        } else {
+            (Severity::Note, absent)
+        };
         add(severity, "columns", message);
     }
     let (severity, message) = noise(&session.data, &rows);
@@ -122,8 +187,20 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
         },
     );
     for warning in &session.warnings {
-        let severity = if warning.is_remark() { Severity::Note } else { Severity::Warn };
-        add(severity, if warning.is_clock_problem() { "time" } else { "files" }, warning.to_string());
+        let severity = if warning.is_remark() {
+            Severity::Note
+        } else {
+            Severity::Warn
+        };
+        add(
+            severity,
+            if warning.is_clock_problem() {
+                "time"
+            } else {
+                "files"
+            },
+            warning.to_string(),
+        );
     }
     list
 }
@@ -133,21 +210,52 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
     let any = |is: fn(&WhiskerRow) -> bool| rows.iter().any(is);
     let temperature = any(|r| r.reference_shift_pm.is_some() || r.temperature_degc.is_some());
     vec![
-        ("stage_mm", any(|r| r.stage_mm.is_some()), "stage-scale, stage-periodic"),
-        ("unloading (direction -1)", any(|r| r.direction == Some(-1.0)), "stage-backlash, hysteresis"),
-        ("a moving row (speed_mm_s above 0)", any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0)), "time-lag"),
+        (
+            "stage_mm",
+            any(|r| r.stage_mm.is_some()),
+            "stage-scale, stage-periodic",
+        ),
+        (
+            "unloading (direction -1)",
+            any(|r| r.direction == Some(-1.0)),
+            "stage-backlash, hysteresis",
+        ),
+        (
+            "a moving row (speed_mm_s above 0)",
+            any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0)),
+            "time-lag",
+        ),
         ("t_s", any(|r| r.t_s.is_some()), "zero-drift, creep"),
-        ("dwell_s", any(|r| r.dwell_s.is_some()), "creep within a dwell"),
-        ("a temperature (fbg_ref_* or temperature_degc)", temperature, "temperature-mismatch"),
-        ("[whisker] gravity_direction", data.whisker.gravity_direction.is_some(), "gravity"),
+        (
+            "dwell_s",
+            any(|r| r.dwell_s.is_some()),
+            "creep within a dwell",
+        ),
+        (
+            "a temperature (fbg_ref_* or temperature_degc)",
+            temperature,
+            "temperature-mismatch",
+        ),
+        (
+            "[whisker] gravity_direction",
+            data.whisker.gravity_direction.is_some(),
+            "gravity",
+        ),
     ]
 }
 
 /// What the noise floor can be taken from: rows that repeat a pose, or trajectories that were run again.
 fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
-    let whisker = if let SessionData::Whisker(data) = data { data.rows.as_slice() } else { &[] };
+    let whisker = if let SessionData::Whisker(data) = data {
+        data.rows.as_slice()
+    } else {
+        &[]
+    };
     let mut poses: HashMap<&[u64], usize> = HashMap::new();
-    for row in rows.iter().filter(|r| r.role != Role::Rest || whisker.is_empty()) {
+    for row in rows
+        .iter()
+        .filter(|r| r.role != Role::Rest || whisker.is_empty())
+    {
         *poses.entry(&row.pose).or_default() += 1;
     }
     let degrees: usize = poses.values().map(|n| n - 1).sum();
@@ -157,23 +265,32 @@ fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
             replicates.entry(id).or_default().insert(replicate);
         }
     }
-    let again = replicates.values().filter(|numbers| numbers.len() > 1).count();
-    let within = whisker.iter().any(|r| r.shift_sd_pm.is_some() && r.samples.is_some());
+    let again = replicates
+        .values()
+        .filter(|numbers| numbers.len() > 1)
+        .count();
+    let within = whisker
+        .iter()
+        .any(|r| r.shift_sd_pm.is_some() && r.samples.is_some());
     match (degrees, again) {
         (1.., _) => {
             let poses = poses.len();
             (
                 Severity::Ok,
-                format!("{degrees} degrees of freedom of noise from repeated poses ({poses} poses)"),
+                format!(
+                    "{degrees} degrees of freedom of noise from repeated poses ({poses} poses)"
+                ),
             )
         }
         (0, 1..) => {
-            let how = "trajectories were run again at other poses: noise from neighbours and from rest";
+            let how =
+                "trajectories were run again at other poses: noise from neighbours and from rest";
             (Severity::Ok, format!("{again} {how}"))
         }
-        (0, 0) if within => {
-            (Severity::Warn, "no pose is repeated; only the spread within a reading is known".to_owned())
-        }
+        (0, 0) if within => (
+            Severity::Warn,
+            "no pose is repeated; only the spread within a reading is known".to_owned(),
+        ),
         (0, 0) => {
             let what = "the noise floor comes from neighbours and every verdict is provisional";
             (Severity::Warn, format!("no pose is repeated: {what}"))

@@ -10,7 +10,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Columns that a table may lack which another table of its form has.
-const OPTIONAL: [&str; 6] = ["t_s", "direction", "temperature_degc", "cycle", "replicate", "stimulus_sd"];
+const OPTIONAL: [&str; 6] = [
+    "t_s",
+    "direction",
+    "temperature_degc",
+    "cycle",
+    "replicate",
+    "stimulus_sd",
+];
 
 /// Columns of a session that a table has not by itself: the number of the row, and that it is held out.
 const GIVEN: [&str; 2] = ["point", "role"];
@@ -32,11 +39,15 @@ pub fn asked_name(text: &str) -> &str {
 }
 
 fn split(text: &str) -> (&str, Option<f64>, Option<&str>) {
-    let factor = |(name, factor): (&'_ str, &str)| Some((name.len(), factor.trim().parse::<f64>().ok()?));
+    let factor =
+        |(name, factor): (&'_ str, &str)| Some((name.len(), factor.trim().parse::<f64>().ok()?));
     if let Some((end, factor)) = text.rsplit_once('*').and_then(factor) {
         return (text[..end].trim(), Some(factor), None);
     }
-    match text.rsplit_once(" since ").filter(|(_, stamp)| is_stamp(stamp.trim())) {
+    match text
+        .rsplit_once(" since ")
+        .filter(|(_, stamp)| is_stamp(stamp.trim()))
+    {
         Some((name, stamp)) => (name.trim(), None, Some(stamp.trim())),
         None => (text, None, None),
     }
@@ -63,9 +74,15 @@ impl TextTable {
     /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
     pub fn stamps(&self, asked: &AskedColumn) -> Result<Option<Stamps>, InputError> {
         let column = asked.index;
-        let held: Vec<usize> = (0..self.rows.len()).filter(|&row| !self.lacks(row, column)).collect();
+        let held: Vec<usize> = (0..self.rows.len())
+            .filter(|&row| !self.lacks(row, column))
+            .collect();
         let cell = |row: usize, column: usize| &self.rows[row].1[column];
-        let beside = if self.is_foreign() { self.other_part(column, &held) } else { None };
+        let beside = if self.is_foreign() {
+            self.other_part(column, &held)
+        } else {
+            None
+        };
         // Two numbers with a colon are what the name says of them.
         let stated = bracketed(&self.columns[column]).map(str::to_lowercase);
         let [minutes, hours] = ["mm:ss", "hh:mm"].map(|form| stated.as_deref() == Some(form));
@@ -85,7 +102,11 @@ impl TextTable {
         let cells: Vec<String> = held.iter().map(text).collect();
         let dated = cells.first().filter(|first| !stamp::is_clock(first));
         let since = asked.since.as_ref().filter(|_| dated.is_some());
-        let all: Vec<&str> = since.into_iter().chain(&cells).map(String::as_str).collect();
+        let all: Vec<&str> = since
+            .into_iter()
+            .chain(&cells)
+            .map(String::as_str)
+            .collect();
         let before = all.len() - cells.len();
         let seconds = stamp::seconds(&all).map_err(|(k, expected)| {
             let row = held[k.saturating_sub(before)];
@@ -94,10 +115,20 @@ impl TextTable {
                 .field(&self.columns[column])
         })?;
         let mut times = vec![None; self.rows.len()];
-        held.iter().zip(&seconds[before..]).for_each(|(row, time)| times[*row] = Some(*time));
+        held.iter()
+            .zip(&seconds[before..])
+            .for_each(|(row, time)| times[*row] = Some(*time));
         let other = beside.map(|(date, clock)| if date == column { clock } else { date });
-        let first = since.cloned().or_else(|| cells.first().cloned()).unwrap_or_default();
-        Ok(Some(Stamps { times, other, dated: dated.is_some(), first }))
+        let first = since
+            .cloned()
+            .or_else(|| cells.first().cloned())
+            .unwrap_or_default();
+        Ok(Some(Stamps {
+            times,
+            other,
+            dated: dated.is_some(),
+            first,
+        }))
     }
 
     /// Whether a cell holds nothing, or a word for a missing value.
@@ -118,7 +149,8 @@ impl TextTable {
         if all(column, stamp::is_time_of_day) {
             return nearest(stamp::is_date).map(|date| (date, column));
         }
-        all(column, stamp::is_date).then(|| nearest(stamp::is_time_of_day).map(|clock| (column, clock)))?
+        all(column, stamp::is_date)
+            .then(|| nearest(stamp::is_time_of_day).map(|clock| (column, clock)))?
     }
 
     /// The column that a text asks for.
@@ -127,21 +159,35 @@ impl TextTable {
     /// Where there is no such column, or the factor is none.
     pub fn asked(&self, text: &str) -> Result<AskedColumn, InputError> {
         let whole = !self.columns_named(text).is_empty();
-        let (name, factor, since) = if whole { (text, None, None) } else { split(text) };
+        let (name, factor, since) = if whole {
+            (text, None, None)
+        } else {
+            split(text)
+        };
         let malformed = factor.is_none() && !whole && text.contains('*');
         if malformed || factor.is_some_and(|f| !f.is_finite() || f == 0.0) {
             let found = text.rsplit_once('*').map_or(text, |(_, factor)| factor);
             let expected = "COLUMN*FACTOR with a finite factor other than 0";
             return Err(InputError::new(&self.file, expected, format!("{found:?}")).field(text));
         }
-        Ok(AskedColumn { index: self.column(name)?, factor, since: since.map(str::to_owned) })
+        Ok(AskedColumn {
+            index: self.column(name)?,
+            factor,
+            since: since.map(str::to_owned),
+        })
     }
 
     /// The column of a session's name, or that which it was `imported` from.
     pub fn imported(&self, name: &str, imported: &BTreeMap<String, String>) -> Option<AskedColumn> {
         let own = || self.asked(imported.get(name)?).ok();
         let index = self.columns.iter().position(|column| column == name);
-        index.map(|index| AskedColumn { index, factor: None, since: None }).or_else(own)
+        index
+            .map(|index| AskedColumn {
+                index,
+                factor: None,
+                since: None,
+            })
+            .or_else(own)
     }
 
     /// Compares the unit that the table states of a column below its header with the session's.
@@ -149,7 +195,10 @@ impl TextTable {
     /// # Errors
     /// Where it is another one, and no factor is stated.
     pub fn check_unit(&self, column: &AskedColumn, unit: &str) -> Result<(), InputError> {
-        let stated = self.units.get(column.index).filter(|unit| !unit.is_empty() && column.factor.is_none());
+        let stated = self
+            .units
+            .get(column.index)
+            .filter(|unit| !unit.is_empty() && column.factor.is_none());
         let other = stated.filter(|stated| match relation(stated, unit) {
             Relation::Times(factor) => (factor - 1.0).abs() > 1e-9,
             Relation::Other => true,
@@ -157,7 +206,12 @@ impl TextTable {
         });
         let error = |stated: &String| {
             let name = &self.columns[column.index];
-            InputError::new(&self.file, format!("{unit}, as in the session"), stated.as_str()).field(name)
+            InputError::new(
+                &self.file,
+                format!("{unit}, as in the session"),
+                stated.as_str(),
+            )
+            .field(name)
         };
         other.map_or(Ok(()), |stated| Err(error(stated)))
     }
@@ -167,7 +221,11 @@ impl TextTable {
     /// # Errors
     /// Where a cell holds anything else.
     pub fn values(&self, name: &str, column: &AskedColumn) -> Result<Vec<Option<f64>>, InputError> {
-        if let Some(stamps) = (name == "t_s").then(|| self.stamps(column)).transpose()?.flatten() {
+        if let Some(stamps) = (name == "t_s")
+            .then(|| self.stamps(column))
+            .transpose()?
+            .flatten()
+        {
             return Ok(stamps.times);
         }
         let factor = column.factor.unwrap_or(1.0);
@@ -175,7 +233,9 @@ impl TextTable {
             "direction" => self.direction(row, column.index),
             _ => self.number(row, column.index),
         };
-        (0..self.rows.len()).map(|row| Ok(cell(row)?.map(|value| value * factor))).collect()
+        (0..self.rows.len())
+            .map(|row| Ok(cell(row)?.map(|value| value * factor)))
+            .collect()
     }
 }
 
@@ -192,8 +252,17 @@ pub(crate) fn as_imported(
     units: &[(&str, &str)],
 ) -> Result<Option<TextTable>, SessionError> {
     let columns = imported.values().map(|text| asked_name(text).to_owned());
-    let asked = columns.chain(imported.keys().cloned()).chain(kept.iter().cloned()).collect();
-    let table = read_text_table(path, &TextTableLayout { asked: Some(asked), ..TextTableLayout::default() });
+    let asked = columns
+        .chain(imported.keys().cloned())
+        .chain(kept.iter().cloned())
+        .collect();
+    let table = read_text_table(
+        path,
+        &TextTableLayout {
+            asked: Some(asked),
+            ..TextTableLayout::default()
+        },
+    );
     let table = match table {
         // What is wrong with a table of the session's own form is said by its reader.
         Err(_) if imported.is_empty() => return Ok(None),
@@ -206,34 +275,67 @@ pub(crate) fn as_imported(
         return Ok(None);
     }
     for (name, unit) in units {
-        table.imported(name, imported).map_or(Ok(()), |column| table.check_unit(&column, unit))?;
+        table
+            .imported(name, imported)
+            .map_or(Ok(()), |column| table.check_unit(&column, unit))?;
     }
     let mut columns: Vec<(String, Vec<String>)> = Vec::new();
-    for name in imported.keys().chain(kept.iter().filter(|name| has(name) && !imported.contains_key(*name))) {
+    for name in imported.keys().chain(
+        kept.iter()
+            .filter(|name| has(name) && !imported.contains_key(*name)),
+    ) {
         let column = match table.imported(name, imported) {
             Some(column) => column,
             None if OPTIONAL.contains(&name.as_str()) => continue,
             None => table.asked(imported.get(name).unwrap_or(name))?,
         };
-        let text = || table.rows.iter().map(|(_, cells)| cells[column.index].to_owned()).collect();
+        let text = || {
+            table
+                .rows
+                .iter()
+                .map(|(_, cells)| cells[column.index].to_owned())
+                .collect()
+        };
         let numbers = || {
-            let shown = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-            Ok::<_, InputError>(table.values(name, &column)?.into_iter().map(shown).collect())
+            let shown =
+                |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+            Ok::<_, InputError>(
+                table
+                    .values(name, &column)?
+                    .into_iter()
+                    .map(shown)
+                    .collect(),
+            )
         };
         columns.push((
             name.clone(),
-            if matches!(name.as_str(), "role" | "stream") { text() } else { numbers()? },
+            if matches!(name.as_str(), "role" | "stream") {
+                text()
+            } else {
+                numbers()?
+            },
         ));
     }
     let rows = table.rows.len();
-    let given: [&dyn Fn(usize) -> String; 2] = [&|row| (row + 1).to_string(), &|_| "holdout".to_owned()];
+    let given: [&dyn Fn(usize) -> String; 2] =
+        [&|row| (row + 1).to_string(), &|_| "holdout".to_owned()];
     for (name, cell) in GIVEN.into_iter().zip(given) {
         if !columns.iter().any(|(own, _)| own == name) {
             columns.push((name.to_owned(), (0..rows).map(cell).collect()));
         }
     }
-    let cells = |row: usize| columns.iter().map(|(_, cells)| cells[row].as_str()).collect::<StringRecord>();
-    let rows = table.rows.iter().enumerate().map(|(row, (line, _))| (*line, cells(row))).collect();
+    let cells = |row: usize| {
+        columns
+            .iter()
+            .map(|(_, cells)| cells[row].as_str())
+            .collect::<StringRecord>()
+    };
+    let rows = table
+        .rows
+        .iter()
+        .enumerate()
+        .map(|(row, (line, _))| (*line, cells(row)))
+        .collect();
     let names = columns.iter().map(|(name, _)| name.clone()).collect();
     Ok(Some(table.of_session(name, names, rows)))
 }

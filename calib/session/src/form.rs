@@ -44,26 +44,53 @@ impl Preamble {
     /// Reads `sep=;` (Excel) and the headers of a LabVIEW measurement file.
     pub(crate) fn read(text: &str) -> Self {
         let first = text.lines().next().unwrap_or_default().trim();
-        if let Some(mark) = first.strip_prefix("sep=").and_then(|rest| rest.chars().next()) {
+        if let Some(mark) = first
+            .strip_prefix("sep=")
+            .and_then(|rest| rest.chars().next())
+        {
             let remark = Some(format!("fields are separated by {mark:?}, as line 1 says"));
-            return Self { separator: Separator::of(mark), remark, ..Self::default() };
+            return Self {
+                separator: Separator::of(mark),
+                remark,
+                ..Self::default()
+            };
         }
-        let Some(mark) = first.strip_prefix(LVM[0]).map(|rest| rest.chars().next().unwrap_or('\t')) else {
+        let Some(mark) = first
+            .strip_prefix(LVM[0])
+            .map(|rest| rest.chars().next().unwrap_or('\t'))
+        else {
             return Self::default();
         };
-        let header = || text.lines().take(LOOK).take_while(|line| !line.starts_with("X_Value"));
-        let values = |key: &str| -> Vec<String> {
-            let line = header().filter(|line| line.split(mark).next() == Some(key)).last();
-            line.into_iter().flat_map(|l| l.split(mark).skip(1)).map(|v| v.trim().to_owned()).collect()
+        let header = || {
+            text.lines()
+                .take(LOOK)
+                .take_while(|line| !line.starts_with("X_Value"))
         };
-        let number = |key: &str| values(key).first().and_then(|v| v.replace(',', ".").parse::<f64>().ok());
+        let values = |key: &str| -> Vec<String> {
+            let line = header()
+                .filter(|line| line.split(mark).next() == Some(key))
+                .last();
+            line.into_iter()
+                .flat_map(|l| l.split(mark).skip(1))
+                .map(|v| v.trim().to_owned())
+                .collect()
+        };
+        let number = |key: &str| {
+            values(key)
+                .first()
+                .and_then(|v| v.replace(',', ".").parse::<f64>().ok())
+        };
         let mut units = values("Y_Unit_Label");
         units.insert(0, "s".to_owned());
         Self {
             separator: Separator::of(mark),
-            decimal_comma: values("Decimal_Separator").first().is_some_and(|v| v == ","),
+            decimal_comma: values("Decimal_Separator")
+                .first()
+                .is_some_and(|v| v == ","),
             units,
-            times: number("X0").zip(number("Delta_X")).map(|(start, step)| [start, step]),
+            times: number("X0")
+                .zip(number("Delta_X"))
+                .map(|(start, step)| [start, step]),
             remark: Some("a LabVIEW measurement file".to_owned()),
         }
     }
@@ -74,13 +101,24 @@ impl Preamble {
         if self.separator.is_some() {
             return;
         }
-        let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).take(LOOK).collect();
+        let lines: Vec<&str> = text
+            .lines()
+            .filter(|line| !line.trim().is_empty())
+            .take(LOOK)
+            .collect();
         // A line of names, not a remark that has one of them: the next one has as many fields.
         let found = |separator: Separator| {
-            let cells = |line: &str| records(line, 1, separator).into_iter().next().map(|(_, cells)| cells);
+            let cells = |line: &str| {
+                records(line, 1, separator)
+                    .into_iter()
+                    .next()
+                    .map(|(_, cells)| cells)
+            };
             let named = |pair: &[&str]| {
-                let head = cells(pair[0]).filter(|head| names(head).iter().any(|name| asked.contains(name)));
-                let head = head.filter(|head| cells(pair[1]).is_some_and(|below| below.len() == head.len()));
+                let head = cells(pair[0])
+                    .filter(|head| names(head).iter().any(|name| asked.contains(name)));
+                let head = head
+                    .filter(|head| cells(pair[1]).is_some_and(|below| below.len() == head.len()));
                 head.map_or(0, |head| {
                     let names = names(&head);
                     asked.iter().filter(|name| names.contains(name)).count()
@@ -91,9 +129,11 @@ impl Preamble {
         if found(Separator::Comma) > 0 {
             return;
         }
-        let others = [Separator::Semicolon, Separator::Tab, Separator::Whitespace].map(|s| (found(s), s));
+        let others =
+            [Separator::Semicolon, Separator::Tab, Separator::Whitespace].map(|s| (found(s), s));
         // Of equals the first.
-        let Some((count, separator)) = others.into_iter().rev().max_by_key(|(count, _)| *count) else {
+        let Some((count, separator)) = others.into_iter().rev().max_by_key(|(count, _)| *count)
+        else {
             return;
         };
         if count == 0 {
@@ -103,11 +143,18 @@ impl Preamble {
         let (called, option) = separator.called();
         let mut read = format!("read with fields separated by {called} (--separator {option})");
         let rows = records(text, 1, separator);
-        let values =
-            || rows.iter().flat_map(|(_, cells)| cells).filter(|cell| content(cell) == Content::Value);
+        let values = || {
+            rows.iter()
+                .flat_map(|(_, cells)| cells)
+                .filter(|cell| content(cell) == Content::Value)
+        };
         let commas = || values().filter(|cell| cell.contains(','));
         let sure = |cell: &str| {
-            let whole = cell.trim_start_matches(['-', '+', '(']).split('.').next().unwrap_or_default();
+            let whole = cell
+                .trim_start_matches(['-', '+', '('])
+                .split('.')
+                .next()
+                .unwrap_or_default();
             !grouped(whole, &[','])
         };
         let dots = values().any(|cell| cell.contains('.') && cell.parse::<f64>().is_ok());
@@ -137,14 +184,21 @@ pub(crate) struct Form {
 fn names(cells: &StringRecord) -> Vec<String> {
     let mut names: Vec<String> = cells.iter().map(name_of).collect();
     // A column may be called # itself.
-    let bare = names.first().and_then(|first| first.strip_prefix(['#', '%'])).map(name_of);
+    let bare = names
+        .first()
+        .and_then(|first| first.strip_prefix(['#', '%']))
+        .map(name_of);
     if let Some(bare) = bare.filter(|bare| !bare.is_empty()) {
         names[0] = bare;
     }
     while names.len() > 1 && names.last().is_some_and(String::is_empty) {
         names.pop();
     }
-    for (k, name) in names.iter_mut().enumerate().filter(|(_, name)| name.is_empty()) {
+    for (k, name) in names
+        .iter_mut()
+        .enumerate()
+        .filter(|(_, name)| name.is_empty())
+    {
         *name = by_place(k);
     }
     names
@@ -160,7 +214,10 @@ impl Form {
     /// as most lines have. Without any of them it is the first such line.
     pub(crate) fn find(place: &Place<'_>, preamble: &Preamble) -> Result<Self, InputError> {
         let mut all = records(place.text, place.skipped + 1, place.separator);
-        let mut form = Self { remarks: preamble.remark.clone().into_iter().collect(), ..Self::default() };
+        let mut form = Self {
+            remarks: preamble.remark.clone().into_iter().collect(),
+            ..Self::default()
+        };
         let mut unnamed: Vec<String> = Vec::new();
         if let Some(columns) = place.stated {
             form.columns = columns.to_vec();
@@ -168,11 +225,17 @@ impl Form {
             let header = header_place(&all, place.asked);
             let rest = all.split_off((header + 1).min(all.len()));
             let Some((line, cells)) = all.pop() else {
-                return Err(InputError::new(place.file, "a header line and rows", "an empty file"));
+                return Err(InputError::new(
+                    place.file,
+                    "a header line and rows",
+                    "an empty file",
+                ));
             };
             form.columns = names(&cells);
             let empty = cells.len() - form.columns.len().min(cells.len());
-            unnamed = (0..empty).map(|k| by_place(form.columns.len() + k)).collect();
+            unnamed = (0..empty)
+                .map(|k| by_place(form.columns.len() + k))
+                .collect();
             if !all.is_empty() {
                 form.remarks.push(format!(
                     "the header is in line {line}; passed over before it: {} line(s)",
@@ -184,16 +247,22 @@ impl Form {
         let (comments, all): (Vec<Record>, Vec<Record>) =
             all.into_iter().partition(|(_, cells)| is_comment(cells));
         if !comments.is_empty() {
-            form.remarks.push(format!("comments in line(s) {}", lines(&comments)));
+            form.remarks
+                .push(format!("comments in line(s) {}", lines(&comments)));
         }
         form.units.clone_from(&preamble.units);
         form.take(place, all)?;
         // A column at the end that has cells and no name.
         let width = form.columns.len();
         let holds = |k: &usize| {
-            form.rows.iter().any(|(_, cells)| cells.get(width + k).is_some_and(|c| !c.is_empty()))
+            form.rows
+                .iter()
+                .any(|(_, cells)| cells.get(width + k).is_some_and(|c| !c.is_empty()))
         };
-        let count = (0..unnamed.len()).rev().find(holds).map_or(0, |last| last + 1);
+        let count = (0..unnamed.len())
+            .rev()
+            .find(holds)
+            .map_or(0, |last| last + 1);
         form.columns.extend(unnamed.into_iter().take(count));
         form.accounting();
         form.units.resize(form.columns.len(), String::new());
@@ -208,7 +277,9 @@ impl Form {
         let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
         let mut parts: Vec<Vec<Record>> = vec![Vec::new()];
         let (mut others, mut elsewhere): (Vec<Vec<Record>>, bool) = (Vec::new(), false);
-        let heads: Vec<bool> = (0..all.len()).map(|k| self.heads_another(&all[k..])).collect();
+        let heads: Vec<bool> = (0..all.len())
+            .map(|k| self.heads_another(&all[k..]))
+            .collect();
         let mut end = None;
         for ((line, cells), heads) in all.into_iter().zip(heads) {
             let after_gap = end.replace(line).is_some_and(|end| line > end + 1);
@@ -222,23 +293,36 @@ impl Form {
             if text {
                 self.refuse_other_order(place, (line, &cells))?;
             }
-            let below = || parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
+            let below = || {
+                parts
+                    .last()
+                    .is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)))
+            };
             if heads && below() {
                 // Without a line between them it may be a remark, and what follows may belong to the table.
                 if !after_gap && cells.len() == self.columns.len() {
                     let found = format!("names in place of numbers, {}", quote(&joined(&cells)));
                     let error = InputError::new(place.file, "rows of one table", found).at(line);
-                    return Err(error.hint("another table? split the file; a remark? begin it with #"));
+                    return Err(
+                        error.hint("another table? split the file; a remark? begin it with #")
+                    );
                 }
                 others.push(Vec::new());
                 elsewhere = true;
             }
-            let rows = if elsewhere { others.last_mut() } else { parts.last_mut() };
+            let rows = if elsewhere {
+                others.last_mut()
+            } else {
+                parts.last_mut()
+            };
             if let Some(rows) = rows {
                 rows.push((line, cells));
             }
         }
-        for (other, (line, cells)) in others.iter().filter_map(|other| Some((other, other.first()?))) {
+        for (other, (line, cells)) in others
+            .iter()
+            .filter_map(|other| Some((other, other.first()?)))
+        {
             let (rows, named) = (other.len() - 1, quote(&joined(cells)));
             self.warnings.push(format!(
                 "another table begins in line {line} ({named}): its {rows} line(s) are not read"
@@ -246,33 +330,49 @@ impl Form {
         }
         for (k, mut part) in parts.into_iter().enumerate() {
             // Directly below a header a line without any number is no reading: units, or how the values were made.
-            let first = part.iter().position(|(_, cells)| !is_text(cells)).unwrap_or(0);
+            let first = part
+                .iter()
+                .position(|(_, cells)| !is_text(cells))
+                .unwrap_or(0);
             let below: Vec<Record> = part.drain(..first).collect();
             // Units are in the line that has most of those that are known.
             let known = |(_, cells): &&Record| cells.iter().filter(|cell| is_unit(cell)).count();
             if let Some((_, cells)) = below.iter().rev().max_by_key(known) {
-                self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
+                self.remarks.push(format!(
+                    "no readings below the header: line(s) {}",
+                    lines(&below)
+                ));
                 // Where the columns are stated the first line may be the header that they replace.
                 if k == 0 && !stated && !numbers_columns(cells) {
                     self.units = cells.iter().map(written).collect();
                 }
             }
-            let last = part.iter().rposition(|(_, cells)| !misfits(cells, &numeric));
+            let last = part
+                .iter()
+                .rposition(|(_, cells)| !misfits(cells, &numeric));
             // Where no line fits, the error of the first of them says more.
             foot.extend(part.split_off(last.map_or(part.len(), |last| last + 1)));
-            let (text, rows): (Vec<Record>, Vec<Record>) = part
-                .into_iter()
-                .partition(|(_, cells)| last.is_some() && is_text(cells) && misfits(cells, &numeric));
+            let (text, rows): (Vec<Record>, Vec<Record>) =
+                part.into_iter().partition(|(_, cells)| {
+                    last.is_some() && is_text(cells) && misfits(cells, &numeric)
+                });
             between.extend(text);
             self.rows.extend(rows);
         }
         for (what, records) in [
-            ("the header stands again (the record was interrupted there)", again),
+            (
+                "the header stands again (the record was interrupted there)",
+                again,
+            ),
             ("text between the rows", between),
             ("no readings below the rows", foot),
         ] {
             if !records.is_empty() {
-                let says = format!("{what}: passed over line(s) {}{}", lines(&records), quoted(&records));
+                let says = format!(
+                    "{what}: passed over line(s) {}{}",
+                    lines(&records),
+                    quoted(&records)
+                );
                 self.warnings.push(says);
             }
         }
@@ -285,8 +385,13 @@ impl Form {
 
     /// Whether a line below the rows names the columns of another table: it has a name in each field, and as many fields as the numbers below it.
     fn heads_another(&self, from: &[Record]) -> bool {
-        let Some(((_, head), below)) = from.split_first() else { return false };
-        let names = head.iter().filter(|cell| content(cell) == Content::Text).count();
+        let Some(((_, head), below)) = from.split_first() else {
+            return false;
+        };
+        let names = head
+            .iter()
+            .filter(|cell| content(cell) == Content::Text)
+            .count();
         let mut below = below.iter().take(BELOW);
         names > 1
             && names == head.len()
@@ -297,10 +402,16 @@ impl Form {
 
     /// Says numbers in parentheses, which bookkeepers write for negative ones.
     fn accounting(&mut self) {
-        let mut cells = self.rows.iter().flat_map(|(_, cells)| cells).filter(|cell| is_accounted(cell));
+        let mut cells = self
+            .rows
+            .iter()
+            .flat_map(|(_, cells)| cells)
+            .filter(|cell| is_accounted(cell));
         if let Some(first) = cells.next() {
             let count = 1 + cells.count();
-            self.remarks.push(format!("{first} and the like are negative numbers ({count} cells)"));
+            self.remarks.push(format!(
+                "{first} and the like are negative numbers ({count} cells)"
+            ));
         }
     }
 
@@ -315,23 +426,45 @@ impl Form {
             return Ok(());
         }
         let expected = format!("the columns {}", listed(&self.columns));
-        let error = InputError::new(place.file, expected, format!("the columns {}", listed(&found))).at(line);
+        let error = InputError::new(
+            place.file,
+            expected,
+            format!("the columns {}", listed(&found)),
+        )
+        .at(line);
         Err(error.hint("another table begins there: split the file"))
     }
 
     /// Says the units, and fills in what a LabVIEW measurement file leaves out of its rows: the times, and a comment that is empty.
     fn complete(&mut self, preamble: &Preamble) {
-        let units = self.columns.iter().zip(&self.units).filter(|(_, unit)| !unit.is_empty());
-        let units: Vec<String> = units.map(|(column, unit)| format!("{column} in {unit}")).collect();
+        let units = self
+            .columns
+            .iter()
+            .zip(&self.units)
+            .filter(|(_, unit)| !unit.is_empty());
+        let units: Vec<String> = units
+            .map(|(column, unit)| format!("{column} in {unit}"))
+            .collect();
         if !units.is_empty() {
-            self.remarks.push(format!("units of the table: {}", units.join(", ")));
+            self.remarks
+                .push(format!("units of the table: {}", units.join(", ")));
         }
-        let Some([start, step]) = preamble.times else { return };
+        let Some([start, step]) = preamble.times else {
+            return;
+        };
         let untimed = self.rows.iter().all(|(_, cells)| cells.get(0) == Some(""));
         for (k, (_, cells)) in self.rows.iter_mut().enumerate() {
-            let time = if untimed { (start + step * k as f64).to_string() } else { cells[0].to_owned() };
+            let time = if untimed {
+                (start + step * k as f64).to_string()
+            } else {
+                cells[0].to_owned()
+            };
             let more = self.columns.len().saturating_sub(cells.len());
-            let rest = cells.iter().skip(1).map(str::to_owned).chain(vec![String::new(); more]);
+            let rest = cells
+                .iter()
+                .skip(1)
+                .map(str::to_owned)
+                .chain(vec![String::new(); more]);
             *cells = [time].into_iter().chain(rest).collect();
         }
     }
@@ -340,11 +473,18 @@ impl Form {
 /// Where the header is among the first lines.
 fn header_place(all: &[Record], asked: &[String]) -> usize {
     let mut widths = std::collections::HashMap::new();
-    all.iter().for_each(|(_, cells)| *widths.entry(cells.len()).or_insert(0) += 1);
-    let usual = widths.iter().max_by_key(|(width, count)| (**count, **width)).map(|(width, _)| *width);
+    all.iter()
+        .for_each(|(_, cells)| *widths.entry(cells.len()).or_insert(0) += 1);
+    let usual = widths
+        .iter()
+        .max_by_key(|(width, count)| (**count, **width))
+        .map(|(width, _)| *width);
     let score = |(_, cells): &Record| {
         let names = names(cells);
-        (asked.iter().filter(|name| names.contains(name)).count(), Some(cells.len()) == usual)
+        (
+            asked.iter().filter(|name| names.contains(name)).count(),
+            Some(cells.len()) == usual,
+        )
     };
     // The first of the best.
     let places = (0..all.len().min(LOOK)).rev();
@@ -392,18 +532,29 @@ fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
     let mut held = cells.iter().filter(|cell| !cell.is_empty());
     let first = held.next();
     let begins = first.is_some_and(|cell| {
-        content(cell) == Content::Text && !(begins_like_number(cell) && held.all(begins_like_number))
+        content(cell) == Content::Text
+            && !(begins_like_number(cell) && held.all(begins_like_number))
     });
-    let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
+    let odd = || {
+        cells
+            .iter()
+            .zip(numeric)
+            .any(|(cell, numeric)| *numeric && content(cell) == Content::Text)
+    };
     begins && (cells.len() != numeric.len() || odd() || first.is_some_and(is_statistic))
 }
 
 fn numbers_columns(cells: &StringRecord) -> bool {
-    cells.len() > 1 && cells.iter().enumerate().all(|(k, cell)| cell == format!("({})", k + 1))
+    cells.len() > 1
+        && cells
+            .iter()
+            .enumerate()
+            .all(|(k, cell)| cell == format!("({})", k + 1))
 }
 
 fn begins_like_number(cell: &str) -> bool {
-    cell.trim_start_matches(|c: char| !c.is_alphanumeric()).starts_with(|c: char| c.is_ascii_digit())
+    cell.trim_start_matches(|c: char| !c.is_alphanumeric())
+        .starts_with(|c: char| c.is_ascii_digit())
 }
 
 /// Names of what is computed of a column and written below it.
@@ -435,7 +586,9 @@ fn is_statistic(cell: &str) -> bool {
 }
 
 fn is_comment(cells: &StringRecord) -> bool {
-    cells.get(0).is_some_and(|first| first.starts_with(['#', '%']) && content(first) == Content::Text)
+    cells
+        .get(0)
+        .is_some_and(|first| first.starts_with(['#', '%']) && content(first) == Content::Text)
 }
 
 fn lines(records: &[Record]) -> String {
@@ -444,9 +597,15 @@ fn lines(records: &[Record]) -> String {
 
 /// The first of some lines as they stand there.
 fn quoted(records: &[Record]) -> String {
-    records.first().map_or_else(String::new, |(_, cells)| format!(" ({})", quote(&joined(cells))))
+    records.first().map_or_else(String::new, |(_, cells)| {
+        format!(" ({})", quote(&joined(cells)))
+    })
 }
 
 fn joined(cells: &StringRecord) -> String {
-    cells.iter().filter(|cell| !cell.is_empty()).collect::<Vec<_>>().join(", ")
+    cells
+        .iter()
+        .filter(|cell| !cell.is_empty())
+        .collect::<Vec<_>>()
+        .join(", ")
 }

@@ -11,14 +11,20 @@ use std::path::Path;
 use wcal_core::files::folder_of;
 use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
 use wcal_core::{
-    AxisRow, InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, TransducerRow, WhiskerData,
-    WhiskerRow,
+    AxisRow, InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, TransducerRow,
+    WhiskerData, WhiskerRow,
 };
 
 const PM_PER_NM: f64 = 1000.0;
 /// Columns of the other kinds.
-const SCALAR_COLUMNS: [&str; 6] =
-    ["stimulus", "stimulus_sd", "response", "commanded_mm", "measured_mm", "cycle"];
+const SCALAR_COLUMNS: [&str; 6] = [
+    "stimulus",
+    "stimulus_sd",
+    "response",
+    "commanded_mm",
+    "measured_mm",
+    "cycle",
+];
 
 /// Adds the rows at `path` (a session folder, or a CSV table with this session's columns) to the session's holdout.
 ///
@@ -69,7 +75,12 @@ fn place_after((data, sealed): (&WhiskerData, &Sealed<WhiskerRow>), added: &mut 
     let (all, own) = (of(data, sealed), of(&added.data, &added.sealed));
     let end_s = all.iter().filter_map(|r| r.0).fold(0.0, f64::max);
     let seating = 1 + all.iter().map(|r| r.1).max().unwrap_or(0);
-    let shift_s = end_s + PAUSE_S - own.iter().filter_map(|r| r.0).fold(f64::INFINITY, f64::min).min(0.0);
+    let shift_s = end_s + PAUSE_S
+        - own
+            .iter()
+            .filter_map(|r| r.0)
+            .fold(f64::INFINITY, f64::min)
+            .min(0.0);
     added.every_row(&(seating, shift_s), |row, (seating, shift_s)| {
         row.seating = *seating;
         row.t_s = row.t_s.map(|t| t + shift_s);
@@ -99,12 +110,21 @@ fn place_series<R: Labelled>(
     let labels = own.0.iter().map(Labelled::label).chain(own.1.labels());
     let highest = labels.filter_map(|label| label.series).max().unwrap_or(1);
     let range = |rows: &[R], sealed: &Sealed<R>| {
-        let times = rows.iter().map(Labelled::label).chain(sealed.labels()).filter_map(|l| l.t_s);
-        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)])
+        let times = rows
+            .iter()
+            .map(Labelled::label)
+            .chain(sealed.labels())
+            .filter_map(|l| l.t_s);
+        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| {
+            [a.min(t), b.max(t)]
+        })
     };
     let ([begin_s, end_s], [theirs_s, _]) = (range(own.0, own.1), range(added.0, added.1));
-    let shift_s =
-        if end_s > begin_s && theirs_s.is_finite() { 2.0 * end_s - begin_s - theirs_s } else { 0.0 };
+    let shift_s = if end_s > begin_s && theirs_s.is_finite() {
+        2.0 * end_s - begin_s - theirs_s
+    } else {
+        0.0
+    };
     let with = (of, shift_s, highest);
     added.0.iter_mut().for_each(|row| later(row, &with));
     added.1.relabel(&with, later);
@@ -125,7 +145,11 @@ impl Added {
 
     /// Who the rows are.
     fn labels(&self) -> impl Iterator<Item = wcal_core::RowLabel> {
-        self.data.rows.iter().map(Labelled::label).chain(self.sealed.labels())
+        self.data
+            .rows
+            .iter()
+            .map(Labelled::label)
+            .chain(self.sealed.labels())
     }
 }
 
@@ -134,8 +158,13 @@ fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionErr
     let (known, added) = session.inputs.split_at(before);
     let mut fitted = known.iter().filter(|input| input.purpose == Purpose::Fit);
     let readings = |input: &&InputFile| input.purpose != Purpose::Description;
-    let same =
-        fitted.find_map(|f| added.iter().filter(readings).find(|a| a.sha256 == f.sha256).map(|a| (f, a)));
+    let same = fitted.find_map(|f| {
+        added
+            .iter()
+            .filter(readings)
+            .find(|a| a.sha256 == f.sha256)
+            .map(|a| (f, a))
+    });
     match same {
         Some((fitted, input)) => {
             let found = format!("the content of {}, which is fitted", fitted.path);
@@ -146,23 +175,43 @@ fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionErr
 }
 
 fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionError> {
-    let file =
-        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
+    let file = path.file_name().map_or_else(
+        || path.display().to_string(),
+        |n| n.to_string_lossy().into_owned(),
+    );
+    let name = if session.inputs.iter().any(|i| i.path == file) {
+        path.display().to_string()
+    } else {
+        file
+    };
     let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
-    let mut known: Vec<String> =
-        SCALAR_COLUMNS.iter().chain(&WHISKER_COLUMNS).map(|c| (*c).to_owned()).collect();
+    let mut known: Vec<String> = SCALAR_COLUMNS
+        .iter()
+        .chain(&WHISKER_COLUMNS)
+        .map(|c| (*c).to_owned())
+        .collect();
     let mut units = Vec::new();
     if let SessionData::Transducer(data) = &session.data {
         known.extend(data.covariates.iter().cloned());
-        units.extend([("stimulus", data.stimulus_unit.as_str()), ("response", &data.response_unit)]);
+        units.extend([
+            ("stimulus", data.stimulus_unit.as_str()),
+            ("response", &data.response_unit),
+        ]);
     }
     let table = match as_imported(path, &name, &session.imported, &known, &units)? {
         Some(table) => {
-            let columns = session.imported.iter().map(|(own, text)| format!("{own} from {text}"));
+            let columns = session
+                .imported
+                .iter()
+                .map(|(own, text)| format!("{own} from {text}"));
             let columns = columns.collect::<Vec<_>>().join(", ");
-            let read = format!("read as a table of the form that was imported, all rows held out: {columns}");
-            let said = [read].into_iter().chain(table.remarks.clone()).chain(table.warnings.clone());
+            let read = format!(
+                "read as a table of the form that was imported, all rows held out: {columns}"
+            );
+            let said = [read]
+                .into_iter()
+                .chain(table.remarks.clone())
+                .chain(table.warnings.clone());
             warnings.extend(said.map(|text| SessionWarning::other(&name, text)));
             table
         }
@@ -170,15 +219,29 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     };
     let input = match (&mut session.data, &mut session.sealed) {
         (
-            SessionData::Whisker(WhiskerData { whisker, fbg, trajectories, .. }),
+            SessionData::Whisker(WhiskerData {
+                whisker,
+                fbg,
+                trajectories,
+                ..
+            }),
             SealedRows::Whisker(holdout),
         ) => {
             let table = whisker::read_rows(&table, fbg, trajectories, ColumnRequirement::Session)?;
             whisker_checks::check_stage(&table.rows, trajectories, warnings)?;
-            whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&whisker.rest_shape))?;
+            whisker_checks::check_reach(
+                &table.rows,
+                whisker_checks::length_mm(&whisker.rest_shape),
+            )?;
             warnings.extend(table.warnings);
-            holdout.extend(table.rows.into_iter().map(|r| WhiskerRow { sealed: r.role != Role::Rest, ..r }));
-            InputFile { purpose, ..table.input }
+            holdout.extend(table.rows.into_iter().map(|r| WhiskerRow {
+                sealed: r.role != Role::Rest,
+                ..r
+            }));
+            InputFile {
+                purpose,
+                ..table.input
+            }
         }
         (SessionData::Transducer(data), SealedRows::Transducer(holdout)) => {
             let table = transducer::read_rows(&table, purpose, warnings)?;
@@ -199,17 +262,24 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
 
 /// Pairs of another session count where the same cameras made them: then both share the same errors.
 fn merge_shapes(data: &mut WhiskerData, added: &mut Added, folder: &str) {
-    let Some(theirs) = added.data.shapes.take() else { return };
-    let alike =
-        |own: &SessionShapes| own.parameters == theirs.parameters && own.covariance == theirs.covariance;
+    let Some(theirs) = added.data.shapes.take() else {
+        return;
+    };
+    let alike = |own: &SessionShapes| {
+        own.parameters == theirs.parameters && own.covariance == theirs.covariance
+    };
     if data.shapes.as_ref().is_some_and(alike) {
         return;
     }
     let dropped = added.labels().filter(|row| row.pictured).count();
     added.every_row(&(), |row, ()| row.pair = None);
     if let Some(own) = data.shapes.as_mut().filter(|_| dropped > 0) {
-        let why = format!("{dropped} pairs of that session were made with other cameras than this one's");
-        own.left_out.push(PairLeftOut { name: folder.to_owned(), why });
+        let why =
+            format!("{dropped} pairs of that session were made with other cameras than this one's");
+        own.left_out.push(PairLeftOut {
+            name: folder.to_owned(),
+            why,
+        });
     }
 }
 
@@ -218,12 +288,24 @@ fn attach_session(
     other: LoadedSession,
     purpose: Purpose,
 ) -> Result<(), SessionError> {
-    let folder = other.folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let folder = other
+        .folder
+        .file_name()
+        .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let renamed = |name: &str| format!("{folder}/{name}");
     let differs = |what: &str| {
-        InputError::new(&renamed("session.toml"), format!("the {what} of the session"), "another one")
+        InputError::new(
+            &renamed("session.toml"),
+            format!("the {what} of the session"),
+            "another one",
+        )
     };
-    match (&mut session.data, &mut session.sealed, other.data, other.sealed) {
+    match (
+        &mut session.data,
+        &mut session.sealed,
+        other.data,
+        other.sealed,
+    ) {
         (
             SessionData::Whisker(data),
             SealedRows::Whisker(own),
@@ -238,8 +320,16 @@ fn attach_session(
             if data.moments != theirs.moments {
                 return Err(differs("moment axes and sign").field("moments").into());
             }
-            let mut added = Added { data: theirs, sealed };
-            merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
+            let mut added = Added {
+                data: theirs,
+                sealed,
+            };
+            merge_trajectories(
+                data,
+                &mut added,
+                &renamed("session.toml"),
+                &mut session.warnings,
+            )?;
             merge_nominals(data, &mut added);
             merge_shapes(data, &mut added, &folder);
             if purpose == Purpose::Fit {
@@ -254,7 +344,9 @@ fn attach_session(
                 added.every_row(&(), |r, ()| r.sealed = true);
             }
             let theirs = (added.data.rows, added.sealed);
-            take_over((&mut data.rows, own), theirs, purpose, &folder, |row| &mut row.source);
+            take_over((&mut data.rows, own), theirs, purpose, &folder, |row| {
+                &mut row.source
+            });
         }
         (
             SessionData::Transducer(data),
@@ -262,15 +354,27 @@ fn attach_session(
             SessionData::Transducer(mut added),
             SealedRows::Transducer(mut sealed),
         ) => {
-            if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
+            if (&data.stimulus_unit, &data.response_unit)
+                != (&added.stimulus_unit, &added.response_unit)
+            {
                 return Err(differs("units").field("transducer").into());
             }
-            check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
+            check_covariates(
+                &renamed(&other.points_file),
+                &data.covariates,
+                &added.covariates,
+            )?;
             if purpose == Purpose::Fit {
                 let of: Series<TransducerRow> = |row| (&mut row.t_s, &mut row.replicate);
                 place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
             }
-            take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source);
+            take_over(
+                (&mut data.rows, own),
+                (added.rows, sealed),
+                purpose,
+                &folder,
+                |row| &mut row.source,
+            );
         }
         (
             SessionData::Axis(data),
@@ -282,27 +386,44 @@ fn attach_session(
                 let of: Series<AxisRow> = |row| (&mut row.t_s, &mut row.cycle);
                 place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
             }
-            take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source);
+            take_over(
+                (&mut data.rows, own),
+                (added.rows, sealed),
+                purpose,
+                &folder,
+                |row| &mut row.source,
+            );
         }
         _ => return Err(other_kind(&renamed("session.toml")).into()),
     }
     // What is partly simulated is not measured.
     if session.simulated != other.simulated {
-        let which = if other.simulated { &other.id } else { &session.id };
+        let which = if other.simulated {
+            &other.id
+        } else {
+            &session.id
+        };
         let text = format!("measured and SIMULATED sessions are joined: {which:?} is simulated");
-        session.warnings.push(SessionWarning::other("session.toml", text));
+        session
+            .warnings
+            .push(SessionWarning::other("session.toml", text));
         session.simulated = true;
     }
     session
         .warnings
-        .extend(other.warnings.into_iter().map(|w| SessionWarning { file: renamed(&w.file), ..w }));
-    session.inputs.extend(other.inputs.into_iter().map(|mut input| {
-        input.path = renamed(&input.path);
-        if purpose == Purpose::Holdout && input.purpose == Purpose::Fit {
-            input.purpose = Purpose::Holdout;
-        }
-        input
-    }));
+        .extend(other.warnings.into_iter().map(|w| SessionWarning {
+            file: renamed(&w.file),
+            ..w
+        }));
+    session
+        .inputs
+        .extend(other.inputs.into_iter().map(|mut input| {
+            input.path = renamed(&input.path);
+            if purpose == Purpose::Holdout && input.purpose == Purpose::Fit {
+                input.purpose = Purpose::Holdout;
+            }
+            input
+        }));
     Ok(())
 }
 
@@ -352,7 +473,11 @@ fn merge_trajectories(
             Some(_) => {
                 let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
                 // Ids of rows that are still to be renamed must not be hit either.
-                let floor = added.labels().filter_map(|l| l.trajectory).max().unwrap_or(0);
+                let floor = added
+                    .labels()
+                    .filter_map(|l| l.trajectory)
+                    .max()
+                    .unwrap_or(0);
                 let new = highest.max(floor).checked_add(1);
                 let new = new.ok_or_else(|| {
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")

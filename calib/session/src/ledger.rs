@@ -19,8 +19,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use wcal_core::files::{folder_of, read_text, write_atomic};
 use wcal_core::{
-    AxisRow, FbgSpec, Ledger, Opening, Provenance, SealedRows, SessionData, TransducerRow, WhiskerRow,
-    document, fingerprint,
+    AxisRow, FbgSpec, Ledger, Opening, Provenance, SealedRows, SessionData, TransducerRow,
+    WhiskerRow, document, fingerprint,
 };
 
 /// Name of the file, beside the session or in the output folder.
@@ -66,8 +66,22 @@ struct OlderLook {
 }
 
 impl From<OlderLook> for RecordedLook {
-    fn from(OlderLook { look, when, program, decision }: OlderLook) -> Self {
-        Self { look, when, program, rows: BTreeSet::new(), files: BTreeSet::new(), decision }
+    fn from(
+        OlderLook {
+            look,
+            when,
+            program,
+            decision,
+        }: OlderLook,
+    ) -> Self {
+        Self {
+            look,
+            when,
+            program,
+            rows: BTreeSet::new(),
+            files: BTreeSet::new(),
+            decision,
+        }
     }
 }
 
@@ -100,13 +114,18 @@ pub enum LedgerError {
         detail: String,
     },
     /// None of the places can be written to.
-    #[error("recording that the holdout is opened: expected a folder that can be written to, found {0}")]
+    #[error(
+        "recording that the holdout is opened: expected a folder that can be written to, found {0}"
+    )]
     Unwritable(String),
 }
 
 /// Looks recorded at a place; none where nothing is there.
 fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
-    let wrong = |detail: String| LedgerError::Unreadable { place: path.display().to_string(), detail };
+    let wrong = |detail: String| LedgerError::Unreadable {
+        place: path.display().to_string(),
+        detail,
+    };
     let text = match read_text(path) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         other => other.map_err(|e| wrong(e.to_string()))?,
@@ -114,14 +133,20 @@ fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
     if let Ok(older) = document::from_json::<OlderLedger>(&text, OF_FILES, &[]) {
         return Ok(older.looks.into_iter().map(RecordedLook::from).collect());
     }
-    let file: LedgerFile = document::from_json(&text, FORMAT, &[]).map_err(|e| wrong(e.to_string()))?;
+    let file: LedgerFile =
+        document::from_json(&text, FORMAT, &[]).map_err(|e| wrong(e.to_string()))?;
     Ok(file.looks)
 }
 
 /// What was set and read at a whisker's row: its wavelengths, nm, which tell it from any other.
 fn of_whisker(row: &WhiskerRow, fbg: &FbgSpec) -> (String, Vec<f64>) {
     let nominal_nm = fbg.nominal_nm.unwrap_or_default();
-    (row.source.clone(), [0, 1].map(|g| nominal_nm[g] + row.shift_pm[g] / PM_PER_NM).to_vec())
+    (
+        row.source.clone(),
+        [0, 1]
+            .map(|g| nominal_nm[g] + row.shift_pm[g] / PM_PER_NM)
+            .to_vec(),
+    )
 }
 
 fn of_transducer(row: &TransducerRow, (): &()) -> (String, Vec<f64>) {
@@ -135,7 +160,9 @@ fn of_axis(row: &AxisRow, (): &()) -> (String, Vec<f64>) {
 /// A session's sealed rows by their hashes, each with its file.
 fn sealed_rows(session: &LoadedSession) -> BTreeMap<String, String> {
     match (&session.sealed, &session.data) {
-        (SealedRows::Whisker(rows), SessionData::Whisker(data)) => rows.fingerprints(&data.fbg, of_whisker),
+        (SealedRows::Whisker(rows), SessionData::Whisker(data)) => {
+            rows.fingerprints(&data.fbg, of_whisker)
+        }
         (SealedRows::Transducer(rows), _) => rows.fingerprints(&(), of_transducer),
         (SealedRows::Axis(rows), _) => rows.fingerprints(&(), of_axis),
         (SealedRows::Whisker(_), _) => BTreeMap::new(),
@@ -147,7 +174,10 @@ fn rows_of(table: &Path, session: &LoadedSession) -> Result<BTreeSet<String>, Se
     let columns = match &session.data {
         SessionData::Whisker(data) => {
             let rows = load_table(table, &data.fbg)?.rows;
-            return Ok(rows.iter().map(|row| fingerprint(&of_whisker(row, &data.fbg).1)).collect());
+            return Ok(rows
+                .iter()
+                .map(|row| fingerprint(&of_whisker(row, &data.fbg).1))
+                .collect());
         }
         SessionData::Transducer(_) => ["stimulus", "response"],
         SessionData::Axis(_) => ["commanded_mm", "measured_mm"],
@@ -159,7 +189,10 @@ fn rows_of(table: &Path, session: &LoadedSession) -> Result<BTreeSet<String>, Se
     };
     let number = |row, column| table.number(row, table.place(column)?).ok().flatten();
     let numbers = |row| Some([number(row, columns[0])?, number(row, columns[1])?]);
-    Ok((0..table.rows.len()).filter_map(numbers).map(|numbers| fingerprint(&numbers)).collect())
+    Ok((0..table.rows.len())
+        .filter_map(numbers)
+        .map(|numbers| fingerprint(&numbers))
+        .collect())
 }
 
 /// Where it is recorded that a session's held-out rows were opened: beside the session and beside every session whose files are held out for it, so
@@ -178,13 +211,33 @@ impl SessionLedger {
     pub fn new(session: &LoadedSession, out: &Path, provenance: &Provenance) -> Self {
         let mut places = vec![session.folder.join(NAME)];
         // A holdout of another session belongs to that one, too.
-        places.extend(session.holdout_folders.iter().map(|folder| folder.join(NAME)));
+        places.extend(
+            session
+                .holdout_folders
+                .iter()
+                .map(|folder| folder.join(NAME)),
+        );
         Self::of(places, out, sealed_rows(session), provenance)
     }
 
-    fn of(places: Vec<PathBuf>, out: &Path, rows: BTreeMap<String, String>, provenance: &Provenance) -> Self {
-        let Provenance { program, created: when, .. } = provenance.clone();
-        Self { places, out: out.join(NAME), rows, program, when }
+    fn of(
+        places: Vec<PathBuf>,
+        out: &Path,
+        rows: BTreeMap<String, String>,
+        provenance: &Provenance,
+    ) -> Self {
+        let Provenance {
+            program,
+            created: when,
+            ..
+        } = provenance.clone();
+        Self {
+            places,
+            out: out.join(NAME),
+            rows,
+            program,
+            when,
+        }
     }
 
     /// Records that `table` was read without a decision, as far as the session in whose folder it lies seals its rows; true where it does. `out`: where
@@ -192,11 +245,17 @@ impl SessionLedger {
     ///
     /// # Errors
     /// As [`SessionLedger::record`].
-    pub fn of_table(table: &Path, out: &Path, provenance: &Provenance) -> Result<bool, LedgerError> {
+    pub fn of_table(
+        table: &Path,
+        out: &Path,
+        provenance: &Provenance,
+    ) -> Result<bool, LedgerError> {
         let folder = folder_of(table);
         // A folder that is no session seals nothing.
         let is_session = folder.join("session.toml").is_file();
-        let Some(session) = is_session.then(|| load(folder).ok()).flatten() else { return Ok(false) };
+        let Some(session) = is_session.then(|| load(folder).ok()).flatten() else {
+            return Ok(false);
+        };
         // What cannot be read was not shown.
         let read = rows_of(table, &session).unwrap_or_default();
         let mut rows = sealed_rows(&session);
@@ -204,7 +263,13 @@ impl SessionLedger {
         if rows.is_empty() {
             return Ok(false);
         }
-        Self::of(vec![session.folder.join(NAME)], folder_of(out), rows, provenance).record(None)?;
+        Self::of(
+            vec![session.folder.join(NAME)],
+            folder_of(out),
+            rows,
+            provenance,
+        )
+        .record(None)?;
         Ok(true)
     }
 
@@ -212,7 +277,8 @@ impl SessionLedger {
     pub fn ledger(&self) -> Ledger {
         let own = self.clone();
         Ledger::new(move |opening: &Opening<'_>| {
-            own.record(Some(opening.decision_sha256)).map_err(|e| e.to_string())
+            own.record(Some(opening.decision_sha256))
+                .map_err(|e| e.to_string())
         })
     }
 
@@ -224,7 +290,8 @@ impl SessionLedger {
     pub fn record(&self, decision: Option<&str>) -> Result<usize, LedgerError> {
         let own: BTreeSet<String> = self.rows.keys().cloned().collect();
         let all: Vec<&PathBuf> = self.places.iter().chain([&self.out]).collect();
-        let known: Vec<Vec<RecordedLook>> = all.iter().map(|p| read(p)).collect::<Result<_, _>>()?;
+        let known: Vec<Vec<RecordedLook>> =
+            all.iter().map(|p| read(p)).collect::<Result<_, _>>()?;
         let looks = || known.iter().flatten().filter(|l| l.met(&own));
         let same = |l: &&RecordedLook| l.decision.as_deref() == decision && l.rows == own;
         // Reading without a decision is a look each time: what was seen then is not known.
@@ -242,11 +309,18 @@ impl SessionLedger {
         };
         let write = |path: &Path, known: &[RecordedLook]| -> Result<(), String> {
             let looks = known.iter().cloned().chain([entry.clone()]).collect();
-            let file = LedgerFile { format: FORMAT.to_owned(), looks };
+            let file = LedgerFile {
+                format: FORMAT.to_owned(),
+                looks,
+            };
             let text = serde_json::to_vec_pretty(&file).map_err(|e| e.to_string())?;
             write_atomic(path, &text).map_err(|e| e.to_string())
         };
-        let beside = self.places.iter().zip(&known).map(|(path, known)| write(path, known));
+        let beside = self
+            .places
+            .iter()
+            .zip(&known)
+            .map(|(path, known)| write(path, known));
         let beside: Vec<Result<(), String>> = beside.collect();
         if beside.iter().all(Result::is_err) {
             let own = known.last().map_or(&[][..], Vec::as_slice);
@@ -265,7 +339,10 @@ mod tests {
     /// Of rows that a letter each stands for.
     fn ledger(places: &[&Path], out: &Path, rows: &str) -> SessionLedger {
         let places = places.iter().map(|p| p.join(NAME)).collect();
-        let rows = rows.chars().map(|row| (row.to_string(), "h.csv".to_owned())).collect();
+        let rows = rows
+            .chars()
+            .map(|row| (row.to_string(), "h.csv".to_owned()))
+            .collect();
         SessionLedger::of(places, out, rows, &Provenance::default())
     }
 
@@ -276,10 +353,19 @@ mod tests {
         assert_eq!(own.record(Some("first")).unwrap(), 1);
         assert_eq!(own.record(Some("second")).unwrap(), 2);
         assert_eq!(own.record(Some("first")).unwrap(), 1, "a reproduction");
-        assert_eq!(own.record(None).unwrap(), 3, "rows that were read without a decision");
+        assert_eq!(
+            own.record(None).unwrap(),
+            3,
+            "rows that were read without a decision"
+        );
         assert_eq!(own.record(Some("third")).unwrap(), 4);
         // Another file has met nothing.
-        assert_eq!(ledger(&[session.path()], out.path(), "b").record(Some("second")).unwrap(), 1);
+        assert_eq!(
+            ledger(&[session.path()], out.path(), "b")
+                .record(Some("second"))
+                .unwrap(),
+            1
+        );
         assert_eq!(read(&session.path().join(NAME)).unwrap().len(), 5);
         assert!(!out.path().join(NAME).exists());
     }
@@ -287,12 +373,22 @@ mod tests {
     #[test]
     fn rows_that_most_are_known_of_are_no_new_holdout() {
         let [session, out] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-        let look =
-            |rows: &str, decision| ledger(&[session.path()], out.path(), rows).record(decision).unwrap();
+        let look = |rows: &str, decision| {
+            ledger(&[session.path()], out.path(), rows)
+                .record(decision)
+                .unwrap()
+        };
         assert_eq!(look("abcd", Some("first")), 1);
         assert_eq!(look("dcba", Some("first")), 1, "in another order");
-        assert_eq!(look("anopqrst", Some("second")), 1, "negative control: new rows, of which one agrees");
-        for (number, more) in ["abc", "ab", "abcdefgh", "abxy", "a"].into_iter().enumerate() {
+        assert_eq!(
+            look("anopqrst", Some("second")),
+            1,
+            "negative control: new rows, of which one agrees"
+        );
+        for (number, more) in ["abc", "ab", "abcdefgh", "abxy", "a"]
+            .into_iter()
+            .enumerate()
+        {
             assert_eq!(look(more, Some("first")), number + 2, "{more}");
         }
     }
@@ -302,15 +398,26 @@ mod tests {
         let [session, out] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
         let older = r#"{"format":"wcal-unsealed/2","looks":[{"look":1,"when":"","program":"","files":[{"sha256":"a","path":"h.csv"}],"decision":"first"}]}"#;
         std::fs::write(session.path().join(NAME), older).unwrap();
-        let look = |rows: &str| ledger(&[session.path()], out.path(), rows).record(Some("second")).unwrap();
+        let look = |rows: &str| {
+            ledger(&[session.path()], out.path(), rows)
+                .record(Some("second"))
+                .unwrap()
+        };
         assert_eq!([look("ab"), look("ab"), look("xy")], [2, 2, 2]);
     }
 
     #[test]
     fn a_look_is_known_beside_the_session_whose_file_it_was() {
         let [one, other, out] = [(); 3].map(|()| tempfile::tempdir().unwrap());
-        ledger(&[one.path(), other.path()], out.path(), "a").record(Some("x")).unwrap();
-        assert_eq!(ledger(&[other.path()], out.path(), "a").record(Some("y")).unwrap(), 2);
+        ledger(&[one.path(), other.path()], out.path(), "a")
+            .record(Some("x"))
+            .unwrap();
+        assert_eq!(
+            ledger(&[other.path()], out.path(), "a")
+                .record(Some("y"))
+                .unwrap(),
+            2
+        );
     }
 
     #[test]
@@ -319,8 +426,14 @@ mod tests {
         let nowhere = out.path().join("not there");
         let own = ledger(&[&nowhere], out.path(), "a");
         assert_eq!(own.record(Some("x")).unwrap(), 1);
-        assert_eq!(own.record(Some("y")).unwrap(), 2, "the output's record is asked, too");
-        let error = ledger(&[&nowhere], &nowhere, "a").record(Some("x")).unwrap_err();
+        assert_eq!(
+            own.record(Some("y")).unwrap(),
+            2,
+            "the output's record is asked, too"
+        );
+        let error = ledger(&[&nowhere], &nowhere, "a")
+            .record(Some("x"))
+            .unwrap_err();
         assert!(matches!(error, LedgerError::Unwritable(_)), "{error}");
         // A record that means nothing may say that it was opened.
         let said = |text: &str| {

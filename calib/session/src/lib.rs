@@ -38,7 +38,9 @@ pub use findings::{Finding, Severity, examine};
 pub use foreign::{AskedColumn, Stamps, asked_name};
 pub use holdout::{add_session, attach_holdout};
 pub use ledger::{LedgerError, LedgerFile, SessionLedger};
-pub use quantity::{Relation, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name};
+pub use quantity::{
+    Relation, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
+};
 pub use separated::Separator;
 pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::{SIMULATED_COLUMN, TextTable, TextTableLayout, read_text_table};

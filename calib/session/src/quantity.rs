@@ -3,7 +3,9 @@
 use crate::cell::name_of;
 
 /// Symbols that take SI prefixes.
-const SYMBOLS: [&str; 13] = ["V/V", "N", "Pa", "V", "A", "m", "s", "g", "Hz", "W", "Nm", "Ohm", "K"];
+const SYMBOLS: [&str; 13] = [
+    "V/V", "N", "Pa", "V", "A", "m", "s", "g", "Hz", "W", "Nm", "Ohm", "K",
+];
 const PREFIXES: [(&str, &str, f64); 8] = [
     ("n", "nano", 1e-9),
     ("u", "micro", 1e-6),
@@ -74,26 +76,47 @@ const UNCLEAR: [&str; 4] = ["in", "m", "t", "at"];
 
 /// Base and factor of a unit; none where it is not known.
 fn parsed(unit: &str) -> Option<(&'static str, f64)> {
-    let unit: String =
-        unit.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg").replace('\u{3a9}', "Ohm");
-    let unit: String =
-        unit.chars().filter(|c| !c.is_whitespace() && !"\u{b7}*.[](){}".contains(*c)).collect();
+    let unit: String = unit
+        .replace(['\u{b5}', '\u{3bc}'], "u")
+        .replace('\u{b0}', "deg")
+        .replace('\u{3a9}', "Ohm");
+    let unit: String = unit
+        .chars()
+        .filter(|c| !c.is_whitespace() && !"\u{b7}*.[](){}".contains(*c))
+        .collect();
     let symbol = |text: &str| SYMBOLS.into_iter().find(|s| *s == text);
     if let Some(base) = symbol(&unit) {
         return Some((base, 1.0));
     }
-    let short = PREFIXES.iter().find_map(|(p, _, f)| Some((symbol(unit.strip_prefix(p)?)?, *f)));
+    let short = PREFIXES
+        .iter()
+        .find_map(|(p, _, f)| Some((symbol(unit.strip_prefix(p)?)?, *f)));
     let unit = unit.to_lowercase();
     let word = |text: &str| {
-        let is = |(w, ..): &&(&str, _, _)| *w == text || w.len() > 1 && text.strip_suffix('s') == Some(*w);
-        WORDS.iter().find(is).map(|(_, base, factor)| (*base, *factor))
+        let is = |(w, ..): &&(&str, _, _)| {
+            *w == text || w.len() > 1 && text.strip_suffix('s') == Some(*w)
+        };
+        WORDS
+            .iter()
+            .find(is)
+            .map(|(_, base, factor)| (*base, *factor))
     };
-    let long =
-        || PREFIXES.iter().find_map(|(_, p, f)| word(unit.strip_prefix(p)?).map(|(b, own)| (b, own * f)));
+    let long = || {
+        PREFIXES
+            .iter()
+            .find_map(|(_, p, f)| word(unit.strip_prefix(p)?).map(|(b, own)| (b, own * f)))
+    };
     // Times are written in capitals, too.
-    let time =
-        || PREFIXES[..3].iter().find_map(|(p, _, f)| (unit.strip_prefix(p)? == "s").then_some(("s", *f)));
-    short.or_else(|| word(&unit)).or_else(long).or_else(time).or((unit == "s").then_some(("s", 1.0)))
+    let time = || {
+        PREFIXES[..3]
+            .iter()
+            .find_map(|(p, _, f)| (unit.strip_prefix(p)? == "s").then_some(("s", *f)))
+    };
+    short
+        .or_else(|| word(&unit))
+        .or_else(long)
+        .or_else(time)
+        .or((unit == "s").then_some(("s", 1.0)))
 }
 
 /// Whether a text is a unit that is known.
@@ -125,16 +148,24 @@ pub fn relation(from: &str, to: &str) -> Relation {
 /// What stands in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
 pub fn bracketed(name: &str) -> Option<&str> {
     let name = name.trim();
-    [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')].into_iter().find_map(|(open, close)| {
-        let (_, unit) = name.strip_suffix(close)?.rsplit_once(open)?;
-        Some(unit.trim()).filter(|unit| !unit.is_empty())
-    })
+    [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')]
+        .into_iter()
+        .find_map(|(open, close)| {
+            let (_, unit) = name.strip_suffix(close)?.rsplit_once(open)?;
+            Some(unit.trim()).filter(|unit| !unit.is_empty())
+        })
 }
 
 /// The unit that a column's name states: `Force (N)`, `t [ms]`, and as DIN 1313 has it `F / kN` and `F in kN`, where the unit is known.
 pub fn stated_unit(name: &str) -> Option<&str> {
-    let standard = || [" / ", " in "].into_iter().find_map(|mark| Some(name.rsplit_once(mark)?.1.trim()));
-    bracketed(name).or_else(standard).filter(|unit| parsed(unit).is_some())
+    let standard = || {
+        [" / ", " in "]
+            .into_iter()
+            .find_map(|mark| Some(name.rsplit_once(mark)?.1.trim()))
+    };
+    bracketed(name)
+        .or_else(standard)
+        .filter(|unit| parsed(unit).is_some())
 }
 
 /// Units that a column's name may end with: `load_kN`, `t_ms`, `elapsed min`, `timeMs`. None where it has brackets, and none that more often is
@@ -143,8 +174,9 @@ pub fn possible_units(name: &str) -> impl Iterator<Item = &str> {
     const MARKS: &[char] = &['_', ' ', '-', '.', ',', ':', '\u{a0}'];
     let last = name.rsplit(MARKS).next().unwrap_or_default();
     let part = last.rsplit('/').next().unwrap_or_default();
-    let camel =
-        part.rfind(char::is_uppercase).filter(|at| *at > 0 && part[..*at].ends_with(char::is_lowercase));
+    let camel = part
+        .rfind(char::is_uppercase)
+        .filter(|at| *at > 0 && part[..*at].ends_with(char::is_lowercase));
     // A word that is a unit is one as a whole: kN is no k in newtons.
     let words = match parsed(last) {
         Some(_) => [Some(last), None],
@@ -168,7 +200,11 @@ pub fn unit_in_name<'a>(name: &'a str, to: &str) -> Option<&'a str> {
 
 /// A unit as it is repeated in messages and documents.
 pub(crate) fn written(unit: &str) -> String {
-    name_of(bracketed(unit).filter(|inner| inner.len() + 2 == unit.trim().len()).unwrap_or(unit))
+    name_of(
+        bracketed(unit)
+            .filter(|inner| inner.len() + 2 == unit.trim().len())
+            .unwrap_or(unit),
+    )
 }
 
 #[cfg(test)]
@@ -191,7 +227,9 @@ mod tests {
             ("um", "mm", 1e-3),
             ("N\u{b7}m", "N m", 1.0),
         ] {
-            let Relation::Times(found) = relation(from, to) else { panic!("{from} {to}") };
+            let Relation::Times(found) = relation(from, to) else {
+                panic!("{from} {to}")
+            };
             assert!((found / factor - 1.0).abs() < 1e-9, "{from} {to}: {found}");
         }
         assert_eq!(relation("V", "N"), Relation::Other);
@@ -200,20 +238,43 @@ mod tests {
 
     #[test]
     fn every_form_of_a_name_states_the_same_unit() {
-        for name in ["F / kN", "F in kN", "F [kN]", "F (kN)", "Kraft / kN", "F {kN}", "F / (kN)"] {
+        for name in [
+            "F / kN",
+            "F in kN",
+            "F [kN]",
+            "F (kN)",
+            "Kraft / kN",
+            "F {kN}",
+            "F / (kN)",
+        ] {
             assert_eq!(stated_unit(name), Some("kN"), "{name}");
             assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
             assert_eq!(unit_in_name(name, "V"), None, "{name}");
         }
         for name in ["F_kN", "F kN", "F-kN", "F/kN"] {
-            assert_eq!((stated_unit(name), possible_units(name).next()), (None, Some("kN")), "{name}");
+            assert_eq!(
+                (stated_unit(name), possible_units(name).next()),
+                (None, Some("kN")),
+                "{name}"
+            );
             assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
         }
         for (name, unit) in [("Signal_mV/V", "mV/V"), ("kN", "kN"), ("timeMs", "Ms")] {
             assert_eq!(possible_units(name).collect::<Vec<_>>(), [unit], "{name}");
         }
-        for name in ["position in frame", "in / out", "Time (local)", "sensor_in", "x_m", "load"] {
-            assert_eq!((stated_unit(name), possible_units(name).next()), (None, None), "{name}");
+        for name in [
+            "position in frame",
+            "in / out",
+            "Time (local)",
+            "sensor_in",
+            "x_m",
+            "load",
+        ] {
+            assert_eq!(
+                (stated_unit(name), possible_units(name).next()),
+                (None, None),
+                "{name}"
+            );
         }
     }
 
@@ -232,9 +293,20 @@ mod tests {
         ] {
             assert_eq!(unit_in_name(name, "s"), Some(unit), "{name}");
         }
-        for name in ["time", "t", "timestamp", "Time (local)", "load_N", "items", "Zeit"] {
+        for name in [
+            "time",
+            "t",
+            "timestamp",
+            "Time (local)",
+            "load_N",
+            "items",
+            "Zeit",
+        ] {
             assert_eq!(unit_in_name(name, "s"), None, "{name}");
         }
-        assert_eq!((unit_in_name("x_m", "mm"), unit_in_name("laser_um", "mm")), (None, Some("um")));
+        assert_eq!(
+            (unit_in_name("x_m", "mm"), unit_in_name("laser_um", "mm")),
+            (None, Some("um"))
+        );
     }
 }

@@ -23,7 +23,11 @@ const MAX_POINT: f64 = 9_007_199_254_740_992.0;
 impl<'a> Row<'a> {
     /// One of a table's rows.
     pub(crate) fn new(table: &'a TextTable, index: usize) -> Self {
-        Self { table, index, line: table.rows[index].0 }
+        Self {
+            table,
+            index,
+            line: table.rows[index].0,
+        }
     }
 
     /// All of them.
@@ -40,26 +44,38 @@ impl Row<'_> {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> InputError {
-        InputError::new(&self.table.file, expected, found).at(self.line).field(field)
+        InputError::new(&self.table.file, expected, found)
+            .at(self.line)
+            .field(field)
     }
 
     /// Text of a cell; empty where the column is absent.
     fn text(&self, name: &str) -> &str {
-        self.table.place(name).map_or("", |column| &self.table.rows[self.index].1[column])
+        self.table
+            .place(name)
+            .map_or("", |column| &self.table.rows[self.index].1[column])
     }
 
     /// Finite number; none where the column is absent or the cell empty.
     pub(crate) fn number(&self, name: &str) -> Outcome<Option<f64>> {
-        self.table.place(name).map_or(Ok(None), |column| self.table.number(self.index, column))
+        self.table
+            .place(name)
+            .map_or(Ok(None), |column| self.table.number(self.index, column))
     }
 
     /// Finite number that must be there.
     pub(crate) fn required(&self, name: &str) -> Outcome<f64> {
-        self.number(name)?.ok_or_else(|| self.error(name, "a number", "nothing"))
+        self.number(name)?
+            .ok_or_else(|| self.error(name, "a number", "nothing"))
     }
 
     /// A number of which `good` holds.
-    fn number_of(&self, name: &str, expected: &str, good: impl Fn(f64) -> bool) -> Outcome<Option<f64>> {
+    fn number_of(
+        &self,
+        name: &str,
+        expected: &str,
+        good: impl Fn(f64) -> bool,
+    ) -> Outcome<Option<f64>> {
         match self.number(name)? {
             Some(v) if !good(v) => Err(self.error(name, expected, v.to_string())),
             value => Ok(value),
@@ -82,12 +98,16 @@ impl Row<'_> {
     pub(crate) fn point(&self) -> Outcome<i64> {
         let fits = |v: f64| v.fract() == 0.0 && v.abs() <= MAX_POINT;
         let value = self.number_of("point", "a whole number", fits)?;
-        value.map(|v| v as i64).ok_or_else(|| self.error("point", "a whole number", "nothing"))
+        value
+            .map(|v| v as i64)
+            .ok_or_else(|| self.error("point", "a whole number", "nothing"))
     }
 
     /// Point number; the order of the row (from 0) in a table without numbers of points.
     pub(crate) fn point_or_order(&self) -> Outcome<i64> {
-        self.table.place("point").map_or(Ok(self.index as i64), |_| self.point())
+        self.table
+            .place("point")
+            .map_or(Ok(self.index as i64), |_| self.point())
     }
 
     /// +1 or -1.
@@ -102,7 +122,11 @@ impl Row<'_> {
             "calibration" => Ok(Role::Calibration),
             "verification" => Ok(Role::Verification),
             "holdout" => Ok(Role::Holdout),
-            other => Err(self.error("role", "rest, calibration, verification or holdout", quote(other))),
+            other => Err(self.error(
+                "role",
+                "rest, calibration, verification or holdout",
+                quote(other),
+            )),
         }
     }
 
@@ -118,7 +142,9 @@ impl Row<'_> {
     /// Temperature, deg C; a value that can only be kelvin is refused.
     pub(crate) fn temperature(&self) -> Outcome<Option<f64>> {
         const EXPECTED: &str = "a temperature between -60 and 200 deg C (kelvin?)";
-        self.number_of("temperature_degc", EXPECTED, |v| (-60.0..=200.0).contains(&v))
+        self.number_of("temperature_degc", EXPECTED, |v| {
+            (-60.0..=200.0).contains(&v)
+        })
     }
 }
 
@@ -148,7 +174,10 @@ pub(crate) fn clock_problem(
     let back: Vec<&[(usize, f64)]> = timed.windows(2).filter(|w| w[1].1 < w[0].1).collect();
     let first = back.first()?;
     let (times, back_s) = (back.len(), first[0].1 - first[1].1);
-    let text = format!("t_s runs backwards {times} time(s), first by {} s", number(back_s, 6));
+    let text = format!(
+        "t_s runs backwards {times} time(s), first by {} s",
+        number(back_s, 6)
+    );
     let lines = back.iter().map(|w| w[1].0).collect();
     Some(SessionWarning::new(file, WarningKind::ClockProblem, text).at(lines))
 }

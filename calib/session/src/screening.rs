@@ -32,13 +32,22 @@ pub(crate) fn overflow(
     out: &mut [bool],
 ) -> Result<Vec<SessionWarning>, InputError> {
     let mut warnings = Vec::new();
-    let columns = set.iter().map(|name| (name, true)).chain(read.iter().map(|name| (name, false)));
+    let columns = set
+        .iter()
+        .map(|name| (name, true))
+        .chain(read.iter().map(|name| (name, false)));
     for (name, by_hand) in columns {
         let values = column(table, name)?;
         let mut coded = 0;
         for code in codes(&values, by_hand) {
-            let rows: Vec<usize> = (0..out.len()).filter(|&k| values[k] == Some(code)).collect();
-            let shown = if code.abs() >= 1e12 { format!("{code:e}") } else { code.to_string() };
+            let rows: Vec<usize> = (0..out.len())
+                .filter(|&k| values[k] == Some(code))
+                .collect();
+            let shown = if code.abs() >= 1e12 {
+                format!("{code:e}")
+            } else {
+                code.to_string()
+            };
             const SAYS: &str = "is an overflow value of the instrument; left out as missing";
             let text = format!("{name} {shown} in {} row(s) {SAYS}", rows.len());
             warnings.push(left_out(table, &rows, text)?);
@@ -63,7 +72,11 @@ pub(crate) fn copied(
     let kept: Vec<usize> = (0..out.len()).filter(|&k| !out[k]).collect();
     let readings = gauge.map(|name| column(table, name)).transpose()?;
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
-    let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    let mut again = if kept.len() > MAX_ROWS {
+        Vec::new()
+    } else {
+        copies(table, &kept)
+    };
     if coarse {
         // Each block by itself: it could begin with any two repeats of a place.
         let repeats = gauge.and_then(|name| agreement(table, name, &kept, again.len()));
@@ -71,7 +84,11 @@ pub(crate) fn copied(
             repeats.is_some_and(|(pairs, share)| share.powi(block.len() as i32) * pairs <= CHANCE)
         };
         let blocks = again.chunk_by(|a, b| a.0 + 1 == b.0 && a.1 == b.1);
-        again = blocks.filter(|block| seldom(block)).flatten().copied().collect();
+        again = blocks
+            .filter(|block| seldom(block))
+            .flatten()
+            .copied()
+            .collect();
     }
     let again: Vec<usize> = again.into_iter().map(|(k, _)| k).collect();
     if again.is_empty() {
@@ -89,7 +106,10 @@ fn column(table: &TextTable, name: &str) -> Result<Vec<Option<f64>>, InputError>
 }
 
 fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWarning, InputError> {
-    let points = rows.iter().map(|&k| Row::new(table, k).point_or_order()).collect::<Result<_, _>>()?;
+    let points = rows
+        .iter()
+        .map(|&k| Row::new(table, k).point_or_order())
+        .collect::<Result<_, _>>()?;
     let lines = rows.iter().map(|&k| table.rows[k].0).collect();
     Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text).at(lines))
 }
@@ -98,9 +118,16 @@ fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWa
 /// [`round`].
 fn usual(value: f64) -> bool {
     let size = value.abs();
-    let digits: Vec<char> = format!("{size}").chars().filter(char::is_ascii_digit).collect();
+    let digits: Vec<char> = format!("{size}")
+        .chars()
+        .filter(char::is_ascii_digit)
+        .collect();
     // Campbell's loggers have another digit before them: 7999, -6999.
-    let nines = digits.len() >= 3 && digits.iter().skip(usize::from(digits.len() > 3)).all(|d| *d == '9');
+    let nines = digits.len() >= 3
+        && digits
+            .iter()
+            .skip(usize::from(digits.len() > 3))
+            .all(|d| *d == '9');
     // Ends of 7 to 32 bits: 127, 128, 255, ..., 32767, 8388607, 4294967295.
     let end = (7..=32).any(|bits| [2f64.powi(bits), 2f64.powi(bits) - 1.0].contains(&size));
     // DS18B20 after power-up reads 85; absolute zero is no reading.
@@ -118,15 +145,22 @@ fn round(value: f64) -> bool {
 fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
     let far = |code: f64| {
         // Other round values may be readings, as in series of decades.
-        let others = values.iter().flatten().filter(|v| !usual(**v) && v.abs() != code.abs());
-        let [low, high] =
-            others.clone().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(*v), b.max(*v)]);
+        let others = values
+            .iter()
+            .flatten()
+            .filter(|v| !usual(**v) && v.abs() != code.abs());
+        let [low, high] = others
+            .clone()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| {
+                [a.min(*v), b.max(*v)]
+            });
         let times = if usual(code) { 1.0 } else { DECADE };
         others.count() >= MIN_OTHERS && (low - code).max(code - high) > times * (high - low)
     };
     let known = |code: f64| usual(code) || round(code);
     let few = |code: f64| 2 * values.iter().filter(|v| **v == Some(code)).count() <= values.len();
-    let is_code = |code: &f64| code.abs() >= HUGE || (!set && known(*code) && far(*code) && few(*code));
+    let is_code =
+        |code: &f64| code.abs() >= HUGE || (!set && known(*code) && far(*code) && few(*code));
     let mut found: Vec<f64> = values.iter().flatten().copied().filter(is_code).collect();
     found.sort_by(f64::total_cmp);
     found.dedup();
@@ -136,9 +170,14 @@ fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
 /// Whether readings are whole multiples of a step of their display, with few steps between the lowest and the highest.
 fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     let span = |[a, b]: [f64; 2], v: f64| [a.min(v), b.max(v)];
-    let [low, high] = readings.clone().fold([f64::INFINITY, f64::NEG_INFINITY], span);
+    let [low, high] = readings
+        .clone()
+        .fold([f64::INFINITY, f64::NEG_INFINITY], span);
     let unit = 10f64.powf(((high - low) / COARSE_STEPS).log10().ceil());
-    !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
+    !(high > low)
+        || readings
+            .into_iter()
+            .all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
 /// Pairs of readings of the gauge at one place, and how often they agree, copies and their sources apart; none where few are repeats.
@@ -147,13 +186,27 @@ fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> O
     let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
     for &k in kept {
         let cells = &table.rows[k].1;
-        let set = cells.iter().enumerate().filter(|(column, _)| !without.contains(&Some(*column)));
+        let set = cells
+            .iter()
+            .enumerate()
+            .filter(|(column, _)| !without.contains(&Some(*column)));
         let reading = without[2].map(|column| &cells[column]);
-        *places.entry(set.map(|(_, cell)| cell).collect()).or_default().entry(reading).or_default() += 1;
+        *places
+            .entry(set.map(|(_, cell)| cell).collect())
+            .or_default()
+            .entry(reading)
+            .or_default() += 1;
     }
     let pairs = |count: usize| count * (count - 1) / 2;
-    let all: usize = places.values().map(|readings| pairs(readings.values().sum())).sum();
-    let alike: usize = places.values().flat_map(HashMap::values).map(|count| pairs(*count)).sum();
+    let all: usize = places
+        .values()
+        .map(|readings| pairs(readings.values().sum()))
+        .sum();
+    let alike: usize = places
+        .values()
+        .flat_map(HashMap::values)
+        .map(|count| pairs(*count))
+        .sum();
     let [others, alike] = [all, alike].map(|count| count.saturating_sub(copies));
     (others >= MIN_PAIRS).then(|| (all as f64, (alike + 1) as f64 / (others + 2) as f64))
 }
@@ -164,7 +217,9 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
     let [point, time] = ["point", "t_s"].map(|name| table.place(name));
     let cells = |k: usize, without: Option<usize>| -> Vec<&str> {
         let all = table.rows[k].1.iter().enumerate();
-        all.filter(|(column, _)| Some(*column) != without).map(|(_, cell)| cell).collect()
+        all.filter(|(column, _)| Some(*column) != without)
+            .map(|(_, cell)| cell)
+            .collect()
     };
     let rows: Vec<Vec<&str>> = kept.iter().map(|&k| cells(k, point)).collect();
     let (mut first, mut whole) = (HashMap::new(), HashSet::new());
@@ -188,7 +243,11 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
             copied[k] = before;
         }
     }
-    kept.iter().copied().zip(copied).filter(|(_, back)| *back > 0).collect()
+    kept.iter()
+        .copied()
+        .zip(copied)
+        .filter(|(_, back)| *back > 0)
+        .collect()
 }
 
 /// Two columns that stand in each other's place from some row on: the settings of the rows before are read in the other column then, to the last
@@ -201,15 +260,19 @@ pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(),
         let rows = table.rows.len();
         // Where the columns are exchanged, a value stands in its own column for the first time and in the other again.
         let first = (0..rows).find(|&k| {
-            let begins =
-                k >= MIN_BLOCK && !before.contains(&bits(k, own)) && before.contains(&bits(k, other));
+            let begins = k >= MIN_BLOCK
+                && !before.contains(&bits(k, own))
+                && before.contains(&bits(k, other));
             before.insert(bits(k, own));
             begins
         });
-        let Some(first) = first.filter(|first| rows - first >= MIN_BLOCK) else { continue };
+        let Some(first) = first.filter(|first| rows - first >= MIN_BLOCK) else {
+            continue;
+        };
         let settings: HashSet<Option<u64>> = (0..first).map(|k| bits(k, own)).collect();
         let of = |rows: std::ops::Range<usize>, column: usize| {
-            rows.filter(|&k| settings.contains(&bits(k, column))).count()
+            rows.filter(|&k| settings.contains(&bits(k, column)))
+                .count()
         };
         let after = rows - first;
         // Settings repeat, and readings seldom meet one.
@@ -238,26 +301,47 @@ pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
 /// A clock that stands still, or a direction that says the opposite of the moves at rows before and after which the position rises, or falls. At
 /// the turns, and where targets are approached singly, nothing is contradicted, nor by a table whose moves or directions have one sign alone.
 pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
-    let first = rows.first().and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
+    let first = rows
+        .first()
+        .and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
     if let Some((line, t_s)) = first.filter(|(_, t_s)| rows.iter().all(|r| r.2 == Some(*t_s))) {
         let found = format!("t_s {} in all {} rows", number(t_s, 12), rows.len());
-        let error = InputError::new(file, "a time that runs", found).at(line).field("t_s");
-        return Err(error.hint("leave --time out at import: the order of the rows then stands for it"));
+        let error = InputError::new(file, "a time that runs", found)
+            .at(line)
+            .field("t_s");
+        return Err(
+            error.hint("leave --time out at import: the order of the rows then stands for it")
+        );
     }
     let way = |w: &[Step]| (w[1].1 - w[0].1).signum() * f64::from(u8::from(w[1].1 != w[0].1));
-    let within = rows.windows(3).filter(|w| way(&w[..2]) * way(&w[1..]) > 0.0);
-    let seen: Vec<(usize, f64, f64)> = within.filter_map(|w| Some((w[1].0, way(w), w[1].3?))).collect();
-    let both =
-        |f: fn(&(usize, f64, f64)) -> f64| seen.iter().any(|s| f(s) > 0.0) && seen.iter().any(|s| f(s) < 0.0);
-    let against: Vec<_> = seen.iter().filter(|(_, way, direction)| way * direction < 0.0).collect();
+    let within = rows
+        .windows(3)
+        .filter(|w| way(&w[..2]) * way(&w[1..]) > 0.0);
+    let seen: Vec<(usize, f64, f64)> = within
+        .filter_map(|w| Some((w[1].0, way(w), w[1].3?)))
+        .collect();
+    let both = |f: fn(&(usize, f64, f64)) -> f64| {
+        seen.iter().any(|s| f(s) > 0.0) && seen.iter().any(|s| f(s) < 0.0)
+    };
+    let against: Vec<_> = seen
+        .iter()
+        .filter(|(_, way, direction)| way * direction < 0.0)
+        .collect();
     // All or nearly all the wrong way round, or few among many that agree; what lies between is another convention.
     let (count, of) = (against.len(), seen.len());
     let named = both(|s| s.1) && both(|s| s.2) && (4 * count <= of || 10 * count >= 9 * of);
-    let Some((line, _, direction)) = against.first().filter(|_| named) else { return Ok(()) };
-    let found = format!("direction {direction} against {setting} ({count} of {of} rows within a stroke)");
-    let expected = format!("a direction that agrees with {setting}: 1 where it rises, -1 where it falls");
+    let Some((line, _, direction)) = against.first().filter(|_| named) else {
+        return Ok(());
+    };
+    let found =
+        format!("direction {direction} against {setting} ({count} of {of} rows within a stroke)");
+    let expected =
+        format!("a direction that agrees with {setting}: 1 where it rises, -1 where it falls");
     let hint = "at import --direction 'COLUMN*-1' turns it; or leave --direction out";
-    Err(InputError::new(file, expected, found).at(*line).field("direction").hint(hint))
+    Err(InputError::new(file, expected, found)
+        .at(*line)
+        .field("direction")
+        .hint(hint))
 }
 
 #[cfg(test)]
@@ -274,7 +358,10 @@ mod tests {
         let table = read_own(&path, "t.csv").unwrap();
         let mut out = vec![false; table.rows.len()];
         copied(&table, gauge, &mut out).unwrap();
-        (0..out.len()).filter(|&k| out[k]).map(|k| table.rows[k].0).collect()
+        (0..out.len())
+            .filter(|&k| out[k])
+            .map(|k| table.rows[k].0)
+            .collect()
     }
 
     /// `sweeps` of eleven settings with numbers of points; `noise` counts of scatter in the last of `digits`, another in each sweep.
@@ -290,26 +377,41 @@ mod tests {
 
     fn table(rows: &[String], again: impl IntoIterator<Item = usize>) -> String {
         let all = rows.iter().chain(again.into_iter().map(|k| &rows[k]));
-        let lines: String = all.enumerate().map(|(k, row)| format!("{k},{row}\n")).collect();
+        let lines: String = all
+            .enumerate()
+            .map(|(k, row)| format!("{k},{row}\n"))
+            .collect();
         "point,stimulus,response\n".to_owned() + &lines
     }
 
     #[test]
     fn pasted_sweeps_are_found_and_honest_repeats_stay() {
         let read = |text: String| copied_lines(&text, Some("response"));
-        assert_eq!(read(table(&sweeps(1, 4.0, 5), (0..11).chain(0..11))), (13..35).collect::<Vec<_>>());
+        assert_eq!(
+            read(table(&sweeps(1, 4.0, 5), (0..11).chain(0..11))),
+            (13..35).collect::<Vec<_>>()
+        );
         // One of three sweeps pasted once more, and too few rows of it.
-        assert_eq!(read(table(&sweeps(3, 4.0, 5), 11..22)), (35..46).collect::<Vec<_>>());
+        assert_eq!(
+            read(table(&sweeps(3, 4.0, 5), 11..22)),
+            (35..46).collect::<Vec<_>>()
+        );
         assert!(read(table(&sweeps(3, 4.0, 5), 11..16)).is_empty());
         // Repeats with noise, and repeats of a gauge whose noise hides below its last digit.
         assert!(read(table(&sweeps(6, 4.0, 5), [])).is_empty());
         assert!(read(table(&sweeps(1, 0.0, 2), 0..11)).is_empty());
         assert!(read(table(&sweeps(6, 0.2, 2), [])).is_empty());
         // Four decimals are coarse, but repeats that scatter over several of them do not agree eight times in a row; those of a quiet gauge may.
-        assert_eq!(read(table(&sweeps(3, 8.0, 3), 11..19)), (35..43).collect::<Vec<_>>());
+        assert_eq!(
+            read(table(&sweeps(3, 8.0, 3), 11..19)),
+            (35..43).collect::<Vec<_>>()
+        );
         assert!(read(table(&sweeps(3, 0.6, 3), 11..19)).is_empty());
         for (count, noise) in [(3, 8.0), (60, 0.15), (60, 0.3), (60, 0.6)] {
-            assert!(read(table(&sweeps(count, noise, 3), [])).is_empty(), "{count} {noise}");
+            assert!(
+                read(table(&sweeps(count, noise, 3), [])).is_empty(),
+                "{count} {noise}"
+            );
         }
         // A time is read once.
         let timed = "point,t_s,response\n0,1.5,0.123456\n1,2.5,0.234567\n2,1.5,0.123456\n";
@@ -318,18 +420,35 @@ mod tests {
 
     #[test]
     fn codes_are_told_from_readings_by_their_column() {
-        let codes = |values: &[f64], set| codes(&values.iter().map(|v| Some(*v)).collect::<Vec<_>>(), set);
+        let codes =
+            |values: &[f64], set| codes(&values.iter().map(|v| Some(*v)).collect::<Vec<_>>(), set);
         let volts = [0.1, 0.2, 0.3, 0.4, 0.5];
-        for code in
-            [9.9e37, -9.9e37, 1e38, 3.4028234e38, 999_999.0, 9999.0, -127.0, 32767.0, -1e6, 1e10, -6999.0]
-        {
+        for code in [
+            9.9e37,
+            -9.9e37,
+            1e38,
+            3.4028234e38,
+            999_999.0,
+            9999.0,
+            -127.0,
+            32767.0,
+            -1e6,
+            1e10,
+            -6999.0,
+        ] {
             let with: Vec<f64> = volts.iter().copied().chain([code]).collect();
             assert_eq!(codes(&with, false), [code]);
         }
         // In range, or no further out than the others are wide: a reading.
         assert!(codes(&[-180.0, -127.0, -60.0, 20.0, 50.0], false).is_empty());
         assert!(codes(&[2e5, 4e5, 6e5, 8e5, 999_999.0, 1.2e6], false).is_empty());
-        assert!(codes(&[10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0], false).is_empty());
+        assert!(
+            codes(
+                &[10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0],
+                false
+            )
+            .is_empty()
+        );
         // An unusual number, however far out, is a matter of the noise.
         assert!(codes(&[0.1, 0.2, 0.3, 0.4, 5000.0], false).is_empty());
         // Loads in powers of two are set so; a huge number is none whatever stands beside it.
@@ -337,7 +456,13 @@ mod tests {
         assert!(codes(&powers, true).is_empty());
         assert_eq!(codes(&[0.1, 9.9e37], true), [9.9e37]);
         // Half of a column and more is its content.
-        assert!(codes(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], false).is_empty());
+        assert!(
+            codes(
+                &[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0],
+                false
+            )
+            .is_empty()
+        );
     }
 
     #[test]
@@ -345,15 +470,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.csv");
         let said = |row: &dyn Fn(usize, f64, f64) -> [f64; 2]| {
-            let scatter = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+            let scatter =
+                |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
             let lines = (0..44).map(|k| {
                 let x = 10.0 * (k % 11) as f64;
                 let [a, b] = row(k, x, 0.9 * x + 8.0 + scatter(k));
                 format!("{a},{b}\n")
             });
-            std::fs::write(&path, "stimulus,response\n".to_owned() + &lines.collect::<String>()).unwrap();
+            std::fs::write(
+                &path,
+                "stimulus,response\n".to_owned() + &lines.collect::<String>(),
+            )
+            .unwrap();
             let table = read_own(&path, "t.csv").unwrap();
-            exchanged(&table, ["stimulus", "response"]).err().map(|e| e.to_string())
+            exchanged(&table, ["stimulus", "response"])
+                .err()
+                .map(|e| e.to_string())
         };
         let swapped = said(&|k, x, y| if k < 22 { [x, y] } else { [y, x] }).unwrap();
         assert!(
@@ -366,15 +498,33 @@ mod tests {
         // Nothing exchanged, a coarse gauge of a slope of one, settings that are readings themselves, and new settings in the second half.
         assert_eq!(said(&|_, x, y| [x, y]), None);
         assert_eq!(said(&|_, x, _| [x, x]), None);
-        assert_eq!(said(&|k, x, y| if k < 22 { [x + 1e-3 * y, y] } else { [y, x + 1e-3 * y] }), None);
-        assert_eq!(said(&|k, x, _| if k < 22 { [x, x + 10.0] } else { [x + 5.0, x + 10.0] }), None);
+        assert_eq!(
+            said(&|k, x, y| if k < 22 {
+                [x + 1e-3 * y, y]
+            } else {
+                [y, x + 1e-3 * y]
+            }),
+            None
+        );
+        assert_eq!(
+            said(&|k, x, _| if k < 22 {
+                [x, x + 10.0]
+            } else {
+                [x + 5.0, x + 10.0]
+            }),
+            None
+        );
     }
 
     /// `cycles` of five positions up and down; `direction` by cycle and way.
     fn axis(cycles: usize, direction: impl Fn(usize, f64) -> f64) -> Vec<Step> {
         let of = |k: usize| {
             let (cycle, place) = (k / 10, k % 10);
-            let (x, way) = if place < 5 { (place, 1.0) } else { (9 - place, -1.0) };
+            let (x, way) = if place < 5 {
+                (place, 1.0)
+            } else {
+                (9 - place, -1.0)
+            };
             (k + 2, x as f64, None, Some(direction(cycle, way)))
         };
         (0..10 * cycles).map(of).collect()
@@ -382,9 +532,17 @@ mod tests {
 
     #[test]
     fn a_direction_against_the_moves_is_named_and_other_conventions_are_not() {
-        let named = |rows: &[Step]| contradiction("t.csv", "commanded_mm", rows).err().map(|e| e.to_string());
+        let named = |rows: &[Step]| {
+            contradiction("t.csv", "commanded_mm", rows)
+                .err()
+                .map(|e| e.to_string())
+        };
         assert!(named(&axis(3, |_, way| way)).is_none());
-        assert!(named(&axis(3, |_, way| -way)).unwrap().contains("18 of 18 rows"));
+        assert!(
+            named(&axis(3, |_, way| -way))
+                .unwrap()
+                .contains("18 of 18 rows")
+        );
         let one = named(&axis(5, |cycle, way| if cycle == 3 { -way } else { way })).unwrap();
         assert!(one.contains("6 of 30 rows"), "{one}");
         // Approached from below always.

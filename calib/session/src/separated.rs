@@ -31,7 +31,10 @@ impl Separator {
 
     /// Its name in a sentence and on the command line.
     pub(crate) fn called(self) -> (&'static str, &'static str) {
-        Self::ALL.iter().find(|s| s.0 == self).map_or(("blanks", "whitespace"), |s| (s.2, s.3))
+        Self::ALL
+            .iter()
+            .find(|s| s.0 == self)
+            .map_or(("blanks", "whitespace"), |s| (s.2, s.3))
     }
 
     /// By its character.
@@ -53,8 +56,15 @@ impl std::str::FromStr for Separator {
 
 /// The records of a text, each with the line where it begins, the first of the text being `first`. A quoted field may hold line ends (RFC 4180,
 /// 2.6). Lines without a field that holds something are none.
-pub(crate) fn records(text: &str, first: usize, separator: Separator) -> Vec<(usize, StringRecord)> {
-    let mark = Separator::ALL.iter().find(|s| s.0 == separator).map(|s| s.1);
+pub(crate) fn records(
+    text: &str,
+    first: usize,
+    separator: Separator,
+) -> Vec<(usize, StringRecord)> {
+    let mark = Separator::ALL
+        .iter()
+        .find(|s| s.0 == separator)
+        .map(|s| s.1);
     let mut rest = text;
     let (mut out, mut line) = (Vec::new(), first);
     while !rest.is_empty() {
@@ -75,8 +85,15 @@ fn first_line(text: &str) -> &str {
 
 /// The first record: lines until none of its quotes is open; a quote that stays open is none.
 fn record(text: &str, mark: char) -> &str {
-    let ends = || text.match_indices('\n').map(|(at, _)| at + 1).chain([text.len()]).take(MAX_BREAKS + 1);
-    let closed = ends().map(|end| &text[..end]).find(|lines| !is_open(lines, mark));
+    let ends = || {
+        text.match_indices('\n')
+            .map(|(at, _)| at + 1)
+            .chain([text.len()])
+            .take(MAX_BREAKS + 1)
+    };
+    let closed = ends()
+        .map(|end| &text[..end])
+        .find(|lines| !is_open(lines, mark));
     closed.unwrap_or_else(|| first_line(text))
 }
 
@@ -94,34 +111,59 @@ fn split(record: &str, mark: Option<char>) -> StringRecord {
     let Some(mark) = mark else {
         // The mark of a comment belongs to its first word.
         let record = record.trim_start();
-        let (comment, rest) = record.strip_prefix('#').map_or(("", record), |rest| ("#", rest));
-        return (comment.to_owned() + rest.trim_start()).split_whitespace().collect();
+        let (comment, rest) = record
+            .strip_prefix('#')
+            .map_or(("", record), |rest| ("#", rest));
+        return (comment.to_owned() + rest.trim_start())
+            .split_whitespace()
+            .collect();
     };
     if !record.contains('"') || is_open(record, mark) {
         return record.split(mark).map(str::trim).collect();
     }
     let mut reader = csv::ReaderBuilder::new();
-    reader.has_headers(false).delimiter(mark as u8).trim(csv::Trim::All);
+    reader
+        .has_headers(false)
+        .delimiter(mark as u8)
+        .trim(csv::Trim::All);
     // Reading from memory cannot fail.
-    reader.from_reader(record.as_bytes()).records().next().and_then(Result::ok).unwrap_or_default()
+    reader
+        .from_reader(record.as_bytes())
+        .records()
+        .next()
+        .and_then(Result::ok)
+        .unwrap_or_default()
 }
 
 /// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
 pub(crate) fn other_separator(text: &str, stated: Separator) -> Option<String> {
-    let lines = || text.lines().filter(|line| !line.trim().is_empty()).take(LOOK);
+    let lines = || {
+        text.lines()
+            .filter(|line| !line.trim().is_empty())
+            .take(LOOK)
+    };
     let counts = |mark: char| lines().map(move |line| line.matches(mark).count());
     let (_, own, not, _) = Separator::ALL.iter().find(|s| s.0 == stated)?;
     let (_, mark, called, option) =
-        *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
-            let first = counts(*mark).next().unwrap_or(0);
-            first > 0 && counts(*mark).all(|n| n == first)
-        })?;
+        *Separator::ALL
+            .iter()
+            .filter(|s| s.0 != stated)
+            .find(|(_, mark, ..)| {
+                let first = counts(*mark).next().unwrap_or(0);
+                first > 0 && counts(*mark).all(|n| n == first)
+            })?;
     // Decimal commas stand in the rows and not in the header.
-    let decimals = lines().skip(1).any(|line| line.split(mark).any(is_decimal_comma));
+    let decimals = lines()
+        .skip(1)
+        .any(|line| line.split(mark).any(is_decimal_comma));
     if counts(*own).next() != Some(0) || (counts(*own).any(|n| n > 0) && !decimals) {
         return None;
     }
-    let decimals = if decimals && *own == ',' { " --decimal-comma" } else { "" };
+    let decimals = if decimals && *own == ',' {
+        " --decimal-comma"
+    } else {
+        ""
+    };
     Some(format!(
         "fields are separated by {called}, not {not}; wcal import reads them with --separator {option}{decimals}"
     ))

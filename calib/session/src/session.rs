@@ -16,8 +16,8 @@ use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::text::brief;
 use wcal_core::{
-    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData, SessionKind,
-    TransducerData, TransducerRow, WhiskerData, WhiskerRow, format, ranges,
+    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData,
+    SessionKind, TransducerData, TransducerRow, WhiskerData, WhiskerRow, format, ranges,
 };
 
 const NAME: &str = "session.toml";
@@ -111,42 +111,84 @@ const FREE: [&str; 5] = ["format", "note", "whisker_id", "devices", "provenance"
 /// The first thing that cannot be used: [`SessionError::Content`] with file, line, field, expected and found, or
 /// [`SessionError::Io`].
 pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
-    let folder = if folder.is_file() { folder.parent().unwrap_or(folder) } else { folder };
+    let folder = if folder.is_file() {
+        folder.parent().unwrap_or(folder)
+    } else {
+        folder
+    };
     if folder.exists() && !folder.is_dir() {
-        return Err(
-            InputError::new(&folder.display().to_string(), "a session folder", "a pipe or device").into()
-        );
+        return Err(InputError::new(
+            &folder.display().to_string(),
+            "a session folder",
+            "a pipe or device",
+        )
+        .into());
     }
     let path = folder.join(NAME);
-    let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io("reading", &path, e))?;
+    let bytes = read_within(&path, MAX_DOCUMENT_BYTES)
+        .map_err(|e| SessionError::io("reading", &path, e))?;
     let meta = parse(NAME, &bytes)?;
-    format::expect(SESSION_FORMAT, meta.get("format").and_then(toml::Value::as_str))
-        .map_err(|e| InputError::new(NAME, format!("{:?}", e.expected), e.found).field("format"))?;
-    ranges::check(&meta, &[whisker_meta::SESSION_RANGES]).map_err(|e| InputError::range(NAME, e))?;
+    format::expect(
+        SESSION_FORMAT,
+        meta.get("format").and_then(toml::Value::as_str),
+    )
+    .map_err(|e| InputError::new(NAME, format!("{:?}", e.expected), e.found).field("format"))?;
+    ranges::check(&meta, &[whisker_meta::SESSION_RANGES])
+        .map_err(|e| InputError::range(NAME, e))?;
     let mut unknown = Vec::new();
     let document: Document = sections(NAME, &meta, &mut unknown)?;
     let is_free = |key: &String| FREE.iter().any(|free| key.split('.').next() == Some(free));
     let unknown = unknown.iter().filter(|key| !is_free(key));
     let mut warnings: Vec<SessionWarning> = unknown
-        .map(|key| SessionWarning::other(NAME, format!("key {} is not known and not used", brief(key))))
+        .map(|key| {
+            SessionWarning::other(
+                NAME,
+                format!("key {} is not known and not used", brief(key)),
+            )
+        })
         .collect();
-    let mut inputs =
-        vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Description }];
-    let Document { id, kind, medium, created, files, provenance, .. } = &document;
+    let mut inputs = vec![InputFile {
+        path: NAME.to_owned(),
+        sha256: sha256_hex(&bytes),
+        purpose: Purpose::Description,
+    }];
+    let Document {
+        id,
+        kind,
+        medium,
+        created,
+        files,
+        provenance,
+        ..
+    } = &document;
     if id.trim().is_empty() {
-        return Err(InputError::new(NAME, "a session identifier", "an empty text").field("id").into());
+        return Err(
+            InputError::new(NAME, "a session identifier", "an empty text")
+                .field("id")
+                .into(),
+        );
     }
     let (id, kind, simulated) = (id.clone(), *kind, provenance.simulated);
-    let created = created.as_ref().map(|time| time.as_str().map_or_else(|| time.to_string(), str::to_owned));
+    let created = created.as_ref().map(|time| {
+        time.as_str()
+            .map_or_else(|| time.to_string(), str::to_owned)
+    });
     let medium = medium.clone().unwrap_or_else(|| {
         if kind != SessionKind::Whisker {
             return "unspecified".to_owned();
         }
-        warnings.push(SessionWarning::other(NAME, "medium is not given; taken as \"air\""));
+        warnings.push(SessionWarning::other(
+            NAME,
+            "medium is not given; taken as \"air\"",
+        ));
         "air".to_owned()
     });
     files.check(folder)?;
-    if let Some(name) = files.recording.as_ref().filter(|name| !folder.join(name).is_file()) {
+    if let Some(name) = files
+        .recording
+        .as_ref()
+        .filter(|name| !folder.join(name).is_file())
+    {
         let text = format!("the recording {name} is not there; tables cannot be rebuilt from it");
         warnings.push(SessionWarning::other(NAME, text));
     }
@@ -154,12 +196,16 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let pictures = files.pictures.as_ref().map(|name| folder.join(name));
     let (data, sealed) = match kind {
         SessionKind::Whisker => {
-            let (data, sealed) = load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?;
+            let (data, sealed) =
+                load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?;
             (SessionData::Whisker(data), SealedRows::Whisker(sealed))
         }
         SessionKind::Transducer => {
             let (data, sealed) = load_transducer(document, folder, &mut inputs, &mut warnings)?;
-            (SessionData::Transducer(data), SealedRows::Transducer(sealed))
+            (
+                SessionData::Transducer(data),
+                SealedRows::Transducer(sealed),
+            )
         }
         SessionKind::Axis => {
             let (data, sealed) = load_axis(folder, &document.files, &mut inputs, &mut warnings)?;
@@ -188,8 +234,11 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
 
 /// `[provenance] columns`, which an import writes.
 fn imported_columns(meta: &toml::Table) -> BTreeMap<String, String> {
-    let columns = meta.get("provenance").and_then(|p| p.get("columns")?.as_table());
-    let text = |(name, column): (&String, &toml::Value)| Some((name.clone(), column.as_str()?.to_owned()));
+    let columns = meta
+        .get("provenance")
+        .and_then(|p| p.get("columns")?.as_table());
+    let text =
+        |(name, column): (&String, &toml::Value)| Some((name.clone(), column.as_str()?.to_owned()));
     columns.into_iter().flatten().filter_map(text).collect()
 }
 
@@ -207,10 +256,15 @@ impl Files {
             ("pictures", self.pictures.as_ref()),
         ];
         for (key, name) in files {
-            let kind = if key == "pictures" { "a folder" } else { "a file" };
+            let kind = if key == "pictures" {
+                "a folder"
+            } else {
+                "a file"
+            };
             if let Some(found) = name.and_then(|name| outside(folder, name, key == "pictures")) {
-                let expected =
-                    format!("{kind} in the session's folder, its path relative to it and without \"..\"");
+                let expected = format!(
+                    "{kind} in the session's folder, its path relative to it and without \"..\""
+                );
                 return Err(InputError::new(NAME, expected, found).field(format!("files.{key}")));
             }
         }
@@ -229,7 +283,11 @@ fn outside(folder: &Path, name: &str, pictures: bool) -> Option<String> {
     }
     let path = folder.join(name);
     // Links are followed here, once, before anything is opened. The folder of a bare "session.toml" is "".
-    let root = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let root = if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    };
     let (Ok(target), Ok(root)) = (path.canonicalize(), root.canonicalize()) else {
         return pictures.then(|| quote(name));
     };
@@ -238,7 +296,9 @@ fn outside(folder: &Path, name: &str, pictures: bool) -> Option<String> {
     }
     match pictures {
         true => (!target.is_dir()).then(|| quote(name)),
-        false => (!target.is_file()).then(|| format!("{}, which is not a regular file", quote(name))),
+        false => {
+            (!target.is_file()).then(|| format!("{}, which is not a regular file", quote(name)))
+        }
     }
 }
 
@@ -253,9 +313,26 @@ fn load_whisker(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(WhiskerData, Sealed<WhiskerRow>), SessionError> {
-    let Document { id: session, files, whisker, moments, mut fbg, trajectory, provenance, .. } = document;
-    let ProvenanceSection { cameras_sha256, shapes_rig_sha256: rig_sha256, .. } = provenance;
-    let expected = Expected { session, cameras_sha256, rig_sha256 };
+    let Document {
+        id: session,
+        files,
+        whisker,
+        moments,
+        mut fbg,
+        trajectory,
+        provenance,
+        ..
+    } = document;
+    let ProvenanceSection {
+        cameras_sha256,
+        shapes_rig_sha256: rig_sha256,
+        ..
+    } = provenance;
+    let expected = Expected {
+        session,
+        cameras_sha256,
+        rig_sha256,
+    };
     let shape = match &files.rest_shape {
         Some(name) => {
             let (points, input) = whisker_meta::read_polyline(folder, name, warnings)?;
@@ -264,24 +341,32 @@ fn load_whisker(
         }
         None => None,
     };
-    let whisker = whisker.ok_or_else(|| no_section("whisker"))?.spec(NAME, shape, warnings)?;
+    let whisker = whisker
+        .ok_or_else(|| no_section("whisker"))?
+        .spec(NAME, shape, warnings)?;
     let moments = moments.axes(NAME)?;
     let trajectories = whisker_meta::trajectories(NAME, trajectory)?;
     let length_mm = whisker_checks::length_mm(&whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
         let table = read_readings(&path, name)?;
-        let table = whisker::read_rows(&table, &mut fbg, &trajectories, ColumnRequirement::Session)?;
+        let table =
+            whisker::read_rows(&table, &mut fbg, &trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
-        inputs.push(InputFile { purpose, ..table.input });
+        inputs.push(InputFile {
+            purpose,
+            ..table.input
+        });
         warnings.extend(table.warnings);
         Ok(table.rows)
     };
     let mut rows = read(&files.points, Purpose::Fit)?;
     let pairs = |name: &Option<String>, rows: &mut [WhiskerRow], purpose: Purpose| match name {
-        Some(name) => crate::shapes::read(&folder.join(name), name, &expected, rows, purpose).map(Some),
+        Some(name) => {
+            crate::shapes::read(&folder.join(name), name, &expected, rows, purpose).map(Some)
+        }
         None => Ok(None),
     };
     let shapes = pairs(&files.shapes, &mut rows, Purpose::Fit)?;
@@ -297,7 +382,10 @@ fn load_whisker(
     for (found, input) in shapes.iter().chain(&sealed_shapes) {
         inputs.push(input.clone());
         if !found.left_out.is_empty() {
-            warnings.push(SessionWarning::other(&found.file, crate::shapes::in_words(&found.left_out)));
+            warnings.push(SessionWarning::other(
+                &found.file,
+                crate::shapes::in_words(&found.left_out),
+            ));
         }
     }
     let shapes = shapes.map(|(found, _)| found);
@@ -311,7 +399,19 @@ fn load_whisker(
         inputs.push(input);
     }
     let medium = medium.to_owned();
-    Ok((WhiskerData { whisker, moments, fbg, medium, trajectories, rows, twin, shapes }, holdout))
+    Ok((
+        WhiskerData {
+            whisker,
+            moments,
+            fbg,
+            medium,
+            trajectories,
+            rows,
+            twin,
+            shapes,
+        },
+        holdout,
+    ))
 }
 
 fn load_transducer(
@@ -320,13 +420,24 @@ fn load_transducer(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(TransducerData, Sealed<TransducerRow>), SessionError> {
-    let Document { files, transducer, .. } = document;
-    let TransducerSection { stimulus_unit, response_unit, model, deviation } =
-        transducer.ok_or_else(|| no_section("transducer"))?;
-    for (key, unit) in [("stimulus_unit", &stimulus_unit), ("response_unit", &response_unit)] {
+    let Document {
+        files, transducer, ..
+    } = document;
+    let TransducerSection {
+        stimulus_unit,
+        response_unit,
+        model,
+        deviation,
+    } = transducer.ok_or_else(|| no_section("transducer"))?;
+    for (key, unit) in [
+        ("stimulus_unit", &stimulus_unit),
+        ("response_unit", &response_unit),
+    ] {
         if unit.trim().is_empty() {
             let field = format!("transducer.{key}");
-            return Err(InputError::new(NAME, "a unit, e.g. \"N\"", "an empty text").field(field).into());
+            return Err(InputError::new(NAME, "a unit, e.g. \"N\"", "an empty text")
+                .field(field)
+                .into());
         }
     }
     let table = read_readings(&folder.join(&files.points), &files.points)?;
@@ -342,15 +453,35 @@ fn load_transducer(
         holdout.extend(sealed.rows);
     }
     require_unsealed(&files.points, rows.len())?;
-    Ok((TransducerData { stimulus_unit, response_unit, model, deviation, covariates, rows }, holdout))
+    Ok((
+        TransducerData {
+            stimulus_unit,
+            response_unit,
+            model,
+            deviation,
+            covariates,
+            rows,
+        },
+        holdout,
+    ))
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.
-pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), InputError> {
+pub(crate) fn check_covariates(
+    name: &str,
+    points: &[String],
+    holdout: &[String],
+) -> Result<(), InputError> {
     if points == holdout {
         return Ok(());
     }
-    let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+    let list = |names: &[String]| {
+        if names.is_empty() {
+            "none".to_owned()
+        } else {
+            names.join(", ")
+        }
+    };
     Err(InputError::new(
         name,
         format!("the covariates of the points table ({})", list(points)),
@@ -366,7 +497,8 @@ fn load_axis(
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(AxisData, Sealed<AxisRow>), SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) = axis::read_rows(&read_readings(&folder.join(name), name)?, purpose, warnings)?;
+        let (rows, input) =
+            axis::read_rows(&read_readings(&folder.join(name), name)?, purpose, warnings)?;
         inputs.push(input);
         Ok(rows)
     };
@@ -381,7 +513,9 @@ fn load_axis(
 
 /// Takes the rows with the role "holdout" out of a points table.
 fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Sealed<R> {
-    let (sealed, open) = std::mem::take(rows).into_iter().partition(|row| role(row) == Role::Holdout);
+    let (sealed, open) = std::mem::take(rows)
+        .into_iter()
+        .partition(|row| role(row) == Role::Holdout);
     *rows = open;
     Sealed::new(sealed)
 }
@@ -390,5 +524,10 @@ fn require_unsealed(file: &str, rows: usize) -> Result<(), InputError> {
     if rows > 0 {
         return Ok(());
     }
-    Err(InputError::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
+    Err(InputError::new(
+        file,
+        "at least one row that is not holdout",
+        "holdout rows only",
+    )
+    .field("role"))
 }

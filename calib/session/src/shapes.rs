@@ -14,7 +14,8 @@ use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{
-    ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
+    ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource,
+    SharedParameter,
 };
 use wcal_core::{InputFile, Purpose, Role, format};
 
@@ -63,9 +64,15 @@ struct ReadPair(Result<PairDocument, PairLeftOut>);
 impl<'de> Deserialize<'de> for ReadPair {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = serde_json::Value::deserialize(deserializer)?;
-        let name = value["name"].as_str().unwrap_or("a pair without name").to_owned();
+        let name = value["name"]
+            .as_str()
+            .unwrap_or("a pair without name")
+            .to_owned();
         let pair = PairDocument::deserialize(value);
-        Ok(Self(pair.map_err(|e| PairLeftOut { name, why: format!("it cannot be read: {e}") })))
+        Ok(Self(pair.map_err(|e| PairLeftOut {
+            name,
+            why: format!("it cannot be read: {e}"),
+        })))
     }
 }
 
@@ -75,9 +82,15 @@ pub(crate) fn in_words(left_out: &[PairLeftOut]) -> String {
     for pair in left_out {
         by_reason.entry(&pair.why).or_default().push(&pair.name);
     }
-    let each: Vec<String> =
-        by_reason.iter().map(|(why, names)| format!("{} ({why})", names.join(", "))).collect();
-    format!("{} pair(s) of pictures left out: {}", left_out.len(), each.join("; "))
+    let each: Vec<String> = by_reason
+        .iter()
+        .map(|(why, names)| format!("{} ({why})", names.join(", ")))
+        .collect();
+    format!(
+        "{} pair(s) of pictures left out: {}",
+        left_out.len(),
+        each.join("; ")
+    )
 }
 
 /// Reads the shapes and gives each usable pair to its row.
@@ -101,13 +114,20 @@ pub(crate) fn read(
         .collect();
     let all = foreign(&document.source, expected)
         .or_else(|| no_covariance(&covariance, document.shared_parameters.len()));
-    let by_point: BTreeMap<i64, usize> = rows.iter().enumerate().map(|(k, row)| (row.point, k)).collect();
+    let by_point: BTreeMap<i64, usize> = rows
+        .iter()
+        .enumerate()
+        .map(|(k, row)| (row.point, k))
+        .collect();
     let mut left_out = Vec::new();
     for pair in document.pairs {
         let pair = match (pair.0, &all) {
             (Ok(pair), None) => pair,
             (Ok(pair), Some(why)) => {
-                left_out.push(PairLeftOut { name: pair.name, why: why.clone() });
+                left_out.push(PairLeftOut {
+                    name: pair.name,
+                    why: why.clone(),
+                });
                 continue;
             }
             (Err(damaged), _) => {
@@ -131,16 +151,27 @@ pub(crate) fn read(
         };
         match (why, place) {
             (None, Some(k)) => rows[k].pair = Some(Arc::new(pair)),
-            (why, _) => left_out.push(PairLeftOut { name: pair.name, why: why.unwrap_or_default() }),
+            (why, _) => left_out.push(PairLeftOut {
+                name: pair.name,
+                why: why.unwrap_or_default(),
+            }),
         }
     }
     let shapes = SessionShapes {
         file: name.to_owned(),
         parameters: document.shared_parameters,
-        covariance: if all.is_none() { covariance } else { Vec::new() },
+        covariance: if all.is_none() {
+            covariance
+        } else {
+            Vec::new()
+        },
         left_out,
     };
-    let input = InputFile { path: name.to_owned(), sha256: sha256_hex(&bytes), purpose };
+    let input = InputFile {
+        path: name.to_owned(),
+        sha256: sha256_hex(&bytes),
+        purpose,
+    };
     Ok((shapes, input))
 }
 
@@ -150,11 +181,15 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
         InputError::new(name, "shapes.json as stereo-shape writes it", e.to_string()).at(e.line())
     })?;
     if let Err(why) = format::expect(SHAPES_FORMAT, Some(&document.format)) {
-        return Err(InputError::new(name, "shapes.json of this version", why.to_string()).field("format"));
+        return Err(
+            InputError::new(name, "shapes.json of this version", why.to_string()).field("format"),
+        );
     }
     if document.pairs.len() > MAX_PAIRS {
         let found = document.pairs.len().to_string();
-        return Err(InputError::new(name, format!("at most {MAX_PAIRS} pairs"), found).field("pairs"));
+        return Err(
+            InputError::new(name, format!("at most {MAX_PAIRS} pairs"), found).field("pairs"),
+        );
     }
     Ok(document)
 }
@@ -173,7 +208,8 @@ fn foreign(source: &ShapesSource, expected: &Expected) -> Option<String> {
     };
     if differs(&source.cameras_sha256, &expected.cameras_sha256) {
         return Some(
-            "the shapes were made with another calibration of the cameras than the session states".to_owned(),
+            "the shapes were made with another calibration of the cameras than the session states"
+                .to_owned(),
         );
     }
     differs(&source.rig_sha256, &expected.rig_sha256)
@@ -200,15 +236,28 @@ fn no_covariance(covariance: &[Vec<f64>], shared: usize) -> Option<String> {
 fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
     if pair.status != "ok" {
         let unsaid = pair.why.is_empty();
-        return Some(if unsaid { "stereo-shape rejected it".to_owned() } else { pair.why.clone() });
+        return Some(if unsaid {
+            "stereo-shape rejected it".to_owned()
+        } else {
+            pair.why.clone()
+        });
     }
-    let Some(groove) = &pair.groove else { return Some("the rig tag is not seen".to_owned()) };
+    let Some(groove) = &pair.groove else {
+        return Some("the rig tag is not seen".to_owned());
+    };
     let contact = match groove.contact.as_str() {
         "" | "vertex" => None,
         "none" => Some("the wire does not touch the groove".to_owned()),
-        other => Some(format!("the wire is not in the groove's vertex (contact {})", quote(other))),
+        other => Some(format!(
+            "the wire is not in the groove's vertex (contact {})",
+            quote(other)
+        )),
     };
-    let errors = || pair.errors.as_ref().and_then(|e| inconsistent(pair, e, shared));
+    let errors = || {
+        pair.errors
+            .as_ref()
+            .and_then(|e| inconsistent(pair, e, shared))
+    };
     contact.or_else(|| wrong_numbers(groove)).or_else(errors)
 }
 
@@ -219,7 +268,11 @@ fn sensible(v: &f64) -> bool {
 
 /// What is wrong with the groove's numbers; none where nothing is.
 fn wrong_numbers(groove: &GrooveDocument) -> Option<String> {
-    let places = groove.position_mm.iter().chain(&groove.axis).chain([&groove.contact_arclength_mm]);
+    let places = groove
+        .position_mm
+        .iter()
+        .chain(&groove.axis)
+        .chain([&groove.contact_arclength_mm]);
     if !places.into_iter().all(sensible) {
         return Some("its groove is no place".to_owned());
     }
@@ -238,10 +291,18 @@ fn wrong_numbers(groove: &GrooveDocument) -> Option<String> {
 fn inconsistent(pair: &PairDocument, errors: &PairErrors, shared: usize) -> Option<String> {
     let stations = errors.stations.len();
     let arcs = errors.stations_mm.iter();
-    if stations > MAX_STATIONS || arcs.len() != stations || !errors.stations_mm.iter().all(sensible) {
-        return Some(format!("it has {} arc lengths for {stations} stations", errors.stations_mm.len()));
+    if stations > MAX_STATIONS || arcs.len() != stations || !errors.stations_mm.iter().all(sensible)
+    {
+        return Some(format!(
+            "it has {} arc lengths for {stations} stations",
+            errors.stations_mm.len()
+        ));
     }
-    if let Some(k) = errors.stations.iter().find(|k| **k >= pair.centreline_mm.len()) {
+    if let Some(k) = errors
+        .stations
+        .iter()
+        .find(|k| **k >= pair.centreline_mm.len())
+    {
         return Some(format!(
             "its station {k} is not on a centre line of {} points",
             pair.centreline_mm.len()
@@ -252,12 +313,18 @@ fn inconsistent(pair: &PairDocument, errors: &PairErrors, shared: usize) -> Opti
     }
     if errors.shared.len() != shared || errors.own.len() > MAX_OWN {
         let (own, of) = (errors.own.len(), errors.shared.len());
-        return Some(format!("it has {own} own errors and {of} derivatives for {shared} shared parameters"));
+        return Some(format!(
+            "it has {own} own errors and {of} derivatives for {shared} shared parameters"
+        ));
     }
     let whole = |c: &ErrorColumn, most: f64| {
         let lengths = c.centreline_mm.is_empty() || c.centreline_mm.len() == stations;
-        let mut numbers =
-            c.centreline_mm.iter().flatten().chain(&c.groove_mm).chain([&c.contact_arclength_mm]);
+        let mut numbers = c
+            .centreline_mm
+            .iter()
+            .flatten()
+            .chain(&c.groove_mm)
+            .chain([&c.contact_arclength_mm]);
         lengths && numbers.all(|v| v.is_finite() && v.abs() <= most)
     };
     let own = errors.own.iter().all(|c| whole(c, MAX_MM));

@@ -29,8 +29,12 @@ enum Form {
 
 impl Form {
     fn all() -> impl Iterator<Item = Self> {
-        let others = (0..DATES.len()).flat_map(|d| (0..TIMES.len()).map(move |t| Self::Other(d, t)));
-        [Self::Instant, Self::Local].into_iter().chain(others).chain([Self::Clock, Self::Halves])
+        let others =
+            (0..DATES.len()).flat_map(|d| (0..TIMES.len()).map(move |t| Self::Other(d, t)));
+        [Self::Instant, Self::Local]
+            .into_iter()
+            .chain(others)
+            .chain([Self::Clock, Self::Halves])
     }
 
     /// Seconds from the form's own zero.
@@ -41,9 +45,15 @@ impl Form {
         };
         // Some write the fraction of a second after a comma or a third colon, or a second blank.
         let plain = || {
-            let text = text.replace(',', ".").split_whitespace().collect::<Vec<_>>().join(" ");
+            let text = text
+                .replace(',', ".")
+                .split_whitespace()
+                .collect::<Vec<_>>()
+                .join(" ");
             let third = text.match_indices(':').nth(2).map(|(at, _)| at);
-            third.map_or(text.clone(), |at| format!("{}.{}", &text[..at], &text[at + 1..]))
+            third.map_or(text.clone(), |at| {
+                format!("{}.{}", &text[..at], &text[at + 1..])
+            })
         };
         match self {
             Self::Instant => {
@@ -58,7 +68,9 @@ impl Form {
                         .ok()?
                         .to_datetime()
                         .or_else(|_| {
-                            strtime::parse(DATES[date], plain())?.to_date().map(|d| d.at(0, 0, 0, 0))
+                            strtime::parse(DATES[date], plain())?
+                                .to_date()
+                                .map(|d| d.at(0, 0, 0, 0))
                         })
                         .ok()?,
                 )
@@ -72,7 +84,11 @@ impl Form {
                     [minutes, seconds] if seconds.contains('.') => ("0", minutes, seconds),
                     _ => return None,
                 };
-                let whole = |t: &str| t.bytes().all(|b| b.is_ascii_digit()).then(|| t.parse::<f64>().ok())?;
+                let whole = |t: &str| {
+                    t.bytes()
+                        .all(|b| b.is_ascii_digit())
+                        .then(|| t.parse::<f64>().ok())?
+                };
                 let below = |v: &f64| (0.0..60.0).contains(v);
                 let seconds = seconds.parse::<f64>().ok().filter(below)?;
                 Some(
@@ -83,7 +99,9 @@ impl Form {
             }
             Self::Halves => {
                 let parse = |form| strtime::parse(form, plain()).and_then(|t| t.to_time());
-                let time = parse("%I:%M:%S%.f %p").or_else(|_| parse("%I:%M %p")).ok()?;
+                let time = parse("%I:%M:%S%.f %p")
+                    .or_else(|_| parse("%I:%M %p"))
+                    .ok()?;
                 Some(time.duration_since(Time::midnight()).as_secs_f64())
             }
         }
@@ -92,19 +110,27 @@ impl Form {
 
 /// Whether a time stamp has no date.
 pub(crate) fn is_clock(text: &str) -> bool {
-    [Form::Clock, Form::Halves].iter().any(|form| form.seconds(text).is_some())
+    [Form::Clock, Form::Halves]
+        .iter()
+        .any(|form| form.seconds(text).is_some())
 }
 
 /// Whether a text is a time of the day, as it may stand behind a date.
 pub(crate) fn is_time_of_day(text: &str) -> bool {
     const DATE: usize = 5;
     text.contains(':')
-        && (1..TIMES.len()).any(|t| Form::Other(DATE, t).seconds(&format!("2025/03/04 {text}")).is_some())
+        && (1..TIMES.len()).any(|t| {
+            Form::Other(DATE, t)
+                .seconds(&format!("2025/03/04 {text}"))
+                .is_some()
+        })
 }
 
 /// Whether a text is a date without a time.
 pub(crate) fn is_date(text: &str) -> bool {
-    let dates = (0..DATES.len()).map(|d| Form::Other(d, 0)).chain([Form::Local]);
+    let dates = (0..DATES.len())
+        .map(|d| Form::Other(d, 0))
+        .chain([Form::Local]);
     !text.contains(':')
         && !text.contains('T')
         && is_stamp(text)
@@ -122,13 +148,23 @@ pub(crate) fn is_stamp(text: &str) -> bool {
 /// Seconds after the first of the stamps, in their order, or which of them says why there are none: a text that is no stamp, or two forms that all
 /// of them could have and that say different times.
 pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
-    let forms: Vec<Form> =
-        Form::all().filter(|f| stamps.first().is_some_and(|s| f.seconds(s).is_some())).collect();
+    let forms: Vec<Form> = Form::all()
+        .filter(|f| stamps.first().is_some_and(|s| f.seconds(s).is_some()))
+        .collect();
     let read = |form: &Form| -> Result<Vec<f64>, usize> {
-        stamps.iter().enumerate().map(|(k, text)| form.seconds(text).ok_or(k)).collect()
+        stamps
+            .iter()
+            .enumerate()
+            .map(|(k, text)| form.seconds(text).ok_or(k))
+            .collect()
     };
     let mut read: Vec<Result<Vec<f64>, usize>> = forms.iter().map(read).collect();
-    let furthest = read.iter().filter_map(|r| r.as_ref().err()).max().copied().unwrap_or(0);
+    let furthest = read
+        .iter()
+        .filter_map(|r| r.as_ref().err())
+        .max()
+        .copied()
+        .unwrap_or(0);
     for (times, form) in read.iter_mut().zip(&forms) {
         if let Ok(times) = times {
             relative(times, matches!(form, Form::Clock | Form::Halves));
@@ -142,12 +178,27 @@ pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)
     const CLOSER: f64 = 10.0;
     let widest = |times: &[f64]| {
         let steps = times.windows(2).map(|w| w[1] - w[0]);
-        steps.fold(0.0, |most: f64, step| if step < 0.0 { f64::INFINITY } else { most.max(step) })
+        steps.fold(0.0, |most: f64, step| {
+            if step < 0.0 {
+                f64::INFINITY
+            } else {
+                most.max(step)
+            }
+        })
     };
-    let best = whole.iter().min_by(|a, b| widest(a).total_cmp(&widest(b))).unwrap_or(first);
+    let best = whole
+        .iter()
+        .min_by(|a, b| widest(a).total_cmp(&widest(b)))
+        .unwrap_or(first);
     let differs = |other: &Vec<f64>| other.iter().zip(best).any(|(a, b)| (a - b).abs() > 1e-6);
-    if whole.iter().any(|other| differs(other) && !(widest(other) > CLOSER * widest(best))) {
-        return Err((0, "a time stamp whose day and month cannot be exchanged (YYYY-MM-DD)"));
+    if whole
+        .iter()
+        .any(|other| differs(other) && !(widest(other) > CLOSER * widest(best)))
+    {
+        return Err((
+            0,
+            "a time stamp whose day and month cannot be exchanged (YYYY-MM-DD)",
+        ));
     }
     Ok(best.clone())
 }
@@ -195,16 +246,49 @@ mod tests {
             let found = seconds(&stamps).unwrap();
             assert!((found[1] - 20.0).abs() < 1e-6, "{stamps:?}: {found:?}");
         }
-        assert_eq!(seconds(&["2025-01-01T00:00:00.25", "2025-01-01T00:00:01.5"]).unwrap(), [0.0, 1.25]);
+        assert_eq!(
+            seconds(&["2025-01-01T00:00:00.25", "2025-01-01T00:00:01.5"]).unwrap(),
+            [0.0, 1.25]
+        );
         // The month or the day: nothing turns on it within one day, all does over the next.
-        assert_eq!(seconds(&["04/03/2025 10:00:00", "04/03/2025 10:00:20"]).unwrap(), [0.0, 20.0]);
-        assert_eq!(seconds(&["04/03/2025 23:59", "05/03/2025 00:01"]).unwrap(), [0.0, 120.0]);
-        assert!(seconds(&["04/03/2025", "05/04/2025"]).unwrap_err().1.contains("exchanged"));
+        assert_eq!(
+            seconds(&["04/03/2025 10:00:00", "04/03/2025 10:00:20"]).unwrap(),
+            [0.0, 20.0]
+        );
+        assert_eq!(
+            seconds(&["04/03/2025 23:59", "05/03/2025 00:01"]).unwrap(),
+            [0.0, 120.0]
+        );
+        assert!(
+            seconds(&["04/03/2025", "05/04/2025"])
+                .unwrap_err()
+                .1
+                .contains("exchanged")
+        );
         assert_eq!(seconds(&["2025-03-04T10:00:00", "later"]).unwrap_err().0, 1);
-        assert_eq!(seconds(&["04.03.2025 10:00:00,100", "04.03.2025 10:00:01,101"]).unwrap(), [0.0, 1.001]);
-        assert!(["2025-03-04", "04.03.2025", "3/14/2025"].iter().all(|s| is_date(s) && !is_time_of_day(s)));
-        assert!(["9:05", "09:05:00,25", "9:05 PM"].iter().all(|s| is_time_of_day(s) && !is_date(s)));
-        assert!(!["2025-03-04 09:05", "12.5", "90:10"].iter().any(|s| is_time_of_day(s) || is_date(s)));
-        assert!(!["12.5", "A-101", "1.5.2", "cell 3:4", "n/a"].iter().any(|s| is_stamp(s)));
+        assert_eq!(
+            seconds(&["04.03.2025 10:00:00,100", "04.03.2025 10:00:01,101"]).unwrap(),
+            [0.0, 1.001]
+        );
+        assert!(
+            ["2025-03-04", "04.03.2025", "3/14/2025"]
+                .iter()
+                .all(|s| is_date(s) && !is_time_of_day(s))
+        );
+        assert!(
+            ["9:05", "09:05:00,25", "9:05 PM"]
+                .iter()
+                .all(|s| is_time_of_day(s) && !is_date(s))
+        );
+        assert!(
+            !["2025-03-04 09:05", "12.5", "90:10"]
+                .iter()
+                .any(|s| is_time_of_day(s) || is_date(s))
+        );
+        assert!(
+            !["12.5", "A-101", "1.5.2", "cell 3:4", "n/a"]
+                .iter()
+                .any(|s| is_stamp(s))
+        );
     }
 }

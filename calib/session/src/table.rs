@@ -87,7 +87,11 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
         text = text.replace('\r', "\n");
     }
     let table = parse(&file, &text, layout)?;
-    Ok(TextTable { sha256: sha256_hex(&bytes), encoding, ..table })
+    Ok(TextTable {
+        sha256: sha256_hex(&bytes),
+        encoding,
+        ..table
+    })
 }
 
 /// Reads a table of a session, which messages call `name`.
@@ -107,19 +111,38 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
         if other.is_text { way_out(error) } else { error }
     })?;
     if text.contains('\r') && !text.contains('\n') {
-        return Err(way_out(InputError::new(name, "lines that end in LF or CR LF", "CR alone")).into());
+        return Err(way_out(InputError::new(
+            name,
+            "lines that end in LF or CR LF",
+            "CR alone",
+        ))
+        .into());
     }
     let table = parse(name, text, &TextTableLayout::default())?;
     let twice = |k: &usize| table.columns[..*k].contains(&table.columns[*k]);
-    if let Some(column) = (0..table.columns.len()).find(twice).map(|k| &table.columns[k]) {
-        let error = InputError::new(name, "every column named once", format!("{} twice", quote(column)));
+    if let Some(column) = (0..table.columns.len())
+        .find(twice)
+        .map(|k| &table.columns[k])
+    {
+        let error = InputError::new(
+            name,
+            "every column named once",
+            format!("{} twice", quote(column)),
+        );
         return Err(error.at(1).field(column).into());
     }
-    Ok(TextTable { sha256: sha256_hex(&bytes), ..table })
+    Ok(TextTable {
+        sha256: sha256_hex(&bytes),
+        ..table
+    })
 }
 
 fn too_wide(file: &str, columns: usize) -> InputError {
-    InputError::new(file, format!("at most {MAX_COLUMNS} columns"), columns.to_string())
+    InputError::new(
+        file,
+        format!("at most {MAX_COLUMNS} columns"),
+        columns.to_string(),
+    )
 }
 
 /// As [`read_own`], of a session's readings: where their numbers follow their times, in that order, whatever order the lines have.
@@ -128,42 +151,82 @@ fn too_wide(file: &str, columns: usize) -> InputError {
 /// As [`read_own`].
 pub(crate) fn read_readings(path: &Path, name: &str) -> Result<TextTable, SessionError> {
     let table = read_own(path, name)?;
-    let (Some(point), Some(t_s)) = (table.place("point"), table.place("t_s")) else { return Ok(table) };
+    let (Some(point), Some(t_s)) = (table.place("point"), table.place("t_s")) else {
+        return Ok(table);
+    };
     let mut rows = table.rows.clone();
     rows.sort_by_cached_key(|(_, cells)| cells[point].parse::<i64>().ok());
     let time = |row: &(usize, StringRecord)| row.1[t_s].parse::<f64>().ok();
     let in_time = rows.iter().all(|r| time(r).is_some()) && rows.is_sorted_by_key(time);
-    Ok(if in_time { TextTable { rows, ..table } } else { table })
+    Ok(if in_time {
+        TextTable { rows, ..table }
+    } else {
+        table
+    })
 }
 
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
     let skipped = layout.skip_lines;
     let foreign = layout.asked.is_some();
-    let mut preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
-    let start = text.split_inclusive('\n').take(skipped).map(str::len).sum::<usize>();
+    let mut preamble = if foreign {
+        Preamble::read(text)
+    } else {
+        Preamble::default()
+    };
+    let start = text
+        .split_inclusive('\n')
+        .take(skipped)
+        .map(str::len)
+        .sum::<usize>();
     let text = &text[start..];
     let error = |expected: String, found: String| InputError::new(file, expected, found);
-    if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
+    if let Some((k, line)) = text
+        .lines()
+        .enumerate()
+        .find(|(_, line)| line.len() > MAX_LINE)
+    {
         let expected = format!("at most {MAX_LINE} bytes in a line");
         return Err(error(expected, line.len().to_string()).at(skipped + k + 1));
     }
     // Before any line is split, which takes many times its bytes.
-    let marks =
-        |line: &str| [',', ';', '\t'].map(|mark| line.matches(mark).count()).into_iter().max().unwrap_or(0);
+    let marks = |line: &str| {
+        [',', ';', '\t']
+            .map(|mark| line.matches(mark).count())
+            .into_iter()
+            .max()
+            .unwrap_or(0)
+    };
     let mut widths = text.lines().take(LOOK).map(marks).enumerate();
     if let Some((k, count)) = widths.find(|(_, count)| *count >= MAX_COLUMNS) {
         return Err(too_wide(file, count + 1).at(skipped + k + 1));
     }
-    if let (None, None, Some(asked)) = (layout.separator, &layout.columns, layout.asked.as_deref()) {
+    if let (None, None, Some(asked)) = (layout.separator, &layout.columns, layout.asked.as_deref())
+    {
         preamble.find_separator(text, asked, layout.decimal_comma);
     }
     let separator = layout.separator.or(preamble.separator).unwrap_or_default();
     let (stated, asked) = (layout.columns.as_deref(), layout.asked.as_deref());
     let form = match asked {
-        Some(asked) => Form::find(&Place { file, text, skipped, separator, stated, asked }, &preamble)?,
+        Some(asked) => Form::find(
+            &Place {
+                file,
+                text,
+                skipped,
+                separator,
+                stated,
+                asked,
+            },
+            &preamble,
+        )?,
         None => plain_form(file, records(text, skipped + 1, separator), stated)?,
     };
-    let Form { columns, units, mut rows, remarks, warnings } = form;
+    let Form {
+        columns,
+        units,
+        mut rows,
+        remarks,
+        warnings,
+    } = form;
     if columns.len() > MAX_COLUMNS {
         return Err(too_wide(file, columns.len()));
     }
@@ -181,7 +244,10 @@ fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, 
         }
     }
     if rows.is_empty() {
-        return Err(error("at least one row below the header".into(), "an empty table".into()));
+        return Err(error(
+            "at least one row below the header".into(),
+            "an empty table".into(),
+        ));
     }
     Ok(TextTable {
         file: file.to_owned(),
@@ -209,11 +275,19 @@ fn plain_form(
     let columns = match stated {
         Some(names) => names.to_vec(),
         None if rows.is_empty() => {
-            return Err(InputError::new(file, "a header line and rows", "an empty file"));
+            return Err(InputError::new(
+                file,
+                "a header line and rows",
+                "an empty file",
+            ));
         }
         None => rows.remove(0).1.iter().map(str::to_owned).collect(),
     };
-    Ok(Form { columns, rows, ..Form::default() })
+    Ok(Form {
+        columns,
+        rows,
+        ..Form::default()
+    })
 }
 
 impl TextTable {
@@ -223,12 +297,17 @@ impl TextTable {
         let text = format!(
             "the file ends within line {line}, without a line end: if it was cut off there, its last number may lack digits"
         );
-        self.open_end.then(|| SessionWarning::new(&self.file, WarningKind::OpenEnd, text))
+        self.open_end
+            .then(|| SessionWarning::new(&self.file, WarningKind::OpenEnd, text))
     }
 
     /// The file and its hash.
     pub(crate) fn input(&self, purpose: Purpose) -> InputFile {
-        InputFile { path: self.file.clone(), sha256: self.sha256.clone(), purpose }
+        InputFile {
+            path: self.file.clone(),
+            sha256: self.sha256.clone(),
+            purpose,
+        }
     }
 
     /// Index of a column of a session's table, which names each once.
@@ -237,8 +316,16 @@ impl TextTable {
     }
 
     /// Takes what a reader knows of a session's table; the others, by name. `required` must be there, and none may be there in another unit.
-    pub(crate) fn others(&self, required: &[&str], known: &[&str]) -> Result<Vec<String>, InputError> {
-        for name in required.iter().chain(known).filter(|name| self.place(name).is_none()) {
+    pub(crate) fn others(
+        &self,
+        required: &[&str],
+        known: &[&str],
+    ) -> Result<Vec<String>, InputError> {
+        for name in required
+            .iter()
+            .chain(known)
+            .filter(|name| self.place(name).is_none())
+        {
             let (base, unit) = split_unit(name);
             let other = |c: &&String| {
                 let (other, of) = split_unit(c);
@@ -255,20 +342,38 @@ impl TextTable {
                 return Err(error.at(1).field(*name).hint(hint));
             }
         }
-        let missing: Vec<&str> = required.iter().copied().filter(|name| self.place(name).is_none()).collect();
+        let missing: Vec<&str> = required
+            .iter()
+            .copied()
+            .filter(|name| self.place(name).is_none())
+            .collect();
         if !missing.is_empty() {
             return Err(self.without(&missing).at(1));
         }
-        let is_known = |c: &&String| !required.iter().chain(known).chain([&SIMULATED_COLUMN]).any(|n| n == c);
+        let is_known = |c: &&String| {
+            !required
+                .iter()
+                .chain(known)
+                .chain([&SIMULATED_COLUMN])
+                .any(|n| n == c)
+        };
         Ok(self.columns.iter().filter(is_known).cloned().collect())
     }
 
     /// The column whose readings are left out together: a counter of repetitions, or another group.
     pub(crate) fn group(&self) -> Vec<&'static str> {
-        let first = GROUPS.iter().position(|name| self.place(name).is_some()).unwrap_or(0);
+        let first = GROUPS
+            .iter()
+            .position(|name| self.place(name).is_some())
+            .unwrap_or(0);
         // The column that groups stands first; a second counter is known as one.
-        let counters = GROUPS[..COUNTERS].iter().filter(|name| **name != GROUPS[first]);
-        [GROUPS[first]].into_iter().chain(counters.copied()).collect()
+        let counters = GROUPS[..COUNTERS]
+            .iter()
+            .filter(|name| **name != GROUPS[first]);
+        [GROUPS[first]]
+            .into_iter()
+            .chain(counters.copied())
+            .collect()
     }
 
     /// Index of a column; of several with one name and the same cells the first.
@@ -280,10 +385,17 @@ impl TextTable {
         let first = *own.first().ok_or_else(|| self.without(&[name]))?;
         let other = |k: usize| self.rows.iter().find(|(_, cells)| cells[k] != cells[first]);
         if let Some((k, (line, _))) = own.iter().skip(1).find_map(|&k| Some((k, other(k)?))) {
-            let found = format!("columns {} and {} of that name, which differ", first + 1, k + 1);
-            let error =
-                InputError::new(&self.file, format!("one column {name}"), found).at(*line).field(name);
-            return Err(error.hint("name every column by --columns, and skip the header by --skip-lines"));
+            let found = format!(
+                "columns {} and {} of that name, which differ",
+                first + 1,
+                k + 1
+            );
+            let error = InputError::new(&self.file, format!("one column {name}"), found)
+                .at(*line)
+                .field(name);
+            return Err(
+                error.hint("name every column by --columns, and skip the header by --skip-lines")
+            );
         }
         Ok(first)
     }
@@ -298,8 +410,12 @@ impl TextTable {
         };
         let error = InputError::new(&self.file, expected, found).field(names.join(", "));
         let name = names.first().copied().unwrap_or_default();
-        let alike = |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
-        let nearest = self.columns.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
+        let alike =
+            |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
+        let nearest = self
+            .columns
+            .iter()
+            .max_by(|a, b| alike(a).total_cmp(&alike(b)));
         match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {
             (Some(hint), _) => error.hint(hint),
             (None, Some(column)) => error.hint(format!("did you mean {column}?")),
@@ -312,8 +428,14 @@ impl TextTable {
 
     /// Indices of the columns of one name.
     pub fn columns_named(&self, name: &str) -> Vec<usize> {
-        let name = if self.foreign { name_of(name) } else { name.to_owned() };
-        (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
+        let name = if self.foreign {
+            name_of(name)
+        } else {
+            name.to_owned()
+        };
+        (0..self.columns.len())
+            .filter(|&k| self.columns[k] == name)
+            .collect()
     }
 
     /// Whether cells may have the forms of other programs.
@@ -330,7 +452,15 @@ impl TextTable {
     ) -> Self {
         let file = name.to_owned();
         let ranges = columns.iter().map(|column| column_range(column)).collect();
-        Self { file, columns, rows, ranges, foreign: false, decimal_comma: false, ..self }
+        Self {
+            file,
+            columns,
+            rows,
+            ranges,
+            foreign: false,
+            decimal_comma: false,
+            ..self
+        }
     }
 
     /// +1 or -1 of a cell of a direction, by its sign, number or word.
@@ -349,11 +479,17 @@ impl TextTable {
     /// # Errors
     /// Where the column looks so and decimals are not declared to have a comma.
     pub fn check_thousands(&self, column: usize) -> Result<(), InputError> {
-        let cells = || self.rows.iter().map(|(line, c)| (*line, c[column].trim_start_matches(['-', '+'])));
+        let cells = || {
+            self.rows
+                .iter()
+                .map(|(line, c)| (*line, c[column].trim_start_matches(['-', '+'])))
+        };
         let plain = |c: &str| c.len() >= 3 && c.chars().all(|d| d.is_ascii_digit());
         let dotted = || cells().filter(|(_, c)| c.contains('.'));
         let suspect = dotted().find(|(_, c)| grouped(c, &['.']) && c.ends_with('0'));
-        let Some((line, cell)) = suspect.filter(|_| !self.decimal_comma) else { return Ok(()) };
+        let Some((line, cell)) = suspect.filter(|_| !self.decimal_comma) else {
+            return Ok(());
+        };
         if !dotted().all(|(_, c)| grouped(c, &['.'])) || !cells().any(|(_, c)| plain(c)) {
             return Ok(());
         }
@@ -373,11 +509,23 @@ impl TextTable {
         if cell.is_empty() || self.foreign && is_missing(cell) {
             return Ok(None);
         }
-        let error = |expected: &str| InputError::new(&self.file, expected, quote(cell)).at(*line).field(name);
-        let mut cell = if self.foreign { plain(cell) } else { cell.into() };
+        let error = |expected: &str| {
+            InputError::new(&self.file, expected, quote(cell))
+                .at(*line)
+                .field(name)
+        };
+        let mut cell = if self.foreign {
+            plain(cell)
+        } else {
+            cell.into()
+        };
         // Where decimals have a dot elsewhere, a comma before three digits stands between thousands.
         if self.foreign && !self.decimal_comma && cell.contains(',') {
-            let whole = cell.trim_start_matches(['-', '+']).split('.').next().unwrap_or_default();
+            let whole = cell
+                .trim_start_matches(['-', '+'])
+                .split('.')
+                .next()
+                .unwrap_or_default();
             let dot = |c: &str| c.contains('.') && c.parse::<f64>().is_ok();
             if grouped(whole, &[',']) && self.rows.iter().any(|(_, cells)| cells.iter().any(dot)) {
                 cell = cell.replace(',', "").into();
@@ -386,8 +534,14 @@ impl TextTable {
         let parsed = if self.decimal_comma {
             // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
             let unsigned = cell.trim_start_matches(['-', '+']);
-            let whole = unsigned.split_once(',').map_or(unsigned, |(whole, _)| whole);
-            let commas = || self.rows.iter().any(|(_, cells)| cells.iter().any(|c| c.contains(',')));
+            let whole = unsigned
+                .split_once(',')
+                .map_or(unsigned, |(whole, _)| whole);
+            let commas = || {
+                self.rows
+                    .iter()
+                    .any(|(_, cells)| cells.iter().any(|c| c.contains(',')))
+            };
             if cell.contains('.') && (!grouped(whole, &['.']) || !commas()) {
                 let hint = "leave --decimal-comma out where decimals have a dot; with it a dot stands between thousands";
                 return Err(error("decimals with a comma").hint(hint));
@@ -402,13 +556,10 @@ impl TextTable {
                 Err(e) => Err(InputError::range(&self.file, e).at(*line)),
             },
             Ok(_) => Err(error("a finite number")),
-            Err(_) if cell.replace(',', "").parse::<f64>().is_ok() => {
-                Err(error("a number")
-                    .hint("decimals with a comma (--decimal-comma), or a thousands separator?"))
-            }
-            Err(_) if cell.contains(':') => {
-                Err(error("a number").hint("a time of the day? write hh:mm:ss, or name the column t [mm:ss]"))
-            }
+            Err(_) if cell.replace(',', "").parse::<f64>().is_ok() => Err(error("a number")
+                .hint("decimals with a comma (--decimal-comma), or a thousands separator?")),
+            Err(_) if cell.contains(':') => Err(error("a number")
+                .hint("a time of the day? write hh:mm:ss, or name the column t [mm:ss]")),
             Err(_) => Err(error("a number")),
         }
     }

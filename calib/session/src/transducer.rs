@@ -35,18 +35,26 @@ pub(crate) fn read_rows(
     let name = &table.file;
     let group = table.group();
     let required = ["point", "role", "stimulus", "response"];
-    let known = [&["stimulus_sd", "t_s", "temperature_degc", "direction"][..], &group].concat();
+    let known = [
+        &["stimulus_sd", "t_s", "temperature_degc", "direction"][..],
+        &group,
+    ]
+    .concat();
     let others = table.others(&required, &known)?;
-    let (covariates, without): (Vec<String>, Vec<String>) =
-        others.into_iter().partition(|column| matches!(Row::new(table, 0).number(column), Ok(Some(_))));
-    let without =
-        without.iter().map(|column| format!("column {} holds no numbers and is not used", brief(column)));
+    let (covariates, without): (Vec<String>, Vec<String>) = others
+        .into_iter()
+        .partition(|column| matches!(Row::new(table, 0).number(column), Ok(Some(_))));
+    let without = without
+        .iter()
+        .map(|column| format!("column {} holds no numbers and is not used", brief(column)));
     warnings.extend(without.map(|text| SessionWarning::other(name, text)));
     let mut points = PointNumbers::default();
     Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
-    let read: Vec<&str> =
-        ["response", "temperature_degc"].into_iter().chain(covariates.iter().map(String::as_str)).collect();
+    let read: Vec<&str> = ["response", "temperature_degc"]
+        .into_iter()
+        .chain(covariates.iter().map(String::as_str))
+        .collect();
     exchanged(table, ["stimulus", "response"])?;
     warnings.extend(overflow(table, [&["stimulus"], &read], &mut out)?);
     warnings.extend(copied(table, Some("response"), &mut out)?);
@@ -68,12 +76,22 @@ pub(crate) fn read_rows(
             temperature_degc: row.temperature()?,
             direction: row.sign("direction")?,
             replicate: row.count(group[0], 0)?,
-            covariates: covariates.iter().map(covariate).collect::<Result<_, InputError>>()?,
+            covariates: covariates
+                .iter()
+                .map(covariate)
+                .collect::<Result<_, InputError>>()?,
         });
     }
-    let steps: Vec<_> = rows.iter().map(|r| (r.line, r.stimulus, r.t_s, r.direction)).collect();
+    let steps: Vec<_> = rows
+        .iter()
+        .map(|r| (r.line, r.stimulus, r.t_s, r.direction))
+        .collect();
     contradiction(name, "stimulus", &steps)?;
     warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
     warnings.extend(table.warning());
-    Ok(TransducerTable { rows, covariates, input: table.input(purpose) })
+    Ok(TransducerTable {
+        rows,
+        covariates,
+        input: table.input(purpose),
+    })
 }

@@ -40,7 +40,12 @@ pub enum WarningKind {
 
 impl SessionWarning {
     pub(crate) fn new(file: &str, kind: WarningKind, text: impl Into<String>) -> Self {
-        Self { file: file.to_owned(), kind, text: text.into(), lines: Vec::new() }
+        Self {
+            file: file.to_owned(),
+            kind,
+            text: text.into(),
+            lines: Vec::new(),
+        }
     }
 
     /// Adds the lines of the file where it is so.
@@ -79,7 +84,11 @@ impl SessionWarning {
 
     /// Points of rows that were left out of the table.
     pub(crate) fn left_out(&self) -> &[i64] {
-        if let WarningKind::LeftOut(points) = &self.kind { points } else { &[] }
+        if let WarningKind::LeftOut(points) = &self.kind {
+            points
+        } else {
+            &[]
+        }
     }
 }
 
@@ -92,8 +101,16 @@ impl Serialize for SessionWarning {
 
 impl fmt::Display for SessionWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let head = if self.is_clock_problem() { "clock_problem: " } else { "" };
-        write!(f, "{head}{}", printable(&format!("{}: {}", self.file, self.text)))?;
+        let head = if self.is_clock_problem() {
+            "clock_problem: "
+        } else {
+            ""
+        };
+        write!(
+            f,
+            "{head}{}",
+            printable(&format!("{}: {}", self.file, self.text))
+        )?;
         match &self.lines[..] {
             [] => Ok(()),
             lines => write!(f, ": line(s) {}", named(lines)),
@@ -105,7 +122,11 @@ impl fmt::Display for SessionWarning {
 pub fn named(points: &[impl ToString]) -> String {
     /// More points are counted, not named.
     const MAX_NAMED: usize = 20;
-    let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();
+    let mut named: Vec<String> = points
+        .iter()
+        .take(MAX_NAMED)
+        .map(ToString::to_string)
+        .collect();
     if points.len() > MAX_NAMED {
         named.push(format!("and {} more", points.len() - MAX_NAMED));
     }

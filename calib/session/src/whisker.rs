@@ -43,7 +43,12 @@ pub struct ReadingTable {
 /// As [`crate::load`]: the first cell that cannot be used.
 pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
     let table = read_own(path, &path.display().to_string())?;
-    Ok(read_rows(&table, &mut fbg.clone(), &[], ColumnRequirement::Readings)?)
+    Ok(read_rows(
+        &table,
+        &mut fbg.clone(),
+        &[],
+        ColumnRequirement::Readings,
+    )?)
 }
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
@@ -75,8 +80,14 @@ pub const WHISKER_COLUMNS: [&str; 23] = [
 ];
 
 /// Columns that every session has.
-pub const IN_SESSION: [&str; 6] =
-    ["point", "role", "trajectory", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
+pub const IN_SESSION: [&str; 6] = [
+    "point",
+    "role",
+    "trajectory",
+    "groove_x_mm",
+    "groove_y_mm",
+    "groove_z_mm",
+];
 /// Those of the gratings and of the strain-isolated one, as shifts from nominal and as wavelengths.
 const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
 const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];
@@ -90,10 +101,23 @@ pub(crate) fn read_rows(
 ) -> Result<ReadingTable, InputError> {
     let name = &table.file;
     let in_session = requirement == ColumnRequirement::Session;
-    let shifts = SHIFTS[..2].iter().all(|column| table.place(column).is_some());
-    let (gratings, foreign) = if shifts { (SHIFTS, WAVELENGTHS) } else { (WAVELENGTHS, SHIFTS) };
-    let required = [if in_session { &IN_SESSION[..] } else { &[] }, &gratings[..2]].concat();
-    let known = WHISKER_COLUMNS.iter().copied().filter(|column| !foreign.contains(column));
+    let shifts = SHIFTS[..2]
+        .iter()
+        .all(|column| table.place(column).is_some());
+    let (gratings, foreign) = if shifts {
+        (SHIFTS, WAVELENGTHS)
+    } else {
+        (WAVELENGTHS, SHIFTS)
+    };
+    let required = [
+        if in_session { &IN_SESSION[..] } else { &[] },
+        &gratings[..2],
+    ]
+    .concat();
+    let known = WHISKER_COLUMNS
+        .iter()
+        .copied()
+        .filter(|column| !foreign.contains(column));
     // A free table may use the word for something else.
     let known: Vec<&str> = known.chain(in_session.then_some("stream")).collect();
     let mut warnings = unknown_columns(name, table.others(&required, &known)?);
@@ -139,7 +163,11 @@ pub(crate) fn read_rows(
         rows.push(reading);
     }
     for (points, kind, says) in [
-        (lost, WarningKind::Other, ": scans are missing in the averaging window"),
+        (
+            lost,
+            WarningKind::Other,
+            ": scans are missing in the averaging window",
+        ),
         (
             late,
             WarningKind::ScansLate,
@@ -161,7 +189,11 @@ pub(crate) fn read_rows(
     }));
     warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
     warnings.extend(table.warning());
-    Ok(ReadingTable { rows, input: table.input(Purpose::Description), warnings })
+    Ok(ReadingTable {
+        rows,
+        input: table.input(Purpose::Description),
+        warnings,
+    })
 }
 
 /// Readings of a table that a grating at work does not repeat to the last digit.
@@ -172,7 +204,11 @@ const MIN_VALUES: usize = 5;
 /// The grating that reads the same in every row while another grating changes.
 fn stuck(rows: &[WhiskerRow]) -> Option<String> {
     let values = |of: &dyn Fn(&WhiskerRow) -> Option<f64>| -> usize {
-        rows.iter().filter_map(of).map(f64::to_bits).collect::<HashSet<u64>>().len()
+        rows.iter()
+            .filter_map(of)
+            .map(f64::to_bits)
+            .collect::<HashSet<u64>>()
+            .len()
     };
     let counts = [
         values(&|r| Some(r.shift_pm[0])),
@@ -180,7 +216,9 @@ fn stuck(rows: &[WhiskerRow]) -> Option<String> {
         values(&|r| r.reference_shift_pm),
     ];
     let moves = counts.iter().any(|n| *n >= MIN_VALUES);
-    let still = (0..2).find(|&g| counts[g] == 1).filter(|_| moves && rows.len() >= MIN_STUCK);
+    let still = (0..2)
+        .find(|&g| counts[g] == 1)
+        .filter(|_| moves && rows.len() >= MIN_STUCK);
     still.map(|g| format!("fbg_{}", g + 1))
 }
 
@@ -200,7 +238,11 @@ fn read_row(
     requirement: ColumnRequirement,
 ) -> Result<WhiskerRow, InputError> {
     let in_session = requirement == ColumnRequirement::Session;
-    let role = if row.table.place("role").is_some() { row.role()? } else { Role::Verification };
+    let role = if row.table.place("role").is_some() {
+        row.role()?
+    } else {
+        Role::Verification
+    };
     let mut trajectory = row.count("trajectory", 0)?;
     let groove_mm = groove(row)?;
     if in_session {
@@ -209,13 +251,28 @@ fn read_row(
             trajectory = trajectory.filter(|_| is_known);
         } else if !is_known {
             let found = trajectory.map_or("nothing".to_owned(), |id| format!("{id}"));
-            return Err(row.error("trajectory", "the id of a [[trajectory]] in session.toml", found));
+            return Err(row.error(
+                "trajectory",
+                "the id of a [[trajectory]] in session.toml",
+                found,
+            ));
         } else if groove_mm.is_none() {
-            return Err(row.error("groove_x_mm", "a number (only a rest row needs no groove)", "nothing"));
+            return Err(row.error(
+                "groove_x_mm",
+                "a number (only a rest row needs no groove)",
+                "nothing",
+            ));
         }
     }
     let nominal_nm = (gratings == WAVELENGTHS).then(|| fbg.nominal_nm.unwrap_or_default());
-    let shift = |g: usize| shift_pm(row, gratings[g], row.required(gratings[g])?, nominal_nm.map(|n| n[g]));
+    let shift = |g: usize| {
+        shift_pm(
+            row,
+            gratings[g],
+            row.required(gratings[g])?,
+            nominal_nm.map(|n| n[g]),
+        )
+    };
     let reference_shift_pm = match row.number(gratings[2])? {
         Some(nm) => {
             let nominal_nm = nominal_nm.map(|_| fbg.reference_nominal_nm.unwrap_or(nm));
@@ -225,11 +282,18 @@ fn read_row(
         }
         None => None,
     };
-    let sd = [row.not_negative("fbg_1_sd_pm")?, row.not_negative("fbg_2_sd_pm")?];
+    let sd = [
+        row.not_negative("fbg_1_sd_pm")?,
+        row.not_negative("fbg_2_sd_pm")?,
+    ];
     let speed_mm_s = row.not_negative("speed_mm_s")?;
     // A settled row is the mean over a window that its times end: the mean is of its middle.
     let settled = speed_mm_s.is_none_or(|v| v == 0.0);
-    let average_s = if settled { row.not_negative("average_s")? } else { None };
+    let average_s = if settled {
+        row.not_negative("average_s")?
+    } else {
+        None
+    };
     let half_s = average_s.unwrap_or(0.0) / 2.0;
     Ok(WhiskerRow {
         source: row.table.file.clone(),
@@ -242,13 +306,19 @@ fn read_row(
         stage_mm: row.number("stage_mm")?,
         direction: row.sign("direction")?,
         speed_mm_s,
-        dwell_s: row.not_negative("dwell_s")?.map(|end_s| (end_s - half_s).max(0.0)),
+        dwell_s: row
+            .not_negative("dwell_s")?
+            .map(|end_s| (end_s - half_s).max(0.0)),
         average_s,
         groove_mm,
         temperature_degc: row.temperature()?,
         shift_pm: [shift(0)?, shift(1)?],
         reference_shift_pm,
-        shift_sd_pm: if let [Some(a), Some(b)] = sd { Some([a, b]) } else { None },
+        shift_sd_pm: if let [Some(a), Some(b)] = sd {
+            Some([a, b])
+        } else {
+            None
+        },
         samples: row.count("samples", 1)?,
         seating: 0,
         sealed: false,
@@ -257,19 +327,32 @@ fn read_row(
 }
 
 fn groove(row: &Row<'_>) -> Result<Option<Vector3<f64>>, InputError> {
-    let cells = [row.number(IN_SESSION[3])?, row.number(IN_SESSION[4])?, row.number(IN_SESSION[5])?];
+    let cells = [
+        row.number(IN_SESSION[3])?,
+        row.number(IN_SESSION[4])?,
+        row.number(IN_SESSION[5])?,
+    ];
     match cells {
         [Some(x), Some(y), Some(z)] => Ok(Some(Vector3::new(x, y, z))),
         [None, None, None] => Ok(None),
         _ => {
             let empty = cells.iter().position(Option::is_none).unwrap_or(0);
-            Err(row.error(IN_SESSION[3 + empty], "a number (its neighbours are given)", "nothing"))
+            Err(row.error(
+                IN_SESSION[3 + empty],
+                "a number (its neighbours are given)",
+                "nothing",
+            ))
         }
     }
 }
 
 /// Shift from nominal, pm, of what a column holds: a shift, or a wavelength where the nominal one is given.
-fn shift_pm(row: &Row<'_>, column: &str, nm: f64, nominal_nm: Option<f64>) -> Result<f64, InputError> {
+fn shift_pm(
+    row: &Row<'_>,
+    column: &str,
+    nm: f64,
+    nominal_nm: Option<f64>,
+) -> Result<f64, InputError> {
     let (low, high) = WAVELENGTH_NM;
     let is_wavelength = |nm: f64| (low..=high).contains(&nm);
     if nominal_nm.is_some() && !is_wavelength(nm) {
@@ -290,7 +373,11 @@ fn shift_pm(row: &Row<'_>, column: &str, nm: f64, nominal_nm: Option<f64>) -> Re
         return Ok(shift_nm * PM_PER_NM);
     }
     let expected = format!("a shift from nominal of at most {LARGEST_SHIFT_NM} nm");
-    let hint = if nominal_nm.is_some() { "wrong nominal_nm or grating?" } else { "pm instead of nm?" };
+    let hint = if nominal_nm.is_some() {
+        "wrong nominal_nm or grating?"
+    } else {
+        "pm instead of nm?"
+    };
     Err(row.error(column, expected, shift_nm.to_string()).hint(hint))
 }
 
@@ -304,12 +391,18 @@ pub(crate) fn read_twin(
     const MOMENTS: [&str; 2] = ["moment_1_nmm", "moment_2_nmm"];
     let table: TextTable = read_own(path, name)?;
     // `wcal twin` writes these with the labels, and no moment where it finds no equilibrium.
-    let others =
-        table.others(&["point", MOMENTS[0], MOMENTS[1]], &["contact_arclength_mm", "settled", "branch"])?;
+    let others = table.others(
+        &["point", MOMENTS[0], MOMENTS[1]],
+        &["contact_arclength_mm", "settled", "branch"],
+    )?;
     warnings.extend(unknown_columns(name, others));
     let may_be_empty = table.place("branch").is_some();
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
-    let left_out: HashSet<i64> = warnings.iter().flat_map(SessionWarning::left_out).copied().collect();
+    let left_out: HashSet<i64> = warnings
+        .iter()
+        .flat_map(SessionWarning::left_out)
+        .copied()
+        .collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
     for row in Row::all(&table) {
         let point = row.point()?;
@@ -321,12 +414,18 @@ pub(crate) fn read_twin(
         if known.contains(&point) {
             labels.push(TwinLabel { point, moment_nmm });
         } else if !left_out.contains(&point) {
-            return Err(row.error("point", "a point of the points table", format!("{point}")).into());
+            return Err(row
+                .error("point", "a point of the points table", format!("{point}"))
+                .into());
         }
     }
     warnings.extend(table.warning());
     if labels.len() < known.len() {
-        let text = format!("{} of {} points have no label", known.len() - labels.len(), known.len());
+        let text = format!(
+            "{} of {} points have no label",
+            known.len() - labels.len(),
+            known.len()
+        );
         warnings.push(SessionWarning::other(name, text));
     }
     Ok((labels, table.input(Purpose::Description)))

@@ -97,7 +97,9 @@ impl WhiskerSection {
         warnings: &mut Vec<SessionWarning>,
     ) -> Result<WhiskerSpec, InputError> {
         let of = |key: &str| format!("whisker.{key}");
-        let inline = self.rest_shape.map(|points| (file, points.into_iter().map(Vector3::from).collect()));
+        let inline = self
+            .rest_shape
+            .map(|points| (file, points.into_iter().map(Vector3::from).collect()));
         // Where the shape comes from, which is what a message about it names.
         let shape = inline.or(shape_file);
         let shape_place = shape.as_ref().map(|(place, _)| *place);
@@ -105,19 +107,22 @@ impl WhiskerSection {
             Some((place, points)) => {
                 check_polyline(place, &points)?;
                 let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-                if let Some(declared_mm) =
-                    self.length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm)
+                if let Some(declared_mm) = self
+                    .length_mm
+                    .filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm)
                 {
-                    let text =
-                        format!("the rest shape is {polyline_mm:.3} mm long, length_mm says {declared_mm}");
+                    let text = format!(
+                        "the rest shape is {polyline_mm:.3} mm long, length_mm says {declared_mm}"
+                    );
                     warnings.push(SessionWarning::other(place, text));
                 }
                 RestShape::Polyline(points)
             }
             None => {
                 let needed = |key: &str, value: Option<f64>| {
-                    let nothing =
-                        || InputError::new(file, "a number, or a rest_shape", "nothing").field(of(key));
+                    let nothing = || {
+                        InputError::new(file, "a number, or a rest_shape", "nothing").field(of(key))
+                    };
                     value.ok_or_else(nothing)
                 };
                 let length_mm = needed("length_mm", self.length_mm)?;
@@ -125,10 +130,16 @@ impl WhiskerSection {
                 // A wholly straight wire has no arc; any radius describes it.
                 let no_arc = (straight_mm >= length_mm).then_some(length_mm);
                 let arc_radius_mm = needed("arc_radius_mm", self.arc_radius_mm.or(no_arc))?;
-                RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm }
+                RestShape::StraightArc {
+                    straight_mm,
+                    arc_radius_mm,
+                    length_mm,
+                }
             }
         };
-        let gravity = self.gravity_direction.map(|v| unit_vector(file, &of("gravity_direction"), v));
+        let gravity = self
+            .gravity_direction
+            .map(|v| unit_vector(file, &of("gravity_direction"), v));
         let whisker = WhiskerSpec {
             diameter_mm: self.diameter_mm,
             youngs_gpa: self.youngs_gpa,
@@ -144,7 +155,9 @@ impl WhiskerSection {
             Some(place) => InputError::new(place, e.expected, e.found).field(e.key),
             None => {
                 let key = of(e.key.rsplit('.').next().unwrap_or_default());
-                InputError::new(file, e.expected, e.found).field(key).hint("check the unit in the key's name")
+                InputError::new(file, e.expected, e.found)
+                    .field(key)
+                    .hint("check the unit in the key's name")
             }
         };
         whisker.check().map_err(wrong)?;
@@ -160,27 +173,39 @@ pub(crate) fn read_polyline(
 ) -> Result<(Vec<Vector3<f64>>, InputFile), SessionError> {
     let table = read_own(&folder.join(name), name)?;
     table.others(&["x_mm", "y_mm", "z_mm"], &[])?;
-    let point =
-        |row: Row<'_>| Ok(Vector3::new(row.required("x_mm")?, row.required("y_mm")?, row.required("z_mm")?));
-    let points = Row::all(&table).map(point).collect::<Result<_, InputError>>()?;
+    let point = |row: Row<'_>| {
+        Ok(Vector3::new(
+            row.required("x_mm")?,
+            row.required("y_mm")?,
+            row.required("z_mm")?,
+        ))
+    };
+    let points = Row::all(&table)
+        .map(point)
+        .collect::<Result<_, InputError>>()?;
     warnings.extend(table.warning());
     Ok((points, table.input(Purpose::Description)))
 }
 
 fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), InputError> {
-    let error = |expected: &str, found: String| InputError::new(file, expected, found).field("rest_shape");
+    let error =
+        |expected: &str, found: String| InputError::new(file, expected, found).field("rest_shape");
     if points.len() < 2 {
         return Err(error("at least two points", format!("{}", points.len())));
     }
     if points[0].norm() > ROOT_TOLERANCE_MM {
         let p = points[0];
         let found = format!("({}, {}, {})", p.x, p.y, p.z);
-        return Err(error("the root at (0, 0, 0), the origin of the base frame", found));
+        return Err(error(
+            "the root at (0, 0, 0), the origin of the base frame",
+            found,
+        ));
     }
     match points.windows(2).position(|w| (w[1] - w[0]).norm() < 1e-9) {
-        Some(index) => {
-            Err(error("points that differ from their neighbours", format!("point {} twice", index + 1)))
-        }
+        Some(index) => Err(error(
+            "points that differ from their neighbours",
+            format!("point {} twice", index + 1),
+        )),
         None => Ok(()),
     }
 }
@@ -190,12 +215,16 @@ impl MomentSection {
     pub(crate) fn axes(&self, file: &str) -> Result<MomentAxes, InputError> {
         let mut moments = MomentAxes::default();
         if let Some([first, second]) = self.axes {
-            moments.axes =
-                [unit_vector(file, "moments.axes", first)?, unit_vector(file, "moments.axes", second)?];
+            moments.axes = [
+                unit_vector(file, "moments.axes", first)?,
+                unit_vector(file, "moments.axes", second)?,
+            ];
             let cosine = moments.axes[0].dot(&moments.axes[1]);
             if cosine.abs() > 0.99 {
                 let found = format!("parallel ones (cosine {cosine:.4})");
-                return Err(InputError::new(file, "two different directions", found).field("moments.axes"));
+                return Err(
+                    InputError::new(file, "two different directions", found).field("moments.axes")
+                );
             }
         }
         moments.sign = self.sign.unwrap_or(moments.sign);
@@ -214,14 +243,24 @@ pub(crate) fn trajectories(
 ) -> Result<Vec<Trajectory>, InputError> {
     let mut out: Vec<Trajectory> = Vec::new();
     for (k, section) in sections.into_iter().enumerate() {
-        let TrajectorySection { id, origin_mm, direction, nominal_arclength_mm } = section;
+        let TrajectorySection {
+            id,
+            origin_mm,
+            direction,
+            nominal_arclength_mm,
+        } = section;
         let of = |key: &str| format!("trajectory #{}.{key}", k + 1);
         if out.iter().any(|t| t.id == id) {
             let found = format!("trajectory {id} again");
             return Err(InputError::new(file, "every trajectory once", found).field(of("id")));
         }
         let direction = unit_vector(file, &of("direction"), direction)?;
-        out.push(Trajectory { id, origin_mm: origin_mm.into(), direction, nominal_arclength_mm });
+        out.push(Trajectory {
+            id,
+            origin_mm: origin_mm.into(),
+            direction,
+            nominal_arclength_mm,
+        });
     }
     Ok(out)
 }

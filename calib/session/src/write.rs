@@ -21,7 +21,11 @@ pub struct SessionFiles {
 /// # Errors
 /// Where `folder` exists and is not empty, where the content does not pass [`load`], or on I/O errors; nothing is left then.
 pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSession, SessionError> {
-    let fail = |source| SessionError::Io { action: "writing", path: folder.to_owned(), source };
+    let fail = |source| SessionError::Io {
+        action: "writing",
+        path: folder.to_owned(),
+        source,
+    };
     refuse_existing(folder)?;
     let name = folder.file_name().ok_or_else(|| {
         SessionError::from(InputError::new(
@@ -32,7 +36,11 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
     })?;
     let parent = folder_of(folder);
     fs::create_dir_all(parent).map_err(fail)?;
-    let staging = parent.join(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
+    let staging = parent.join(format!(
+        ".{}.{}.tmp",
+        name.to_string_lossy(),
+        std::process::id()
+    ));
     fs::create_dir(&staging).map_err(fail)?;
     let written = staged(&staging, files).and_then(|session| {
         fs::rename(&staging, folder).map_err(fail)?;
@@ -62,7 +70,12 @@ fn refuse_existing(folder: &Path) -> Result<(), SessionError> {
     };
     if taken {
         let name = folder.display().to_string();
-        return Err(InputError::new(&name, "a folder that does not exist yet", "one with content").into());
+        return Err(InputError::new(
+            &name,
+            "a folder that does not exist yet",
+            "one with content",
+        )
+        .into());
     }
     Ok(())
 }

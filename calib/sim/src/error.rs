@@ -40,7 +40,11 @@ pub enum SimError {
 
 impl From<wcal_core::ranges::OutOfRange> for SimError {
     fn from(e: wcal_core::ranges::OutOfRange) -> Self {
-        Self::Value { what: e.key, expected: e.expected, found: e.found }
+        Self::Value {
+            what: e.key,
+            expected: e.expected,
+            found: e.found,
+        }
     }
 }
 
@@ -48,6 +52,10 @@ impl SimError {
     /// For `map_err` on file operations.
     pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |cause| Self::Io { action, path, cause }
+        move |cause| Self::Io {
+            action,
+            path,
+            cause,
+        }
     }
 }

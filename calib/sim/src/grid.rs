@@ -31,8 +31,15 @@ impl Grid {
         let cell_mm = CELL_MM.max(size.max() / MAX_CELLS);
         let cells = [0, 1, 2].map(|k| (size[k] / cell_mm).ceil().max(1.0) as usize);
         let unknown = f32::NAN.to_bits();
-        let distance_mm = (0..cells.iter().product()).map(|_| AtomicU32::new(unknown)).collect();
-        Self { low_mm: low_mm - room, cell_mm, cells, distance_mm }
+        let distance_mm = (0..cells.iter().product())
+            .map(|_| AtomicU32::new(unknown))
+            .collect();
+        Self {
+            low_mm: low_mm - room,
+            cell_mm,
+            cells,
+            distance_mm,
+        }
     }
 
     /// Bounds of the signed distance at `p`: at least, and at most in size. `exact` tells it at a cell's middle.

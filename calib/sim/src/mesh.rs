@@ -62,13 +62,31 @@ impl Mesh {
     ///
     /// # Errors
     /// Where there is nothing, too much, a value that is not finite, or an object of impossible size.
-    pub fn new(name: &str, points_mm: &[Vector3<f64>], triangles: &[[u32; 3]]) -> Result<Self, SimError> {
-        let refuse = |expected, found: String| SimError::Mesh { object: name.to_owned(), expected, found };
+    pub fn new(
+        name: &str,
+        points_mm: &[Vector3<f64>],
+        triangles: &[[u32; 3]],
+    ) -> Result<Self, SimError> {
+        let refuse = |expected, found: String| SimError::Mesh {
+            object: name.to_owned(),
+            expected,
+            found,
+        };
         if triangles.is_empty() || triangles.len() > MAX_TRIANGLES {
-            return Err(refuse("1 to 1,000,000 triangles", format!("{}", triangles.len())));
+            return Err(refuse(
+                "1 to 1,000,000 triangles",
+                format!("{}", triangles.len()),
+            ));
         }
-        if triangles.iter().flatten().any(|&k| k as usize >= points_mm.len()) {
-            return Err(refuse("triangles between known corners", "a corner that is not there".to_owned()));
+        if triangles
+            .iter()
+            .flatten()
+            .any(|&k| k as usize >= points_mm.len())
+        {
+            return Err(refuse(
+                "triangles between known corners",
+                "a corner that is not there".to_owned(),
+            ));
         }
         if points_mm.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(refuse("finite corners", "NaN or infinity".to_owned()));
@@ -77,15 +95,24 @@ impl Mesh {
         if triangles.is_empty() {
             return Err(refuse("triangles with an area", "none".to_owned()));
         }
-        let low_mm = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
-        let high_mm = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let low_mm = points
+            .iter()
+            .fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
+        let high_mm = points
+            .iter()
+            .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size_mm = (high_mm - low_mm).max();
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
             // Bodies far apart, as the solids of one file may lie, are of the right unit where the largest is.
-            let largest_mm =
-                pieces(points.len(), &triangles).iter().map(|p| size_of(&points, p)).fold(0.0, f64::max);
+            let largest_mm = pieces(points.len(), &triangles)
+                .iter()
+                .map(|p| size_of(&points, p))
+                .fold(0.0, f64::max);
             if !(size_mm <= APART_MM && (SIZE_MM[0]..=SIZE_MM[1]).contains(&largest_mm)) {
-                return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+                return Err(refuse(
+                    "a longest side of 3 to 2000 mm",
+                    format!("{size_mm:.4} mm"),
+                ));
             }
         }
         let mut notes = topology(&triangles);
@@ -98,13 +125,23 @@ impl Mesh {
             TriMesh::with_flags(places.clone(), triangles, TriMeshFlags::ORIENTED)
                 .map_err(|e| refuse("a mesh that can be searched", e.to_string()))
         };
-        let pieces = if notes.is_empty() { pieces(points.len(), &triangles) } else { Vec::new() };
+        let pieces = if notes.is_empty() {
+            pieces(points.len(), &triangles)
+        } else {
+            Vec::new()
+        };
         let mut bodies = Vec::new();
         if pieces.len() > 1 {
             // A piece turned inside out is a cavity.
-            let solid = pieces.iter().filter(|piece| volume_mm3(&points, piece) > 0.0).count();
+            let solid = pieces
+                .iter()
+                .filter(|piece| volume_mm3(&points, piece) > 0.0)
+                .count();
             if solid == pieces.len() {
-                bodies = pieces.into_iter().map(searchable).collect::<Result<_, _>>()?;
+                bodies = pieces
+                    .into_iter()
+                    .map(searchable)
+                    .collect::<Result<_, _>>()?;
             } else if solid > 1 {
                 notes.push(format!(
                     "{solid} closed bodies and {} cavities: where they overlap, inside and outside may be mistaken",
@@ -114,7 +151,15 @@ impl Mesh {
         }
         let surface = searchable(triangles)?;
         let grid = Grid::new(&low_mm, &high_mm);
-        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, bodies, grid })
+        Ok(Self {
+            name: name.to_owned(),
+            low_mm,
+            high_mm,
+            notes,
+            surface,
+            bodies,
+            grid,
+        })
     }
 
     /// From a file of STL, OBJ or PLY. Metres taken for millimetres are recognised by the size and said in `notes`.
@@ -122,27 +167,49 @@ impl Mesh {
     /// # Errors
     /// As [`Self::new`], or where the file cannot be read.
     pub fn read(path: &Path) -> Result<Self, SimError> {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let bytes = wcal_core::files::read_within(path, MAX_BYTES).map_err(SimError::io("reading", path))?;
+        let name = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let bytes = wcal_core::files::read_within(path, MAX_BYTES)
+            .map_err(SimError::io("reading", path))?;
         let wrong = |found| SimError::Io {
             action: "reading",
             path: path.to_owned(),
             cause: std::io::Error::new(std::io::ErrorKind::InvalidData, found),
         };
-        let Stl { points, triangles, notes, .. } = mesh_file::parse(&bytes).map_err(wrong)?;
-        let mut points: Vec<Vector3<f64>> = points.iter().map(|v| Vector3::from(v.map(f64::from))).collect();
-        let low = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
-        let high = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let Stl {
+            points,
+            triangles,
+            notes,
+            ..
+        } = mesh_file::parse(&bytes).map_err(wrong)?;
+        let mut points: Vec<Vector3<f64>> = points
+            .iter()
+            .map(|v| Vector3::from(v.map(f64::from)))
+            .collect();
+        let low = points
+            .iter()
+            .fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
+        let high = points
+            .iter()
+            .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size = (high - low).max();
         // Nothing that a whisker of 60 mm sweeps over is smaller than 3 mm; in metres everything is.
-        let metres = size.is_finite() && size > 0.0 && size < SIZE_MM[0] && size * 1e3 >= SIZE_MM[0];
+        let metres =
+            size.is_finite() && size > 0.0 && size < SIZE_MM[0] && size * 1e3 >= SIZE_MM[0];
         if metres {
             points.iter_mut().for_each(|p| *p *= 1e3);
         }
         let mut mesh = Self::new(&name, &points, &triangles).map_err(|e| match e {
-            SimError::Mesh { expected, found, .. } => {
-                SimError::Mesh { object: path.display().to_string(), expected, found }
-            }
+            SimError::Mesh {
+                expected, found, ..
+            } => SimError::Mesh {
+                object: path.display().to_string(),
+                expected,
+                found,
+            },
             other => other,
         })?;
         mesh.notes.extend(notes);
@@ -180,14 +247,19 @@ impl Mesh {
     /// SHA-256 of corners and triangles.
     pub fn sha256(&self) -> String {
         let mut bytes = Vec::new();
-        self.points().for_each(|p| p.iter().for_each(|x| bytes.extend(x.to_le_bytes())));
-        self.triangles().iter().flatten().for_each(|k| bytes.extend(k.to_le_bytes()));
+        self.points()
+            .for_each(|p| p.iter().for_each(|x| bytes.extend(x.to_le_bytes())));
+        self.triangles()
+            .iter()
+            .flatten()
+            .for_each(|k| bytes.extend(k.to_le_bytes()));
         sha256_hex(&bytes)
     }
 
     /// Whether a ray meets the surface.
     pub(crate) fn meets(&self, from: &Vector3<f64>, direction: &Vector3<f64>) -> bool {
-        self.surface.intersects_local_ray(&Ray::new(place(from), place(direction)), f64::MAX)
+        self.surface
+            .intersects_local_ray(&Ray::new(place(from), place(direction)), f64::MAX)
     }
 
     /// Distance wherever the point is.
@@ -209,11 +281,18 @@ impl Mesh {
         }
         // Bodies that overlap are one: the greatest of their depths is the nearest bound of the union's.
         let deep = |(found, ..): &(PointProjection, _, _)| (p - vector(found.point)).norm();
-        let around = self.bodies.iter().filter(|body| body.local_aabb().contains_local_point(place(p)));
+        let around = self
+            .bodies
+            .iter()
+            .filter(|body| body.local_aabb().contains_local_point(place(p)));
         let inside = around
-            .filter_map(|body| nearest_of(body, place(p), f64::MAX).map(|(found, at)| (found, at, body)))
+            .filter_map(|body| {
+                nearest_of(body, place(p), f64::MAX).map(|(found, at)| (found, at, body))
+            })
             .filter(|(found, ..)| found.is_inside);
-        inside.max_by(|a, b| deep(a).total_cmp(&deep(b))).or(Some((found, at, &self.surface)))
+        inside
+            .max_by(|a, b| deep(a).total_cmp(&deep(b)))
+            .or(Some((found, at, &self.surface)))
     }
 
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
@@ -233,7 +312,9 @@ impl Mesh {
             return None;
         }
         // Most questions are asked far away.
-        let outside = (self.low_mm - p).sup(&(p - self.high_mm)).sup(&Vector3::zeros());
+        let outside = (self.low_mm - p)
+            .sup(&(p - self.high_mm))
+            .sup(&Vector3::zeros());
         if outside.norm() > within_mm {
             return None;
         }
@@ -241,7 +322,9 @@ impl Mesh {
         let mut search_mm = within_mm.max(DEEP_MM).min(known_mm.abs() + way_mm);
         // From close by no cell knows more.
         if way_mm > CLOSE_MM
-            && let Some([least, most]) = self.grid.bounds_mm(p, |middle| self.signed_distance_mm(middle))
+            && let Some([least, most]) = self
+                .grid
+                .bounds_mm(p, |middle| self.signed_distance_mm(middle))
         {
             if least > within_mm {
                 return None;
@@ -257,8 +340,16 @@ impl Mesh {
             return None;
         }
         if size < ON_SURFACE_MM {
-            let normal = surface.triangle(triangle).normal().map_or_else(Vector3::x, vector);
-            return Some(ClosestPoint { distance_mm, normal, point_mm, second_per_mm: Matrix3::zeros() });
+            let normal = surface
+                .triangle(triangle)
+                .normal()
+                .map_or_else(Vector3::x, vector);
+            return Some(ClosestPoint {
+                distance_mm,
+                normal,
+                point_mm,
+                second_per_mm: Matrix3::zeros(),
+            });
         }
         let normal = off / distance_mm;
         // Distance from a plane is linear; from an edge or a corner it bends with the inverse of itself.
@@ -272,7 +363,12 @@ impl Mesh {
                 side * side.transpose()
             }
         };
-        Some(ClosestPoint { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
+        Some(ClosestPoint {
+            distance_mm,
+            normal,
+            point_mm,
+            second_per_mm: across / distance_mm,
+        })
     }
 }
 
@@ -284,9 +380,16 @@ fn nearest_of(
 ) -> Option<(PointProjection, (u32, TrianglePointLocation))> {
     let best = mesh.bvh().find_best(
         search_mm * search_mm,
-        |node, _| (node.mins() - p).max(p - node.maxs()).max(Place::ZERO).length_squared(),
+        |node, _| {
+            (node.mins() - p)
+                .max(p - node.maxs())
+                .max(Place::ZERO)
+                .length_squared()
+        },
         |k, _| {
-            let found = mesh.triangle(k).project_local_point_and_get_location(p, false);
+            let found = mesh
+                .triangle(k)
+                .project_local_point_and_get_location(p, false);
             Some(((found.0.point - p).length_squared(), found))
         },
     );
@@ -324,25 +427,32 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
         .iter()
         .map(|p| {
             // Adding zero makes -0 the same as 0.
-            *known.entry([0, 1, 2].map(|k| (p[k] + 0.0).to_bits())).or_insert_with(|| {
-                kept.push(*p);
-                (kept.len() - 1) as u32
-            })
+            *known
+                .entry([0, 1, 2].map(|k| (p[k] + 0.0).to_bits()))
+                .or_insert_with(|| {
+                    kept.push(*p);
+                    (kept.len() - 1) as u32
+                })
         })
         .collect();
     let area = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|k| kept[k as usize]);
         (b - a).cross(&(c - a)).norm()
     };
-    let triangles: Vec<[u32; 3]> =
-        triangles.iter().map(|t| t.map(|k| place[k as usize])).filter(|t| area(t) > 0.0).collect();
+    let triangles: Vec<[u32; 3]> = triangles
+        .iter()
+        .map(|t| t.map(|k| place[k as usize]))
+        .filter(|t| area(t) > 0.0)
+        .collect();
     (kept, triangles)
 }
 
 /// Longest side of the box around some triangles, mm.
 fn size_of(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
     let corners = || triangles.iter().flatten().map(|k| points[*k as usize]);
-    let Some(first) = corners().next() else { return 0.0 };
+    let Some(first) = corners().next() else {
+        return 0.0;
+    };
     let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
     (high - low).max()
 }
@@ -400,10 +510,14 @@ fn topology(triangles: &[[u32; 3]]) -> Vec<String> {
         notes.push(format!("not watertight: {open} open edges"));
     }
     if crowded > 0 {
-        notes.push(format!("not a manifold: {crowded} edges of more than two triangles"));
+        notes.push(format!(
+            "not a manifold: {crowded} edges of more than two triangles"
+        ));
     }
     if turned > 0 {
-        notes.push(format!("not oriented: {turned} edges whose triangles disagree on the outside"));
+        notes.push(format!(
+            "not oriented: {turned} edges whose triangles disagree on the outside"
+        ));
     }
     notes
 }

@@ -34,18 +34,27 @@ impl Mesh {
             let normal = (b - a).cross(&(c - a)).normalize();
             [normal, -normal].iter().any(|n| {
                 let from = (a + b + c) / 3.0 + n * OFF_FACE_MM;
-                let open = directions.iter().filter(|d| d.dot(n) > 0.0 && !self.meets(&from, d));
+                let open = directions
+                    .iter()
+                    .filter(|d| d.dot(n) > 0.0 && !self.meets(&from, d));
                 open.take(ENOUGH).count() == ENOUGH
             })
         };
-        let outside: Vec<[u32; 3]> = self.triangles().par_iter().filter(|t| is_outside(t)).copied().collect();
+        let outside: Vec<[u32; 3]> = self
+            .triangles()
+            .par_iter()
+            .filter(|t| is_outside(t))
+            .copied()
+            .collect();
         let hidden = self.triangles().len() - outside.len();
         if outside.is_empty() || hidden * FEW < self.triangles().len() {
             return Ok(self);
         }
         let mut mesh = Self::new(&self.name, &points, &outside)?;
         mesh.notes = self.notes;
-        mesh.notes.push(format!("{hidden} faces that nothing outside can touch are left out"));
+        mesh.notes.push(format!(
+            "{hidden} faces that nothing outside can touch are left out"
+        ));
         Ok(mesh)
     }
 }

@@ -37,7 +37,8 @@ impl Stl {
             return Err("expected an STL file, found an empty file".to_owned());
         }
         let stated = stated_triangles(bytes);
-        let whole = stated.is_some_and(|n| HEADER as u64 + TRIANGLE as u64 * n == bytes.len() as u64);
+        let whole =
+            stated.is_some_and(|n| HEADER as u64 + TRIANGLE as u64 * n == bytes.len() as u64);
         if !whole && begins_as_text(bytes) {
             return Self::text(bytes);
         }
@@ -59,19 +60,29 @@ impl Stl {
         let end = stated as usize * TRIANGLE;
         if body.len() < end {
             let there = body.len() / TRIANGLE;
-            return Err(format!("expected {stated} triangles as the header states, found {there}: cut off"));
+            return Err(format!(
+                "expected {stated} triangles as the header states, found {there}: cut off"
+            ));
         }
         let mut all = Self::default();
         for triangle in body[..end].chunks_exact(TRIANGLE) {
             let number = |k: usize| {
                 let at = 4 * k;
-                f32::from_le_bytes([triangle[at], triangle[at + 1], triangle[at + 2], triangle[at + 3]])
+                f32::from_le_bytes([
+                    triangle[at],
+                    triangle[at + 1],
+                    triangle[at + 2],
+                    triangle[at + 3],
+                ])
             };
             // The first three numbers are the normal, which the corners say as well.
             all.push([3, 6, 9].map(|k| [number(k), number(k + 1), number(k + 2)]));
         }
         if body.len() > end {
-            all.notes.push(format!("{} bytes after the last triangle are left out", body.len() - end));
+            all.notes.push(format!(
+                "{} bytes after the last triangle are left out",
+                body.len() - end
+            ));
         }
         Ok(all)
     }
@@ -82,7 +93,10 @@ impl Stl {
         bytes.extend((self.triangles.len() as u32).to_le_bytes());
         for triangle in &self.triangles {
             let corners = triangle.iter().flat_map(|k| self.points[*k as usize]);
-            [0.0; 3].into_iter().chain(corners).for_each(|x| bytes.extend(x.to_le_bytes()));
+            [0.0; 3]
+                .into_iter()
+                .chain(corners)
+                .for_each(|x| bytes.extend(x.to_le_bytes()));
             bytes.extend([0; 2]);
         }
         bytes
@@ -95,7 +109,11 @@ impl Stl {
         // Names may be in any encoding.
         let text = String::from_utf8_lossy(bytes);
         let text = text.trim_start_matches('\u{feff}');
-        let ends: &[char] = if text.contains('\n') { &['\n'] } else { &['\r'] };
+        let ends: &[char] = if text.contains('\n') {
+            &['\n']
+        } else {
+            &['\r']
+        };
         let (mut all, mut corners) = (Self::default(), Vec::with_capacity(3));
         let (mut in_solid, mut in_facet) = (false, false);
         for (k, line) in text.split(ends).enumerate() {
@@ -112,13 +130,15 @@ impl Stl {
                 ("outer" | "endloop", _, true) => {}
                 ("vertex", _, true) => {
                     let numbers: Vec<f32> = words.map_while(|w| w.parse().ok()).collect();
-                    let corner: [f32; 3] =
-                        numbers.try_into().map_err(|_| wrong("vertex and three numbers"))?;
+                    let corner: [f32; 3] = numbers
+                        .try_into()
+                        .map_err(|_| wrong("vertex and three numbers"))?;
                     corners.push(corner);
                 }
                 ("endfacet", _, true) => {
-                    let triangle =
-                        corners[..].try_into().map_err(|_| wrong("three vertices before endfacet"))?;
+                    let triangle = corners[..]
+                        .try_into()
+                        .map_err(|_| wrong("three vertices before endfacet"))?;
                     check_count(all.triangles.len() as u64 + 1)?;
                     all.push(triangle);
                     corners.clear();
@@ -155,7 +175,10 @@ fn stated_triangles(bytes: &[u8]) -> Option<u64> {
 }
 
 fn begins_as_text(bytes: &[u8]) -> bool {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+    let bytes = bytes
+        .strip_prefix(b"\xef\xbb\xbf")
+        .unwrap_or(bytes)
+        .trim_ascii_start();
     bytes.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
         // A binary header may begin so, too; the numbers after it hold zeros.
         && !bytes[..bytes.len().min(4096)].contains(&0)
@@ -180,7 +203,9 @@ pub(crate) fn check_count(triangles: u64) -> Result<(), String> {
     if triangles <= MAX_TRIANGLES as u64 {
         return Ok(());
     }
-    Err(format!("expected at most {MAX_TRIANGLES} triangles, found {triangles}"))
+    Err(format!(
+        "expected at most {MAX_TRIANGLES} triangles, found {triangles}"
+    ))
 }
 
 #[cfg(test)]
@@ -193,7 +218,9 @@ mod tests {
         let mut bytes = format!("{header:<80}").into_bytes();
         bytes.extend(stated.to_le_bytes());
         for k in 0..triangles {
-            let corners = [0.0, 0.0, 1.0, k as f32, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 4.0, 0.0_f32];
+            let corners = [
+                0.0, 0.0, 1.0, k as f32, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 4.0, 0.0_f32,
+            ];
             corners.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
             bytes.extend([0, 0]);
         }
@@ -218,18 +245,32 @@ mod tests {
         same("CR LF", ONE.replace('\n', "\r\n"));
         same("CR", ONE.replace('\n', "\r"));
         same("byte order mark and blank line", format!("\u{feff}\n{ONE}"));
-        same("a name of words of the format", ONE.replace("solid a", "solid facet vertex"));
-        same("exponents", ONE.replace("vertex 4 0 0", "vertex 4.0E+00 0e0 +0.0"));
+        same(
+            "a name of words of the format",
+            ONE.replace("solid a", "solid facet vertex"),
+        );
+        same(
+            "exponents",
+            ONE.replace("vertex 4 0 0", "vertex 4.0E+00 0e0 +0.0"),
+        );
         let two = ONE.to_owned() + &ONE.replace("vertex 0 0 0", "vertex 100 0 0");
         let two = Stl::parse(two.as_bytes()).unwrap();
-        assert_eq!((two.points.len(), two.triangles.len()), (4, 2), "several solids are one surface");
+        assert_eq!(
+            (two.points.len(), two.triangles.len()),
+            (4, 2),
+            "several solids are one surface"
+        );
     }
 
     #[test]
     fn binary_is_told_by_its_length() {
         for header in ["made by a scanner", "solid cube exported by CAD"] {
             let found = Stl::parse(&binary(header, 3, 3)).unwrap();
-            assert_eq!((found.triangles.len(), found.notes.len()), (3, 0), "{header}");
+            assert_eq!(
+                (found.triangles.len(), found.notes.len()),
+                (3, 0),
+                "{header}"
+            );
         }
         let longer = [binary("x", 2, 2), vec![7; 9]].concat();
         assert_eq!(Stl::parse(&longer).unwrap().notes.len(), 1);
@@ -243,18 +284,46 @@ mod tests {
             ("empty", Vec::new(), "empty file"),
             ("short", vec![1, 2, 3], "3 other bytes"),
             ("no end", text(&cut), "cut off"),
-            ("half a facet", text(&cut.replace(" endfacet\n", "")), "cut off"),
-            ("two corners", text(&ONE.replace("   vertex 4 0 0\n", "")), "three vertices"),
-            ("four corners", text(&ONE.replace("  endloop", "   vertex 9 9 9\n  endloop")), "three vertices"),
-            ("decimal commas", text(&ONE.replace("4 0 0", "4,0 0,0 0,0")), "line 5: expected vertex"),
-            ("another line", text(&ONE.replace(" facet", " colour 1\n facet")), "facet or endsolid"),
+            (
+                "half a facet",
+                text(&cut.replace(" endfacet\n", "")),
+                "cut off",
+            ),
+            (
+                "two corners",
+                text(&ONE.replace("   vertex 4 0 0\n", "")),
+                "three vertices",
+            ),
+            (
+                "four corners",
+                text(&ONE.replace("  endloop", "   vertex 9 9 9\n  endloop")),
+                "three vertices",
+            ),
+            (
+                "decimal commas",
+                text(&ONE.replace("4 0 0", "4,0 0,0 0,0")),
+                "line 5: expected vertex",
+            ),
+            (
+                "another line",
+                text(&ONE.replace(" facet", " colour 1\n facet")),
+                "facet or endsolid",
+            ),
             (
                 "fewer than stated",
                 binary("solid x", 3, 2),
                 "expected 3 triangles as the header states, found 2",
             ),
-            ("far more than there are", binary("x", u32::MAX, 2), "at most 1000000"),
-            ("UTF-16", ONE.encode_utf16().flat_map(u16::to_le_bytes).collect(), "triangles"),
+            (
+                "far more than there are",
+                binary("x", u32::MAX, 2),
+                "at most 1000000",
+            ),
+            (
+                "UTF-16",
+                ONE.encode_utf16().flat_map(u16::to_le_bytes).collect(),
+                "triangles",
+            ),
         ] {
             let error = Stl::parse(&bytes).unwrap_err();
             assert!(error.contains(says), "{name}: {error}");

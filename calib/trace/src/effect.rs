@@ -76,13 +76,30 @@ pub struct EffectModel {
 
 /// A law without parameters of either kind yet.
 pub fn law(name: &'static str) -> EffectModel {
-    EffectModel { name, parameters: Vec::new(), linear: Vec::new(), largest_share: None, needs: Vec::new() }
+    EffectModel {
+        name,
+        parameters: Vec::new(),
+        linear: Vec::new(),
+        largest_share: None,
+        needs: Vec::new(),
+    }
 }
 
 impl EffectModel {
     /// With a nonlinear size of the effect.
-    pub fn amplitude(mut self, name: &'static str, unit: &'static str, range: [f64; 2], probe: f64) -> Self {
-        self.parameters.push(Parameter { name, unit, range, role: Role::Amplitude { probe } });
+    pub fn amplitude(
+        mut self,
+        name: &'static str,
+        unit: &'static str,
+        range: [f64; 2],
+        probe: f64,
+    ) -> Self {
+        self.parameters.push(Parameter {
+            name,
+            unit,
+            range,
+            role: Role::Amplitude { probe },
+        });
         self
     }
 
@@ -94,7 +111,12 @@ impl EffectModel {
         range: [f64; 2],
         grid: &'static [f64],
     ) -> Self {
-        self.parameters.push(Parameter { name, unit, range, role: Role::Shape { grid } });
+        self.parameters.push(Parameter {
+            name,
+            unit,
+            range,
+            role: Role::Shape { grid },
+        });
         self
     }
 
@@ -144,7 +166,9 @@ impl<'a> Values<'a> {
     /// Value of a parameter; NaN where the law has none of that name, so that no design comes of it.
     pub fn of(&self, name: &str) -> f64 {
         let at = self.law.parameters.iter().position(|p| p.name == name);
-        at.and_then(|k| self.values.get(k)).copied().unwrap_or(f64::NAN)
+        at.and_then(|k| self.values.get(k))
+            .copied()
+            .unwrap_or(f64::NAN)
     }
 
     /// How many columns of its own the law has.
@@ -203,12 +227,18 @@ impl Effect {
     /// # Panics
     /// Where there is none.
     pub fn law(&self, index: usize) -> &EffectModel {
-        self.laws.get(index).unwrap_or_else(|| &self.refinements[index - self.laws.len()])
+        self.laws
+            .get(index)
+            .unwrap_or_else(|| &self.refinements[index - self.laws.len()])
     }
 
     /// A law by its name, with its index.
     pub fn law_named(&self, name: &str) -> Option<(usize, &EffectModel)> {
-        self.laws.iter().chain(&self.refinements).enumerate().find(|(_, l)| l.name == name)
+        self.laws
+            .iter()
+            .chain(&self.refinements)
+            .enumerate()
+            .find(|(_, l)| l.name == name)
     }
 
     /// What the plainest law needs of a session.
@@ -218,7 +248,10 @@ impl Effect {
 
     /// The further column that a law follows, of those of the session.
     pub fn column<'a>(&self, law: usize, columns: &'a [String]) -> Option<&'a str> {
-        columns.get(law).filter(|_| self.by_column).map(String::as_str)
+        columns
+            .get(law)
+            .filter(|_| self.by_column)
+            .map(String::as_str)
     }
 }
 
@@ -250,8 +283,16 @@ pub struct TermKey {
 impl EffectTerm {
     /// Key of the first term of its kind.
     pub fn key(&self, catalogue: &Catalogue) -> TermKey {
-        let law = if catalogue[self.effect].superposes { self.law } else { 0 };
-        TermKey { effect: self.effect, law, instance: 0 }
+        let law = if catalogue[self.effect].superposes {
+            self.law
+        } else {
+            0
+        };
+        TermKey {
+            effect: self.effect,
+            law,
+            instance: 0,
+        }
     }
 
     /// Whether both can stand in one explanation: they stand for different things, or for two instances that differ in shape.
@@ -277,7 +318,10 @@ pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
     let mut out: Vec<TermKey> = Vec::new();
     for term in terms {
         let first = term.key(catalogue);
-        let instance = out.iter().filter(|k| (k.effect, k.law) == (first.effect, first.law)).count();
+        let instance = out
+            .iter()
+            .filter(|k| (k.effect, k.law) == (first.effect, first.law))
+            .count();
         out.push(TermKey { instance, ..first });
     }
     out.sort_unstable();
@@ -289,7 +333,13 @@ const RAYLEIGH_GAPS: f64 = 1.9;
 
 /// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
 pub fn grid_spacing(grid: &[f64], value: f64) -> f64 {
-    let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
-    let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
+    let near = grid
+        .iter()
+        .copied()
+        .min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
+    let gaps = grid
+        .iter()
+        .filter_map(|g| near.map(|n| (g - n).abs()))
+        .filter(|d| *d > 0.0);
     gaps.fold(f64::INFINITY, f64::min)
 }

@@ -20,7 +20,9 @@ pub enum TraceError {
     #[error("{0}")]
     Witness(String),
     /// It cannot be written down that the holdout is opened.
-    #[error("opening the holdout: expected a record of it beside the session or the result, found {0}")]
+    #[error(
+        "opening the holdout: expected a record of it beside the session or the result, found {0}"
+    )]
     NoLedger(String),
     /// The explanation to be accepted is none that the data leave open.
     #[error(
@@ -37,6 +39,10 @@ pub enum TraceError {
 impl TraceError {
     /// Names the session whose wire has no equilibrium.
     pub(crate) fn of_session(self, session: &str) -> Self {
-        if matches!(self, Self::NoSolution) { Self::NoEquilibrium(session.to_owned()) } else { self }
+        if matches!(self, Self::NoSolution) {
+            Self::NoEquilibrium(session.to_owned())
+        } else {
+            self
+        }
     }
 }

@@ -96,7 +96,8 @@ pub fn z(level: f64) -> f64 {
 
 /// What -2 log L must gain by `parameters` more at a level.
 pub fn gain(level: f64, parameters: u8) -> f64 {
-    ChiSquared::new(f64::from(parameters.max(1))).map_or(f64::INFINITY, |d| d.inverse_cdf(1.0 - level))
+    ChiSquared::new(f64::from(parameters.max(1)))
+        .map_or(f64::INFINITY, |d| d.inverse_cdf(1.0 - level))
 }
 
 /// The same by one parameter at the bound of its range (Self & Liang 1987): half the draws gain nothing.
@@ -111,7 +112,9 @@ mod tests {
     #[test]
     fn levels_in_other_units_are_those_of_the_tables() {
         assert!((z(0.025) - NORMAL_95).abs() < 1e-9);
-        assert!((gain(0.05, 1) - 3.841_459).abs() < 1e-5 && (gain(0.05, 2) - 5.991_465).abs() < 1e-5);
+        assert!(
+            (gain(0.05, 1) - 3.841_459).abs() < 1e-5 && (gain(0.05, 2) - 5.991_465).abs() < 1e-5
+        );
         assert!((gain_at_bound(0.05) - 2.705_543).abs() < 1e-5);
     }
 }

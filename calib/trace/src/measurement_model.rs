@@ -15,13 +15,21 @@ use std::sync::Arc;
 
 /// `values` as they are; none where one is not finite, which ends the candidate whose design needs them.
 pub(crate) fn finite<V: AsRef<[f64]>>(values: V) -> Option<V> {
-    values.as_ref().iter().all(|v| v.is_finite()).then_some(values)
+    values
+        .as_ref()
+        .iter()
+        .all(|v| v.is_finite())
+        .then_some(values)
 }
 
 /// Design of `columns`, one value a reading each; none where one is not finite.
 pub(crate) fn design_of(columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
     columns.iter().try_for_each(|c| finite(c).map(|_| ()))?;
-    Some(DMatrix::from_fn(columns.first()?.len(), columns.len(), |i, j| columns[j][i]))
+    Some(DMatrix::from_fn(
+        columns.first()?.len(),
+        columns.len(),
+        |i, j| columns[j][i],
+    ))
 }
 
 /// A session seen through a declared model and a catalogue: what the loop works on.
@@ -49,7 +57,11 @@ pub trait MeasurementModel: Sync {
     /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
     /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
     /// readings that do not count are zero; empty where there is no second witness, none where the model has no solution.
-    fn auxiliary_residual(&self, _terms: &[EffectTerm], _weights: &Weights) -> Option<DVector<f64>> {
+    fn auxiliary_residual(
+        &self,
+        _terms: &[EffectTerm],
+        _weights: &Weights,
+    ) -> Option<DVector<f64>> {
         Some(DVector::zeros(0))
     }
     /// Reading to which each value of the second witness belongs.

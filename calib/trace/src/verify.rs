@@ -77,9 +77,14 @@ pub fn verify<M: SessionModel>(
     };
     let validated = cross_validate(e, found, request)?; //                          11 keeps what predicts readings left out in turn
     let decision = decide(validated, witnesses, request)?; //                       12 verdict, calibration, claims: complete
-    let opened = sealed.unseal(decision, &request.ledger).map_err(TraceError::NoLedger)?;
+    let opened = sealed
+        .unseal(decision, &request.ledger)
+        .map_err(TraceError::NoLedger)?;
     let (decision, assessment) = opened.assess(assess); //                          13 once; nothing can be chosen after it
-    Ok(Verified::Done(Box::new(Verification { decision, assessment: assessment? })))
+    Ok(Verified::Done(Box::new(Verification {
+        decision,
+        assessment: assessment?,
+    })))
 }
 
 /// A session's result, or why its data cannot be used.

@@ -42,7 +42,8 @@ fn interrogator() -> InterrogatorRig {
         whisker: format!("w{w}"),
     };
     let names = ["fbg_ref", "fbg_1", "fbg_2"];
-    let all = (0..WHISKERS).flat_map(|w| names.iter().enumerate().map(move |(k, n)| grating(w, k, n)));
+    let all =
+        (0..WHISKERS).flat_map(|w| names.iter().enumerate().map(move |(k, n)| grating(w, k, n)));
     InterrogatorRig {
         driver: InterrogatorDriver::Sm130,
         address: String::new(),
@@ -55,7 +56,11 @@ fn interrogator() -> InterrogatorRig {
 /// Moments of a whisker: free, then pressed and let go every four seconds.
 fn moment_nmm(t_s: f64, whisker: usize) -> [f64; 2] {
     let phase = (t_s - 4.0 - 0.1 * whisker as f64).rem_euclid(4.0);
-    let size = if t_s < 4.0 || phase > 2.0 { 0.0 } else { 0.8 * (phase / 1.0).min(1.0) };
+    let size = if t_s < 4.0 || phase > 2.0 {
+        0.0
+    } else {
+        0.8 * (phase / 1.0).min(1.0)
+    };
     [size * 0.8, size * 0.6]
 }
 
@@ -70,25 +75,50 @@ fn scan(serial: u64, rng: &mut ChaCha8Rng) -> FbgReading {
             peaks_nm[w / 4].push(nm + (pm + noise) * 1e-3);
         }
     }
-    let clocks = Clocks { host_s: t_s, device_s: Some(t_s) };
-    FbgReading { serial, peaks_nm, health: InterrogatorHealth::default(), clocks }
+    let clocks = Clocks {
+        host_s: t_s,
+        device_s: Some(t_s),
+    };
+    FbgReading {
+        serial,
+        peaks_nm,
+        health: InterrogatorHealth::default(),
+        clocks,
+    }
 }
 
 fn whiskers(candidate: MapKind) -> Vec<(WhiskerReader, SignalChain)> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut training = MapTraining::default();
     for k in 0..27 {
-        let (size, turn) = (0.2 + 0.4 * f64::from(k / 9), std::f64::consts::TAU * f64::from(k % 9) / 9.0);
+        let (size, turn) = (
+            0.2 + 0.4 * f64::from(k / 9),
+            std::f64::consts::TAU * f64::from(k % 9) / 9.0,
+        );
         let m = [size * turn.cos(), size * turn.sin()];
         let noise: [f64; 2] = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
-        training.shifts_pm.push([72.0 * m[0] + 9.0 * m[1] + noise[0], -6.0 * m[0] + 78.0 * m[1] + noise[1]]);
+        training.shifts_pm.push([
+            72.0 * m[0] + 9.0 * m[1] + noise[0],
+            -6.0 * m[0] + 78.0 * m[1] + noise[1],
+        ]);
         training.moments_nmm.push(m);
         training.trajectory.push(Some(k as u32 % 9));
         training.point.push(i64::from(k));
     }
-    let fit = fit_map(&training, &FitOptions { candidates: vec![candidate], ..FitOptions::default() });
+    let fit = fit_map(
+        &training,
+        &FitOptions {
+            candidates: vec![candidate],
+            ..FitOptions::default()
+        },
+    );
     let artefact = fit.expect("a map").artefact;
-    let settings = SignalChainSettings { rate_hz: RATE_HZ, out_hz: 10.0, lag_s: 0.1, prefix_s: 3.0 };
+    let settings = SignalChainSettings {
+        rate_hz: RATE_HZ,
+        out_hz: 10.0,
+        lag_s: 0.1,
+        prefix_s: 3.0,
+    };
     (0..WHISKERS)
         .map(|w| {
             let [reference, first, second] = nominal_nm(w);
@@ -99,10 +129,13 @@ fn whiskers(candidate: MapKind) -> Vec<(WhiskerReader, SignalChain)> {
                 reference_temperature_pm_per_degc: Some(10.0),
                 temperature_compensated: false,
             };
-            let reader =
-                WhiskerReader::new("rig", &interrogator(), &format!("w{w}"), &fbg).expect("gratings");
+            let reader = WhiskerReader::new("rig", &interrogator(), &format!("w{w}"), &fbg)
+                .expect("gratings");
             let map = MapPredictor::new(&artefact).expect("a sound map");
-            (reader, SignalChain::new(&settings, Box::new(map)).expect("a chain"))
+            (
+                reader,
+                SignalChain::new(&settings, Box::new(map)).expect("a chain"),
+            )
         })
         .collect()
 }

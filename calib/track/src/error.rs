@@ -36,11 +36,23 @@ impl TrackError {
         path: &std::path::Path,
     ) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
-        move |e| Self::File { action, path, detail: brief(&e.to_string()) }
+        move |e| Self::File {
+            action,
+            path,
+            detail: brief(&e.to_string()),
+        }
     }
 
     /// A value that cannot be used.
-    pub fn value(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
+    pub fn value(
+        what: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Value {
+            what: what.into(),
+            expected: brief(&expected.into()),
+            found: brief(&found.into()),
+        }
     }
 }

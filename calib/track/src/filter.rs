@@ -81,7 +81,11 @@ impl<'a> BayesFilter<'a> {
         let mut sum = vec![0.0; if self.weights.is_empty() { 0 } else { nodes }];
         for (k, cell) in self.weights.iter().flat_map(|row| row.iter().enumerate()) {
             // A place between two nodes is split between them by linear interpolation, which conserves the mean.
-            let neighbour = if cell.offset < 0.0 { k.checked_sub(1) } else { Some(k + 1) };
+            let neighbour = if cell.offset < 0.0 {
+                k.checked_sub(1)
+            } else {
+                Some(k + 1)
+            };
             let share = match neighbour {
                 Some(neighbour) if neighbour < nodes => {
                     sum[neighbour] += cell.weight * cell.offset.abs();
@@ -96,10 +100,17 @@ impl<'a> BayesFilter<'a> {
 
     /// Mean velocity at each node: path of the contact along the curve by the base's travel; empty without contact.
     pub fn velocities(&self) -> Vec<f64> {
-        let nodes = if self.weights.is_empty() { 0 } else { self.inverse.nodes.len() };
+        let nodes = if self.weights.is_empty() {
+            0
+        } else {
+            self.inverse.nodes.len()
+        };
         let mean = |k: usize| {
             let (weight, sum) = self.weights.iter().fold((0.0, 0.0), |(weight, sum), row| {
-                (weight + row[k].weight, sum + row[k].weight * row[k].velocity)
+                (
+                    weight + row[k].weight,
+                    sum + row[k].weight * row[k].velocity,
+                )
             });
             if weight > 0.0 { sum / weight } else { 0.0 }
         };
@@ -112,7 +123,12 @@ impl<'a> BayesFilter<'a> {
             return None;
         }
         let speeds = self.speeds();
-        let sum: f64 = speeds.iter().cycle().zip(&self.weights).map(|(v, row)| v * weight(row)).sum();
+        let sum: f64 = speeds
+            .iter()
+            .cycle()
+            .zip(&self.weights)
+            .map(|(v, row)| v * weight(row))
+            .sum();
         let total = self.total();
         (total > 0.0).then(|| sum / total)
     }
@@ -124,18 +140,34 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
-    pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
+    pub fn step(
+        &mut self,
+        dt_s: f64,
+        moment_nmm: [f64; 2],
+        base_mm_s: Option<f64>,
+    ) -> Option<Belief> {
         let (inverse, steps) = (self.inverse, self.sweep_steps(dt_s, base_mm_s));
-        self.step_on(dt_s, moment_nmm, &steps, |moment_nmm, now| inverse.solutions(moment_nmm, now))
+        self.step_on(dt_s, moment_nmm, &steps, |moment_nmm, now| {
+            inverse.solutions(moment_nmm, now)
+        })
     }
 
     /// Travel of the base at its known speed, or at each of the grid, which stands for an interval: the standard deviation of a uniform
     /// distribution is its width / sqrt(12).
     fn sweep_steps(&self, dt_s: f64, base_mm_s: Option<f64>) -> Vec<KnownStep> {
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
-        let travel_sd_mm =
-            if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
-        speeds.iter().map(|v| KnownStep { travel_mm: v * dt_s, travel_sd_mm }).collect()
+        let travel_sd_mm = if speeds.len() > 1 {
+            (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt()
+        } else {
+            0.0
+        };
+        speeds
+            .iter()
+            .map(|v| KnownStep {
+                travel_mm: v * dt_s,
+                travel_sd_mm,
+            })
+            .collect()
     }
 
     /// The same with the inverse solutions of a filter of the same onset that has taken the sample already.
@@ -147,7 +179,9 @@ impl<'a> BayesFilter<'a> {
         other: &Self,
     ) -> Option<Belief> {
         let steps = self.sweep_steps(dt_s, base_mm_s);
-        self.step_on(dt_s, moment_nmm, &steps, |_, now| now.clone_from(&other.now))
+        self.step_on(dt_s, moment_nmm, &steps, |_, now| {
+            now.clone_from(&other.now)
+        })
     }
 
     fn step_on(
@@ -175,10 +209,12 @@ impl<'a> BayesFilter<'a> {
             let loaded_before = !self.weights.is_empty() || self.before.is_empty();
             if !loaded_before {
                 // The wire at rest: the limit of small moments in the present direction.
-                self.inverse.solutions(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
+                self.inverse
+                    .solutions(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
             }
             let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
-            let prior = |step: &KnownStep| model.first_contact_prior((!loaded_before).then_some(step));
+            let prior =
+                |step: &KnownStep| model.first_contact_prior((!loaded_before).then_some(step));
             let rows: Vec<Vec<GridCell>> = steps.iter().map(prior).collect();
             self.weights = std::iter::repeat_n(rows, frictions).flatten().collect();
             self.normalise();
@@ -188,21 +224,28 @@ impl<'a> BayesFilter<'a> {
 
     fn speeds(&self) -> Vec<f64> {
         let ([low, high], n) = (self.settings.speed_mm_s, self.settings.speeds.max(2));
-        (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect()
+        (0..n)
+            .map(|k| low + (high - low) * k as f64 / (n - 1) as f64)
+            .collect()
     }
 
     /// Prediction and update of all rows; false where no transition explains the sample.
     fn predict(&mut self, dt_s: f64, steps: &[KnownStep]) -> bool {
         let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
         let total = self.total();
-        let rows = self.settings.frictions().iter().flat_map(|f| steps.iter().map(move |s| (*f, s)));
+        let rows = self
+            .settings
+            .frictions()
+            .iter()
+            .flat_map(|f| steps.iter().map(move |s| (*f, s)));
         let mut next: Vec<Vec<GridCell>> = rows
             .zip(&self.weights)
             .map(|((friction, step), row)| model.predict(row, total, step, friction))
             .collect();
         // Random walk of the speed; a quarter to each neighbour at most, so that a row keeps half.
         let share = (self.settings.speed_change_per_s * dt_s).min(0.25);
-        next.chunks_mut(steps.len()).for_each(|rows| diffuse_speeds(rows, share));
+        next.chunks_mut(steps.len())
+            .for_each(|rows| diffuse_speeds(rows, share));
         self.weights = next;
         let total = self.total();
         self.log_evidence = total.max(f64::MIN_POSITIVE).ln();
@@ -216,7 +259,10 @@ impl<'a> BayesFilter<'a> {
     fn normalise(&mut self) -> bool {
         let total = self.total();
         if total > 0.0 {
-            self.weights.iter_mut().flatten().for_each(|c| c.weight /= total);
+            self.weights
+                .iter_mut()
+                .flatten()
+                .for_each(|c| c.weight /= total);
         }
         total > 0.0
     }
@@ -239,7 +285,11 @@ impl<'a> BayesFilter<'a> {
             let off = c.point_mm - point;
             covariance += off * off.transpose() * (w / total);
         }
-        Some(Belief { point_mm: point, covariance_mm2: covariance, arclength_mm: arclength })
+        Some(Belief {
+            point_mm: point,
+            covariance_mm2: covariance,
+            arclength_mm: arclength,
+        })
     }
 }
 
@@ -262,7 +312,11 @@ fn diffuse_speeds(rows: &mut [Vec<GridCell>], share: f64) {
     for (v, row) in rows.iter_mut().enumerate() {
         let (low, high) = (v.saturating_sub(1), (v + 1).min(n - 1));
         for (j, cell) in row.iter_mut().enumerate() {
-            let parts = [(&old[v][j], 1.0 - 2.0 * share), (&old[low][j], share), (&old[high][j], share)];
+            let parts = [
+                (&old[v][j], 1.0 - 2.0 * share),
+                (&old[low][j], share),
+                (&old[high][j], share),
+            ];
             *cell = GridCell::merged(&parts);
         }
     }

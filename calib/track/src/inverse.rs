@@ -89,14 +89,23 @@ impl StaticInverse {
         }
         let tip_mm = rod.shape.length_mm;
         grid.check(tip_mm)?;
-        let flat = (0..=grid.links)
-            .all(|k| rod.shape.rest_point(tip_mm * k as f64 / grid.links as f64).y.abs() < FLAT_MM);
+        let flat = (0..=grid.links).all(|k| {
+            rod.shape
+                .rest_point(tip_mm * k as f64 / grid.links as f64)
+                .y
+                .abs()
+                < FLAT_MM
+        });
         let rod = DiscreteRod::of_rod(rod, diameter_mm, grid.links)?;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
-        let along =
-            (0..=steps).map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, tilt: 0.0 });
-        let tip =
-            (1..=grid.tilts).map(|k| Node { arclength_mm: tip_mm, tilt: k as f64 / (grid.tilts + 1) as f64 });
+        let along = (0..=steps).map(|k| Node {
+            arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64,
+            tilt: 0.0,
+        });
+        let tip = (1..=grid.tilts).map(|k| Node {
+            arclength_mm: tip_mm,
+            tilt: k as f64 / (grid.tilts + 1) as f64,
+        });
         let mut cells: Vec<Vec<TableEntry>> = along
             .clone()
             .collect::<Vec<_>>()
@@ -113,7 +122,9 @@ impl StaticInverse {
             .map(|d| {
                 let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
                 square
-                    .map(|(m, (_, force))| solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid))
+                    .map(|(m, (_, force))| {
+                        solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid)
+                    })
                     .collect()
             })
             .collect();
@@ -125,7 +136,10 @@ impl StaticInverse {
 
     /// Number of the nodes on the wire; those after them are the tip's.
     pub fn first_tip(&self) -> usize {
-        self.nodes.iter().position(|n| n.tilt > 0.0).unwrap_or(self.nodes.len())
+        self.nodes
+            .iter()
+            .position(|n| n.tilt > 0.0)
+            .unwrap_or(self.nodes.len())
     }
 
     /// Candidates at every node for transverse moments (N mm), written over `out`.
@@ -135,10 +149,16 @@ impl StaticInverse {
         let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
         let stencils = at.map(|moment_nmm| self.stencil(moment_nmm));
         // Mostly the step stays within the cell.
-        let one_cell = stencils.iter().all(|s| s.cells.map(|c| c.0) == stencils[0].cells.map(|c| c.0));
+        let one_cell = stencils
+            .iter()
+            .all(|s| s.cells.map(|c| c.0) == stencils[0].cells.map(|c| c.0));
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
-            let together = if one_cell { self.interpolate_together(node, &stencils) } else { None };
+            let together = if one_cell {
+                self.interpolate_together(node, &stencils)
+            } else {
+                None
+            };
             let ([here, by_y, by_z], reachable) = together.unwrap_or_else(|| {
                 let each = stencils.each_ref().map(|s| self.interpolate(node, s));
                 (each.map(|v| v.0), each[0].1)
@@ -154,7 +174,13 @@ impl StaticInverse {
             let turn_rad_per_nmm = by_y.1.norm().hypot(by_z.1.norm());
             let normal = normal.try_normalize(1e-9).unwrap_or(Vector3::z());
             let compliance_mm_per_nmm = normal.dot(&by_y.0).hypot(normal.dot(&by_z.0));
-            InverseSolution { point_mm, normal, compliance_mm_per_nmm, turn_rad_per_nmm, reachable }
+            InverseSolution {
+                point_mm,
+                normal,
+                compliance_mm_per_nmm,
+                turn_rad_per_nmm,
+                reachable,
+            }
         }));
     }
 
@@ -162,17 +188,30 @@ impl StaticInverse {
     /// moments' range the parabola through three.
     fn stencil(&self, moment_nmm: [f64; 2]) -> Stencil {
         let g = &self.grid;
-        let (size, angle) = (moment_nmm[0].hypot(moment_nmm[1]), moment_nmm[1].atan2(moment_nmm[0]));
+        let (size, angle) = (
+            moment_nmm[0].hypot(moment_nmm[1]),
+            moment_nmm[1].atan2(moment_nmm[0]),
+        );
         let along = (size / g.max_nmm * g.steps as f64).min(g.steps as f64 - 1e-9);
         let around = angle.rem_euclid(TAU) / TAU * g.directions as f64;
         let (m, d) = (along as usize, around as usize);
         let (mut by_m, by_d) = (cubic(along - m as f64), cubic(around - d as f64));
         // A fourth cell outside the table has the value of the parabola through the other three.
         let first = if m == 0 {
-            by_m = [by_m[1] + 3.0 * by_m[0], by_m[2] - 3.0 * by_m[0], by_m[3] + by_m[0], 0.0];
+            by_m = [
+                by_m[1] + 3.0 * by_m[0],
+                by_m[2] - 3.0 * by_m[0],
+                by_m[3] + by_m[0],
+                0.0,
+            ];
             0
         } else if m + 2 > g.steps {
-            by_m = [0.0, by_m[0] + by_m[3], by_m[1] - 3.0 * by_m[3], by_m[2] + 3.0 * by_m[3]];
+            by_m = [
+                0.0,
+                by_m[0] + by_m[3],
+                by_m[1] - 3.0 * by_m[3],
+                by_m[2] + 3.0 * by_m[3],
+            ];
             m - 2
         } else {
             m - 1
@@ -180,7 +219,10 @@ impl StaticInverse {
         let at = |d: usize, m: usize| d % g.directions * (g.steps + 1) + m;
         let cells = std::array::from_fn(|k| {
             let (i, j) = (k / 4, k % 4);
-            (at(d + g.directions + i - 1, (first + j).min(g.steps)), by_d[i] * by_m[j])
+            (
+                at(d + g.directions + i - 1, (first + j).min(g.steps)),
+                by_d[i] * by_m[j],
+            )
         });
         let u = around - d as f64;
         let v = along - m as f64;
@@ -194,7 +236,11 @@ impl StaticInverse {
     }
 
     /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none next to unreachable ones.
-    fn interpolate_together(&self, node: usize, stencils: &[Stencil; 3]) -> Option<([[f64; 6]; 3], bool)> {
+    fn interpolate_together(
+        &self,
+        node: usize,
+        stencils: &[Stencil; 3],
+    ) -> Option<([[f64; 6]; 3], bool)> {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
         let mut sums = [[0.0; 6]; 3];
         let [a, b, c] = stencils;
@@ -218,10 +264,16 @@ impl StaticInverse {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
         let mut sum = [0.0; 6];
         let mut add = |(at, weight): &(usize, f64)| {
-            sum.iter_mut().zip(&cells[*at].0).for_each(|(a, b)| *a += weight * f64::from(*b));
+            sum.iter_mut()
+                .zip(&cells[*at].0)
+                .for_each(|(a, b)| *a += weight * f64::from(*b));
         };
         // Next to unreachable cells bilinear interpolation through the four innermost.
-        if stencil.cells.iter().all(|(at, weight)| *weight == 0.0 || cells[*at].1) {
+        if stencil
+            .cells
+            .iter()
+            .all(|(at, weight)| *weight == 0.0 || cells[*at].1)
+        {
             stencil.cells.iter().for_each(&mut add);
             (sum, true)
         } else {
@@ -250,11 +302,19 @@ fn cubic(u: f64) -> [f64; 4] {
 /// Step of the moments for derivatives, N mm.
 const MOMENT_STEP_NMM: f64 = 0.02;
 
-fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGrid) -> StaticInverse {
+fn refine(
+    nodes: &[Node],
+    cells: &[Vec<TableEntry>],
+    flat: bool,
+    grid: InverseGrid,
+) -> StaticInverse {
     let parts = grid.refine.max(1);
     let last = (nodes.len() - 1) * parts;
     let mix = |a: f64, b: f64, u: f64| a + (b - a) * u;
-    let first_tip = nodes.iter().position(|n| n.tilt > 0.0).map_or(nodes.len() - 1, |k| k - 1);
+    let first_tip = nodes
+        .iter()
+        .position(|n| n.tilt > 0.0)
+        .map_or(nodes.len() - 1, |k| k - 1);
     let (mut fine, mut fine_cells) = (Vec::with_capacity(last + 1), Vec::new());
     for k in 0..=last {
         let (from, u) = (k / parts, (k % parts) as f64 / parts as f64);
@@ -269,17 +329,36 @@ fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGr
             && to + 1 < nodes.len()
             && (from < first_tip) == (from - 1 < first_tip)
             && (to <= first_tip) == (to < first_tip);
-        let by = if whole { cubic(u) } else { [0.0, 1.0 - u, u, 0.0] };
-        let four = [from.saturating_sub(1), from, to, (to + 1).min(nodes.len() - 1)].map(|n| &cells[n]);
+        let by = if whole {
+            cubic(u)
+        } else {
+            [0.0, 1.0 - u, u, 0.0]
+        };
+        let four = [
+            from.saturating_sub(1),
+            from,
+            to,
+            (to + 1).min(nodes.len() - 1),
+        ]
+        .map(|n| &cells[n]);
         fine_cells.extend((0..cells[from].len()).map(|c| {
             let there = four[1][c].1 && (u == 0.0 || four[2][c].1);
             let smooth = four[0][c].1 && four[3][c].1;
             let by = if smooth { by } else { [0.0, 1.0 - u, u, 0.0] };
-            let value = |i: usize| (0..4).map(|n| by[n] * f64::from(four[n][c].0[i])).sum::<f64>() as f32;
+            let value = |i: usize| {
+                (0..4)
+                    .map(|n| by[n] * f64::from(four[n][c].0[i]))
+                    .sum::<f64>() as f32
+            };
             (std::array::from_fn(value), there)
         }));
     }
-    StaticInverse { nodes: fine, flat, grid, cells: fine_cells }
+    StaticInverse {
+        nodes: fine,
+        flat,
+        grid,
+        cells: fine_cells,
+    }
 }
 
 #[cfg(test)]
@@ -305,7 +384,10 @@ mod tests {
             let [y, z] = [size * angle.cos(), size * angle.sin()];
             let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
             let stencils = at.map(|m| inverse.stencil(m));
-            if stencils.iter().any(|s| s.cells.map(|c| c.0) != stencils[0].cells.map(|c| c.0)) {
+            if stencils
+                .iter()
+                .any(|s| s.cells.map(|c| c.0) != stencils[0].cells.map(|c| c.0))
+            {
                 continue;
             }
             for node in 0..inverse.nodes.len() {
@@ -322,6 +404,9 @@ mod tests {
                 }
             }
         }
-        assert!(together > 500 && unreachable > 10, "{together} {unreachable}");
+        assert!(
+            together > 500 && unreachable > 10,
+            "{together} {unreachable}"
+        );
     }
 }

@@ -69,7 +69,10 @@ pub struct TrainedOn {
 impl TrainedOn {
     /// The filters below the network.
     pub fn filters(&self) -> FilterBank {
-        FilterBank { frictional: self.filter, frictionless: self.filter_frictionless }
+        FilterBank {
+            frictional: self.filter,
+            frictionless: self.filter_frictionless,
+        }
     }
 
     /// Speeds of the base along its +z in training, mm/s: those of the sweeps, stretched in time.
@@ -91,16 +94,35 @@ pub fn read_card(folder: &Path) -> Result<Card, TrackError> {
 fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     let path = folder.join(CARD);
     let text = wcal_core::files::read_text(&path).map_err(TrackError::file("reading", &path))?;
-    let ranges = [CARD_RANGES, NETWORK_RANGES, GRID_RANGES, FILTER_RANGES, WHISKER_RANGES, OTHER_RANGES];
-    let card: Card = from_json(&text, FORMAT, &ranges).map_err(TrackError::file("reading", &path))?;
-    card.network.check().map_err(TrackError::file("reading", &path))?;
-    card.whisker.check().map_err(TrackError::file("reading", &path))?;
+    let ranges = [
+        CARD_RANGES,
+        NETWORK_RANGES,
+        GRID_RANGES,
+        FILTER_RANGES,
+        WHISKER_RANGES,
+        OTHER_RANGES,
+    ];
+    let card: Card =
+        from_json(&text, FORMAT, &ranges).map_err(TrackError::file("reading", &path))?;
+    card.network
+        .check()
+        .map_err(TrackError::file("reading", &path))?;
+    card.whisker
+        .check()
+        .map_err(TrackError::file("reading", &path))?;
     let filters = card.training.filters();
     if card.network.check_filters(&filters).is_err() {
         let count = |two: bool| if two { "two" } else { "one" };
         let what = format!("{}: training: filters below the network", path.display());
-        let (expected, found) = (count(card.network.two_filters), count(filters.frictionless.is_some()));
-        return Err(TrackError::value(what, format!("{expected}, as the network weighs"), found));
+        let (expected, found) = (
+            count(card.network.two_filters),
+            count(filters.frictionless.is_some()),
+        );
+        return Err(TrackError::value(
+            what,
+            format!("{expected}, as the network weighs"),
+            found,
+        ));
     }
     let weights = folder.join(WEIGHTS);
     let bytes = wcal_core::files::read(&weights).map_err(TrackError::file("reading", &weights))?;
@@ -119,7 +141,8 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
 pub fn load(folder: &Path) -> Result<(Tracker, Card), TrackError> {
     let (card, bytes) = read_files(folder)?;
     let weights = folder.join(WEIGHTS);
-    let net = WhiskerNet::read(&card.network, &bytes).map_err(TrackError::file("reading", &weights))?;
+    let net =
+        WhiskerNet::read(&card.network, &bytes).map_err(TrackError::file("reading", &weights))?;
     let inverse = StaticInverse::new(&card.whisker, card.inverse)?;
     let tracker = Tracker {
         config: card.network,

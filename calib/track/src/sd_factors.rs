@@ -26,7 +26,10 @@ pub struct SdFactors {
 impl SdFactors {
     /// One factor for all.
     pub fn constant(factor: f64) -> Self {
-        Self { at_mm: vec![1.0], factors: vec![factor] }
+        Self {
+            at_mm: vec![1.0],
+            factors: vec![factor],
+        }
     }
 
     /// The factor at a spread, mm.
@@ -49,8 +52,14 @@ mod tests {
 
     #[test]
     fn factors_go_evenly_with_the_logarithm_and_stay_beyond() {
-        let f = SdFactors { at_mm: vec![0.1, 10.0], factors: vec![1.0, 3.0] };
-        assert_eq!([0.01, 0.1, 10.0, 99.0].map(|mm| f.at(mm)), [1.0, 1.0, 3.0, 3.0]);
+        let f = SdFactors {
+            at_mm: vec![0.1, 10.0],
+            factors: vec![1.0, 3.0],
+        };
+        assert_eq!(
+            [0.01, 0.1, 10.0, 99.0].map(|mm| f.at(mm)),
+            [1.0, 1.0, 3.0, 3.0]
+        );
         assert!((f.at(1.0) - 2.0).abs() < 1e-12);
     }
 }

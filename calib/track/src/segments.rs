@@ -69,7 +69,10 @@ pub struct SegmentFinder {
 impl SegmentFinder {
     /// Of a whisker.
     pub fn new(whisker: &str) -> Self {
-        Self { whisker: whisker.to_owned(), ..Self::default() }
+        Self {
+            whisker: whisker.to_owned(),
+            ..Self::default()
+        }
     }
 
     /// Takes a row: time (s), probability of contact, contact (base frame, mm) with covariance, and the base's travel along its +z since the row
@@ -94,13 +97,21 @@ impl SegmentFinder {
                 self.close(SegmentBoundary::Jump);
             } else {
                 let rows = segment.rows + 1;
-                let segment = Segment { to_s: t_s, rows, last_mm: point_mm.into(), ..segment.clone() };
+                let segment = Segment {
+                    to_s: t_s,
+                    rows,
+                    last_mm: point_mm.into(),
+                    ..segment.clone()
+                };
                 let number = segment.number;
                 self.open = Some((segment, point_mm, covariance_mm2));
                 return Some(number);
             }
         }
-        let begins = self.next.replace(SegmentBoundary::Touch).unwrap_or(SegmentBoundary::Recording);
+        let begins = self
+            .next
+            .replace(SegmentBoundary::Touch)
+            .unwrap_or(SegmentBoundary::Recording);
         if probability < START_PROBABILITY && begins != SegmentBoundary::Jump {
             return None;
         }
@@ -135,7 +146,11 @@ impl SegmentFinder {
 
     /// All segments; an open one ends with the recording.
     pub fn all(&self) -> Vec<Segment> {
-        self.done.iter().cloned().chain(self.open.iter().map(|o| o.0.clone())).collect()
+        self.done
+            .iter()
+            .cloned()
+            .chain(self.open.iter().map(|o| o.0.clone()))
+            .collect()
     }
 }
 
@@ -166,7 +181,10 @@ mod tests {
             (0.5, 40.0),
         ];
         let found = run(&series, 0.2);
-        let edges: Vec<_> = found.iter().map(|s| (s.begins, s.ends, s.rows, s.number)).collect();
+        let edges: Vec<_> = found
+            .iter()
+            .map(|s| (s.begins, s.ends, s.rows, s.number))
+            .collect();
         assert_eq!(
             edges,
             [
@@ -183,13 +201,20 @@ mod tests {
     #[test]
     fn a_gap_breaks_a_segment_and_an_open_one_ends_with_the_recording() {
         let mut segments = SegmentFinder::new("");
-        let push =
-            |s: &mut SegmentFinder, t: f64| s.push(t, 0.9, Vector3::x(), Matrix3::identity() * 0.01, 0.0);
+        let push = |s: &mut SegmentFinder, t: f64| {
+            s.push(t, 0.9, Vector3::x(), Matrix3::identity() * 0.01, 0.0)
+        };
         assert_eq!(push(&mut segments, 0.0), Some(1));
         segments.gap();
         assert_eq!(push(&mut segments, 1.0), Some(2));
         let all = segments.all();
-        assert_eq!((all[0].begins, all[0].ends), (SegmentBoundary::Recording, SegmentBoundary::Gap));
-        assert_eq!((all[1].begins, all[1].ends), (SegmentBoundary::Gap, SegmentBoundary::Recording));
+        assert_eq!(
+            (all[0].begins, all[0].ends),
+            (SegmentBoundary::Recording, SegmentBoundary::Gap)
+        );
+        assert_eq!(
+            (all[1].begins, all[1].ends),
+            (SegmentBoundary::Gap, SegmentBoundary::Recording)
+        );
     }
 }

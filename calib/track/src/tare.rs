@@ -12,7 +12,12 @@ pub struct Tare {
 impl Tare {
     /// Over a time, s; 0: the moments stay as they are.
     pub fn new(span_s: f64) -> Self {
-        Self { span_s, begun_s: None, sum_nmm: [0.0; 2], count: 0.0 }
+        Self {
+            span_s,
+            begun_s: None,
+            sum_nmm: [0.0; 2],
+            count: 0.0,
+        }
     }
 
     /// Moments (N mm) less the mean of those seen so far in the span.
@@ -38,10 +43,16 @@ mod tests {
             tare.zeroed(0.1 * f64::from(k), [0.2 + noise, -0.1]);
         }
         let pressed = tare.zeroed(0.6, [0.7, -0.1]);
-        assert!((pressed[0] - 0.5).abs() < 0.003 && pressed[1].abs() < 1e-12, "{pressed:?}");
+        assert!(
+            (pressed[0] - 0.5).abs() < 0.003 && pressed[1].abs() < 1e-12,
+            "{pressed:?}"
+        );
         assert_eq!(tare.zeroed(0.7, [0.7, -0.1]), pressed, "a press is no zero");
         // Negative control: without a span nothing is taken off.
         let mut none = Tare::new(0.0);
-        assert_eq!((none.zeroed(0.0, [0.2, 0.1]), none.zeroed(1.0, [0.7, 0.1])), ([0.2, 0.1], [0.7, 0.1]));
+        assert_eq!(
+            (none.zeroed(0.0, [0.2, 0.1]), none.zeroed(1.0, [0.7, 0.1])),
+            ([0.2, 0.1], [0.7, 0.1])
+        );
     }
 }

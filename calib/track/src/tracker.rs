@@ -50,11 +50,18 @@ impl Tracker {
     /// Where network and curve do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {
         let nodes = self.inverse.nodes.len();
-        let (nodes, width) = (knots(nodes).len(), FeatureExtractor::width(nodes, self.config.two_filters));
+        let (nodes, width) = (
+            knots(nodes).len(),
+            FeatureExtractor::width(nodes, self.config.two_filters),
+        );
         self.config.check_filters(&self.filters)?;
         if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
             let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
-            return Err(TrackError::value("network", format!("{width} inputs, {nodes} knots"), found));
+            return Err(TrackError::value(
+                "network",
+                format!("{width} inputs, {nodes} knots"),
+                found,
+            ));
         }
         Ok(())
     }
@@ -104,8 +111,9 @@ impl Tracker {
         }
         // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over the K nodes.
         let floor = (out[k + 5] + INITIAL_LOG_FLOOR).exp() / token.posterior.len() as f32;
-        let factors =
-            knot_weights(token.posterior.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
+        let factors = knot_weights(token.posterior.len())
+            .into_iter()
+            .map(|(knot, u)| match out[..k].get(knot + 1) {
                 Some(next) => out[knot] * (1.0 - u) + next * u,
                 None => out[knot],
             });
@@ -117,7 +125,10 @@ impl Tracker {
                 .zip(&token.posterior_frictionless)
                 .for_each(|(b, frictionless)| *b += (frictionless - *b) * share);
         }
-        let mut weights: Vec<f32> = factors.zip(&posterior).map(|(f, b)| f + (b + floor).ln()).collect();
+        let mut weights: Vec<f32> = factors
+            .zip(&posterior)
+            .map(|(f, b)| f + (b + floor).ln())
+            .collect();
         // Softmax, the maximum subtracted against overflow.
         let max = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         weights.iter_mut().for_each(|w| *w = (*w - max).exp());
@@ -147,10 +158,22 @@ impl Tracker {
             row[i] += MIN_SD_MM * MIN_SD_MM;
             trace += row[i];
         }
-        let factor = self.sd_factors[usize::from(base_known)].at(f64::from(trace).sqrt()).powi(2) as f32;
-        covariance.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+        let factor = self.sd_factors[usize::from(base_known)]
+            .at(f64::from(trace).sqrt())
+            .powi(2) as f32;
+        covariance
+            .as_flattened_mut()
+            .iter_mut()
+            .for_each(|x| *x *= factor);
         let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
-        Prediction { contact, several, point_mm, covariance_mm2: covariance, weights, normal }
+        Prediction {
+            contact,
+            several,
+            point_mm,
+            covariance_mm2: covariance,
+            weights,
+            normal,
+        }
     }
 }
 
@@ -171,10 +194,13 @@ impl TrackerStream<'_> {
     pub fn push(&mut self, sample: &Sample) -> Prediction {
         let dt_s = self.last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
         self.last_s = Some(sample.t_s);
-        let token = self.features.push(dt_s, sample.moment_nmm, sample.base_mm_s);
+        let token = self
+            .features
+            .push(dt_s, sample.moment_nmm, sample.base_mm_s);
         let Tracker { config, net, .. } = self.tracker;
         let out = net.step(&token.inputs, sample.t_s, config.context, &mut self.cache);
-        self.tracker.answer(&token, &out, sample.base_mm_s.is_some())
+        self.tracker
+            .answer(&token, &out, sample.base_mm_s.is_some())
     }
 }
 

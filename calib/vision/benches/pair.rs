@@ -21,21 +21,36 @@ fn reduced(picture: &Picture, width_px: usize) -> Picture {
         let mean = |k: usize| {
             let at = 2 * (k / width) * small.width + 2 * (k % width);
             let below = at + small.width;
-            let sum: u16 = [at, at + 1, below, below + 1].map(|p| u16::from(small.data[p])).iter().sum();
+            let sum: u16 = [at, at + 1, below, below + 1]
+                .map(|p| u16::from(small.data[p]))
+                .iter()
+                .sum();
             ((sum + 2) / 4) as u8
         };
-        small = Picture { width, height, data: (0..width * height).map(mean).collect() };
+        small = Picture {
+            width,
+            height,
+            data: (0..width * height).map(mean).collect(),
+        };
     }
     small
 }
 
 fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/stereo_bench").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../fixtures/stereo_bench")
+        .join(name)
 }
 
 fn cameras() -> StereoCameras {
-    let board =
-        Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
+    let board = Board {
+        size: BoardSize {
+            columns: 9,
+            rows: 6,
+        },
+        square_mm: 6.0,
+        pattern: Pattern::Chessboard,
+    };
     let side = |s: &str| fixture(&format!("board/{s}")).display().to_string();
     let (document, _) =
         calibrate_folders(&side("left"), &side("right"), &board, OPENCV5, &|_| {}).expect("board");
@@ -60,12 +75,20 @@ fn write_pgm(path: &Path, picture: &Picture) {
 }
 
 fn bench(c: &mut Criterion) {
-    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("one pool");
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build_global()
+        .expect("one pool");
     let rig = Rig::read(&fixture("rig.toml")).expect("rig");
     let stereo = cameras();
     let paths = ["left", "right"].map(|side| fixture(&format!("scene/{side}/t1.png")));
     let files = |[left, right]: [PathBuf; 2]| {
-        vec![PairFiles { name: "t1".into(), left: Some(left), right: Some(right), ..PairFiles::default() }]
+        vec![PairFiles {
+            name: "t1".into(),
+            left: Some(left),
+            right: Some(right),
+            ..PairFiles::default()
+        }]
     };
     let place = tempfile::tempdir().expect("a folder");
     let small = ["left", "right"].map(|side| place.path().join(format!("{side}.pgm")));
@@ -76,18 +99,29 @@ fn bench(c: &mut Criterion) {
     group.sample_size(10);
     group.bench_function("read_1280x960", |b| {
         b.iter(|| {
-            paths.iter().map(|p| Picture::read(black_box(p)).expect("picture").data.len()).sum::<usize>()
+            paths
+                .iter()
+                .map(|p| Picture::read(black_box(p)).expect("picture").data.len())
+                .sum::<usize>()
         });
     });
     let full = files(paths.clone());
     group.bench_function("read_and_shape_1280x960", |b| {
-        b.iter(|| shapes_of_pairs(black_box(&stereo), &rig, &full, &|_| {}).fits.len());
+        b.iter(|| {
+            shapes_of_pairs(black_box(&stereo), &rig, &full, &|_| {})
+                .fits
+                .len()
+        });
     });
     let (half, small) = (halved(&stereo), files(small));
     let first = shapes_of_pairs(&half, &rig, &small, &|_| {});
     assert_eq!(first.document.pairs[0].status, "ok");
     group.bench_function("read_and_shape_640x480", |b| {
-        b.iter(|| shapes_of_pairs(black_box(&half), &rig, &small, &|_| {}).fits.len());
+        b.iter(|| {
+            shapes_of_pairs(black_box(&half), &rig, &small, &|_| {})
+                .fits
+                .len()
+        });
     });
     group.finish();
 }

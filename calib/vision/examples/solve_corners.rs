@@ -14,7 +14,11 @@ use wcal_vision::camera::OPENCV5;
 fn main() -> anyhow::Result<()> {
     let input: Value = serde_json::from_reader(std::io::stdin())?;
     let size = |key: &str| input[key].as_u64().unwrap_or(0) as usize;
-    let points = board_points(size("columns"), size("rows"), input["square"].as_f64().unwrap_or(1.0));
+    let points = board_points(
+        size("columns"),
+        size("rows"),
+        input["square"].as_f64().unwrap_or(1.0),
+    );
     let image = [0, 1].map(|k| input["image_size"][k].as_u64().unwrap_or(0) as usize);
     let corners = |v: &Value| -> Vec<Option<Vector2<f64>>> {
         v.as_array()
@@ -43,8 +47,15 @@ fn main() -> anyhow::Result<()> {
     }
     seconds.sort_by(f64::total_cmp);
     let state = solution.bundle.state.clone();
-    let flat =
-        solve(&points, &solution.views, BundleState { warp: [0.0; 2], ..state.clone() }, Free::all(false));
+    let flat = solve(
+        &points,
+        &solution.views,
+        BundleState {
+            warp: [0.0; 2],
+            ..state.clone()
+        },
+        Free::all(false),
+    );
     let bent = solve(&points, &solution.views, state, Free::all(true));
     let baseline = |s: &BundleState| s.right_from_left.translation.vector.norm();
     let out = json!({

@@ -51,7 +51,11 @@ impl VisionError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Content { path: path.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
+        Self::Content {
+            path: path.into(),
+            expected: brief(&expected.into()),
+            found: brief(&found.into()),
+        }
     }
 
     pub(crate) fn result(
@@ -59,7 +63,11 @@ impl VisionError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Result { action, expected: expected.into(), found: found.into() }
+        Self::Result {
+            action,
+            expected: expected.into(),
+            found: found.into(),
+        }
     }
 }
 

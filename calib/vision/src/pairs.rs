@@ -25,7 +25,10 @@ impl PairFiles {
     ///
     /// # Errors
     /// A sentence.
-    pub(crate) fn read(&self, calibrated_px: Option<[[usize; 2]; 2]>) -> Result<[Picture; 2], String> {
+    pub(crate) fn read(
+        &self,
+        calibrated_px: Option<[[usize; 2]; 2]>,
+    ) -> Result<[Picture; 2], String> {
         if let Some(why) = &self.refused {
             return Err(why.clone());
         }
@@ -44,7 +47,9 @@ impl PairFiles {
                     found[0], found[1]
                 ));
             }
-            picture.unusable().map_or(Ok(picture), |why| Err(format!("{path}: {why}")))
+            picture
+                .unusable()
+                .map_or(Ok(picture), |why| Err(format!("{path}: {why}")))
         };
         let pictures = [read(left, 0)?, read(right, 1)?];
         if pictures[0] == pictures[1] {
@@ -63,22 +68,43 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
     let (folder, pattern) = if path.is_dir() {
         (path.to_path_buf(), "*".to_string())
     } else {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let pattern = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let folder = path
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        let pattern = path
+            .file_name()
+            .map(|n| n.to_string_lossy().into_owned())
+            .unwrap_or_default();
         (folder.to_path_buf(), pattern)
     };
-    let io =
-        |source_error| VisionError::Io { action: "list", path: source.to_string(), source: source_error };
+    let io = |source_error| VisionError::Io {
+        action: "list",
+        path: source.to_string(),
+        source: source_error,
+    };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(&folder).map_err(io)? {
         let file = entry.map_err(io)?.path();
-        let name = file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let name = file
+            .file_name()
+            .map(|n| n.to_string_lossy().into_owned())
+            .unwrap_or_default();
+        let extension = file
+            .extension()
+            .map(|e| e.to_string_lossy().to_lowercase())
+            .unwrap_or_default();
         // macOS writes a file of its own beside each picture: `._NAME`.
         let hidden = name.starts_with('.') && !pattern.starts_with('.');
-        let picture =
-            ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm"].contains(&extension.as_str());
-        if picture && !hidden && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
+        let picture = [
+            "png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm",
+        ]
+        .contains(&extension.as_str());
+        if picture
+            && !hidden
+            && file.is_file()
+            && matches_pattern(pattern.as_bytes(), name.as_bytes())
+        {
             files.push(file);
         }
     }
@@ -119,12 +145,16 @@ pub fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
 }
 
 fn stem(path: &Path) -> String {
-    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+    path.file_stem()
+        .map(|s| s.to_string_lossy().into_owned())
+        .unwrap_or_default()
 }
 
 /// The numbers in a name, the last one first.
 fn numbers(name: &str) -> Vec<u64> {
-    name.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok()).collect()
+    name.rsplit(|c: char| !c.is_ascii_digit())
+        .filter_map(|digits| digits.parse().ok())
+        .collect()
 }
 
 /// Place of the number that tells the pairs, counted from a name's end: of those in which no two files of a side agree (a camera's own number
@@ -134,7 +164,10 @@ fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
     let places = all.iter().flatten().map(Vec::len).max().unwrap_or(0);
     let pairs = |place: usize| -> Option<usize> {
         let side = |k: usize| -> Option<BTreeSet<u64>> {
-            let found: Vec<u64> = all[k].iter().filter_map(|n| n.get(place).copied()).collect();
+            let found: Vec<u64> = all[k]
+                .iter()
+                .filter_map(|n| n.get(place).copied())
+                .collect();
             let distinct: BTreeSet<u64> = found.iter().copied().collect();
             (distinct.len() == found.len()).then_some(distinct)
         };
@@ -152,7 +185,9 @@ fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
 /// # Errors
 /// Where two files of one side carry the same number and no partner of the same name.
 pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>, VisionError> {
-    let same_name = left.iter().any(|l| right.iter().any(|r| stem(l) == stem(r)));
+    let same_name = left
+        .iter()
+        .any(|l| right.iter().any(|r| stem(l) == stem(r)));
     let place = varying_place([left, right]).unwrap_or(0);
     let key = |path: &PathBuf| -> (u64, String) {
         let name = stem(path);
@@ -160,13 +195,25 @@ pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>,
         if same_name {
             return (numbers.first().copied().unwrap_or(0), name);
         }
-        numbers.get(place).map_or((0, name), |n| (*n, String::new()))
+        numbers
+            .get(place)
+            .map_or((0, name), |n| (*n, String::new()))
     };
     let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
-    for (is_left, file) in left.iter().map(|f| (true, f)).chain(right.iter().map(|f| (false, f))) {
-        let entry =
-            pairs.entry(key(file)).or_insert_with(|| PairFiles { name: stem(file), ..PairFiles::default() });
-        let slot = if is_left { &mut entry.left } else { &mut entry.right };
+    for (is_left, file) in left
+        .iter()
+        .map(|f| (true, f))
+        .chain(right.iter().map(|f| (false, f)))
+    {
+        let entry = pairs.entry(key(file)).or_insert_with(|| PairFiles {
+            name: stem(file),
+            ..PairFiles::default()
+        });
+        let slot = if is_left {
+            &mut entry.left
+        } else {
+            &mut entry.right
+        };
         if let Some(other) = slot {
             return Err(VisionError::content(
                 file.display().to_string(),

@@ -35,7 +35,11 @@ impl Picture {
                 format!("{} values", data.len()),
             ));
         }
-        Ok(Self { width, height, data })
+        Ok(Self {
+            width,
+            height,
+            data,
+        })
     }
 
     /// Reads a PNG, JPEG, TIFF, BMP or PNM as it is stored, whatever way up its EXIF orientation says; colours become grey (0.299 R + 0.587 G +
@@ -52,19 +56,31 @@ impl Picture {
         })?;
         check_complete(&name, &bytes)?;
         let decoded = image::load_from_memory(&bytes).map_err(|e| {
-            VisionError::content(name.clone(), KINDS, format!("bytes that do not decode: {e}"))
+            VisionError::content(
+                name.clone(),
+                KINDS,
+                format!("bytes that do not decode: {e}"),
+            )
         })?;
         let (width, height) = (decoded.width() as usize, decoded.height() as usize);
         let data = match decoded {
             DynamicImage::ImageLuma8(grey) => grey.into_raw(),
-            DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) | DynamicImage::ImageLumaA8(_) => {
-                grey_values(decoded.into_rgb8().as_raw())
-            }
+            DynamicImage::ImageRgb8(_)
+            | DynamicImage::ImageRgba8(_)
+            | DynamicImage::ImageLumaA8(_) => grey_values(decoded.into_rgb8().as_raw()),
             DynamicImage::ImageLuma16(grey) => upper_bits(grey.as_raw()),
-            DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_) | DynamicImage::ImageLumaA16(_) => {
+            DynamicImage::ImageRgb16(_)
+            | DynamicImage::ImageRgba16(_)
+            | DynamicImage::ImageLumaA16(_) => {
                 grey_values(&upper_bits(decoded.into_rgb16().as_raw()))
             }
-            _ => return Err(VisionError::content(name, "8 or 16 bits a pixel", "floating-point values")),
+            _ => {
+                return Err(VisionError::content(
+                    name,
+                    "8 or 16 bits a pixel",
+                    "floating-point values",
+                ));
+            }
         };
         Self::new(width, height, data)
     }
@@ -109,7 +125,10 @@ impl Picture {
     pub fn unusable(&self) -> Option<String> {
         let (full, mean) = self.saturation();
         if full > 0.5 {
-            return Some(format!("saturated: {:.0} % of the pixels at 255", 100.0 * full));
+            return Some(format!(
+                "saturated: {:.0} % of the pixels at 255",
+                100.0 * full
+            ));
         }
         let lo = self.data.iter().fold(255u8, |lo, &v| lo.min(v));
         let hi = self.data.iter().fold(0u8, |hi, &v| hi.max(v));
@@ -130,7 +149,11 @@ impl Picture {
             let rows = (y..y + factor).map(|y| &self.data[y * self.width + x..][..factor]);
             (rows.flatten().map(|&v| usize::from(v)).sum::<usize>() / (factor * factor)) as u8
         };
-        Self { width, height, data: (0..width * height).map(mean).collect() }
+        Self {
+            width,
+            height,
+            data: (0..width * height).map(mean).collect(),
+        }
     }
 
     /// The picture as JPEG, for looking at.
@@ -140,7 +163,12 @@ impl Picture {
     pub fn jpeg(&self) -> Result<Vec<u8>, VisionError> {
         let mut bytes = Vec::new();
         JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
-            .encode(&self.data, self.width as u32, self.height as u32, ExtendedColorType::L8)
+            .encode(
+                &self.data,
+                self.width as u32,
+                self.height as u32,
+                ExtendedColorType::L8,
+            )
             .map_err(|e| VisionError::result("encode a picture", "a JPEG", e.to_string()))?;
         Ok(bytes)
     }
@@ -158,27 +186,44 @@ const KINDS: &str = "a PNG, JPEG, TIFF, BMP or PNM picture";
 /// value and no other: saturation is what it was.
 fn upper_bits(values: &[u16]) -> Vec<u8> {
     let used = values.iter().fold(0, |all, v| all | v);
-    let unused = if used == 0 { 0 } else { used.trailing_zeros().min(8) & !1 };
-    let bits = [8, 10, 12, 14].into_iter().find(|bits| (used >> unused) < 1 << bits).unwrap_or(16);
+    let unused = if used == 0 {
+        0
+    } else {
+        used.trailing_zeros().min(8) & !1
+    };
+    let bits = [8, 10, 12, 14]
+        .into_iter()
+        .find(|bits| (used >> unused) < 1 << bits)
+        .unwrap_or(16);
     let full = (1u32 << bits) - 1;
-    values.iter().map(|v| (u32::from(v >> unused) * 255 / full) as u8).collect()
+    values
+        .iter()
+        .map(|v| (u32::from(v >> unused) * 255 / full) as u8)
+        .collect()
 }
 
 /// The EXIF orientation of a picture file, 2 to 8 (CIPA DC-008, tag 274), where it asks that the picture be turned or mirrored.
 pub fn exif_orientation(path: &Path) -> Option<u8> {
     let bytes = wcal_core::files::read(path).ok()?;
-    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().ok()?;
-    Some(reader.into_decoder().ok()?.orientation().ok()?.to_exif()).filter(|orientation| *orientation != 1)
+    let reader = ImageReader::new(Cursor::new(&bytes))
+        .with_guessed_format()
+        .ok()?;
+    Some(reader.into_decoder().ok()?.orientation().ok()?.to_exif())
+        .filter(|orientation| *orientation != 1)
 }
 
 /// Grey values of red, green and blue ones.
 fn grey_values(rgb: &[u8]) -> Vec<u8> {
     let pixels = rgb.chunks_exact(3);
     // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
-    if pixels.clone().all(|p| p[0].abs_diff(p[1]) <= 2 && p[1].abs_diff(p[2]) <= 2) {
+    if pixels
+        .clone()
+        .all(|p| p[0].abs_diff(p[1]) <= 2 && p[1].abs_diff(p[2]) <= 2)
+    {
         return pixels.map(|p| p[1]).collect();
     }
-    let grey = |p: &[u8]| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
+    let grey =
+        |p: &[u8]| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
     pixels.map(|p| grey(p).round() as u8).collect()
 }
 

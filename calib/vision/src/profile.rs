@@ -18,7 +18,12 @@ static TABLE: LazyLock<Vec<[f64; 4]>> = LazyLock::new(|| {
     (0..=(LIMIT * PER_UNIT) as usize)
         .map(|k| {
             let ((a, da), (b, db)) = (node(k), node(k + 1));
-            [a, da, 3.0 * (b - a) - 2.0 * da - db, 2.0 * (a - b) + da + db]
+            [
+                a,
+                da,
+                3.0 * (b - a) - 2.0 * da - db,
+                2.0 * (a - b) + da + db,
+            ]
         })
         .collect()
 });

@@ -85,13 +85,21 @@ impl Rig {
     pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
         // Rigs for pictures alone have been written without a format.
         let named = text.lines().any(|l| l.trim_start().starts_with("format"));
-        let whole = if named { text.to_owned() } else { format!("format = \"{RIG_FORMAT}\"\n{text}") };
+        let whole = if named {
+            text.to_owned()
+        } else {
+            format!("format = \"{RIG_FORMAT}\"\n{text}")
+        };
         let file: RigFile =
             from_toml(&whole, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES]).map_err(|e| match e {
                 DocumentError::Range(e) => {
                     VisionError::content(name, format!("{}: {}", e.key, e.expected), e.found)
                 }
-                other => VisionError::content(name, "a rig with [whisker] and [[tags]]", other.to_string()),
+                other => VisionError::content(
+                    name,
+                    "a rig with [whisker] and [[tags]]",
+                    other.to_string(),
+                ),
             })?;
         let w = file.whisker;
         let length_mm = w.length_mm;
@@ -103,7 +111,11 @@ impl Rig {
         };
         let (tags, remarks) = each_once(name, file.tags)?;
         if !tags.iter().any(|t| t.base_from_tag.is_some()) {
-            return Err(VisionError::content(name, "a tag with base_from_tag (on the base)", "none"));
+            return Err(VisionError::content(
+                name,
+                "a tag with base_from_tag (on the base)",
+                "none",
+            ));
         }
         let groove = file.groove.and_then(|g| {
             Some(RigGroove {
@@ -122,7 +134,12 @@ impl Rig {
                 "none",
             ));
         }
-        Ok(Self { whisker, tags, groove, remarks })
+        Ok(Self {
+            whisker,
+            tags,
+            groove,
+            remarks,
+        })
     }
 }
 
@@ -130,10 +147,16 @@ impl Rig {
 fn each_once(name: &str, stated: Vec<TagRig>) -> Result<(Vec<TagRig>, Vec<String>), VisionError> {
     let (mut tags, mut remarks): (Vec<TagRig>, _) = (Vec::new(), Vec::new());
     for tag in stated {
-        match tags.iter().find(|t| t.id == tag.id && t.family == tag.family) {
+        match tags
+            .iter()
+            .find(|t| t.id == tag.id && t.family == tag.family)
+        {
             None => tags.push(tag),
             Some(same) if *same == tag => {
-                remarks.push(format!("{name}: tag {} {} is stated twice: counted once", tag.family, tag.id));
+                remarks.push(format!(
+                    "{name}: tag {} {} is stated twice: counted once",
+                    tag.family, tag.id
+                ));
             }
             Some(other) => {
                 return Err(VisionError::content(

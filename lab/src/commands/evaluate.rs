@@ -77,7 +77,10 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let progress = Progress::new("evaluate");
     progress.stage("reading model and sweeps");
     let (tracker, card) = load(&args.model)?;
-    let model = Model { tracker: &tracker, card: &card };
+    let model = Model {
+        tracker: &tracker,
+        card: &card,
+    };
     let sets = sets(args, &card)?;
     let order = Order {
         meshes: args.meshes.as_deref(),
@@ -109,22 +112,33 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
 
 /// The sweeps of the dataset: those over objects of the training that were kept back, and those over objects that it did not see.
 fn sets(args: &EvaluateArgs, card: &Card) -> anyhow::Result<Sets> {
-    let there: BTreeSet<String> = manifests(&args.sweeps)?.into_iter().map(|(_, m)| m.object).collect();
-    let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<SweepSeries>>> {
-        let names: Vec<String> =
-            names.iter().filter(|n| there.contains(*n)).take(args.objects).cloned().collect();
-        if names.is_empty() {
-            return Ok(BTreeMap::new());
-        }
-        let mut all_series = sweep_series::read_sweep_series(&args.sweeps, &names)?;
-        for of_object in all_series.values_mut() {
-            of_object.retain(|c| !kept_back || card.kept_back(c.sweep));
-            of_object.truncate(args.sweeps_each);
-        }
-        all_series.retain(|_, c| !c.is_empty());
-        Ok(all_series)
+    let there: BTreeSet<String> = manifests(&args.sweeps)?
+        .into_iter()
+        .map(|(_, m)| m.object)
+        .collect();
+    let pick =
+        |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<SweepSeries>>> {
+            let names: Vec<String> = names
+                .iter()
+                .filter(|n| there.contains(*n))
+                .take(args.objects)
+                .cloned()
+                .collect();
+            if names.is_empty() {
+                return Ok(BTreeMap::new());
+            }
+            let mut all_series = sweep_series::read_sweep_series(&args.sweeps, &names)?;
+            for of_object in all_series.values_mut() {
+                of_object.retain(|c| !kept_back || card.kept_back(c.sweep));
+                of_object.truncate(args.sweeps_each);
+            }
+            all_series.retain(|_, c| !c.is_empty());
+            Ok(all_series)
+        };
+    let sets = Sets {
+        seen: pick(&card.objects.training, true)?,
+        unseen: pick(&card.objects.unseen, false)?,
     };
-    let sets = Sets { seen: pick(&card.objects.training, true)?, unseen: pick(&card.objects.unseen, false)? };
     ensure!(
         !sets.seen.is_empty() || !sets.unseen.is_empty(),
         "{}: no sweep that was kept back",

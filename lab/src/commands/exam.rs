@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use wcal_exam::orders::MIXES;
 use wcal_exam::statements::{Auditor, LAYOUTS, NOISES, pooled};
-use wcal_exam::{Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise};
+use wcal_exam::{
+    Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise,
+};
 use wcal_plant::Make;
 
 /// Arguments of `wcal-lab exam`.
@@ -84,7 +86,10 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
     let beside = std::env::current_exe()?.with_file_name("wcal");
     let examiner = Examiner {
         program: o.wcal.clone().unwrap_or(beside),
-        folder: o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf()),
+        folder: o
+            .keep
+            .clone()
+            .unwrap_or_else(|| scratch.path().to_path_buf()),
         jobs: o.jobs,
         timeout_s: o.timeout,
         follow_up: o.follow_up,
@@ -103,7 +108,10 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
     }
     let table = summarise(&outcomes);
     println!();
-    table.iter().filter(|goal| goal.counts.1 > 0).for_each(|goal| println!("{}", row(goal)));
+    table
+        .iter()
+        .filter(|goal| goal.counts.1 > 0)
+        .for_each(|goal| println!("{}", row(goal)));
     let noises = by_noise(&outcomes);
     println!("\n{}", noise_table(&noises));
     if let Some(path) = &o.json {
@@ -123,8 +131,14 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
 fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
     let scratch = tempfile::tempdir()?;
     let auditor = Auditor {
-        program: o.wcal.clone().unwrap_or(std::env::current_exe()?.with_file_name("wcal")),
-        folder: o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf()),
+        program: o
+            .wcal
+            .clone()
+            .unwrap_or(std::env::current_exe()?.with_file_name("wcal")),
+        folder: o
+            .keep
+            .clone()
+            .unwrap_or_else(|| scratch.path().to_path_buf()),
         jobs: o.jobs,
         widened: 1.0,
     };
@@ -135,7 +149,11 @@ fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
         let (k, n) = row.holds;
         let (low, high) = row.bounds();
         let [sweeps, places] = row.layout;
-        let layout = if sweeps == 0 { "all".to_owned() } else { format!("{sweeps} x {places}") };
+        let layout = if sweeps == 0 {
+            "all".to_owned()
+        } else {
+            format!("{sweeps} x {places}")
+        };
         println!(
             "{} | {} | {layout} | {} | {:.3} | {n} | [{low:.3}, {high:.3}]",
             row.statement,
@@ -192,7 +210,9 @@ fn write_only(folder: &Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
     let mut truth = serde_json::Map::new();
     for (i, order) in orders.iter().enumerate() {
         let name = format!("case-{:03}", i + 1);
-        let case = order.draw().with_context(|| format!("drawing {name}: {order:?}"))?;
+        let case = order
+            .draw()
+            .with_context(|| format!("drawing {name}: {order:?}"))?;
         case.write(&folder.join(&name))?;
         let entry = case.truth()?;
         println!(
@@ -204,7 +224,10 @@ fn write_only(folder: &Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
         );
         truth.insert(name, entry);
     }
-    std::fs::write(folder.join("truth.json"), serde_json::to_string_pretty(&truth)?)?;
+    std::fs::write(
+        folder.join("truth.json"),
+        serde_json::to_string_pretty(&truth)?,
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -218,9 +241,22 @@ fn line(o: &Outcome) -> String {
     format!(
         "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {} cover {:>4} {contact}{:.1} s {}",
         o.name,
-        o.design.map_or_else(|| "line".into(), |d| format!("{d:?}").to_lowercase()),
-        format!("{}{}", o.noise, if o.wire == Some(Make::Thin) { ", thin" } else { "" }),
-        if o.laws.is_empty() { o.label.clone() } else { o.laws.join("+") },
+        o.design
+            .map_or_else(|| "line".into(), |d| format!("{d:?}").to_lowercase()),
+        format!(
+            "{}{}",
+            o.noise,
+            if o.wire == Some(Make::Thin) {
+                ", thin"
+            } else {
+                ""
+            }
+        ),
+        if o.laws.is_empty() {
+            o.label.clone()
+        } else {
+            o.laws.join("+")
+        },
         o.delta,
         number(o.rival_sigma),
         format!("{:?}", o.kind),
@@ -253,15 +289,32 @@ fn remarks(o: &Outcome) -> String {
         out += " flags wrong";
     }
     for p in o.parts.iter().filter(|p| p.value.is_some()) {
-        out += &format!(" {} {:.2} of {:.2}", p.name, p.value.unwrap_or(f64::NAN), p.truth);
+        out += &format!(
+            " {} {:.2} of {:.2}",
+            p.name,
+            p.value.unwrap_or(f64::NAN),
+            p.truth
+        );
     }
     out
 }
 
 /// One row a kind of noise; shares as hits/trials.
 fn noise_table(rows: &[NoiseRow]) -> String {
-    let of = |c: (usize, usize)| if c.1 == 0 { "-".into() } else { format!("{}/{}", c.0, c.1) };
-    let number = |v: f64| if v.is_finite() { format!("{v:.2}") } else { "-".into() };
+    let of = |c: (usize, usize)| {
+        if c.1 == 0 {
+            "-".into()
+        } else {
+            format!("{}/{}", c.0, c.1)
+        }
+    };
+    let number = |v: f64| {
+        if v.is_finite() {
+            format!("{v:.2}")
+        } else {
+            "-".into()
+        }
+    };
     let mut out = format!(
         "{:16} {:>7} {:14} {:>8} {:>7} {:>7} {:>7} {:>6} {:>5} {:13} {:>9} {:>9} {:>18} {:>7} {}\n",
         "noise",
@@ -281,13 +334,18 @@ fn noise_table(rows: &[NoiseRow]) -> String {
         "parts: within 1.3 | inside interval"
     );
     for r in rows {
-        let bounds = r.false_names_bounds.map_or("-".into(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
+        let bounds = r
+            .false_names_bounds
+            .map_or("-".into(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
         let (k, n) = r.covered;
         let (share, cover) = if n == 0 {
             ("-".into(), "-".into())
         } else {
             let (a, b) = clopper_pearson(k, n);
-            (format!("{:.3}", k as f64 / n as f64), format!("[{a:.3}, {b:.3}]"))
+            (
+                format!("{:.3}", k as f64 / n as f64),
+                format!("[{a:.3}, {b:.3}]"),
+            )
         };
         let parts: Vec<String> = r
             .parts
@@ -308,7 +366,11 @@ fn noise_table(rows: &[NoiseRow]) -> String {
             cover,
             r.after_floor.map(number).join(" "),
             r.oracle_floor.map(number).join(" "),
-            format!("{} ({})", r.stated_floor.map(number).join(" "), of(r.states_floor)),
+            format!(
+                "{} ({})",
+                r.stated_floor.map(number).join(" "),
+                of(r.states_floor)
+            ),
             of(r.flags),
             parts.join("; ")
         );
@@ -324,7 +386,12 @@ fn row(g: &Goal) -> String {
         None if g.open() => "open",
         None => "    ",
     };
-    let bounds = g.bounds.map_or(String::new(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
+    let bounds = g
+        .bounds
+        .map_or(String::new(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
     let value = format!("{:.3}", g.value);
-    format!("{met} {:58} {value:>8} {bounds:16} {:>5}/{:<5} goal {}", g.score, g.counts.0, g.counts.1, g.goal)
+    format!(
+        "{met} {:58} {value:>8} {bounds:16} {:>5}/{:<5} goal {}",
+        g.score, g.counts.0, g.counts.1, g.goal
+    )
 }

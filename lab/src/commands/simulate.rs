@@ -38,8 +38,8 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     within("--sweeps", args.sweeps, MAX_SWEEPS)?;
     let plan = match &args.plan {
         Some(path) => {
-            let text =
-                wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
+            let text = wcal_core::files::read_text(path)
+                .with_context(|| format!("reading {}", path.display()))?;
             SweepPlan::from_toml(&text).with_context(|| format!("reading {}", path.display()))?
         }
         None => SweepPlan::default(),
@@ -51,7 +51,9 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     if let Some(header) = &args.slurm.slurm {
         match slurm::submit((&args.slurm, header), &args.out, dataset)? {
             None => {}
-            Some(submission) if args.json => println!("{}", serde_json::to_string_pretty(&submission)?),
+            Some(submission) if args.json => {
+                println!("{}", serde_json::to_string_pretty(&submission)?)
+            }
             Some(submission) => submission.print(),
         }
         return Ok(ExitCode::SUCCESS);

@@ -33,8 +33,15 @@ const RESULT: ResultKind<'_> = ResultKind {
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     RESULT.check(&args.out, args.overwrite.force)?;
     let whisker = whisker(args.whisker.as_deref())?;
-    ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
-    ensure!(args.passes_per_draw > 0, "--passes-per-draw: expected 1 or more, found 0");
+    ensure!(
+        args.rate > 0.0 && args.rate < 1.0,
+        "--rate: expected above 0 and below 1, found {}",
+        args.rate
+    );
+    ensure!(
+        args.passes_per_draw > 0,
+        "--passes-per-draw: expected 1 or more, found 0"
+    );
     let settings = TrainSettings {
         epochs: args.epochs,
         passes_per_draw: args.passes_per_draw,
@@ -55,7 +62,9 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         additional: &sweeps.additional,
         sweeps_cost: sweeps.cost,
         // As typed, but for where the program lies.
-        command: std::iter::once("wcal-lab".to_owned()).chain(std::env::args().skip(1)).collect(),
+        command: std::iter::once("wcal-lab".to_owned())
+            .chain(std::env::args().skip(1))
+            .collect(),
         from: args.from.as_deref(),
         whisker,
         preset: &args.preset,
@@ -87,8 +96,9 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn on_pass(pass: &Pass) {
-    let surface =
-        pass.held_out_surface_mm.map_or_else(String::new, |s| format!(", from the surface {s:.2} mm"));
+    let surface = pass
+        .held_out_surface_mm
+        .map_or_else(String::new, |s| format!(", from the surface {s:.2} mm"));
     eprintln!(
         "pass {:3}: loss {:.3}, held-out {:.3}, RMSE of the contact {:.2} mm{surface}, {:.0} s",
         pass.epoch, pass.loss, pass.held_out_loss, pass.held_out_mm, pass.seconds

@@ -27,7 +27,10 @@ pub enum Column {
 ///
 /// # Errors
 /// Where columns differ in length.
-pub fn to_bytes(columns: &[(&str, Column)], about: &[(&str, String)]) -> Result<Vec<u8>, ParquetError> {
+pub fn to_bytes(
+    columns: &[(&str, Column)],
+    about: &[(&str, String)],
+) -> Result<Vec<u8>, ParquetError> {
     let mut schema = String::from("message table {\n");
     for (name, column) in columns {
         let kind = match column {
@@ -36,32 +39,49 @@ pub fn to_bytes(columns: &[(&str, Column)], about: &[(&str, String)]) -> Result<
             Column::Maybe(_) => "OPTIONAL DOUBLE",
             Column::Text(_) => "REQUIRED BYTE_ARRAY",
         };
-        let word = if matches!(column, Column::Text(_)) { " (UTF8)" } else { "" };
-        writeln!(schema, "{kind} {name}{word};").map_err(|e| ParquetError::General(e.to_string()))?;
+        let word = if matches!(column, Column::Text(_)) {
+            " (UTF8)"
+        } else {
+            ""
+        };
+        writeln!(schema, "{kind} {name}{word};")
+            .map_err(|e| ParquetError::General(e.to_string()))?;
     }
     schema.push('}');
-    let about = about.iter().map(|(k, v)| KeyValue::new((*k).to_owned(), v.clone())).collect();
+    let about = about
+        .iter()
+        .map(|(k, v)| KeyValue::new((*k).to_owned(), v.clone()))
+        .collect();
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_key_value_metadata(Some(about))
         .build();
     let mut bytes = Vec::new();
-    let mut file =
-        SerializedFileWriter::new(&mut bytes, Arc::new(parse_message_type(&schema)?), Arc::new(properties))?;
+    let mut file = SerializedFileWriter::new(
+        &mut bytes,
+        Arc::new(parse_message_type(&schema)?),
+        Arc::new(properties),
+    )?;
     let mut group = file.next_row_group()?;
     for (_, column) in columns {
-        let Some(mut writer) = group.next_column()? else { break };
+        let Some(mut writer) = group.next_column()? else {
+            break;
+        };
         match column {
             Column::Whole(v) => writer.typed::<Int64Type>().write_batch(v, None, None)?,
             Column::Real(v) => writer.typed::<DoubleType>().write_batch(v, None, None)?,
             Column::Maybe(v) => {
                 let there: Vec<f64> = v.iter().flatten().copied().collect();
                 let levels: Vec<i16> = v.iter().map(|x| i16::from(x.is_some())).collect();
-                writer.typed::<DoubleType>().write_batch(&there, Some(&levels), None)?
+                writer
+                    .typed::<DoubleType>()
+                    .write_batch(&there, Some(&levels), None)?
             }
             Column::Text(v) => {
                 let v: Vec<ByteArray> = v.iter().map(|s| ByteArray::from(s.as_str())).collect();
-                writer.typed::<ByteArrayType>().write_batch(&v, None, None)?
+                writer
+                    .typed::<ByteArrayType>()
+                    .write_batch(&v, None, None)?
             }
         };
         writer.close()?;

@@ -85,7 +85,14 @@ impl SweepEngine for RodSweeps {
             let run = engine.run(task.mesh, &sweep, task.plan);
             Some((sweep, run))
         };
-        let outcomes = task.sweeps.clone().map(|index| (index, run(index))).collect();
-        Ok(Block { outcomes, ..Block::default() })
+        let outcomes = task
+            .sweeps
+            .clone()
+            .map(|index| (index, run(index)))
+            .collect();
+        Ok(Block {
+            outcomes,
+            ..Block::default()
+        })
     }
 }

@@ -97,7 +97,12 @@ impl Total {
         for (event, count) in &manifest.events {
             *self.events.entry(event.clone()).or_default() += count;
         }
-        for note in manifest.notes.iter().filter(|n| !self.notes.contains(n)).collect::<Vec<_>>() {
+        for note in manifest
+            .notes
+            .iter()
+            .filter(|n| !self.notes.contains(n))
+            .collect::<Vec<_>>()
+        {
             self.notes.push(note.clone());
         }
         if let Some(more) = &manifest.against_rod {
@@ -124,9 +129,13 @@ impl Dataset {
     /// Names of this share's shards, with object and first sweep, in a fixed order.
     fn blocks(&self) -> Vec<(usize, u64)> {
         let per_object = self.sweeps.div_ceil(BLOCK);
-        let all = (0..self.objects.len()).flat_map(|o| (0..per_object).map(move |b| (o, b * BLOCK)));
+        let all =
+            (0..self.objects.len()).flat_map(|o| (0..per_object).map(move |b| (o, b * BLOCK)));
         let [share, shares] = self.share;
-        all.enumerate().filter(|(k, _)| k % shares == share).map(|(_, block)| block).collect()
+        all.enumerate()
+            .filter(|(k, _)| k % shares == share)
+            .map(|(_, block)| block)
+            .collect()
     }
 
     /// SHA-256 of what an object's tables follow from, as canonical JSON: engine, whisker, plan, seed and the mesh's own hash.
@@ -150,12 +159,18 @@ impl Dataset {
     }
 
     fn identities(&self) -> Result<Vec<String>, LabError> {
-        self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect()
+        self.objects
+            .par_iter()
+            .map(|mesh| self.made_from(mesh))
+            .collect()
     }
 
     /// Names of this share's shards, without endings.
     pub fn shards(&self) -> Vec<String> {
-        self.blocks().into_iter().map(|block| self.name(block)).collect()
+        self.blocks()
+            .into_iter()
+            .map(|block| self.name(block))
+            .collect()
     }
 
     fn name(&self, (object, first): (usize, u64)) -> String {
@@ -174,9 +189,16 @@ impl Dataset {
             let name = self.name(block);
             match shard::done(folder, &name, &made_from[object], [first, self.size(first)]) {
                 Ok(manifest) => {
-                    survey.totals.entry(self.objects[object].name.clone()).or_default().add(&manifest, true);
+                    survey
+                        .totals
+                        .entry(self.objects[object].name.clone())
+                        .or_default()
+                        .add(&manifest, true);
                 }
-                Err(e) => survey.missing.push(MissingShard { name, why: e.to_string() }),
+                Err(e) => survey.missing.push(MissingShard {
+                    name,
+                    why: e.to_string(),
+                }),
             }
         }
         Ok(survey)
@@ -212,7 +234,11 @@ impl Dataset {
                 let there = shard::done(folder, &name, &made_from[object], [first, size]);
                 // A shard that is there and cannot be used is reported; one that was never made is no news.
                 let was_there = folder.join(format!("{name}.json")).exists();
-                let again = there.as_ref().err().filter(|_| was_there).map(|why| format!("{name}: {why}"));
+                let again = there
+                    .as_ref()
+                    .err()
+                    .filter(|_| was_there)
+                    .map(|why| format!("{name}: {why}"));
                 let made = there.is_err();
                 let manifest = match there {
                     Ok(manifest) => manifest,
@@ -227,7 +253,14 @@ impl Dataset {
                             folder,
                         })?;
                         let core_s = thread_s() - begin_s + block.other_core_s;
-                        shard::write(folder, &name, &mesh.name, &made_from[object], &block, core_s)?
+                        shard::write(
+                            folder,
+                            &name,
+                            &mesh.name,
+                            &made_from[object],
+                            &block,
+                            core_s,
+                        )?
                     }
                 };
                 let before = done.fetch_add(size, std::sync::atomic::Ordering::SeqCst);
@@ -309,9 +342,15 @@ mod tests {
         let reordered = r#"{"max_strain": 0.01, "rate_hz": 2.00, "max_travel_mm": 4}"#;
         assert_eq!(of(&own), of(&dataset(reordered, rod())));
         let engine = |json: Value| of(&dataset(written, Arc::new(Named(json))));
-        assert_eq!(engine(json!({"name": "a", "links": 2})), engine(json!({"links": 2, "name": "a"})));
+        assert_eq!(
+            engine(json!({"name": "a", "links": 2})),
+            engine(json!({"links": 2, "name": "a"}))
+        );
         // Pinned: an identity that changed would orphan every dataset there is.
-        assert_eq!(of(&own), "070ae562acb415a24cbbaa346859a15c4df2548c812bdb3af7ae32821db37d2b");
+        assert_eq!(
+            of(&own),
+            "070ae562acb415a24cbbaa346859a15c4df2548c812bdb3af7ae32821db37d2b"
+        );
 
         // Negative controls: each value that tables follow from.
         let mut whisker = own.clone();
@@ -319,7 +358,13 @@ mod tests {
         let mesh = objects::built_in("can").unwrap();
         let others = [
             ("plan", of(&dataset(&written.replace("4.0", "5.0"), rod()))),
-            ("seed", of(&Dataset { seed: 8, ..own.clone() })),
+            (
+                "seed",
+                of(&Dataset {
+                    seed: 8,
+                    ..own.clone()
+                }),
+            ),
             ("whisker", of(&whisker)),
             ("mesh", own.made_from(&mesh).unwrap()),
             ("engine", engine(json!({"name": "a", "links": 2}))),
@@ -327,7 +372,10 @@ mod tests {
         ];
         for (k, (what, other)) in others.iter().enumerate() {
             assert_ne!(*other, of(&own), "{what}");
-            assert!(others[..k].iter().all(|(_, before)| before != other), "{what}");
+            assert!(
+                others[..k].iter().all(|(_, before)| before != other),
+                "{what}"
+            );
         }
     }
 }

@@ -37,7 +37,10 @@ pub struct MujocoSweeps {
 impl MujocoSweeps {
     /// With a wire's model.
     pub fn new(options: MjcfOptions) -> Self {
-        Self { options, parts: Mutex::default() }
+        Self {
+            options,
+            parts: Mutex::default(),
+        }
     }
 
     /// An object's parts: made once a run, whichever block asks first, also where CoACD dies or hangs over them.
@@ -62,7 +65,12 @@ impl MujocoSweeps {
     }
 
     fn block(&self, task: &BlockTask<'_>) -> Result<Block, TwinError> {
-        let BlockTask { whisker, plan, mesh, .. } = *task;
+        let BlockTask {
+            whisker,
+            plan,
+            mesh,
+            ..
+        } = *task;
         let parts = self.parts(mesh, &task.folder.join(CONVEX))?;
         let rod = RodEngine::new(whisker, LINKS)?;
         let mut engine = CableEngine::start(whisker, &self.options)?;
@@ -80,8 +88,17 @@ impl MujocoSweeps {
             };
             outcomes.push((index, outcome));
         }
-        let notes = parts.err().into_iter().chain(engine.refused.take()).collect();
-        Ok(Block { outcomes, against_rod: Some(against_rod), notes, other_core_s: engine.core_s() })
+        let notes = parts
+            .err()
+            .into_iter()
+            .chain(engine.refused.take())
+            .collect();
+        Ok(Block {
+            outcomes,
+            against_rod: Some(against_rod),
+            notes,
+            other_core_s: engine.core_s(),
+        })
     }
 }
 
@@ -104,6 +121,11 @@ impl SweepEngine for MujocoSweeps {
 
 /// The convex parts that MuJoCo's sweeps in `folder` were made with, by object; those that are there.
 pub fn convex_parts(dataset: &Dataset, folder: &Path) -> BTreeMap<String, Convex> {
-    let there = |mesh: &Mesh| Some((mesh.name.clone(), Convex::kept(mesh, &folder.join(CONVEX)).ok()??));
+    let there = |mesh: &Mesh| {
+        Some((
+            mesh.name.clone(),
+            Convex::kept(mesh, &folder.join(CONVEX)).ok()??,
+        ))
+    };
     dataset.objects.iter().filter_map(there).collect()
 }

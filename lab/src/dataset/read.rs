@@ -36,9 +36,10 @@ impl Table {
         match self.columns.get(name) {
             Some(Column::Real(v)) => match v.iter().position(|x| !x.is_finite()) {
                 None => Ok(v),
-                Some(row) => {
-                    Err(self.broken(format!("row {row}, {name}: expected a number, found {}", v[row])))
-                }
+                Some(row) => Err(self.broken(format!(
+                    "row {row}, {name}: expected a number, found {}",
+                    v[row]
+                ))),
             },
             other => Err(self.wrong(name, "numbers", other)),
         }
@@ -50,12 +51,15 @@ impl Table {
     /// Where there is no such column of that kind, or a value is not finite.
     pub fn maybe(&self, name: &str) -> Result<&[Option<f64>], LabError> {
         match self.columns.get(name) {
-            Some(Column::Maybe(v)) => match v.iter().position(|x| x.is_some_and(|x| !x.is_finite())) {
-                None => Ok(v),
-                Some(row) => {
-                    Err(self.broken(format!("row {row}, {name}: expected a number, found {:?}", v[row])))
+            Some(Column::Maybe(v)) => {
+                match v.iter().position(|x| x.is_some_and(|x| !x.is_finite())) {
+                    None => Ok(v),
+                    Some(row) => Err(self.broken(format!(
+                        "row {row}, {name}: expected a number, found {:?}",
+                        v[row]
+                    ))),
                 }
-            },
+            }
             other => Err(self.wrong(name, "numbers or nothing", other)),
         }
     }
@@ -77,7 +81,10 @@ impl Table {
     }
 
     fn broken(&self, detail: String) -> LabError {
-        LabError::Shard { path: self.path.clone(), detail }
+        LabError::Shard {
+            path: self.path.clone(),
+            detail,
+        }
     }
 }
 
@@ -87,9 +94,15 @@ impl Table {
 /// Where the file cannot be read or is not such a table.
 pub fn table(path: &Path) -> Result<Table, LabError> {
     let file = wcal_core::files::open(path).map_err(LabError::file("reading", path))?;
-    let broken = |detail: String| LabError::Shard { path: path.to_owned(), detail };
+    let broken = |detail: String| LabError::Shard {
+        path: path.to_owned(),
+        detail,
+    };
     let columns = columns(file).map_err(|e| broken(e.to_string()))?;
-    Ok(Table { path: path.to_owned(), columns })
+    Ok(Table {
+        path: path.to_owned(),
+        columns,
+    })
 }
 
 fn columns(file: std::fs::File) -> Result<BTreeMap<String, Column>, parquet::errors::ParquetError> {
@@ -116,15 +129,19 @@ fn columns(file: std::fs::File) -> Result<BTreeMap<String, Column>, parquet::err
                         r.read_records(rows, Some(&mut levels), None, &mut values)?;
                         let mut there = values.into_iter();
                         Column::Maybe(
-                            levels.iter().map(|l| if *l > 0 { there.next() } else { None }).collect(),
+                            levels
+                                .iter()
+                                .map(|l| if *l > 0 { there.next() } else { None })
+                                .collect(),
                         )
                     }
                 }
                 (Type::BYTE_ARRAY, ColumnReader::ByteArrayColumnReader(mut r)) => {
                     let mut values = Vec::with_capacity(rows);
                     r.read_records(rows, None, None, &mut values)?;
-                    let word =
-                        |b: &parquet::data_type::ByteArray| String::from_utf8_lossy(b.data()).into_owned();
+                    let word = |b: &parquet::data_type::ByteArray| {
+                        String::from_utf8_lossy(b.data()).into_owned()
+                    };
                     Column::Text(values.iter().map(word).collect())
                 }
                 _ => continue,

@@ -49,7 +49,13 @@ pub struct Source {
 impl Recipe {
     fn of(dataset: &Dataset) -> Result<Self, LabError> {
         let source = |mesh: &Mesh| {
-            Ok((mesh.name.clone(), Source { mesh: mesh.sha256(), made_from: dataset.made_from(mesh)? }))
+            Ok((
+                mesh.name.clone(),
+                Source {
+                    mesh: mesh.sha256(),
+                    made_from: dataset.made_from(mesh)?,
+                },
+            ))
         };
         let recipe = Self {
             format: FORMAT.to_owned(),
@@ -57,7 +63,11 @@ impl Recipe {
             seed: dataset.seed,
             plan: serde_json::to_value(&dataset.plan).map_err(|e| written_wrong(&e))?,
             whisker: serde_json::to_value(&dataset.whisker).map_err(|e| written_wrong(&e))?,
-            objects: dataset.objects.iter().map(source).collect::<Result<_, LabError>>()?,
+            objects: dataset
+                .objects
+                .iter()
+                .map(source)
+                .collect::<Result<_, LabError>>()?,
         };
         // Through text once: numbers are then those that a file gives back.
         let text = serde_json::to_string(&recipe).map_err(|e| written_wrong(&e))?;
@@ -72,7 +82,10 @@ impl Recipe {
             other => other.map_err(LabError::file("reading", &path))?,
         };
         let recipe = wcal_core::document::json_as(&text);
-        recipe.map(Some).map_err(|e| LabError::Shard { path, detail: e.to_string() })
+        recipe.map(Some).map_err(|e| LabError::Shard {
+            path,
+            detail: e.to_string(),
+        })
     }
 
     fn write(&self, folder: &Path) -> Result<(), LabError> {
@@ -84,12 +97,21 @@ impl Recipe {
 
     /// What in `found` is not as here, by name.
     fn differences(&self, found: &Self) -> Vec<String> {
-        let parts = |r: &Self| [Value::from(r.seed), r.engine.clone(), r.whisker.clone(), r.plan.clone()];
-        let both =
-            ["seed", "engine", "whisker", "plan"].into_iter().zip(parts(found).into_iter().zip(parts(self)));
+        let parts = |r: &Self| {
+            [
+                Value::from(r.seed),
+                r.engine.clone(),
+                r.whisker.clone(),
+                r.plan.clone(),
+            ]
+        };
+        let both = ["seed", "engine", "whisker", "plan"]
+            .into_iter()
+            .zip(parts(found).into_iter().zip(parts(self)));
         let differ = both.filter(|(_, (there, own))| there != own);
-        let mut all: Vec<String> =
-            differ.map(|(name, (there, own))| format!("{name}: there {there}, asked for {own}")).collect();
+        let mut all: Vec<String> = differ
+            .map(|(name, (there, own))| format!("{name}: there {there}, asked for {own}"))
+            .collect();
         for (name, own) in &self.objects {
             match found.objects.get(name) {
                 None => all.push(format!("object {name}: not there")),
@@ -98,31 +120,46 @@ impl Recipe {
                 }
                 // Everything else may be equal and the way of solving not.
                 Some(there) if there.made_from != own.made_from && all.is_empty() => {
-                    all.push(format!("object {name}: there made by another version of the engine"));
+                    all.push(format!(
+                        "object {name}: there made by another version of the engine"
+                    ));
                 }
                 Some(_) => {}
             }
         }
-        let more = found.objects.keys().filter(|name| !self.objects.contains_key(*name));
+        let more = found
+            .objects
+            .keys()
+            .filter(|name| !self.objects.contains_key(*name));
         all.extend(more.map(|name| format!("object {name}: there, not asked for")));
         all
     }
 }
 
 fn written_wrong(error: &serde_json::Error) -> LabError {
-    LabError::Shard { path: FILE.into(), detail: error.to_string() }
+    LabError::Shard {
+        path: FILE.into(),
+        detail: error.to_string(),
+    }
 }
 
 /// Manifests of a folder by the shards' names, their tables unread.
 fn shards_of(folder: &Path) -> Result<Vec<(String, shard::Manifest)>, LabError> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(Vec::new()) };
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return Ok(Vec::new());
+    };
     let names = entries.filter_map(|e| e.ok()?.file_name().into_string().ok());
-    let mut names: Vec<String> =
-        names.filter_map(|n| n.strip_suffix(".sweeps.parquet").map(str::to_owned)).collect();
+    let mut names: Vec<String> = names
+        .filter_map(|n| n.strip_suffix(".sweeps.parquet").map(str::to_owned))
+        .collect();
     names.sort_unstable();
     // A shard whose manifest is not there or not whole is made again: it says nothing.
-    let manifest =
-        |name: String| Some((name.clone(), shard::read_manifest(&folder.join(format!("{name}.json"))).ok()?));
+    let manifest = |name: String| {
+        Some((
+            name.clone(),
+            shard::read_manifest(&folder.join(format!("{name}.json"))).ok()?,
+        ))
+    };
     Ok(names.into_iter().filter_map(manifest).collect())
 }
 
@@ -135,7 +172,10 @@ fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), LabError> {
     if more > 0 {
         differences.push(format!("{more} more differences"));
     }
-    Err(LabError::Mixture { folder: folder.to_owned(), differences: differences.join("; ") })
+    Err(LabError::Mixture {
+        folder: folder.to_owned(),
+        differences: differences.join("; "),
+    })
 }
 
 impl Dataset {
@@ -148,7 +188,10 @@ impl Dataset {
         let mut differences = match Recipe::read(folder)? {
             Some(found) if found.format != FORMAT => {
                 let detail = format!("expected {FORMAT}, found {}", found.format);
-                return Err(LabError::Shard { path: folder.join(FILE), detail });
+                return Err(LabError::Shard {
+                    path: folder.join(FILE),
+                    detail,
+                });
             }
             Some(found) => own.differences(&found),
             None => Vec::new(),
@@ -157,7 +200,8 @@ impl Dataset {
         if differences.is_empty() {
             let made_from = |object: &str| own.objects.get(object).map(|s| s.made_from.as_str());
             let foreign = shards_of(folder)?.into_iter();
-            let foreign = foreign.filter(|(_, m)| made_from(&m.object) != Some(m.made_from.as_str()));
+            let foreign =
+                foreign.filter(|(_, m)| made_from(&m.object) != Some(m.made_from.as_str()));
             differences.extend(foreign.map(|(name, _)| {
                 format!("shard {name}: made from another wire, plan, mesh, seed or engine, or by an earlier version of wcal")
             }));
@@ -169,7 +213,11 @@ impl Dataset {
     pub(crate) fn claim(&self, folder: &Path) -> Result<(), LabError> {
         self.check_folder(folder)?;
         let own = Recipe::of(self)?;
-        if Recipe::read(folder)?.is_none() { own.write(folder) } else { Ok(()) }
+        if Recipe::read(folder)?.is_none() {
+            own.write(folder)
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -184,11 +232,16 @@ pub fn check_one_dataset(folder: &Path) -> Result<(), LabError> {
     let mut differences = Vec::new();
     for (name, manifest) in &shards {
         let expected = match &recipe {
-            Some(recipe) => recipe.objects.get(&manifest.object).map(|s| s.made_from.as_str()),
+            Some(recipe) => recipe
+                .objects
+                .get(&manifest.object)
+                .map(|s| s.made_from.as_str()),
             None => Some(*first.entry(&manifest.object).or_insert(&manifest.made_from)),
         };
         match expected {
-            None => differences.push(format!("shard {name}: of an object that {FILE} does not name")),
+            None => differences.push(format!(
+                "shard {name}: of an object that {FILE} does not name"
+            )),
             Some(expected) if expected != manifest.made_from => differences.push(format!(
                 "shard {name}: made from another wire, plan, mesh, seed or engine than the others"
             )),

@@ -89,13 +89,22 @@ const STICKS: f64 = 0.98;
 ///
 /// # Errors
 /// Says what is missing, damaged or of another making.
-pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Result<Manifest, LabError> {
+pub fn done(
+    folder: &Path,
+    name: &str,
+    made_from: &str,
+    sweeps: [u64; 2],
+) -> Result<Manifest, LabError> {
     let path = folder.join(format!("{name}.json"));
     let manifest = read_manifest(&path)?;
-    let other = |detail: String| LabError::Shard { path: path.clone(), detail };
+    let other = |detail: String| LabError::Shard {
+        path: path.clone(),
+        detail,
+    };
     if manifest.made_from != made_from {
         return Err(other(
-            "made from another wire, plan, mesh or seed, or by an earlier version of wcal".to_owned(),
+            "made from another wire, plan, mesh or seed, or by an earlier version of wcal"
+                .to_owned(),
         ));
     }
     if manifest.sweeps != sweeps {
@@ -115,8 +124,10 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
 /// Where the manifest cannot be read.
 pub fn read_manifest(path: &Path) -> Result<Manifest, LabError> {
     let text = wcal_core::files::read_text(path).map_err(LabError::file("reading", path))?;
-    from_json(&text, FORMAT, &[RANGES])
-        .map_err(|e| LabError::Shard { path: path.to_owned(), detail: e.to_string() })
+    from_json(&text, FORMAT, &[RANGES]).map_err(|e| LabError::Shard {
+        path: path.to_owned(),
+        detail: e.to_string(),
+    })
 }
 
 /// Compares the tables with their checksums.
@@ -151,8 +162,11 @@ pub(crate) fn write(
     core_s: f64,
 ) -> Result<Manifest, LabError> {
     let outcomes = &block.outcomes[..];
-    let about =
-        [("format", FORMAT.to_owned()), ("simulated", "true".to_owned()), ("object", object.to_owned())];
+    let about = [
+        ("format", FORMAT.to_owned()),
+        ("simulated", "true".to_owned()),
+        ("object", object.to_owned()),
+    ];
     let mut manifest = Manifest {
         format: FORMAT.to_owned(),
         simulated: true,
@@ -168,27 +182,39 @@ pub(crate) fn write(
         sha256: BTreeMap::new(),
     };
     for (_, outcome) in outcomes {
-        let name = outcome.as_ref().map_or("no-section", |(_, run)| run.verdict.name());
+        let name = outcome
+            .as_ref()
+            .map_or("no-section", |(_, run)| run.verdict.name());
         *manifest.verdicts.entry(name.to_owned()).or_default() += 1;
         for sample in outcome.iter().flat_map(|(_, run)| &run.samples) {
             manifest.samples += 1;
             if sample.event != Event::None {
-                *manifest.events.entry(sample.event.name().to_owned()).or_default() += 1;
+                *manifest
+                    .events
+                    .entry(sample.event.name().to_owned())
+                    .or_default() += 1;
             }
         }
     }
-    let tables =
-        [("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))];
+    let tables = [
+        ("sweeps", sweeps(outcomes)),
+        ("samples", samples(outcomes)),
+        ("contacts", contacts(outcomes)),
+    ];
     for (table, columns) in tables {
         let file = format!("{name}.{table}.parquet");
-        let bytes = to_bytes(&columns, &about)
-            .map_err(|e| LabError::Shard { path: folder.join(&file), detail: e.to_string() })?;
+        let bytes = to_bytes(&columns, &about).map_err(|e| LabError::Shard {
+            path: folder.join(&file),
+            detail: e.to_string(),
+        })?;
         manifest.sha256.insert(file.clone(), sha256_hex(&bytes));
         write_whole(&folder.join(&file), &bytes)?;
     }
     let path = folder.join(format!("{name}.json"));
-    let text = serde_json::to_string_pretty(&manifest)
-        .map_err(|e| LabError::Shard { path: path.clone(), detail: e.to_string() })?;
+    let text = serde_json::to_string_pretty(&manifest).map_err(|e| LabError::Shard {
+        path: path.clone(),
+        detail: e.to_string(),
+    })?;
     write_whole(&path, text.as_bytes())?;
     Ok(manifest)
 }
@@ -198,7 +224,11 @@ pub(crate) fn write(
 /// # Errors
 /// Where the folder cannot be written.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), LabError> {
-    let fail = |e: FileError| LabError::File { action: e.action, path: e.path, detail: e.source.to_string() };
+    let fail = |e: FileError| LabError::File {
+        action: e.action,
+        path: e.path,
+        detail: e.source.to_string(),
+    };
     write_atomic(path, bytes).map_err(fail)
 }
 
@@ -206,22 +236,49 @@ type Columns = Vec<(&'static str, Column)>;
 
 fn sweeps(outcomes: &[Outcome]) -> Columns {
     let real = |value: &dyn Fn(&Sweep) -> f64| {
-        Column::Maybe(outcomes.iter().map(|(_, o)| o.as_ref().map(|(s, _)| value(s))).collect())
+        Column::Maybe(
+            outcomes
+                .iter()
+                .map(|(_, o)| o.as_ref().map(|(s, _)| value(s)))
+                .collect(),
+        )
     };
     let maybe = |value: &dyn Fn(&Sweep) -> Option<f64>| {
-        Column::Maybe(outcomes.iter().map(|(_, o)| o.as_ref().and_then(|(s, _)| value(s))).collect())
+        Column::Maybe(
+            outcomes
+                .iter()
+                .map(|(_, o)| o.as_ref().and_then(|(s, _)| value(s)))
+                .collect(),
+        )
     };
-    let medium =
-        |o: &Option<(Sweep, Run)>| o.as_ref().map_or("none", |(s, _)| s.physics.medium.name()).to_owned();
-    let turn = |s: &Sweep| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(s.turn));
-    let verdict =
-        |o: &Option<(Sweep, Run)>| o.as_ref().map_or("no-section", |(_, run)| run.verdict.name()).to_owned();
-    let kept =
-        |o: &Option<(Sweep, Run)>| i64::from(o.as_ref().is_some_and(|(_, r)| r.verdict == Verdict::Kept));
+    let medium = |o: &Option<(Sweep, Run)>| {
+        o.as_ref()
+            .map_or("none", |(s, _)| s.physics.medium.name())
+            .to_owned()
+    };
+    let turn =
+        |s: &Sweep| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(s.turn));
+    let verdict = |o: &Option<(Sweep, Run)>| {
+        o.as_ref()
+            .map_or("no-section", |(_, run)| run.verdict.name())
+            .to_owned()
+    };
+    let kept = |o: &Option<(Sweep, Run)>| {
+        i64::from(o.as_ref().is_some_and(|(_, r)| r.verdict == Verdict::Kept))
+    };
     vec![
-        ("sweep", Column::Whole(outcomes.iter().map(|o| o.0 as i64).collect())),
-        ("kept", Column::Whole(outcomes.iter().map(|o| kept(&o.1)).collect())),
-        ("verdict", Column::Text(outcomes.iter().map(|o| verdict(&o.1)).collect())),
+        (
+            "sweep",
+            Column::Whole(outcomes.iter().map(|o| o.0 as i64).collect()),
+        ),
+        (
+            "kept",
+            Column::Whole(outcomes.iter().map(|o| kept(&o.1)).collect()),
+        ),
+        (
+            "verdict",
+            Column::Text(outcomes.iter().map(|o| verdict(&o.1)).collect()),
+        ),
         ("speed_mm_s", real(&|s| s.speed_mm_s)),
         ("gap_mm", real(&|s| s.gap_mm)),
         ("base_from_object_qw", real(&|s| turn(s).w)),
@@ -233,7 +290,10 @@ fn sweeps(outcomes: &[Outcome]) -> Columns {
         ("base_from_object_z_mm", real(&|s| s.shift_mm.z)),
         ("friction_coefficient", real(&|s| s.physics.friction)),
         ("softening_onset_per_m", maybe(&|s| s.physics.onset_per_m())),
-        ("medium", Column::Text(outcomes.iter().map(|o| medium(&o.1)).collect())),
+        (
+            "medium",
+            Column::Text(outcomes.iter().map(|o| medium(&o.1)).collect()),
+        ),
         ("current_x_mm_s", real(&|s| s.physics.current_mm_s.x)),
         ("current_y_mm_s", real(&|s| s.physics.current_mm_s.y)),
         ("current_z_mm_s", real(&|s| s.physics.current_mm_s.z)),
@@ -244,17 +304,26 @@ fn sweeps(outcomes: &[Outcome]) -> Columns {
 }
 
 fn runs(outcomes: &[Outcome]) -> impl Iterator<Item = (i64, &Run)> {
-    outcomes.iter().filter_map(|(k, o)| Some((*k as i64, &o.as_ref()?.1)))
+    outcomes
+        .iter()
+        .filter_map(|(k, o)| Some((*k as i64, &o.as_ref()?.1)))
 }
 
 fn samples(outcomes: &[Outcome]) -> Columns {
-    let all: Vec<_> =
-        runs(outcomes).flat_map(|(k, r)| r.samples.iter().enumerate().map(move |(i, s)| (k, i, s))).collect();
-    let whole =
-        |value: &dyn Fn(&(i64, usize, &Sample)) -> i64| Column::Whole(all.iter().map(value).collect());
-    let real = |value: &dyn Fn(&Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
+    let all: Vec<_> = runs(outcomes)
+        .flat_map(|(k, r)| r.samples.iter().enumerate().map(move |(i, s)| (k, i, s)))
+        .collect();
+    let whole = |value: &dyn Fn(&(i64, usize, &Sample)) -> i64| {
+        Column::Whole(all.iter().map(value).collect())
+    };
+    let real =
+        |value: &dyn Fn(&Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
     let first = |value: &dyn Fn(&Contact) -> f64| {
-        Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
+        Column::Maybe(
+            all.iter()
+                .map(|s| s.2.contacts.first().map(value))
+                .collect(),
+        )
     };
     vec![
         ("sweep", whole(&|s| s.0)),
@@ -272,7 +341,10 @@ fn samples(outcomes: &[Outcome]) -> Columns {
         ("contact_arclength_mm", first(&|c| c.arclength_mm)),
         ("contact_force_n", first(&|c| c.force_n)),
         ("settled", whole(&|s| i64::from(s.2.settled))),
-        ("event", Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect())),
+        (
+            "event",
+            Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect()),
+        ),
     ]
 }
 
@@ -280,15 +352,26 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
     let mut all = Vec::new();
     for (k, run) in runs(outcomes) {
         for (i, sample) in run.samples.iter().enumerate() {
-            all.extend(sample.contacts.iter().enumerate().map(|(n, c)| (k, i as i64, n as i64, c)));
+            all.extend(
+                sample
+                    .contacts
+                    .iter()
+                    .enumerate()
+                    .map(|(n, c)| (k, i as i64, n as i64, c)),
+            );
         }
     }
-    let coefficient: BTreeMap<i64, f64> =
-        outcomes.iter().filter_map(|(k, o)| Some((*k as i64, o.as_ref()?.0.physics.friction))).collect();
+    let coefficient: BTreeMap<i64, f64> = outcomes
+        .iter()
+        .filter_map(|(k, o)| Some((*k as i64, o.as_ref()?.0.physics.friction)))
+        .collect();
     let sticks = |(k, _, _, c): &(i64, i64, i64, &Contact)| {
-        i64::from(c.friction_n.norm() < STICKS * coefficient.get(k).copied().unwrap_or(0.0) * c.force_n)
+        i64::from(
+            c.friction_n.norm() < STICKS * coefficient.get(k).copied().unwrap_or(0.0) * c.force_n,
+        )
     };
-    let real = |value: &dyn Fn(&Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
+    let real =
+        |value: &dyn Fn(&Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
     let axes = |value: fn(&Contact) -> Vector3<f64>, k: usize| real(&move |c| value(c)[k]);
     vec![
         ("sweep", Column::Whole(all.iter().map(|c| c.0).collect())),

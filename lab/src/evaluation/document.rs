@@ -79,7 +79,9 @@ impl Means {
             seen_mean_mm: mean(seen, |o| o.all.rmse_mm),
             unseen_mean_mm: mean(unseen, |o| o.all.rmse_mm),
             interval95: both_means(seen, unseen),
-            objects: objects.chain(unseen.iter().map(|o| ObjectRow::of(o, "unseen"))).collect(),
+            objects: objects
+                .chain(unseen.iter().map(|o| ObjectRow::of(o, "unseen")))
+                .collect(),
         }
     }
 }
@@ -97,7 +99,11 @@ pub struct Bootstrap {
 
 impl Default for Bootstrap {
     fn default() -> Self {
-        Self { level: 0.95, means: "whole objects are drawn again", object: "whole sweeps are drawn again" }
+        Self {
+            level: 0.95,
+            means: "whole objects are drawn again",
+            object: "whole sweeps are drawn again",
+        }
     }
 }
 
@@ -303,11 +309,17 @@ const MEANS: [(&str, ErrorOf); 4] = [
 
 /// 95 % intervals of the means over objects.
 pub(crate) fn intervals(rows: &[ObjectScores]) -> BTreeMap<&'static str, Interval> {
-    MEANS.iter().map(|(name, of)| (*name, mean_interval95(rows, *of))).collect()
+    MEANS
+        .iter()
+        .map(|(name, of)| (*name, mean_interval95(rows, *of)))
+        .collect()
 }
 
 /// 95 % intervals of the two means.
-pub(crate) fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> BTreeMap<&'static str, Interval> {
+pub(crate) fn both_means(
+    seen: &[ObjectScores],
+    unseen: &[ObjectScores],
+) -> BTreeMap<&'static str, Interval> {
     let of: ErrorOf = |s| s.surface;
     BTreeMap::from([
         ("seen_mean_mm", mean_interval95(seen, of)),

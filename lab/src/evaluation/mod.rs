@@ -56,14 +56,22 @@ pub fn evaluate(
         for (name, method) in &methods {
             (around.progress)(&format!("{name}, {set} objects"));
             let objects = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes)?;
-            scores.push(MethodScores { set, method: name, objects });
+            scores.push(MethodScores {
+                set,
+                method: name,
+                objects,
+            });
         }
     }
     let mut document = simulation(&scores, card, around);
     if !order.simulation_only {
         let (real, known_motion) = on_bench::on_bench(model, order, around)?;
         (document.virtual_real, document.known_motion) = (Some(real), known_motion);
-        document.test_objects = Some(test_objects::table((tracker, &card.whisker), order, around.progress)?);
+        document.test_objects = Some(test_objects::table(
+            (tracker, &card.whisker),
+            order,
+            around.progress,
+        )?);
     }
     Ok((document, scores))
 }
@@ -87,9 +95,16 @@ fn methods<'a>(
 }
 
 /// The document with what is known of the sweeps of the dataset.
-fn simulation(scores: &[MethodScores], card: &Card, around: &Surroundings<'_>) -> EvaluationDocument {
+fn simulation(
+    scores: &[MethodScores],
+    card: &Card,
+    around: &Surroundings<'_>,
+) -> EvaluationDocument {
     let of = |set: &str| {
-        scores.iter().find(|s| s.set == set && s.method == BEST).map_or(&[][..], |s| &s.objects[..])
+        scores
+            .iter()
+            .find(|s| s.set == set && s.method == BEST)
+            .map_or(&[][..], |s| &s.objects[..])
     };
     let means = Means::of(of("seen"), of("unseen"));
     let scored = scores.iter().filter(|s| !s.objects.is_empty());
@@ -98,9 +113,14 @@ fn simulation(scores: &[MethodScores], card: &Card, around: &Surroundings<'_>) -
         simulated: true,
         model: card.weights_sha256.clone(),
         calibration: None,
-        simulation: Simulation { method: BEST, means },
+        simulation: Simulation {
+            method: BEST,
+            means,
+        },
         bootstrap: Bootstrap::default(),
-        methods: scored.map(|s| MethodRow::of(s.set, s.method, &s.objects)).collect(),
+        methods: scored
+            .map(|s| MethodRow::of(s.set, s.method, &s.objects))
+            .collect(),
         provenance: around.provenance.clone(),
         known_motion: None,
         virtual_real: None,

@@ -34,7 +34,8 @@ pub fn on_bench(
     order: &Order<'_>,
     around: &Surroundings<'_>,
 ) -> Result<(VirtualReal, Option<KnownMotion>), LabError> {
-    let folder = tempfile::tempdir().map_err(LabError::file("making a folder in", &std::env::temp_dir()))?;
+    let folder =
+        tempfile::tempdir().map_err(LabError::file("making a folder in", &std::env::temp_dir()))?;
     let (tracker, card) = (model.tracker, model.card);
     (around.progress)("calibrating the virtual bench");
     let bench = VirtualBench::new(&card.whisker, order.seed, folder.path(), around.calibrate)?;
@@ -54,19 +55,30 @@ pub fn on_bench(
     };
     let plan = VirtualBench::plan();
     let (seed, sweeps) = (order.seed ^ ON_THE_SPOT, order.sweeps_each);
-    let request = SweepRequest { whisker: &bench.whisker, plan: &plan, seed, sweeps };
+    let request = SweepRequest {
+        whisker: &bench.whisker,
+        plan: &plan,
+        seed,
+        sweeps,
+    };
     let score = |names: &[String]| -> Result<Vec<ObjectScores>, LabError> {
         let meshes = meshes(names.iter().take(order.objects), order.meshes, around.note)?;
         let mut measured: BTreeMap<String, Vec<SweepSeries>> = BTreeMap::new();
         for (name, mesh) in &meshes {
             let all = generate_sweeps(mesh, &request)?;
-            let seen = all.iter().map(|c| bench.through(c, by, order.seed, folder.path()));
+            let seen = all
+                .iter()
+                .map(|c| bench.through(c, by, order.seed, folder.path()));
             let seen = seen.collect::<Result<Vec<_>, _>>()?;
             if !seen.is_empty() {
                 measured.insert(name.clone(), seen);
             }
         }
-        score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &measured, &meshes)
+        score_objects(
+            &|c: &SweepSeries| Method::Network(&tracker, true).run(c),
+            &measured,
+            &meshes,
+        )
     };
     (around.progress)("virtual bench");
     let (seen, unseen) = (score(&card.objects.training)?, score(&card.objects.unseen)?);
@@ -75,7 +87,10 @@ pub fn on_bench(
     interval95.insert("worst_mm", worst_interval95(&every, |s| s.surface));
     let means = Means::of(&seen, &unseen);
     let real = VirtualReal {
-        coverage90: BySet { seen: coverage90(&seen), unseen: coverage90(&unseen) },
+        coverage90: BySet {
+            seen: coverage90(&seen),
+            unseen: coverage90(&unseen),
+        },
         is_virtual: true,
         seen_mean_mm: means.seen_mean_mm,
         unseen_mean_mm: means.unseen_mean_mm,
@@ -84,7 +99,11 @@ pub fn on_bench(
         acting: bench.acting.clone(),
         verdict: calibration.verdict,
         accepted: calibration.accepted.clone(),
-        calibration: if calibration.verified.is_some() { "verify" } else { "fit-gpr" },
+        calibration: if calibration.verified.is_some() {
+            "verify"
+        } else {
+            "fit-gpr"
+        },
         objects: means.objects,
     };
     Ok((real, known_motion(&bench)))

@@ -54,7 +54,8 @@ pub struct Order<'a> {
 }
 
 /// From the folder of the virtual bench's session to its calibration.
-pub type Calibrate<'a> = dyn Fn(&Path) -> Result<BenchCalibration, Box<dyn Error + Send + Sync>> + 'a;
+pub type Calibrate<'a> =
+    dyn Fn(&Path) -> Result<BenchCalibration, Box<dyn Error + Send + Sync>> + 'a;
 
 /// What the caller supplies: the commands that an evaluation uses, and where it speaks.
 pub struct Surroundings<'a> {
@@ -100,8 +101,10 @@ pub(super) fn meshes<'a>(
 ) -> Result<BTreeMap<String, Mesh>, LabError> {
     names
         .map(|name| {
-            let mesh = objects::named(name, folder)
-                .map_err(|source| LabError::Mesh { name: name.clone(), source })?;
+            let mesh = objects::named(name, folder).map_err(|source| LabError::Mesh {
+                name: name.clone(),
+                source,
+            })?;
             for remark in &mesh.notes {
                 note(&format!("warning: object {name}: {remark}"));
             }

@@ -26,9 +26,20 @@ const FACES: usize = 4;
 
 /// Upright on four faces without jumps, as in the paper's table I, and at random turns.
 fn draws(sweeps: usize) -> [(&'static str, SweepPlan, usize); 2] {
-    let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
-    let upright = SweepPlan { turn: Turn::Faces, keep_jumps: false, step_mm: STEP_MM, ..plan.clone() };
-    [("upright", upright, sweeps.next_multiple_of(FACES)), ("random", plan, sweeps)]
+    let plan = SweepPlan {
+        rate_hz: RATE_HZ,
+        ..SweepPlan::default()
+    };
+    let upright = SweepPlan {
+        turn: Turn::Faces,
+        keep_jumps: false,
+        step_mm: STEP_MM,
+        ..plan.clone()
+    };
+    [
+        ("upright", upright, sweeps.next_multiple_of(FACES)),
+        ("random", plan, sweeps),
+    ]
 }
 
 /// The table for evaluation.json.
@@ -48,12 +59,21 @@ pub fn table(
     let methods = [
         ("network", true, Method::Network(tracker, true)),
         ("network", false, Method::Network(tracker, false)),
-        ("bayes", true, Method::Bayes(&tracker.inverse, true, &multi_mu)),
+        (
+            "bayes",
+            true,
+            Method::Bayes(&tracker.inverse, true, &multi_mu),
+        ),
     ];
     let mut rows = Vec::new();
     for (turns, plan, sweeps) in &draws(order.sweeps_each) {
         progress(&format!("test objects, {turns}"));
-        let request = SweepRequest { whisker, plan, seed: order.seed ^ SEED, sweeps: *sweeps };
+        let request = SweepRequest {
+            whisker,
+            plan,
+            seed: order.seed ^ SEED,
+            sweeps: *sweeps,
+        };
         let mut all = BTreeMap::new();
         for (name, mesh) in &meshes {
             let series = generate_sweeps(mesh, &request)?;
@@ -75,5 +95,9 @@ pub fn table(
             });
         }
     }
-    Ok(TestObjects { set_aside: "2026-11-25", names: TEST_NAMES.to_vec(), rows })
+    Ok(TestObjects {
+        set_aside: "2026-11-25",
+        names: TEST_NAMES.to_vec(),
+        rows,
+    })
 }

@@ -59,7 +59,12 @@ impl VirtualBench {
         folder: &Path,
         calibrate: &Calibrate<'_>,
     ) -> Result<Self, LabError> {
-        let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = twin.rest_shape else {
+        let RestShape::StraightArc {
+            straight_mm,
+            arc_radius_mm,
+            ..
+        } = twin.rest_shape
+        else {
             return Err(LabError::value(
                 "virtual bench, wire",
                 "a straight part and an arc",
@@ -68,9 +73,12 @@ impl VirtualBench {
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut bench = Bench::draw(&mut rng);
-        (bench.straight_mm, bench.arc_radius_mm) = (straight_mm + STRAIGHT_MM, arc_radius_mm + RADIUS_MM);
-        (bench.youngs_gpa, bench.shear_gpa) =
-            (twin.youngs_gpa * (1.0 + YOUNGS), twin.shear_gpa * (1.0 + YOUNGS));
+        (bench.straight_mm, bench.arc_radius_mm) =
+            (straight_mm + STRAIGHT_MM, arc_radius_mm + RADIUS_MM);
+        (bench.youngs_gpa, bench.shear_gpa) = (
+            twin.youngs_gpa * (1.0 + YOUNGS),
+            twin.shear_gpa * (1.0 + YOUNGS),
+        );
         let request = Request {
             seed,
             design: Design::Rich,
@@ -86,7 +94,9 @@ impl VirtualBench {
             .effects
             .iter()
             .find(|e| e.kind == Kind::FbgThree)
-            .map_or([0.0; 3], |e| std::array::from_fn(|k| e.amplitude * FBG_PM * e.shape[k]));
+            .map_or([0.0; 3], |e| {
+                std::array::from_fn(|k| e.amplitude * FBG_PM * e.shape[k])
+            });
         let session_folder = folder.join("session");
         case.write(&session_folder)?;
         let calibration = calibrate(&session_folder).map_err(LabError::Calibrate)?;
@@ -100,7 +110,13 @@ impl VirtualBench {
             },
             ..twin.clone()
         };
-        Ok(Self { bench, squares, whisker, calibration, acting: case.truth.names.clone() })
+        Ok(Self {
+            bench,
+            squares,
+            whisker,
+            calibration,
+            acting: case.truth.names.clone(),
+        })
     }
 
     /// Sweeps on this bench: friction, weight, and the medium's drag.
@@ -111,7 +127,11 @@ impl VirtualBench {
             weight: true,
             ..PhysicsPlan::default()
         };
-        SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
+        SweepPlan {
+            rate_hz: 10.0,
+            physics,
+            ..SweepPlan::default()
+        }
     }
 
     /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user
@@ -127,10 +147,11 @@ impl VirtualBench {
         folder: &Path,
     ) -> Result<SweepSeries, LabError> {
         let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
-        std::fs::write(&path, self.readings(series, seed)).map_err(LabError::file("writing", &path))?;
-        let by = by
-            .whisker()
-            .ok_or_else(|| LabError::value("virtual bench, calibration", "a whisker's", "another kind"))?;
+        std::fs::write(&path, self.readings(series, seed))
+            .map_err(LabError::file("writing", &path))?;
+        let by = by.whisker().ok_or_else(|| {
+            LabError::value("virtual bench, calibration", "a whisker's", "another kind")
+        })?;
         let rows = by.sensed(&path, &self.whisker)?.rows;
         let mut tare = Tare::new(TARE_S);
         let mut seen = series.clone();

@@ -8,7 +8,12 @@ use burn::tensor::{Device, Tensor, TensorData};
 use wcal_track::network::time_bias_slope;
 
 /// Bias of attention for series with these times (s): later tokens and those beyond the context are masked.
-pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device: &Device) -> Tensor<4> {
+pub fn attention_bias(
+    times_s: &[Vec<f64>],
+    heads: usize,
+    context: usize,
+    device: &Device,
+) -> Tensor<4> {
     let (batch, n) = (times_s.len(), times_s.first().map_or(0, Vec::len));
     let mut bias = Vec::with_capacity(batch * heads * n * n);
     for times in times_s {
@@ -17,7 +22,11 @@ pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device
             for (i, now) in times.iter().enumerate() {
                 bias.extend(times.iter().enumerate().map(|(j, then)| {
                     let seen = j <= i && i - j < context;
-                    if seen { slope * (then - now) as f32 } else { MASKED }
+                    if seen {
+                        slope * (then - now) as f32
+                    } else {
+                        MASKED
+                    }
                 }));
             }
         }

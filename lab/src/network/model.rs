@@ -2,7 +2,9 @@
 
 use crate::LabError;
 use burn::module::Module;
-use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::nn::{
+    Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig,
+};
 use burn::tensor::activation::gelu;
 use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
@@ -60,7 +62,10 @@ impl TrainableNet {
             norm: norm(),
             // Small: what comes out at first is the filter's own belief.
             head: LinearConfig::new(c.width, c.outputs())
-                .with_initializer(Initializer::Normal { mean: 0.0, std: 0.01 })
+                .with_initializer(Initializer::Normal {
+                    mean: 0.0,
+                    std: 0.01,
+                })
                 .init(device),
             dropout: DropoutConfig::new(c.dropout).init(),
             heads: c.heads,
@@ -72,9 +77,18 @@ impl TrainableNet {
         let mut x = self.encoded(inputs);
         for block in &self.blocks {
             let [batch, time, width] = x.dims();
-            let qkv = block.query_key_value.forward(block.before_attention.forward(x.clone()));
+            let qkv = block
+                .query_key_value
+                .forward(block.before_attention.forward(x.clone()));
             let (q, k, v) = self.split(qkv);
-            let attended = attention(q, k, v, None, Some(bias.clone()), AttentionModuleOptions::default());
+            let attended = attention(
+                q,
+                k,
+                v,
+                None,
+                Some(bias.clone()),
+                AttentionModuleOptions::default(),
+            );
             let attended = attended.swap_dims(1, 2).reshape([batch, time, width]);
             x = x + self.dropout.forward(block.out.forward(attended));
             x = x.clone() + self.dropout.forward(block.feed(x));
@@ -92,7 +106,8 @@ impl TrainableNet {
         let width = three / 3;
         let part = |k: usize| {
             let part = x.clone().narrow(2, k * width, width);
-            part.reshape([batch, time, self.heads, width / self.heads]).swap_dims(1, 2)
+            part.reshape([batch, time, self.heads, width / self.heads])
+                .swap_dims(1, 2)
         };
         (part(0), part(1), part(2))
     }
@@ -100,6 +115,7 @@ impl TrainableNet {
 
 impl Block {
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        self.narrow.forward(gelu(self.widen.forward(self.before_feed.forward(x))))
+        self.narrow
+            .forward(gelu(self.widen.forward(self.before_feed.forward(x))))
     }
 }

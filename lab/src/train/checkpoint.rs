@@ -38,11 +38,27 @@ pub(super) fn save(
 ) -> Result<(), LabError> {
     std::fs::create_dir_all(folder).map_err(LabError::file("creating", folder))?;
     let [state_file, net, best, optimizer] = files(folder);
-    state.net.clone().save_file(&net).map_err(LabError::file("writing", &net))?;
-    state.best.clone().save_file(&best).map_err(LabError::file("writing", &best))?;
-    state.optimizer.save(&optimizer).map_err(LabError::file("writing", &optimizer))?;
-    let made = CheckpointState { network: *network, settings: *settings, passes: state.passes.clone() };
-    let text = serde_json::to_string_pretty(&made).map_err(LabError::file("writing", &state_file))?;
+    state
+        .net
+        .clone()
+        .save_file(&net)
+        .map_err(LabError::file("writing", &net))?;
+    state
+        .best
+        .clone()
+        .save_file(&best)
+        .map_err(LabError::file("writing", &best))?;
+    state
+        .optimizer
+        .save(&optimizer)
+        .map_err(LabError::file("writing", &optimizer))?;
+    let made = CheckpointState {
+        network: *network,
+        settings: *settings,
+        passes: state.passes.clone(),
+    };
+    let text =
+        serde_json::to_string_pretty(&made).map_err(LabError::file("writing", &state_file))?;
     std::fs::write(&state_file, text).map_err(LabError::file("writing", &state_file))
 }
 
@@ -57,17 +73,31 @@ pub(super) fn resume(
     if !state_file.exists() {
         return Ok(fresh);
     }
-    let text = wcal_core::files::read_text(&state_file).map_err(LabError::file("reading", &state_file))?;
+    let text =
+        wcal_core::files::read_text(&state_file).map_err(LabError::file("reading", &state_file))?;
     let made: CheckpointState =
         wcal_core::document::json_as(&text).map_err(LabError::file("reading", &state_file))?;
     if made.network != *network || made.settings != *settings {
         let what = format!("{}: network and settings", state_file.display());
-        return Err(LabError::value(what, "those of this training (or another folder)", "others"));
+        return Err(LabError::value(
+            what,
+            "those of this training (or another folder)",
+            "others",
+        ));
     }
     Ok(State {
-        net: fresh.net.try_load_file(&net).map_err(LabError::file("reading", &net))?,
-        best: fresh.best.try_load_file(&best).map_err(LabError::file("reading", &best))?,
-        optimizer: fresh.optimizer.load(&optimizer).map_err(LabError::file("reading", &optimizer))?,
+        net: fresh
+            .net
+            .try_load_file(&net)
+            .map_err(LabError::file("reading", &net))?,
+        best: fresh
+            .best
+            .try_load_file(&best)
+            .map_err(LabError::file("reading", &best))?,
+        optimizer: fresh
+            .optimizer
+            .load(&optimizer)
+            .map_err(LabError::file("reading", &optimizer))?,
         passes: made.passes,
     })
 }

@@ -44,7 +44,10 @@ pub(super) fn loss(
     let (batch, time) = (windows.len(), windows[0].times_s.len());
     let n = batch * time;
     let gather = |values: Values, shape: [usize; 3]| {
-        let all: Vec<f32> = windows.iter().flat_map(|w| values(w).iter().copied()).collect();
+        let all: Vec<f32> = windows
+            .iter()
+            .flat_map(|w| values(w).iter().copied())
+            .collect();
         Tensor::<3>::from_data(TensorData::new(all, shape), device)
     };
     let flat = |values: Values| gather(values, [n, 1, 1]).reshape([n]);
@@ -64,22 +67,28 @@ pub(super) fn loss(
         (off_curve * PLACE_SCALE_MM, Tensor::zeros([1], device))
     } else {
         let k = windows[0].points.len() / (3 * time);
-        let floor = (out.clone().narrow(1, config.nodes + 5, 1) + INITIAL_LOG_FLOOR).exp() / k as f32;
+        let floor =
+            (out.clone().narrow(1, config.nodes + 5, 1) + INITIAL_LOG_FLOOR).exp() / k as f32;
         let mut posterior = gather(|w| &w.posterior, [n, 1, k]).reshape([n, k]);
         if config.two_filters {
             let frictionless = gather(|w| &w.posterior_frictionless, [n, 1, k]).reshape([n, k]);
             let share = sigmoid(out.clone().narrow(1, config.nodes + 6, 1));
             posterior = posterior.clone() + (frictionless - posterior) * share;
         }
-        let factors = out.narrow(1, 0, config.nodes).matmul(hat_functions(config.nodes, k, device));
+        let factors = out
+            .narrow(1, 0, config.nodes)
+            .matmul(hat_functions(config.nodes, k, device));
         let log_weights = log_softmax(factors + (posterior + floor).log(), 1);
         let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
         let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
         let points = gather(|w| &w.points, [n, k, 3]);
-        let mean = (log_weights.exp().reshape([n, k, 1]) * points).sum_dim(1).reshape([n, 3]);
+        let mean = (log_weights.exp().reshape([n, k, 1]) * points)
+            .sum_dim(1)
+            .reshape([n, 3]);
         (mean + off_curve, choice.sum() / many.clone())
     };
-    let squared = |to: Tensor<2>| (mean.clone() - to).square().sum_dim(1).reshape([n]) * held.clone();
+    let squared =
+        |to: Tensor<2>| (mean.clone() - to).square().sum_dim(1).reshape([n]) * held.clone();
     // Quadratic near the truth, linear far from it: a contact that jumped does not dominate the mean.
     let robust = |off: &Tensor<1>, straight_mm: f64| {
         ((off.clone() / straight_mm.powi(2) + 1.0).sqrt() - 1.0).sum() / many.clone()
@@ -96,27 +105,46 @@ pub(super) fn loss(
     };
     let called = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
     let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
-    LossTerms { loss: total + called + several, contact, surface }
+    LossTerms {
+        loss: total + called + several,
+        contact,
+        surface,
+    }
 }
 
 /// The surface's points nearest to the answers, `[batch * time, 3]`; the answer itself where there is no contact. None where a mesh is not
 /// known.
-fn nearest_on_surfaces(windows: &[&Window<'_>], answers: &Tensor<2>, device: &Device) -> Option<Tensor<2>> {
+fn nearest_on_surfaces(
+    windows: &[&Window<'_>],
+    answers: &Tensor<2>,
+    device: &Device,
+) -> Option<Tensor<2>> {
     let time = windows[0].times_s.len();
     if windows.iter().any(|w| w.mesh.is_none()) {
         return None;
     }
     let mut points: Vec<f32> = answers.clone().detach().into_data().try_to_vec().ok()?;
-    points.par_chunks_mut(3).enumerate().for_each(|(row, point)| {
-        let (window, k) = (windows[row / time], row % time);
-        if let (Some(mesh), true) = (window.mesh, window.touching[k] * window.counted[k] > 0.0) {
-            let side = Vector3::new(1.0, if window.mirrored { -1.0 } else { 1.0 }, 1.0);
-            let at = Vector3::new(point[0], point[1], point[2]).map(f64::from).component_mul(&side);
-            let near =
-                window.series.closest_surface_point(mesh, window.travel_mm[k], &at).component_mul(&side);
-            point.iter_mut().zip(near.iter()).for_each(|(p, q)| *p = *q as f32);
-        }
-    });
+    points
+        .par_chunks_mut(3)
+        .enumerate()
+        .for_each(|(row, point)| {
+            let (window, k) = (windows[row / time], row % time);
+            if let (Some(mesh), true) = (window.mesh, window.touching[k] * window.counted[k] > 0.0)
+            {
+                let side = Vector3::new(1.0, if window.mirrored { -1.0 } else { 1.0 }, 1.0);
+                let at = Vector3::new(point[0], point[1], point[2])
+                    .map(f64::from)
+                    .component_mul(&side);
+                let near = window
+                    .series
+                    .closest_surface_point(mesh, window.travel_mm[k], &at)
+                    .component_mul(&side);
+                point
+                    .iter_mut()
+                    .zip(near.iter())
+                    .for_each(|(p, q)| *p = *q as f32);
+            }
+        });
     let shape = [windows.len() * time, 3];
     Some(Tensor::from_data(TensorData::new(points, shape), device))
 }
@@ -152,16 +180,30 @@ mod tests {
         let device = Device::flex();
         device.seed(7);
         for two_filters in [true, false] {
-            let usual = TrainSettings { window: 64, ..TrainSettings::default() }.without_disturbances();
+            let usual = TrainSettings {
+                window: 64,
+                ..TrainSettings::default()
+            }
+            .without_disturbances();
             let frictionless = usual.filter_frictionless.filter(|_| two_filters);
-            let settings = TrainSettings { filter_frictionless: frictionless, ..usual };
+            let settings = TrainSettings {
+                filter_frictionless: frictionless,
+                ..usual
+            };
             let config = preset("compact", &inverse, two_filters).unwrap();
             let net = TrainableNet::new(&config, &device).unwrap();
             let meshes = BTreeMap::new();
-            let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
+            let windows = WindowMaker {
+                config: &config,
+                inverse: &inverse,
+                meshes: &meshes,
+            };
             let window = &windows.make(&all_series, &settings, 5)[0];
-            let lost: Vec<f32> =
-                loss(&net, &config, &[window], &device).contact.into_data().try_to_vec().unwrap();
+            let lost: Vec<f32> = loss(&net, &config, &[window], &device)
+                .contact
+                .into_data()
+                .try_to_vec()
+                .unwrap();
             let width = window.inputs.len() / window.times_s.len();
             let samples: Vec<Sample> = window
                 .inputs
@@ -177,13 +219,28 @@ mod tests {
             let inverse = inverse.clone();
             let filters = settings.filters();
             let net = runnable(&net, &config).unwrap().0;
-            let tracker = Tracker { config, net, inverse, filters, sd_factors };
+            let tracker = Tracker {
+                config,
+                net,
+                inverse,
+                filters,
+                sd_factors,
+            };
             let mut touching = 0;
-            for (k, answer) in
-                tracker.track_series(&samples).iter().enumerate().filter(|(k, _)| lost[*k] > 0.0)
+            for (k, answer) in tracker
+                .track_series(&samples)
+                .iter()
+                .enumerate()
+                .filter(|(k, _)| lost[*k] > 0.0)
             {
-                let off: f32 = (0..3).map(|i| (answer.point_mm[i] - window.place[3 * k + i]).powi(2)).sum();
-                assert!((off.sqrt() - lost[k].sqrt()).abs() < 2e-3, "{k}: {off} {}", lost[k]);
+                let off: f32 = (0..3)
+                    .map(|i| (answer.point_mm[i] - window.place[3 * k + i]).powi(2))
+                    .sum();
+                assert!(
+                    (off.sqrt() - lost[k].sqrt()).abs() < 2e-3,
+                    "{k}: {off} {}",
+                    lost[k]
+                );
                 touching += 1;
             }
             assert!(touching > 20, "{touching}");
@@ -196,23 +253,43 @@ mod tests {
         let (inverse, all_series) = swept("vase");
         let config = preset("compact", &inverse, true).unwrap();
         let meshes = BTreeMap::from([("vase".to_owned(), objects::built_in("vase").unwrap())]);
-        let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
-        let mut window =
-            windows.make(&all_series, &TrainSettings::default().without_disturbances(), 5).swap_remove(0);
+        let windows = WindowMaker {
+            config: &config,
+            inverse: &inverse,
+            meshes: &meshes,
+        };
+        let mut window = windows
+            .make(
+                &all_series,
+                &TrainSettings::default().without_disturbances(),
+                5,
+            )
+            .swap_remove(0);
         let device = Device::flex();
         let time = window.times_s.len();
         let near = |window: &Window<'_>, side: f32| -> Vec<f32> {
-            let at: Vec<f32> =
-                window.place.chunks(3).flat_map(|p| [p[0] + 1.0, p[1].abs() * side + side, p[2]]).collect();
+            let at: Vec<f32> = window
+                .place
+                .chunks(3)
+                .flat_map(|p| [p[0] + 1.0, p[1].abs() * side + side, p[2]])
+                .collect();
             let at = Tensor::from_data(TensorData::new(at, [time, 3]), &device);
-            nearest_on_surfaces(&[window], &at, &device).unwrap().into_data().try_to_vec().unwrap()
+            nearest_on_surfaces(&[window], &at, &device)
+                .unwrap()
+                .into_data()
+                .try_to_vec()
+                .unwrap()
         };
         let (here, other) = (near(&window, 1.0), near(&window, -1.0));
         window.mirror();
         let there = near(&window, -1.0);
         let off = |image: &[f32]| {
             let y = |k: usize| if k % 3 == 1 { -1.0 } else { 1.0 };
-            here.iter().zip(image).enumerate().map(|(k, (a, b))| (a - y(k) * b).abs()).fold(0.0, f32::max)
+            here.iter()
+                .zip(image)
+                .enumerate()
+                .map(|(k, (a, b))| (a - y(k) * b).abs())
+                .fold(0.0, f32::max)
         };
         assert!(off(&there) < 1e-5, "{}", off(&there));
         // Negative control: the object itself is none.

@@ -31,10 +31,18 @@ impl SensorErrors {
     /// Draws one: some change the gains of a simulated series only; of the others small noise is drawn more often.
     pub fn draw(settings: &TrainSettings, rng: &mut ChaCha8Rng) -> Self {
         let clean = uniform(rng, 0.0, 1.0) < CLEAN_FRACTION;
-        let noise_nmm = if clean { 0.0 } else { settings.noise_nmm * uniform(rng, 0.0, 1.0).powi(2) };
+        let noise_nmm = if clean {
+            0.0
+        } else {
+            settings.noise_nmm * uniform(rng, 0.0, 1.0).powi(2)
+        };
         let gain = std::array::from_fn(|_| 1.0 + settings.gain * uniform(rng, -1.0, 1.0));
         let drift = std::array::from_fn(|_| settings.drift_nmm_s * uniform(rng, -1.0, 1.0));
-        Self { noise_nmm, gain, drift_nmm_s: if clean { [0.0; 2] } else { drift } }
+        Self {
+            noise_nmm,
+            gain,
+            drift_nmm_s: if clean { [0.0; 2] } else { drift },
+        }
     }
 
     /// Filters with this measurement noise.

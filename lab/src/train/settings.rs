@@ -85,12 +85,21 @@ impl Default for TrainSettings {
 impl TrainSettings {
     /// The filters below the network.
     pub fn filters(&self) -> FilterBank {
-        FilterBank { frictional: self.filter, frictionless: self.filter_frictionless }
+        FilterBank {
+            frictional: self.filter,
+            frictionless: self.filter_frictionless,
+        }
     }
 
     /// Sweep series as the twin made them.
     pub(crate) fn without_disturbances(&self) -> Self {
-        Self { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*self }
+        Self {
+            noise_nmm: 0.0,
+            gain: 0.0,
+            drift_nmm_s: 0.0,
+            time_factor: [1.0; 2],
+            ..*self
+        }
     }
 }
 
@@ -117,5 +126,7 @@ pub struct Pass {
 
 /// The pass with the least loss on the held-out objects.
 pub fn best(passes: &[Pass]) -> Option<&Pass> {
-    passes.iter().min_by(|a, b| a.held_out_loss.total_cmp(&b.held_out_loss))
+    passes
+        .iter()
+        .min_by(|a, b| a.held_out_loss.total_cmp(&b.held_out_loss))
 }

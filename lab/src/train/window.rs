@@ -44,7 +44,9 @@ impl Window<'_> {
     pub fn mirror(&mut self) {
         let tokens = self.times_s.len();
         let (width, nodes) = (self.inputs.len() / tokens, self.points.len() / (3 * tokens));
-        self.inputs.chunks_exact_mut(width).for_each(|token| features::mirror(token, nodes));
+        self.inputs
+            .chunks_exact_mut(width)
+            .for_each(|token| features::mirror(token, nodes));
         for place in [&mut self.points, &mut self.place] {
             place.iter_mut().skip(1).step_by(3).for_each(|y| *y = -*y);
         }
@@ -75,7 +77,8 @@ impl<'a> WindowMaker<'a> {
             .par_iter()
             .enumerate()
             .map(|(k, series)| {
-                let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
+                let mut rng =
+                    ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
                 make_window(series, self, settings, &mut rng)
             })
             .collect()
@@ -88,16 +91,24 @@ fn make_window<'a>(
     settings: &TrainSettings,
     rng: &mut ChaCha8Rng,
 ) -> Window<'a> {
-    let WindowMaker { config, inverse, meshes } = *with;
+    let WindowMaker {
+        config,
+        inverse,
+        meshes,
+    } = *with;
     let errors = SensorErrors::draw(settings, rng);
     let [fastest, slowest] = settings.time_factor.map(f64::ln);
     let factor = uniform(rng, fastest, slowest).exp();
     let free = uniform(rng, 0.0, 1.0) < FREE_FRACTION;
     let known = uniform(rng, 0.0, 1.0) < settings.speed_known;
     let stride = 1 + usize::from(uniform(rng, 0.0, 1.0) < 0.3);
-    let latest = series.samples.len().saturating_sub(settings.window * stride / 2);
+    let latest = series
+        .samples
+        .len()
+        .saturating_sub(settings.window * stride / 2);
     let first = (uniform(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureExtractor::new(inverse, errors.with_measurement_noise(settings.filters()));
+    let mut features =
+        FeatureExtractor::new(inverse, errors.with_measurement_noise(settings.filters()));
     let nodes = inverse.nodes.len();
     let t = settings.window;
     let mut window = Window {
@@ -140,11 +151,15 @@ fn make_window<'a>(
         window.inputs.extend(token.inputs);
         window.points.extend(token.points_mm.iter().flatten());
         window.posterior.extend(token.posterior);
-        window.posterior_frictionless.extend(token.posterior_frictionless);
+        window
+            .posterior_frictionless
+            .extend(token.posterior_frictionless);
         window.times_s.push(t_s);
         window.travel_mm.push(now.travel_mm);
         window.place.extend(truth.unwrap_or_default());
-        window.several.push(f32::from(u8::from(now.contacts > 1 && !free)));
+        window
+            .several
+            .push(f32::from(u8::from(now.contacts > 1 && !free)));
         window.touching.push(f32::from(u8::from(truth.is_some())));
         window.counted.push(f32::from(u8::from(at <= last)));
     }
@@ -184,9 +199,22 @@ pub(super) mod tests {
     /// A coarse table, and a sweep over a built-in object.
     pub(crate) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {
         let whisker = WhiskerSpec::nominal();
-        let grid = InverseGrid { step_mm: 2.0, refine: 1, tilts: 3, ..InverseGrid::default() };
-        let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
+        let grid = InverseGrid {
+            step_mm: 2.0,
+            refine: 1,
+            tilts: 3,
+            ..InverseGrid::default()
+        };
+        let plan = SweepPlan {
+            rate_hz: 10.0,
+            ..SweepPlan::default()
+        };
+        let order = SweepRequest {
+            whisker: &whisker,
+            plan: &plan,
+            seed: 3,
+            sweeps: 1,
+        };
         let all_series = generate_sweeps(&objects::built_in(object).unwrap(), &order).unwrap();
         (StaticInverse::new(&whisker, grid).unwrap(), all_series)
     }
@@ -194,8 +222,13 @@ pub(super) mod tests {
     /// Negative control of the mirror: a wire that leaves the plane is none.
     #[test]
     fn a_wire_that_leaves_the_plane_is_not_flat() {
-        let points = [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [45.0, 3.0, 4.0]].map(Vector3::from).to_vec();
-        let whisker = WhiskerSpec { rest_shape: RestShape::Polyline(points), ..WhiskerSpec::nominal() };
+        let points = [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [45.0, 3.0, 4.0]]
+            .map(Vector3::from)
+            .to_vec();
+        let whisker = WhiskerSpec {
+            rest_shape: RestShape::Polyline(points),
+            ..WhiskerSpec::nominal()
+        };
         let grid = InverseGrid {
             step_mm: 20.0,
             refine: 1,
@@ -215,19 +248,32 @@ pub(super) mod tests {
         let mut turned = all_series.clone();
         for i in turned.iter_mut().flat_map(|c| &mut c.samples) {
             i.moment_nmm[1] = -i.moment_nmm[1];
-            i.contact.iter_mut().for_each(|c| c.point_mm.y = -c.point_mm.y);
+            i.contact
+                .iter_mut()
+                .for_each(|c| c.point_mm.y = -c.point_mm.y);
         }
         let config = preset("compact", &inverse, true).unwrap();
         let meshes = BTreeMap::new();
-        let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
+        let windows = WindowMaker {
+            config: &config,
+            inverse: &inverse,
+            meshes: &meshes,
+        };
         let settings = TrainSettings::default().without_disturbances();
-        let (mut here, there) =
-            (windows.make(&all_series, &settings, 5), windows.make(&turned, &settings, 5));
+        let (mut here, there) = (
+            windows.make(&all_series, &settings, 5),
+            windows.make(&turned, &settings, 5),
+        );
         let off = |a: &Window<'_>, b: &Window<'_>| {
-            let pairs = [(&a.inputs, &b.inputs), (&a.points, &b.points), (&a.posterior, &b.posterior)];
-            let pairs = pairs
-                .into_iter()
-                .chain([(&a.posterior_frictionless, &b.posterior_frictionless), (&a.place, &b.place)]);
+            let pairs = [
+                (&a.inputs, &b.inputs),
+                (&a.points, &b.points),
+                (&a.posterior, &b.posterior),
+            ];
+            let pairs = pairs.into_iter().chain([
+                (&a.posterior_frictionless, &b.posterior_frictionless),
+                (&a.place, &b.place),
+            ]);
             let mean = |(a, b): (&Vec<f32>, &Vec<f32>)| {
                 a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32
             };
@@ -239,9 +285,15 @@ pub(super) mod tests {
         let after: Vec<f32> = off(window, image);
         // The table's leans at the tip are not quite their own mirror images (points by up to 0.3 mm); the filters take it from there.
         let same = |k: usize, share: f32| after[k] < share * before[k];
-        assert!(same(0, 0.1) && same(1, 0.02) && after[4] == 0.0, "{before:?} {after:?}");
+        assert!(
+            same(0, 0.1) && same(1, 0.02) && after[4] == 0.0,
+            "{before:?} {after:?}"
+        );
         assert!(after[2] < 5e-4 && after[3] < 5e-4, "{after:?}");
         // Negative control: it was another window, in inputs and places.
-        assert!(before[0] > 0.005 && before[1] > 0.1 && before[4] > 0.1, "{before:?}");
+        assert!(
+            before[0] > 0.005 && before[1] > 0.1 && before[4] > 0.1,
+            "{before:?}"
+        );
     }
 }

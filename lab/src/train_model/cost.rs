@@ -20,7 +20,10 @@ impl Add for Seconds {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        Self { wall_s: self.wall_s + other.wall_s, cpu_s: self.cpu_s + other.cpu_s }
+        Self {
+            wall_s: self.wall_s + other.wall_s,
+            cpu_s: self.cpu_s + other.cpu_s,
+        }
     }
 }
 
@@ -44,17 +47,24 @@ pub(super) struct Stopwatch {
 
 impl Stopwatch {
     pub fn start() -> Self {
-        Self { begin: Instant::now(), begin_cpu_s: process_s() }
+        Self {
+            begin: Instant::now(),
+            begin_cpu_s: process_s(),
+        }
     }
 
     pub fn elapsed(&self) -> Seconds {
-        Seconds { wall_s: self.begin.elapsed().as_secs_f64(), cpu_s: process_s() - self.begin_cpu_s }
+        Seconds {
+            wall_s: self.begin.elapsed().as_secs_f64(),
+            cpu_s: process_s() - self.begin_cpu_s,
+        }
     }
 }
 
 /// Time of the passes, all runs together.
 pub(super) fn of_passes(passes: &[Pass]) -> Seconds {
-    passes
-        .last()
-        .map_or_else(Seconds::default, |p| Seconds { wall_s: p.seconds, cpu_s: p.cpu_s.unwrap_or(0.0) })
+    passes.last().map_or_else(Seconds::default, |p| Seconds {
+        wall_s: p.seconds,
+        cpu_s: p.cpu_s.unwrap_or(0.0),
+    })
 }

@@ -31,7 +31,11 @@ fn perturbed_whisker(declared: &WhiskerSpec, rng: &mut ChaCha8Rng) -> WhiskerSpe
     let mut off = |max: f64| uniform(rng, -max, max);
     let stiffer = 1.0 + off(YOUNGS);
     let rest_shape = match &declared.rest_shape {
-        RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } => RestShape::StraightArc {
+        RestShape::StraightArc {
+            straight_mm,
+            arc_radius_mm,
+            length_mm,
+        } => RestShape::StraightArc {
             straight_mm: straight_mm + off(STRAIGHT_MM),
             arc_radius_mm: arc_radius_mm + off(RADIUS_MM),
             length_mm: *length_mm,
@@ -56,15 +60,21 @@ pub(super) fn on_shifted_sensors(
     let mut rng = ChaCha8Rng::seed_from_u64(request.settings.seed ^ 0xbe_4c4);
     let plan = friction_plan();
     let names: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
-    let (known, unknown): (Vec<&String>, Vec<&String>) =
-        names.into_iter().partition(|n| request.meshes.contains_key(*n));
+    let (known, unknown): (Vec<&String>, Vec<&String>) = names
+        .into_iter()
+        .partition(|n| request.meshes.contains_key(*n));
     let sweeps = (SWEEPS_OF_WIRE / known.len().max(1)).clamp(1, SWEEPS);
     let mut all = Vec::new();
     for wire in 0..WIRES {
         let whisker = perturbed_whisker(&request.whisker, &mut rng);
         for mesh in known.iter().filter_map(|n| request.meshes.get(*n)) {
             let seed = request.settings.seed ^ (wire + 1) << 40;
-            let order = SweepRequest { whisker: &whisker, plan: &plan, seed, sweeps };
+            let order = SweepRequest {
+                whisker: &whisker,
+                plan: &plan,
+                seed,
+                sweeps,
+            };
             all.extend(generate_sweeps(mesh, &order)?);
         }
     }
@@ -76,15 +86,19 @@ pub(super) fn on_shifted_sensors(
     }
     for folder in request.additional.iter().filter(|_| !unknown.is_empty()) {
         // Objects that are held out need not be among the other folder's.
-        for all_series in
-            sweep_series::read_sweep_series(folder, &[])?.iter().filter(|(n, _)| objects.contains(n))
+        for all_series in sweep_series::read_sweep_series(folder, &[])?
+            .iter()
+            .filter(|(n, _)| objects.contains(n))
         {
             all.extend(some(&mut all_series.1.iter()));
         }
     }
     let on_bench = |series: &SweepSeries| {
         let errors = SensorErrors::draw(&request.settings, &mut rng);
-        (errors.apply(series, &mut rng), errors.with_measurement_noise(request.settings.filters()))
+        (
+            errors.apply(series, &mut rng),
+            errors.with_measurement_noise(request.settings.filters()),
+        )
     };
     Ok(all.iter().map(on_bench).collect())
 }

@@ -8,12 +8,15 @@ use wcal_mujoco::mjcf::MjcfOptions;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let [folder, out] = &words[..] else { return Err("expected FOLDER OUT.xml".into()) };
+    let [folder, out] = &words[..] else {
+        return Err("expected FOLDER OUT.xml".into());
+    };
     let whisker = WhiskerSpec::nominal();
     let mesh = objects::built_in("star-bar")?;
     let parts = Convex::of(&mesh, folder.as_ref())?.corners();
     let engine = CableEngine::start(&whisker, &MjcfOptions::default())?;
-    let sweep = (0..).find_map(|k| Sweep::draw(&mesh, &SweepPlan::default(), 1, k, engine.reach_mm()));
+    let sweep =
+        (0..).find_map(|k| Sweep::draw(&mesh, &SweepPlan::default(), 1, k, engine.reach_mm()));
     std::fs::write(out, engine.world(&parts, &sweep.ok_or("no sweep")?)?)?;
     Ok(())
 }

@@ -62,7 +62,8 @@ impl CableEngine {
     /// # Errors
     /// Where the engine is missing or the wire cannot be.
     pub fn start(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<Self, TwinError> {
-        let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
+        let section =
+            wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
         Ok(Self {
             engine: MujocoEngine::start()?,
             whisker: whisker.clone(),
@@ -98,7 +99,12 @@ impl CableEngine {
         if let Some(onset) = sweep.physics.onset_per_m() {
             return Err(no_softening(&format!("{onset:.1}")));
         }
-        let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
+        let mut run = Run {
+            samples: Vec::new(),
+            verdict: Verdict::Kept,
+            solves: 0,
+            iterations: 0,
+        };
         match self.follow(mesh, parts, sweep, plan, &mut run) {
             Err(TwinError::EngineDied(_)) => {
                 let spent_s = self.engine.core_s;
@@ -146,7 +152,11 @@ impl CableEngine {
         steps: &mut u64,
         frame: &mut Frame,
     ) -> Result<Led, TwinError> {
-        let mut led = Led { taken: 0, toggles: 0, deepest_m: 0.0 };
+        let mut led = Led {
+            taken: 0,
+            toggles: 0,
+            deepest_m: 0.0,
+        };
         for (until_s, speed, acceleration) in legs {
             let more = ((until_s / step_s).round() as u64).saturating_sub(*steps);
             *frame = self.engine.frame(&Request::Lead {
@@ -182,11 +192,17 @@ impl CableEngine {
         let mut frame = self.engine.frame(&Request::Run { steps: 0 })?;
         if let Some(medium) = fluid_loads(&self.whisker, &sweep.physics) {
             self.engine.frame(&Request::Medium { medium })?;
-            frame = self.engine.frame(&Request::Run { steps: SETTLE_STEPS })?;
+            frame = self.engine.frame(&Request::Run {
+                steps: SETTLE_STEPS,
+            })?;
         }
         let mut nodes = nodes_mm(&frame, 0.0);
         let at_start = MovingObject::new(mesh, sweep, 0.0);
-        if nodes.iter().any(|p| at_start.closest_point(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
+        if nodes.iter().any(|p| {
+            at_start
+                .closest_point(p, 4.0)
+                .is_some_and(|n| n.distance_mm < radius_mm)
+        }) {
             run.verdict = Verdict::Rejected("starts-inside");
             return Ok(());
         }
@@ -197,7 +213,11 @@ impl CableEngine {
             if travel_mm > plan.max_travel_mm {
                 break;
             }
-            let Led { taken, toggles, deepest_m } = self.lead(
+            let Led {
+                taken,
+                toggles,
+                deepest_m,
+            } = self.lead(
                 &legs(sweep, t_s - 1.0 / plan.rate_hz, t_s),
                 loaded.step_s,
                 &mut steps,
@@ -206,16 +226,29 @@ impl CableEngine {
             run.solves += 1;
             run.iterations = steps as usize;
             // A number that is none is no sample.
-            if frame.bad || frame.base_moment_nm.is_none_or(|m| m.iter().any(|x| !x.is_finite())) {
+            if frame.bad
+                || frame
+                    .base_moment_nm
+                    .is_none_or(|m| m.iter().any(|x| !x.is_finite()))
+            {
                 run.verdict = Verdict::Rejected("unstable");
                 return Ok(());
             }
             let before = std::mem::replace(&mut nodes, nodes_mm(&frame, travel_mm));
             let step_mm = speed_mm_s / plan.rate_hz;
-            let moved = nodes.iter().zip(&before).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            let moved = nodes
+                .iter()
+                .zip(&before)
+                .map(|(a, b)| (a - b).norm())
+                .fold(0.0, f64::max);
             let snapped = moved > SPRING_MM + 3.0 * step_mm;
-            let contacts =
-                contacts(&frame, &nodes, &MovingObject::new(mesh, sweep, travel_mm), travel_mm, radius_mm);
+            let contacts = contacts(
+                &frame,
+                &nodes,
+                &MovingObject::new(mesh, sweep, travel_mm),
+                travel_mm,
+                radius_mm,
+            );
             let moment = Vector3::from(frame.base_moment_nm.unwrap_or([f64::NAN; 3])) * 1e3;
             let earlier = run.samples.last().map_or(&[][..], |s: &Sample| &s.contacts);
             let event = event(earlier, &contacts, snapped, step_mm);
@@ -285,7 +318,11 @@ fn legs(sweep: &Sweep, from_s: f64, to_s: f64) -> Vec<(f64, f64, f64)> {
 
 /// Ends of the links in the base frame, mm.
 fn nodes_mm(frame: &Frame, travel_mm: f64) -> Vec<Vector3<f64>> {
-    frame.links_m.iter().map(|p| Vector3::from(*p) * 1e3 - Vector3::z() * travel_mm).collect()
+    frame
+        .links_m
+        .iter()
+        .map(|p| Vector3::from(*p) * 1e3 - Vector3::z() * travel_mm)
+        .collect()
 }
 
 /// Places where the wire is pushed, from the root on; the label is the mesh's nearest point to the wire's centre there.
@@ -304,8 +341,12 @@ fn contacts(
         .map(|c| {
             let before: f64 = (0..c.link).map(|j| (nodes[j + 1] - nodes[j]).norm()).sum();
             let link = nodes[c.link + 1] - nodes[c.link];
-            let along = (Vector3::from(c.point_m) * 1e3 - travel - nodes[c.link]).dot(&link.normalize());
-            (before + along.clamp(0.0, link.norm()), Vector3::from(c.force_n))
+            let along =
+                (Vector3::from(c.point_m) * 1e3 - travel - nodes[c.link]).dot(&link.normalize());
+            (
+                before + along.clamp(0.0, link.norm()),
+                Vector3::from(c.force_n),
+            )
         })
         .collect();
     places.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -313,7 +354,10 @@ fn contacts(
     let mut group: Vec<(f64, Vector3<f64>)> = Vec::new();
     for k in 0..places.len() {
         group.push(places[k]);
-        if places.get(k + 1).is_some_and(|next| next.0 - places[k].0 < ONE_CONTACT_MM) {
+        if places
+            .get(k + 1)
+            .is_some_and(|next| next.0 - places[k].0 < ONE_CONTACT_MM)
+        {
             continue;
         }
         // One contact at the centre of force of its places.
@@ -321,7 +365,9 @@ fn contacts(
         let s_mm = group.iter().map(|g| g.0 * g.1.norm()).sum::<f64>() / weight;
         let force: Vector3<f64> = group.drain(..).map(|g| g.1).sum();
         let centre_mm = on_wire(nodes, s_mm);
-        let Some(near) = body.closest_point(&centre_mm, 10.0) else { continue };
+        let Some(near) = body.closest_point(&centre_mm, 10.0) else {
+            continue;
+        };
         let along = force.dot(&near.normal);
         contacts.push(Contact {
             arclength_mm: s_mm,

@@ -54,10 +54,19 @@ impl Convex {
         let parts = MujocoEngine::start()?.convex_parts(&request)?;
         let (beyond_mm, short_mm) = distances(mesh, &parts)?;
         let path = file(mesh, folder, &made_from);
-        let made = Self { made_from, parts, beyond_mm, short_mm };
+        let made = Self {
+            made_from,
+            parts,
+            beyond_mm,
+            short_mm,
+        };
         std::fs::create_dir_all(folder).map_err(SimError::io("creating", folder))?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
-        let refused = |e: FileError| SimError::Io { action: e.action, path: e.path, cause: e.source };
+        let refused = |e: FileError| SimError::Io {
+            action: e.action,
+            path: e.path,
+            cause: e.source,
+        };
         write_atomic(&path, text.as_bytes()).map_err(refused)?;
         Ok(made)
     }
@@ -75,15 +84,28 @@ impl Convex {
 
     /// Corners as vectors, mm.
     pub fn corners(&self) -> Vec<Vec<Vector3<f64>>> {
-        self.parts.iter().map(|part| part.iter().map(|p| Vector3::from(*p)).collect()).collect()
+        self.parts
+            .iter()
+            .map(|part| part.iter().map(|p| Vector3::from(*p)).collect())
+            .collect()
     }
 }
 
 /// What CoACD is asked for, and its hash.
 fn request(mesh: &Mesh) -> Result<(Decompose, String), TwinError> {
     let points: Vec<[f64; 3]> = mesh.points().map(Into::into).collect();
-    let triangles: Vec<[i32; 3]> = mesh.triangles().iter().map(|t| t.map(|k| k as i32)).collect();
-    let request = Decompose { points, triangles, threshold: THRESHOLD, most_parts: MAX_PARTS, seed: SEED };
+    let triangles: Vec<[i32; 3]> = mesh
+        .triangles()
+        .iter()
+        .map(|t| t.map(|k| k as i32))
+        .collect();
+    let request = Decompose {
+        points,
+        triangles,
+        threshold: THRESHOLD,
+        most_parts: MAX_PARTS,
+        seed: SEED,
+    };
     let text = serde_json::to_string(&request).map_err(|e| TwinError::Engine(e.to_string()))?;
     let made_from = sha256_hex(text.as_bytes());
     Ok((request, made_from))
@@ -95,7 +117,10 @@ fn file(mesh: &Mesh, folder: &Path, made_from: &str) -> PathBuf {
 
 /// Largest distances parts to mesh and mesh to parts, mm, at points on every triangle.
 fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinError> {
-    let hulls: Vec<TriMesh> = parts.iter().map(|part| hull(&mesh.name, part)).collect::<Result<_, _>>()?;
+    let hulls: Vec<TriMesh> = parts
+        .iter()
+        .map(|part| hull(&mesh.name, part))
+        .collect::<Result<_, _>>()?;
     // Distance from a part, negative inside.
     let from = |hull: &TriMesh, p: &Vector3<f64>| {
         let place = Place::new(p.x, p.y, p.z);
@@ -106,17 +131,24 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
     let mut beyond_mm: f64 = 0.0;
     for hull in &hulls {
         for p in on_triangles(
-            hull.vertices().iter().map(|v| Vector3::new(v.x, v.y, v.z)).collect(),
+            hull.vertices()
+                .iter()
+                .map(|v| Vector3::new(v.x, v.y, v.z))
+                .collect(),
             hull.indices(),
         ) {
             // Only what sticks out: faces between parts lie inside.
-            beyond_mm =
-                mesh.closest_point(&p, f64::MAX).map_or(beyond_mm, |near| beyond_mm.max(near.distance_mm));
+            beyond_mm = mesh
+                .closest_point(&p, f64::MAX)
+                .map_or(beyond_mm, |near| beyond_mm.max(near.distance_mm));
         }
     }
     let mut short_mm: f64 = 0.0;
     for p in on_triangles(mesh.points().collect(), mesh.triangles()) {
-        let nearest = hulls.iter().map(|h| from(h, &p)).fold(f64::INFINITY, f64::min);
+        let nearest = hulls
+            .iter()
+            .map(|h| from(h, &p))
+            .fold(f64::INFINITY, f64::min);
         short_mm = short_mm.max(nearest);
     }
     Ok((beyond_mm, short_mm))
@@ -125,12 +157,17 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
 fn hull(name: &str, part: &[[f64; 3]]) -> Result<TriMesh, TwinError> {
     let refuse = |found: String| {
         let (object, expected) = (name.to_owned(), "convex parts with a volume");
-        TwinError::Sim(SimError::Mesh { object, expected, found })
+        TwinError::Sim(SimError::Mesh {
+            object,
+            expected,
+            found,
+        })
     };
     let places: Vec<Place> = part.iter().map(|p| Place::new(p[0], p[1], p[2])).collect();
     let (points, triangles) =
         parry3d_f64::transformation::try_convex_hull(&places).map_err(|e| refuse(e.to_string()))?;
-    TriMesh::with_flags(points, triangles, TriMeshFlags::ORIENTED).map_err(|e| refuse(e.to_string()))
+    TriMesh::with_flags(points, triangles, TriMeshFlags::ORIENTED)
+        .map_err(|e| refuse(e.to_string()))
 }
 
 /// Points spread over every triangle, corners included.

@@ -40,7 +40,10 @@ pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, SimError> {
 pub fn built_in(name: &str) -> Result<Mesh, SimError> {
     let (points, triangles) = match name {
         "ball" => revolved(&half_circle(30.0, 48)),
-        "block" => prism(&[[-25.0, -35.0], [25.0, -35.0], [25.0, 35.0], [-25.0, 35.0]], 45.0),
+        "block" => prism(
+            &[[-25.0, -35.0], [25.0, -35.0], [25.0, 35.0], [-25.0, 35.0]],
+            45.0,
+        ),
         "bottle" => revolved(&smooth(&[
             [30.0, -80.0],
             [32.0, -70.0],
@@ -50,9 +53,13 @@ pub fn built_in(name: &str) -> Result<Mesh, SimError> {
             [12.0, 75.0],
             [14.0, 80.0],
         ])),
-        "bowl-foot" => {
-            revolved(&smooth(&[[28.0, -25.0], [30.0, -15.0], [38.0, 0.0], [60.0, 20.0], [70.0, 30.0]]))
-        }
+        "bowl-foot" => revolved(&smooth(&[
+            [28.0, -25.0],
+            [30.0, -15.0],
+            [38.0, 0.0],
+            [60.0, 20.0],
+            [70.0, 30.0],
+        ])),
         "can" => revolved(&[[0.0, -50.0], [33.0, -50.0], [33.0, 50.0], [0.0, 50.0]]),
         "cone" => revolved(&[[0.0, -40.0], [35.0, -40.0], [0.0, 50.0]]),
         "hexagon-bar" => prism(&polygon(6, |_| 30.0), 80.0),

@@ -88,12 +88,24 @@ impl PhysicsPlan {
             if low >= least && high >= low && high <= most {
                 return Ok(());
             }
-            let (expected, found) = (format!("{least} <= low <= high <= {most}"), format!("[{low}, {high}]"));
-            Err(SimError::Value { what: String::from(what), expected, found })
+            let (expected, found) = (
+                format!("{least} <= low <= high <= {most}"),
+                format!("[{low}, {high}]"),
+            );
+            Err(SimError::Value {
+                what: String::from(what),
+                expected,
+                found,
+            })
         };
         within("friction", self.friction, 0.0, 2.0)?;
         within("current_mm_s", self.current_mm_s, 0.0, 1000.0)?;
-        within("softening_hardening", [self.softening_hardening; 2], 0.01, 1.0)?;
+        within(
+            "softening_hardening",
+            [self.softening_hardening; 2],
+            0.01,
+            1.0,
+        )?;
         if let Some(onset) = self.softening_onset_per_m {
             within("softening_onset_per_m", onset, 1.0, 1000.0)?;
         }
@@ -139,9 +151,10 @@ impl Physics {
         let hardening = plan.softening_hardening;
         Self {
             friction,
-            softening: plan
-                .softening_onset_per_m
-                .map(|_| Softening::Section { onset_per_m: onset, hardening }),
+            softening: plan.softening_onset_per_m.map(|_| Softening::Section {
+                onset_per_m: onset,
+                hardening,
+            }),
             medium: plan.medium,
             current_mm_s,
             gravity: plan.weight.then_some(gravity),
@@ -151,7 +164,9 @@ impl Physics {
     /// Onset of the softening, 1/m.
     pub fn onset_per_m(&self) -> Option<f64> {
         self.softening.map(|law| match law {
-            Softening::Section { onset_per_m, .. } | Softening::Bilinear { onset_per_m, .. } => onset_per_m,
+            Softening::Section { onset_per_m, .. } | Softening::Bilinear { onset_per_m, .. } => {
+                onset_per_m
+            }
         })
     }
 }
@@ -161,12 +176,15 @@ pub fn fluid_loads(whisker: &WhiskerSpec, physics: &Physics) -> Option<FluidLoad
     let [density_kg_m3, viscosity_m2_s] = physics.medium.fluid()?;
     let diameter_m = whisker.diameter_mm * 1e-3;
     let wire_kg_m3 = whisker.density_or_niti_kg_m3();
-    let pull_n_per_mm = (wire_kg_m3 - density_kg_m3) * PI / 4.0 * diameter_m.powi(2) * GRAVITY_M_S2 * 1e-3;
+    let pull_n_per_mm =
+        (wire_kg_m3 - density_kg_m3) * PI / 4.0 * diameter_m.powi(2) * GRAVITY_M_S2 * 1e-3;
     Some(FluidLoads {
         diameter_m,
         density_kg_m3,
         viscosity_m2_s,
-        weight_n_per_mm: physics.gravity.map_or_else(Vector3::zeros, |down| down * pull_n_per_mm),
+        weight_n_per_mm: physics
+            .gravity
+            .map_or_else(Vector3::zeros, |down| down * pull_n_per_mm),
         current_mm_s: physics.current_mm_s,
     })
 }
@@ -182,7 +200,12 @@ pub fn loads_n_per_mm(
         let velocity = base_mm_s + (ends[0] + ends[1]) / 2.0;
         fluid.load_n_per_mm(&frame.column(0).into_owned(), &velocity)
     };
-    links.frames.iter().zip(nodes_mm_s.windows(2)).map(of).collect()
+    links
+        .frames
+        .iter()
+        .zip(nodes_mm_s.windows(2))
+        .map(of)
+        .collect()
 }
 
 /// Velocities of the links' ends between two places of the wire, mm/s.
@@ -191,7 +214,12 @@ pub(crate) fn node_velocities(
     after: &Configuration,
     seconds: f64,
 ) -> Vec<Vector3<f64>> {
-    before.nodes_mm.iter().zip(&after.nodes_mm).map(|(a, b)| (b - a) / seconds).collect()
+    before
+        .nodes_mm
+        .iter()
+        .zip(&after.nodes_mm)
+        .map(|(a, b)| (b - a) / seconds)
+        .collect()
 }
 
 /// The rod with a sweep's softening.
@@ -216,7 +244,11 @@ mod tests {
             youngs_gpa: 75e3,
             shear_gpa: 28.2e3,
             density_kg_m3: Some(6450.0),
-            rest_shape: RestShape::StraightArc { straight_mm: 60.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+            rest_shape: RestShape::StraightArc {
+                straight_mm: 60.0,
+                arc_radius_mm: 20.0,
+                length_mm: 60.0,
+            },
             gravity_direction: None,
         }
     }
@@ -242,29 +274,50 @@ mod tests {
     /// In closed form: even load q over L gives q L^2 / 2 at the root.
     #[test]
     fn drag_and_weight_of_a_cantilever() {
-        let water = Physics { medium: Medium::Water, ..Physics::default() };
+        let water = Physics {
+            medium: Medium::Water,
+            ..Physics::default()
+        };
         let speed = 0.1;
         let reynolds = speed * 0.3e-3 / 1.004e-6;
-        let per_m = 0.5 * 998.2 * (1.0 + 10.0 * f64::powf(reynolds, -2.0 / 3.0)) * 0.3e-3 * speed * speed;
+        let per_m =
+            0.5 * 998.2 * (1.0 + 10.0 * f64::powf(reynolds, -2.0 / 3.0)) * 0.3e-3 * speed * speed;
         let exact = per_m * 1e-3 * 60.0 * 60.0 / 2.0;
         let up = root_nmm(&water, Vector3::z() * (speed * 1e3));
         // Drag is against the way: down at +x, which is a moment about +y.
-        assert!((up.y - exact).abs() < 1e-3 * exact && up.x.abs() + up.z.abs() < 1e-9, "{up} {exact}");
+        assert!(
+            (up.y - exact).abs() < 1e-3 * exact && up.x.abs() + up.z.abs() < 1e-9,
+            "{up} {exact}"
+        );
         // docs/src/system.md: some 0.005 N mm at 0.1 m/s, with a drag coefficient of one; White's is larger at this Reynolds number.
         assert!((0.004..0.012).contains(&exact), "{exact}");
         // A current of the base's own velocity leaves no drag; along the wire there is none either (negative controls).
-        let with = Physics { current_mm_s: Vector3::z() * 100.0, ..water.clone() };
+        let with = Physics {
+            current_mm_s: Vector3::z() * 100.0,
+            ..water.clone()
+        };
         assert!(root_nmm(&with, Vector3::z() * 100.0).norm() < 1e-12);
         assert!(root_nmm(&water, Vector3::x() * 100.0).norm() < 1e-12);
         let weight = |medium| {
-            let physics = Physics { medium, gravity: Some(-Vector3::z()), ..Physics::default() };
+            let physics = Physics {
+                medium,
+                gravity: Some(-Vector3::z()),
+                ..Physics::default()
+            };
             root_nmm(&physics, Vector3::zeros()).y
         };
         let area = std::f64::consts::PI / 4.0 * 0.3e-3 * 0.3e-3;
         for (medium, fluid) in [(Medium::Air, 1.204), (Medium::Water, 998.2)] {
             let exact = (6450.0 - fluid) * area * 9.80665 * 0.06 * 0.06 / 2.0 * 1e3;
-            assert!((weight(medium) - exact).abs() < 1e-3 * exact, "{} {exact}", weight(medium));
+            assert!(
+                (weight(medium) - exact).abs() < 1e-3 * exact,
+                "{} {exact}",
+                weight(medium)
+            );
         }
-        assert!(weight(Medium::Water) < 0.86 * weight(Medium::Air), "buoyancy");
+        assert!(
+            weight(Medium::Water) < 0.86 * weight(Medium::Air),
+            "buoyancy"
+        );
     }
 }

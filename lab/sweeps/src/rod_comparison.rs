@@ -77,8 +77,17 @@ struct Bin {
 impl ComparisonSum {
     /// Over bins of speed, mm/s: from, to.
     pub fn new(speeds: Vec<[f64; 2]>) -> Self {
-        let bins = speeds.into_iter().map(|speed_mm_s| Bin { speed_mm_s, ..Bin::default() }).collect();
-        Self { bins, ..Self::default() }
+        let bins = speeds
+            .into_iter()
+            .map(|speed_mm_s| Bin {
+                speed_mm_s,
+                ..Bin::default()
+            })
+            .collect();
+        Self {
+            bins,
+            ..Self::default()
+        }
     }
 
     /// Over a plan's speeds.
@@ -95,16 +104,26 @@ impl ComparisonSum {
         self.kept[0] += usize::from(count);
         self.kept[1] += 1;
         for (k, sample) in dynamic.samples.iter().enumerate() {
-            let Some(bin) = self.bin(sample.speed_mm_s) else { continue };
+            let Some(bin) = self.bin(sample.speed_mm_s) else {
+                continue;
+            };
             let bin = &mut self.bins[bin];
             bin.all += 1;
             bin.chattering += usize::from(!sample.settled);
-            bin.overlap_mm = sample.contacts.iter().map(|c| -c.gap_mm).fold(bin.overlap_mm, f64::max);
-            let (Some(there), Some(rod)) = (sample.contacts.first(), quasi.samples.get(k).filter(|_| count))
-            else {
+            bin.overlap_mm = sample
+                .contacts
+                .iter()
+                .map(|c| -c.gap_mm)
+                .fold(bin.overlap_mm, f64::max);
+            let (Some(there), Some(rod)) = (
+                sample.contacts.first(),
+                quasi.samples.get(k).filter(|_| count),
+            ) else {
                 continue;
             };
-            let Some(here) = rod.contacts.first() else { continue };
+            let Some(here) = rod.contacts.first() else {
+                continue;
+            };
             bin.both += 1;
             let apart = here.point_mm - there.point_mm;
             // Another equilibrium: one engine has let the wire spring, the other not yet.
@@ -125,8 +144,14 @@ impl ComparisonSum {
     /// Takes in another sum over the same bins.
     pub fn merge(&mut self, other: &Self) {
         if self.bins.is_empty() {
-            self.bins =
-                other.bins.iter().map(|b| Bin { speed_mm_s: b.speed_mm_s, ..Bin::default() }).collect();
+            self.bins = other
+                .bins
+                .iter()
+                .map(|b| Bin {
+                    speed_mm_s: b.speed_mm_s,
+                    ..Bin::default()
+                })
+                .collect();
         }
         (0..2).for_each(|k| self.kept[k] += other.kept[k]);
         for (own, more) in self.bins.iter_mut().zip(&other.bins) {
@@ -144,15 +169,25 @@ impl ComparisonSum {
     fn bin(&self, speed_mm_s: f64) -> Option<usize> {
         // The ends of the accelerations are rounded.
         let within = |b: &Bin| {
-            speed_mm_s >= b.speed_mm_s[0] - 1e-9 && speed_mm_s < b.speed_mm_s[1].max(b.speed_mm_s[0] + 1e-9)
+            speed_mm_s >= b.speed_mm_s[0] - 1e-9
+                && speed_mm_s < b.speed_mm_s[1].max(b.speed_mm_s[0] + 1e-9)
         };
-        let last = self.bins.last().is_some_and(|b| (speed_mm_s - b.speed_mm_s[1]).abs() <= 1e-9);
-        self.bins.iter().position(within).or_else(|| last.then(|| self.bins.len() - 1))
+        let last = self
+            .bins
+            .last()
+            .is_some_and(|b| (speed_mm_s - b.speed_mm_s[1]).abs() <= 1e-9);
+        self.bins
+            .iter()
+            .position(within)
+            .or_else(|| last.then(|| self.bins.len() - 1))
     }
 
     /// The table.
     pub fn table(&self) -> RodComparison {
-        RodComparison { kept: self.kept, by_speed: self.bins.iter().map(Bin::row).collect() }
+        RodComparison {
+            kept: self.kept,
+            by_speed: self.bins.iter().map(Bin::row).collect(),
+        }
     }
 }
 
@@ -175,15 +210,38 @@ impl Bin {
 
 impl Display for RodComparison {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "MuJoCo against the rod: both kept {} of {} sweeps", self.kept[0], self.kept[1])?;
-        let head =
-            ["speed mm/s", "samples", "elsewhere", "moment off", "rod's RMS N mm", "bias", "contact off mm"];
-        writeln!(f, "{}   overlap mm   chatter", head.map(|h| format!("{h:>14}")).join(" "))?;
+        writeln!(
+            f,
+            "MuJoCo against the rod: both kept {} of {} sweeps",
+            self.kept[0], self.kept[1]
+        )?;
+        let head = [
+            "speed mm/s",
+            "samples",
+            "elsewhere",
+            "moment off",
+            "rod's RMS N mm",
+            "bias",
+            "contact off mm",
+        ];
+        writeln!(
+            f,
+            "{}   overlap mm   chatter",
+            head.map(|h| format!("{h:>14}")).join(" ")
+        )?;
         for r in &self.by_speed {
             let ([from, to], [off, own]) = (r.speed_mm_s, r.moment_rms_nmm);
-            let (elsewhere, bias, chatter) = (r.elsewhere * 100.0, r.bias * 100.0, r.chatter * 100.0);
-            let first = format!("{:>14} {:>14} {elsewhere:>13.1}%", format!("{from:.1}-{to:.1}"), r.samples);
-            let then = format!("{off:>14.4} {own:>14.4} {bias:>13.2}% {:>14.3}", r.contact_rms_mm);
+            let (elsewhere, bias, chatter) =
+                (r.elsewhere * 100.0, r.bias * 100.0, r.chatter * 100.0);
+            let first = format!(
+                "{:>14} {:>14} {elsewhere:>13.1}%",
+                format!("{from:.1}-{to:.1}"),
+                r.samples
+            );
+            let then = format!(
+                "{off:>14.4} {own:>14.4} {bias:>13.2}% {:>14.3}",
+                r.contact_rms_mm
+            );
             writeln!(f, "{first} {then} {:>12.3} {chatter:>8.2}%", r.overlap_mm)?;
         }
         Ok(())
@@ -219,7 +277,12 @@ mod tests {
             event: Event::None,
             settled: true,
         };
-        Run { samples: moments.iter().map(sample).collect(), verdict, solves: 0, iterations: 0 }
+        Run {
+            samples: moments.iter().map(sample).collect(),
+            verdict,
+            solves: 0,
+            iterations: 0,
+        }
     }
 
     #[test]
@@ -229,18 +292,35 @@ mod tests {
         for k in 0..40 {
             let speed = 3.0 + f64::from(k) / 39.0 * 4.0;
             let own = quasi.map(|m| m * (1.0 + 0.02 * speed));
-            sum.add(&run(Verdict::Kept, speed, &own, 30.1), &run(Verdict::Kept, speed, &quasi, 30.0));
+            sum.add(
+                &run(Verdict::Kept, speed, &own, 30.1),
+                &run(Verdict::Kept, speed, &quasi, 30.0),
+            );
         }
         // A rejected sweep and another equilibrium leave the differences as they are.
         let strange = |verdict, x_mm| run(verdict, 6.0, &[9.0], x_mm);
-        sum.add(&strange(Verdict::Kept, 30.1), &run(Verdict::Rejected("no-contact"), 6.0, &[1.0], 30.0));
-        sum.add(&strange(Verdict::Kept, 38.0), &run(Verdict::Kept, 6.0, &[1.0], 30.0));
+        sum.add(
+            &strange(Verdict::Kept, 30.1),
+            &run(Verdict::Rejected("no-contact"), 6.0, &[1.0], 30.0),
+        );
+        sum.add(
+            &strange(Verdict::Kept, 38.0),
+            &run(Verdict::Kept, 6.0, &[1.0], 30.0),
+        );
         let table = sum.table();
         assert_eq!(table.kept, [41, 42]);
-        let [slow, fast] = &table.by_speed[..] else { panic!("{table:?}") };
-        assert!((slow.bias - 0.08).abs() < 0.002 && (fast.bias - 0.12).abs() < 0.002, "{slow:?} {fast:?}");
+        let [slow, fast] = &table.by_speed[..] else {
+            panic!("{table:?}")
+        };
+        assert!(
+            (slow.bias - 0.08).abs() < 0.002 && (fast.bias - 0.12).abs() < 0.002,
+            "{slow:?} {fast:?}"
+        );
         assert_eq!((slow.samples + fast.samples, slow.elsewhere), (121, 0.0));
-        assert!(fast.elsewhere > 0.0 && (fast.contact_rms_mm - 0.1).abs() < 1e-9, "{fast:?}");
+        assert!(
+            fast.elsewhere > 0.0 && (fast.contact_rms_mm - 0.1).abs() < 1e-9,
+            "{fast:?}"
+        );
         assert!(
             fast.moment_rms_nmm[0] < 0.13 * fast.moment_rms_nmm[1] && fast.overlap_mm == 0.01,
             "{fast:?}"
@@ -250,12 +330,24 @@ mod tests {
         twice.merge(&sum);
         twice.merge(&sum);
         let doubled = twice.table();
-        assert_eq!((doubled.kept, doubled.by_speed[0].samples), ([82, 84], 2 * slow.samples));
+        assert_eq!(
+            (doubled.kept, doubled.by_speed[0].samples),
+            ([82, 84], 2 * slow.samples)
+        );
         assert!((doubled.by_speed[1].bias - fast.bias).abs() < 1e-12);
         // Negative control: the same moments have no bias.
         let mut sum = ComparisonSum::new(vec![[3.0, 7.0]]);
-        sum.add(&run(Verdict::Kept, 4.0, &[1.0; 3], 30.0), &run(Verdict::Kept, 4.0, &[1.0; 3], 30.0));
-        assert_eq!((sum.table().by_speed[0].bias, sum.table().by_speed[0].moment_rms_nmm[0]), (0.0, 0.0));
+        sum.add(
+            &run(Verdict::Kept, 4.0, &[1.0; 3], 30.0),
+            &run(Verdict::Kept, 4.0, &[1.0; 3], 30.0),
+        );
+        assert_eq!(
+            (
+                sum.table().by_speed[0].bias,
+                sum.table().by_speed[0].moment_rms_nmm[0]
+            ),
+            (0.0, 0.0)
+        );
     }
 
     #[test]

@@ -68,7 +68,12 @@ pub struct Run {
 impl Run {
     /// Without a sample.
     pub fn rejected(why: &'static str) -> Self {
-        Self { samples: Vec::new(), verdict: Verdict::Rejected(why), solves: 0, iterations: 0 }
+        Self {
+            samples: Vec::new(),
+            verdict: Verdict::Rejected(why),
+            solves: 0,
+            iterations: 0,
+        }
     }
 }
 
@@ -87,7 +92,11 @@ impl RodEngine {
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
         let rod = ContactRod::new(&section, &shape, whisker.diameter_mm, links).map_err(refuse)?;
         let rest = rod.at_rest();
-        Ok(Self { whisker: whisker.clone(), rod, rest })
+        Ok(Self {
+            whisker: whisker.clone(),
+            rod,
+            rest,
+        })
     }
 
     /// How far the wire reaches along the straight part's direction, mm.
@@ -112,7 +121,12 @@ impl RodEngine {
             snapped: false,
             settled: true,
         };
-        let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
+        let mut run = Run {
+            samples: Vec::new(),
+            verdict: Verdict::Kept,
+            solves: 0,
+            iterations: 0,
+        };
         let (mut touched, mut free_since_mm) = (false, None::<f64>);
         state.settle_free();
         if state.clearance_mm() < CLEAR_MM {
@@ -166,7 +180,9 @@ impl RodEngine {
             }
         }
         let unsettled = run.samples.iter().filter(|s| !s.settled).count();
-        if run.verdict == Verdict::Kept && unsettled as f64 > MAX_UNSETTLED * run.samples.len() as f64 {
+        if run.verdict == Verdict::Kept
+            && unsettled as f64 > MAX_UNSETTLED * run.samples.len() as f64
+        {
             run.verdict = Verdict::Rejected("no-equilibrium");
         }
         if run.verdict == Verdict::Kept && !touched {
@@ -225,9 +241,15 @@ impl SweepState<'_> {
     fn clearance_mm(&self) -> f64 {
         let body = self.at(self.travel_mm);
         let gap = |p: &Vector3<f64>| {
-            body.closest_point(p, CLEARED_MM).map_or(f64::INFINITY, |n| n.distance_mm - self.rod.radius_mm)
+            body.closest_point(p, CLEARED_MM)
+                .map_or(f64::INFINITY, |n| n.distance_mm - self.rod.radius_mm)
         };
-        self.contact.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
+        self.contact
+            .links
+            .nodes_mm
+            .iter()
+            .map(gap)
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Loads of the medium, with the velocities of the step before: drag bends the wire far too little to move it on in between.
@@ -245,8 +267,13 @@ impl SweepState<'_> {
             return;
         }
         self.update_loads();
-        let free =
-            self.rod.solve_contact(&NoSurface, &self.contact.links, &[], &Vector3::zeros(), PENALTY_STEPS);
+        let free = self.rod.solve_contact(
+            &NoSurface,
+            &self.contact.links,
+            &[],
+            &Vector3::zeros(),
+            PENALTY_STEPS,
+        );
         self.iterations += free.iterations;
         self.contact = free;
     }
@@ -257,7 +284,11 @@ impl SweepState<'_> {
         let steps = if penalty { PENALTY_STEPS } else { NEWTON_STEPS };
         let coefficient = self.sweep.physics.friction;
         let next = if coefficient > 0.0 {
-            let how = FrictionStep { coefficient, before: &from.links, moved_mm: *moved };
+            let how = FrictionStep {
+                coefficient,
+                before: &from.links,
+                moved_mm: *moved,
+            };
             rod.solve_frictional_contact(&body, &from.contacts, &how, penalty, steps)
         } else if penalty {
             rod.solve_penalty_contact(&body, &from.links, steps)
@@ -335,7 +366,9 @@ pub fn event(before: &[Contact], after: &[Contact], snapped: bool, step_mm: f64)
         (None, Some(_)) => Event::Onset,
         (Some(_), None) => Event::Release,
         _ if snapped => Event::Jump,
-        (Some(a), Some(b)) if (a.arclength_mm - b.arclength_mm).abs() > SLIP_RATIO * step_mm => Event::Slip,
+        (Some(a), Some(b)) if (a.arclength_mm - b.arclength_mm).abs() > SLIP_RATIO * step_mm => {
+            Event::Slip
+        }
         _ => Event::None,
     }
 }

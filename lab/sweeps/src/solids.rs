@@ -35,7 +35,12 @@ pub(crate) fn revolved(profile: &[[f64; 2]]) -> Parts {
     let mut triangles = Vec::new();
     for ring in 0..rings - 1 {
         for k in 0..AROUND {
-            let [a, b, c, d] = [at(ring, k), at(ring, k + 1), at(ring + 1, k), at(ring + 1, k + 1)];
+            let [a, b, c, d] = [
+                at(ring, k),
+                at(ring, k + 1),
+                at(ring + 1, k),
+                at(ring + 1, k + 1),
+            ];
             triangles.push([a, b, d]);
             triangles.push([a, d, c]);
         }
@@ -48,7 +53,8 @@ pub(crate) fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let n = points.len();
     let mut curve = Vec::new();
     for k in 0..n - 1 {
-        let [p0, p1, p2, p3] = [k.saturating_sub(1), k, k + 1, (k + 2).min(n - 1)].map(|i| points[i]);
+        let [p0, p1, p2, p3] =
+            [k.saturating_sub(1), k, k + 1, (k + 2).min(n - 1)].map(|i| points[i]);
         for step in 0..8 {
             let t = f64::from(step) / 8.0;
             curve.push([0, 1].map(|i| {
@@ -67,7 +73,11 @@ pub(crate) fn half_circle(radius_mm: f64, steps: usize) -> Vec<[f64; 2]> {
     (0..=steps)
         .map(|k| {
             let a = PI * k as f64 / steps as f64;
-            let r = if k == 0 || k == steps { 0.0 } else { radius_mm * a.sin() };
+            let r = if k == 0 || k == steps {
+                0.0
+            } else {
+                radius_mm * a.sin()
+            };
             [r, -radius_mm * a.cos()]
         })
         .collect()
@@ -85,7 +95,9 @@ pub(crate) fn polygon(corners: usize, radius_mm: impl Fn(usize) -> f64) -> Vec<[
 /// A polygon that its centre sees whole, counter-clockwise, with a height about z.
 pub(crate) fn prism(polygon: &[[f64; 2]], height_mm: f64) -> Parts {
     let n = polygon.len() as f64;
-    let centre = polygon.iter().fold([0.0, 0.0], |a, p| [a[0] + p[0] / n, a[1] + p[1] / n]);
+    let centre = polygon
+        .iter()
+        .fold([0.0, 0.0], |a, p| [a[0] + p[0] / n, a[1] + p[1] / n]);
     prism_from(polygon, height_mm, centre)
 }
 
@@ -93,7 +105,9 @@ pub(crate) fn prism(polygon: &[[f64; 2]], height_mm: f64) -> Parts {
 pub(crate) fn prism_from(polygon: &[[f64; 2]], height_mm: f64, centre: [f64; 2]) -> Parts {
     let n = polygon.len();
     let ring = |z: f64| polygon.iter().map(move |[x, y]| Vector3::new(*x, *y, z));
-    let mut points: Vec<Vector3<f64>> = ring(-height_mm / 2.0).chain(ring(height_mm / 2.0)).collect();
+    let mut points: Vec<Vector3<f64>> = ring(-height_mm / 2.0)
+        .chain(ring(height_mm / 2.0))
+        .collect();
     points.push(Vector3::new(centre[0], centre[1], -height_mm / 2.0));
     points.push(Vector3::new(centre[0], centre[1], height_mm / 2.0));
     let (below, above) = ((2 * n) as u32, (2 * n + 1) as u32);
@@ -137,5 +151,11 @@ pub(crate) fn rock() -> Parts {
             + 0.03 * (7.0 * p.y + 5.0 * p.z).cos()
     };
     let stretch = Vector3::new(38.0, 30.0, 26.0);
-    (points.iter().map(|p| (p * bumps(p)).component_mul(&stretch)).collect(), triangles)
+    (
+        points
+            .iter()
+            .map(|p| (p * bumps(p)).component_mul(&stretch))
+            .collect(),
+        triangles,
+    )
 }

@@ -126,11 +126,18 @@ impl SweepPlan {
     /// Where a value cannot be.
     pub fn check(&self) -> Result<(), SimError> {
         ranges::check_value(self, &[RANGES])?;
-        for (what, r) in [("speed_mm_s", self.speed_mm_s), ("gap_mm", self.gap_mm), ("lead_mm", self.lead_mm)]
-        {
+        for (what, r) in [
+            ("speed_mm_s", self.speed_mm_s),
+            ("gap_mm", self.gap_mm),
+            ("lead_mm", self.lead_mm),
+        ] {
             if !(r[1] >= r[0]) {
                 let expected = "low <= high".to_owned();
-                return Err(SimError::Value { what: what.to_owned(), expected, found: format!("{r:?}") });
+                return Err(SimError::Value {
+                    what: what.to_owned(),
+                    expected,
+                    found: format!("{r:?}"),
+                });
             }
         }
         // Samples and equilibria of one sweep.
@@ -138,7 +145,8 @@ impl SweepPlan {
         let steps = self.max_travel_mm / self.step_mm;
         for (what, count) in [("rate_hz", samples), ("step_mm", steps)] {
             if !(count <= MAX_STEPS) {
-                let expected = format!("at most {MAX_STEPS} samples and steps of the base in a sweep");
+                let expected =
+                    format!("at most {MAX_STEPS} samples and steps of the base in a sweep");
                 return Err(SimError::Value {
                     what: what.to_owned(),
                     expected,
@@ -176,10 +184,19 @@ impl Sweep {
     /// Draws sweep `index` over an object: the same for the same object, seed and index.
     ///
     /// `None` where the plane misses the object within the wire's reach.
-    pub fn draw(mesh: &Mesh, plan: &SweepPlan, seed: u64, index: u64, reach_mm: f64) -> Option<Self> {
+    pub fn draw(
+        mesh: &Mesh,
+        plan: &SweepPlan,
+        seed: u64,
+        index: u64,
+        reach_mm: f64,
+    ) -> Option<Self> {
         let mut rng = generator(&mesh.name, "", seed, index);
         // Draws of its own: the physics leaves the sweep's way as it is.
-        let physics = Physics::draw(&plan.physics, &mut generator(&mesh.name, "/physics", seed, index));
+        let physics = Physics::draw(
+            &plan.physics,
+            &mut generator(&mesh.name, "/physics", seed, index),
+        );
         let turn = plan.turn.of(index, &mut rng);
         let points: Vec<Vector3<f64>> = mesh.points().map(|p| turn * p).collect();
         let low = points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
@@ -206,9 +223,16 @@ impl Sweep {
             }
         }
         // Gap along x at the object's nearest point; along z the lowest point within reach is touched first.
-        let nearest = section.iter().flatten().map(|s| s[0]).fold(f64::INFINITY, f64::min);
+        let nearest = section
+            .iter()
+            .flatten()
+            .map(|s| s[0])
+            .fold(f64::INFINITY, f64::min);
         let x_mm = gap_mm - nearest;
-        let first = section.iter().map(|s| lowest_within(*s, reach_mm - x_mm)).fold(f64::INFINITY, f64::min);
+        let first = section
+            .iter()
+            .map(|s| lowest_within(*s, reach_mm - x_mm))
+            .fold(f64::INFINITY, f64::min);
         first.is_finite().then(|| Self {
             index,
             turn,
@@ -245,7 +269,11 @@ fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<
             // Turned around where the speed would leave its range.
             let drawn = uniform(rng, [-plan.acceleration_mm_s2, plan.acceleration_mm_s2]);
             let next = speed + drawn * HOLD_S;
-            let a = if (low..=high).contains(&next) { drawn } else { -drawn };
+            let a = if (low..=high).contains(&next) {
+                drawn
+            } else {
+                -drawn
+            };
             let a = a.clamp((low - speed) / HOLD_S, (high - speed) / HOLD_S);
             speed += a * HOLD_S;
             a
@@ -269,7 +297,12 @@ const ROUNDING_MM: f64 = 1e-6;
 impl<'a> MovingObject<'a> {
     /// The object of a sweep after a way of the base, mm.
     pub fn new(mesh: &'a Mesh, sweep: &'a Sweep, travel_mm: f64) -> Self {
-        Self { mesh, sweep, travel_mm, last: Cell::new(None) }
+        Self {
+            mesh,
+            sweep,
+            travel_mm,
+            last: Cell::new(None),
+        }
     }
 }
 
@@ -281,8 +314,10 @@ impl Surface for MovingObject<'_> {
     fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
         let place = self.sweep.turn.tr_mul(&(p - shift));
-        let known =
-            self.last.get().map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
+        let known = self
+            .last
+            .get()
+            .map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
         let found = self.mesh.closest_point_from(&place, within_mm, known)?;
         self.last.set(Some((place, found.distance_mm)));
         Some(ClosestPoint {
@@ -391,7 +426,9 @@ fn haar(rng: &mut ChaCha8Rng) -> Matrix3<f64> {
     let (a, b) = ((1.0 - u).sqrt(), u.sqrt());
     let (v, w) = (std::f64::consts::TAU * v, std::f64::consts::TAU * w);
     let q = Quaternion::new(b * w.cos(), a * v.sin(), a * v.cos(), b * w.sin());
-    UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner()
+    UnitQuaternion::new_normalize(q)
+        .to_rotation_matrix()
+        .into_inner()
 }
 
 fn generator(object: &str, what: &str, seed: u64, index: u64) -> ChaCha8Rng {

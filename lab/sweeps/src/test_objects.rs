@@ -6,8 +6,14 @@ use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 /// Names of the objects set aside for tests; `--object all` has none of them.
-pub const TEST_NAMES: [&str; 6] =
-    ["capsule", "ellipsoid", "hourglass", "l-profile", "ridged-bar", "stepped-shaft"];
+pub const TEST_NAMES: [&str; 6] = [
+    "capsule",
+    "ellipsoid",
+    "hourglass",
+    "l-profile",
+    "ridged-bar",
+    "stepped-shaft",
+];
 
 /// Points and triangles; none for another name.
 pub(crate) fn parts(name: &str) -> Option<Parts> {
@@ -16,7 +22,10 @@ pub(crate) fn parts(name: &str) -> Option<Parts> {
         "ellipsoid" => {
             let (points, triangles) = revolved(&half_circle(1.0, 64));
             let stretch = Vector3::new(42.0, 28.0, 34.0);
-            (points.iter().map(|p| p.component_mul(&stretch)).collect(), triangles)
+            (
+                points.iter().map(|p| p.component_mul(&stretch)).collect(),
+                triangles,
+            )
         }
         "hourglass" => revolved(&smooth(&[
             [32.0, -60.0],
@@ -29,7 +38,14 @@ pub(crate) fn parts(name: &str) -> Option<Parts> {
         ])),
         // Two flanges of 50 mm, 15 mm thick; the middle of the corner sees the whole outline.
         "l-profile" => prism_from(
-            &[[-25.0, -25.0], [25.0, -25.0], [25.0, -10.0], [-10.0, -10.0], [-10.0, 25.0], [-25.0, 25.0]],
+            &[
+                [-25.0, -25.0],
+                [25.0, -25.0],
+                [25.0, -10.0],
+                [-10.0, -10.0],
+                [-10.0, 25.0],
+                [-25.0, 25.0],
+            ],
             90.0,
             [-17.5, -17.5],
         ),

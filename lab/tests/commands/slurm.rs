@@ -23,7 +23,8 @@ impl Drop for Slurm {
         for daemon in self.daemons.iter_mut().rev() {
             let _ = Command::new("kill").arg(daemon.id().to_string()).status();
             let begin = Instant::now();
-            while begin.elapsed() < Duration::from_secs(5) && matches!(daemon.try_wait(), Ok(None)) {
+            while begin.elapsed() < Duration::from_secs(5) && matches!(daemon.try_wait(), Ok(None))
+            {
                 std::thread::sleep(Duration::from_millis(50));
             }
             let _ = daemon.kill();
@@ -65,11 +66,14 @@ impl Slurm {
         for name in ["state", "spool"] {
             std::fs::create_dir(place(name)).map_err(|e| e.to_string())?;
         }
-        let key: Vec<u8> = (0..1024_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let key: Vec<u8> = (0..1024_u32)
+            .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
         std::fs::write(place("key"), key).map_err(|e| e.to_string())?;
         let closed = |path: &Path, mode: u32| {
             use std::os::unix::fs::PermissionsExt;
-            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(|e| e.to_string())
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))
+                .map_err(|e| e.to_string())
         };
         closed(&place("key"), 0o600)?;
         closed(folder.path(), 0o755)?;
@@ -90,7 +94,10 @@ impl Slurm {
             free_port()?
         );
         std::fs::write(place("slurm.conf"), conf).map_err(|e| e.to_string())?;
-        let mut slurm = Self { folder, daemons: Vec::new() };
+        let mut slurm = Self {
+            folder,
+            daemons: Vec::new(),
+        };
         let key = format!("--key-file={}", slurm.place("key").display());
         let socket = format!("--socket={}", slurm.place("munge.sock").display());
         let pid = format!("--pid-file={}", slurm.place("munged.pid").display());
@@ -126,16 +133,23 @@ impl Slurm {
     }
 
     fn daemon(&mut self, program: &str, args: &[&str]) -> Result<(), String> {
-        let log = std::fs::File::create(self.place(&format!("{program}.out"))).map_err(|e| e.to_string())?;
+        let log = std::fs::File::create(self.place(&format!("{program}.out")))
+            .map_err(|e| e.to_string())?;
         let mut command = self.command(program);
-        let command = command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        self.daemons.push(command.spawn().map_err(|e| format!("{program}: {e}"))?);
+        let command = command
+            .args(args)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log);
+        self.daemons
+            .push(command.spawn().map_err(|e| format!("{program}: {e}"))?);
         Ok(())
     }
 
     /// The last lines of a daemon.
     fn said(&self, program: &str) -> String {
-        let text = std::fs::read_to_string(self.place(&format!("{program}.out"))).unwrap_or_default();
+        let text =
+            std::fs::read_to_string(self.place(&format!("{program}.out"))).unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
         lines[lines.len().saturating_sub(4)..].join(" | ")
     }
@@ -155,22 +169,47 @@ impl Slurm {
             "--out",
             out,
         ];
-        command.current_dir(self.folder.path()).args(fixed).args(more).output().unwrap()
+        command
+            .current_dir(self.folder.path())
+            .args(fixed)
+            .args(more)
+            .output()
+            .unwrap()
     }
 
     /// Waits for a submission's check job; its log and exit code, and the tasks that ran.
     fn finished(&self, json: &serde_json::Value, out: &str) -> (String, i32, usize) {
-        let [array, check] = ["array_job", "check_job"].map(|k| json[k].as_str().unwrap().to_owned());
+        let [array, check] =
+            ["array_job", "check_job"].map(|k| json[k].as_str().unwrap().to_owned());
         let show = |job: &str| {
-            let found = self.command("scontrol").args(["show", "job", job]).output().unwrap();
+            let found = self
+                .command("scontrol")
+                .args(["show", "job", job])
+                .output()
+                .unwrap();
             String::from_utf8_lossy(&found.stdout).into_owned()
         };
-        let ended =
-            |text: &str| ["COMPLETED", "FAILED"].iter().any(|s| text.contains(&format!("JobState={s}")));
-        assert!(until(JOBS, || ended(&show(&check))), "{}\n{}", show(&check), self.said("slurmctld"));
-        let code = show(&check).split("ExitCode=").nth(1).and_then(|t| t.split(':').next()?.parse().ok());
+        let ended = |text: &str| {
+            ["COMPLETED", "FAILED"]
+                .iter()
+                .any(|s| text.contains(&format!("JobState={s}")))
+        };
+        assert!(
+            until(JOBS, || ended(&show(&check))),
+            "{}\n{}",
+            show(&check),
+            self.said("slurmctld")
+        );
+        let code = show(&check)
+            .split("ExitCode=")
+            .nth(1)
+            .and_then(|t| t.split(':').next()?.parse().ok());
         let log = std::fs::read_to_string(self.place(out).join("slurm/check.log")).unwrap();
-        (log, code.unwrap(), show(&array).matches("ArrayTaskId=").count())
+        (
+            log,
+            code.unwrap(),
+            show(&array).matches("ArrayTaskId=").count(),
+        )
     }
 }
 
@@ -181,10 +220,17 @@ fn submitted(output: &Output) -> serde_json::Value {
 
 /// Every table's bytes, by name.
 fn tables(folder: &Path) -> std::collections::BTreeMap<String, Vec<u8>> {
-    let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
+    let files = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|f| f.unwrap().path());
     let tables = files.filter(|f| f.extension().is_some_and(|e| e == "parquet") && f.is_file());
     tables
-        .map(|f| (f.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(&f).unwrap()))
+        .map(|f| {
+            (
+                f.file_name().unwrap().to_string_lossy().into_owned(),
+                std::fs::read(&f).unwrap(),
+            )
+        })
         .collect()
 }
 
@@ -211,16 +257,27 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     // While it is in the queue a second submission is refused.
     let second = slurm.simulate("sweeps", &submit);
     assert_eq!(second.status.code(), Some(1));
-    assert!(text(&second.stderr).contains("earlier submission"), "{}", text(&second.stderr));
+    assert!(
+        text(&second.stderr).contains("earlier submission"),
+        "{}",
+        text(&second.stderr)
+    );
     let (log, code, _) = slurm.finished(&first, "sweeps");
     assert_eq!(code, 4, "{log}");
     assert!(log.contains("can-000025 is missing"), "{log}");
-    assert!(!log.contains("can-000000 is missing") && !log.contains("wedge-000000 is missing"), "{log}");
+    assert!(
+        !log.contains("can-000000 is missing") && !log.contains("wedge-000000 is missing"),
+        "{log}"
+    );
 
     // Submitted again: what is there is passed over, a half-written shard is made again too.
     std::fs::remove_dir_all(&obstacle).unwrap();
     let whole = std::fs::read(slurm.place("sweeps/wedge-000000.samples.parquet")).unwrap();
-    std::fs::write(slurm.place("sweeps/wedge-000000.samples.parquet"), &whole[..whole.len() / 2]).unwrap();
+    std::fs::write(
+        slurm.place("sweeps/wedge-000000.samples.parquet"),
+        &whole[..whole.len() / 2],
+    )
+    .unwrap();
     let untouched = slurm.place("sweeps/can-000000.json");
     let before = std::fs::metadata(&untouched).unwrap().modified().unwrap();
     let again = submitted(&slurm.simulate("sweeps", &submit));
@@ -238,7 +295,10 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     let summary = std::fs::read_to_string(slurm.place("sweeps/dataset.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert_eq!(summary["sweeps"], 54);
-    assert!(summary["core_h_per_15600_sweeps"].as_f64().unwrap() > 0.0, "{summary}");
+    assert!(
+        summary["core_h_per_15600_sweeps"].as_f64().unwrap() > 0.0,
+        "{summary}"
+    );
 }
 
 #[test]
@@ -246,8 +306,13 @@ fn the_scripts_are_printed_without_slurm() {
     let folder = tempfile::tempdir().unwrap();
     let header = "#SBATCH --partition=long\n#SBATCH --mem=2G\nmodule load wcal\n";
     std::fs::write(folder.path().join("head.sh"), header).unwrap();
-    let given = "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --out sweeps";
-    let done = program().current_dir(folder.path()).args(given.split_whitespace()).output().unwrap();
+    let given =
+        "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --out sweeps";
+    let done = program()
+        .current_dir(folder.path())
+        .args(given.split_whitespace())
+        .output()
+        .unwrap();
     let scripts = text(&done.stdout);
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
     for (line, times) in [
@@ -256,16 +321,35 @@ fn the_scripts_are_printed_without_slurm() {
         ("#SBATCH --mem=2G", 2),
         ("module load wcal", 2),
     ] {
-        assert_eq!(scripts.lines().filter(|l| *l == line).count(), times, "{line}: {scripts}");
+        assert_eq!(
+            scripts.lines().filter(|l| *l == line).count(),
+            times,
+            "{line}: {scripts}"
+        );
     }
     // Slurm reads its lines up to the first one of another kind.
     let last = scripts.rfind("#SBATCH").unwrap();
     assert!(scripts.rfind("module load").unwrap() > last, "{scripts}");
-    assert!(scripts.contains("'--out' 'sweeps' --shard \"$SLURM_ARRAY_TASK_ID/2\"\n"), "{scripts}");
+    assert!(
+        scripts.contains("'--out' 'sweeps' --shard \"$SLURM_ARRAY_TASK_ID/2\"\n"),
+        "{scripts}"
+    );
     assert!(scripts.contains("'--out' 'sweeps' --check"), "{scripts}");
-    assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
+    assert!(
+        !folder.path().join("sweeps").exists(),
+        "a dry run left something behind"
+    );
     // Negative control: the options mean something only with --slurm.
-    let wrong =
-        program().args(["simulate", "--object", "can", "--dry-run", "--out", "sweeps"]).output().unwrap();
+    let wrong = program()
+        .args([
+            "simulate",
+            "--object",
+            "can",
+            "--dry-run",
+            "--out",
+            "sweeps",
+        ])
+        .output()
+        .unwrap();
     assert_eq!(wrong.status.code(), Some(2));
 }

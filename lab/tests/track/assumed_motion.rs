@@ -46,7 +46,9 @@ fn ways(press: Press, reach_mm: f64, step_mm: f64) -> Vec<[f64; 2]> {
     let mut all = vec![[-1.0, 0.0]];
     let mut go = |to: [f64; 2], pause: usize| {
         let from = all[all.len() - 1];
-        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / step_mm).ceil().max(1.0) as usize;
+        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / step_mm)
+            .ceil()
+            .max(1.0) as usize;
         all.extend((1..=steps).map(|k| {
             let u = k as f64 / steps as f64;
             [0, 1].map(|i| from[i] + (to[i] - from[i]) * u)
@@ -87,9 +89,15 @@ fn pressed(field: &MomentField, press: Press, rng: &mut ChaCha8Rng) -> Vec<Row> 
         let moment_nmm = m.map(|m| m + NOISE_NMM * rng.sample::<f64, _>(StandardNormal));
         // The wire's axis lies in the groove: the touched point is a radius off, against the force.
         let force = (push * along + across * aside).normalize();
-        Row { moment_nmm, touched: held.map(|h| (place - force * radius_mm, h.arclength_mm)) }
+        Row {
+            moment_nmm,
+            touched: held.map(|h| (place - force * radius_mm, h.arclength_mm)),
+        }
     };
-    ways(press, 0.18 * arclength_mm, step_mm).into_iter().map(row).collect()
+    ways(press, 0.18 * arclength_mm, step_mm)
+        .into_iter()
+        .map(row)
+        .collect()
 }
 
 fn swept(series: &SweepSeries) -> Vec<Row> {
@@ -166,15 +174,27 @@ fn track(
     let mut estimator = NetworkEstimator::new((tracker, card), tracker.filters, vouched, None);
     for (k, row) in rows.iter().enumerate() {
         let alone = Reading::alone(k as i64, k as f64 / RATE_HZ, Some(noisy(row.moment_nmm)));
-        let contacts = estimator.push(&Reading { velocity_mm_s, ..alone }).unwrap();
-        let Some((touched_mm, arclength_mm)) = row.touched else { continue };
+        let contacts = estimator
+            .push(&Reading {
+                velocity_mm_s,
+                ..alone
+            })
+            .unwrap();
+        let Some((touched_mm, arclength_mm)) = row.touched else {
+            continue;
+        };
         let (contact, estimate) = (&contacts[0], contacts[0].estimate.as_ref().unwrap());
         let inside = |r: &Region| (r.from_mm - 1e-9..=r.to_mm + 1e-9).contains(&arclength_mm);
         let off = estimate.place_mm - touched_mm;
-        score.ok.add(contact.flags == Flags::default() && estimate.probability >= 0.5);
         score
-            .ellipsoid
-            .add(estimate.covariance_mm2.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < 6.25));
+            .ok
+            .add(contact.flags == Flags::default() && estimate.probability >= 0.5);
+        score.ellipsoid.add(
+            estimate
+                .covariance_mm2
+                .cholesky()
+                .is_some_and(|c| off.dot(&c.solve(&off)) < 6.25),
+        );
         score.regions.add(contact.regions.iter().any(inside));
         score.squares_mm2 += off.norm_squared();
     }
@@ -191,7 +211,11 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let rod = Rod::new(&whisker, 4.0).unwrap();
     let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
     let mut all = Share::default();
-    for (press, streams) in [(Press::HoldAndBack, 16), (Press::StepsAndReversal, 12), (Press::Aside, 12)] {
+    for (press, streams) in [
+        (Press::HoldAndBack, 16),
+        (Press::StepsAndReversal, 12),
+        (Press::Aside, 12),
+    ] {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let (mut vouched, mut stated) = (Score::default(), Score::default());
         for _ in 0..streams {
@@ -206,35 +230,73 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
         all.held += stated.regions.held;
         all.all += stated.regions.all;
         // Control: the network's own regions do not hold them.
-        assert!(vouched.regions.share() < 0.8 && vouched.ok.share() > 0.2, "{press:?}: {vouched:?}");
+        assert!(
+            vouched.regions.share() < 0.8 && vouched.ok.share() > 0.2,
+            "{press:?}: {vouched:?}"
+        );
     }
     // Of forty streams, whose rows share one place each: at least 95 % less 2 sd of the binomial.
     assert!(all.share() > 0.88, "{all:?}");
 
-    let friction = PhysicsPlan { friction: [0.0, 0.3], ..Default::default() };
-    let plan = SweepPlan { physics: friction, rate_hz: RATE_HZ, ..SweepPlan::default() };
+    let friction = PhysicsPlan {
+        friction: [0.0, 0.3],
+        ..Default::default()
+    };
+    let plan = SweepPlan {
+        physics: friction,
+        rate_hz: RATE_HZ,
+        ..SweepPlan::default()
+    };
     let [low, high] = card.training.speed_mm_s();
     let along = |mm_s: f64| Some(Vector3::z() * mm_s);
-    let (mut vouched, mut stated, mut trained) = (Score::default(), Score::default(), Score::default());
+    let (mut vouched, mut stated, mut trained) =
+        (Score::default(), Score::default(), Score::default());
     let mut others = Score::default();
     for name in objects::NAMES {
-        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: 7, sweeps: 2 };
+        let order = SweepRequest {
+            whisker: &whisker,
+            plan: &plan,
+            seed: 7,
+            sweeps: 2,
+        };
         for series in generate_sweeps(&objects::built_in(name).unwrap(), &order).unwrap() {
             let rows = swept(&series);
             track(model, &rows, (true, None), &mut vouched);
             track(model, &rows, (false, None), &mut stated);
-            track(model, &rows, (false, along(0.5 * (low + high))), &mut trained);
+            track(
+                model,
+                &rows,
+                (false, along(0.5 * (low + high))),
+                &mut trained,
+            );
             // Standing, back, across, and faster than in training: nobody can vouch for what is known to be another motion.
-            for other in [along(0.0), along(-5.0), Some(Vector3::new(4.0, 0.0, 4.0)), along(1.01 * high)] {
+            for other in [
+                along(0.0),
+                along(-5.0),
+                Some(Vector3::new(4.0, 0.0, 4.0)),
+                along(1.01 * high),
+            ] {
                 track(model, &rows, (true, other), &mut others);
             }
         }
     }
     println!("{}", vouched.line("Sweeps that somebody vouches for"));
     println!("{}", stated.line("Sweeps"));
-    assert!(vouched.ok.share() > 0.98 && trained.ok.held == vouched.ok.held, "{vouched:?} {trained:?}");
+    assert!(
+        vouched.ok.share() > 0.98 && trained.ok.held == vouched.ok.held,
+        "{vouched:?} {trained:?}"
+    );
     // No place is another than the network's, and no contact is ok.
-    assert!(stated.ok.held == 0 && vouched.squares_mm2 == stated.squares_mm2, "{stated:?}");
-    assert!(others.ok.held == 0 && others.streams == 4 * 2 * objects::NAMES.len(), "{others:?}");
-    assert!(stated.regions.share() > 0.95 && stated.ellipsoid.share() > 0.95, "{stated:?}");
+    assert!(
+        stated.ok.held == 0 && vouched.squares_mm2 == stated.squares_mm2,
+        "{stated:?}"
+    );
+    assert!(
+        others.ok.held == 0 && others.streams == 4 * 2 * objects::NAMES.len(),
+        "{others:?}"
+    );
+    assert!(
+        stated.regions.share() > 0.95 && stated.ellipsoid.share() > 0.95,
+        "{stated:?}"
+    );
 }

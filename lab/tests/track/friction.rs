@@ -16,18 +16,36 @@ const SWEEPS: usize = 6;
 const SEED: u64 = 9;
 
 fn plan(friction: f64, weight: bool) -> SweepPlan {
-    let physics =
-        PhysicsPlan { friction: [friction; 2], medium: Medium::Air, weight, ..PhysicsPlan::default() };
-    SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
+    let physics = PhysicsPlan {
+        friction: [friction; 2],
+        medium: Medium::Air,
+        weight,
+        ..PhysicsPlan::default()
+    };
+    SweepPlan {
+        rate_hz: 10.0,
+        physics,
+        ..SweepPlan::default()
+    }
 }
 
 fn meshes() -> BTreeMap<String, Mesh> {
-    ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into()
+    ["ball", "can"]
+        .map(|n| (n.to_owned(), objects::built_in(n).unwrap()))
+        .into()
 }
 
 fn all_series(plan: &SweepPlan) -> BTreeMap<String, Vec<SweepSeries>> {
-    let order = SweepRequest { whisker: &WhiskerSpec::nominal(), plan, seed: SEED, sweeps: SWEEPS };
-    meshes().into_iter().map(|(name, mesh)| (name, generate_sweeps(&mesh, &order).unwrap())).collect()
+    let order = SweepRequest {
+        whisker: &WhiskerSpec::nominal(),
+        plan,
+        seed: SEED,
+        sweeps: SWEEPS,
+    };
+    meshes()
+        .into_iter()
+        .map(|(name, mesh)| (name, generate_sweeps(&mesh, &order).unwrap()))
+        .collect()
 }
 
 /// Mean over objects of the median distance to the true contact where it is followed, mm.
@@ -35,14 +53,22 @@ fn followed_mm(all_series: &BTreeMap<String, Vec<SweepSeries>>, settings: &Bayes
     let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();
     let method = Method::Bayes(&inverse, true, settings);
     let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes()).unwrap();
-    rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
+    rows.iter()
+        .map(|r| r.followed.true_contact_median_mm)
+        .sum::<f64>()
+        / rows.len() as f64
 }
 
 /// Where the wire slides under friction, a filter that weighs friction finds the contact better than one that knows of none.
 #[test]
 fn the_filter_that_weighs_friction_follows_a_wire_that_is_dragged() {
-    let (with, without) =
-        (BayesSettings::multi_mu(), BayesSettings { friction: [0.0; 3], ..BayesSettings::multi_mu() });
+    let (with, without) = (
+        BayesSettings::multi_mu(),
+        BayesSettings {
+            friction: [0.0; 3],
+            ..BayesSettings::multi_mu()
+        },
+    );
     let dragged = all_series(&plan(0.2, false));
     let [told, not] = [&with, &without].map(|s| followed_mm(&dragged, s));
     assert!(
@@ -52,7 +78,10 @@ fn the_filter_that_weighs_friction_follows_a_wire_that_is_dragged() {
     // Negative control: where there is none, the one that knows so is the better of the two.
     let smooth = all_series(&plan(0.0, false));
     let [told, not] = [&with, &without].map(|s| followed_mm(&smooth, s));
-    assert!(not < told && told < 1.5, "without friction: {told} mm, {not} mm");
+    assert!(
+        not < told && told < 1.5,
+        "without friction: {told} mm, {not} mm"
+    );
 }
 
 /// The zero of a series is the free wire: its weight is no push, whether the series is drawn on the spot or read.
@@ -73,13 +102,25 @@ fn a_free_wire_that_hangs_has_no_moment() {
     let read = sweep_series::read_sweep_series(folder.path(), &[]).unwrap();
     for series in read["ball"].iter().chain(&all_series(&plan)["ball"]) {
         let most = |instants: &mut dyn Iterator<Item = &wcal_lab::SweepSample>| {
-            instants.map(|i| i.moment_nmm[0].hypot(i.moment_nmm[1])).fold(0.0, f64::max)
+            instants
+                .map(|i| i.moment_nmm[0].hypot(i.moment_nmm[1]))
+                .fold(0.0, f64::max)
         };
         let idle = most(&mut series.samples.iter().take_while(|i| i.contact.is_none()));
         let pressed = most(&mut series.samples.iter().filter(|i| i.contact.is_some()));
         // The wire's weight alone makes 0.008 N mm where it lies level; air makes some 1e-7.
-        assert!(idle < 1e-4, "{}/{}: {idle} N mm", series.object, series.sweep);
-        assert!(pressed > 0.01, "{}/{}: {pressed} N mm", series.object, series.sweep);
+        assert!(
+            idle < 1e-4,
+            "{}/{}: {idle} N mm",
+            series.object,
+            series.sweep
+        );
+        assert!(
+            pressed > 0.01,
+            "{}/{}: {pressed} N mm",
+            series.object,
+            series.sweep
+        );
     }
     // A series has as many contacts whether it is drawn on the spot or read.
     for (read, drawn) in read["ball"].iter().zip(&all_series(&plan)["ball"]) {
@@ -87,12 +128,17 @@ fn a_free_wire_that_hangs_has_no_moment() {
         assert_eq!((read.sweep, counts(read)), (drawn.sweep, counts(drawn)));
     }
     // Negative control: the twin's own moment is that of the weight.
-    let samples = wcal_lab::dataset::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
+    let samples =
+        wcal_lab::dataset::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
     let [y, z] = ["moment_y_nmm", "moment_z_nmm"].map(|k| samples.real(k).unwrap()[0]);
     assert!(y.hypot(z) > 1e-3, "{y} {z}");
 }
 
 fn first_shard(folder: &std::path::Path) -> String {
-    let (name, _) = wcal_lab::dataset::read::manifests(folder).unwrap().into_iter().next().unwrap();
+    let (name, _) = wcal_lab::dataset::read::manifests(folder)
+        .unwrap()
+        .into_iter()
+        .next()
+        .unwrap();
     format!("{name}.samples.parquet")
 }

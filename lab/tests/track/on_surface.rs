@@ -19,14 +19,30 @@ use wcal_track::sd_factors::SdFactors;
 type Meshes = BTreeMap<String, Mesh>;
 
 fn meshes() -> Meshes {
-    ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into()
+    ["ball", "can"]
+        .map(|n| (n.to_owned(), objects::built_in(n).unwrap()))
+        .into()
 }
 
 fn all_series(meshes: &Meshes, seed: u64, sweeps: usize) -> BTreeMap<String, Vec<SweepSeries>> {
-    let (whisker, plan) =
-        (WhiskerSpec::nominal(), SweepPlan { rate_hz: 10.0, max_travel_mm: 60.0, ..SweepPlan::default() });
-    let order = SweepRequest { whisker: &whisker, plan: &plan, seed, sweeps };
-    meshes.iter().map(|(n, mesh)| (n.clone(), generate_sweeps(mesh, &order).unwrap())).collect()
+    let (whisker, plan) = (
+        WhiskerSpec::nominal(),
+        SweepPlan {
+            rate_hz: 10.0,
+            max_travel_mm: 60.0,
+            ..SweepPlan::default()
+        },
+    );
+    let order = SweepRequest {
+        whisker: &whisker,
+        plan: &plan,
+        seed,
+        sweeps,
+    };
+    meshes
+        .iter()
+        .map(|(n, mesh)| (n.clone(), generate_sweeps(mesh, &order).unwrap()))
+        .collect()
 }
 
 #[test]
@@ -36,12 +52,18 @@ fn a_point_above_the_ball_comes_down_to_where_it_was_lifted_from() {
     let middle = Point3::from((ball.low_mm + ball.high_mm) / 2.0);
     let mut touched = 0;
     for instant in &series.samples {
-        let Some(contact) = instant.contact else { continue };
+        let Some(contact) = instant.contact else {
+            continue;
+        };
         let middle = series.base_from_object * middle - Vector3::z() * instant.travel_mm;
         let lifted = contact.point_mm + (contact.point_mm - middle.coords).normalize() * 2.0;
         let found = series.closest_surface_point(ball, instant.travel_mm, &lifted);
         // Facets of the ball are tilted by up to a tenth.
-        assert!((found - contact.point_mm).norm() < 0.3, "{found} {}", contact.point_mm);
+        assert!(
+            (found - contact.point_mm).norm() < 0.3,
+            "{found} {}",
+            contact.point_mm
+        );
         assert!((series.surface_distance_mm(ball, instant.travel_mm, &lifted) - 2.0).abs() < 0.05);
         assert!(series.surface_distance_mm(ball, instant.travel_mm, &found) < 1e-9);
         // Negative control: the object has moved on.
@@ -58,8 +80,15 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let meshes = meshes();
     let inverse = coarse_inverse();
     let small = preset("compact", inverse, true).unwrap();
-    let config =
-        NetworkConfig { layers: 1, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..small };
+    let config = NetworkConfig {
+        layers: 1,
+        heads: 2,
+        width: 16,
+        feed_forward: 32,
+        encoder: 24,
+        context: 24,
+        ..small
+    };
     let settings = TrainSettings {
         epochs: 40,
         batch: 4,
@@ -74,10 +103,19 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let judged = all_series(&meshes, 5, 6);
     let device = Device::flex();
     let surface_mm = |known: &Meshes| {
-        let material =
-            TrainingData { all_series: &trained, held_out: &held_out, inverse, meshes: known, from: None };
+        let material = TrainingData {
+            all_series: &trained,
+            held_out: &held_out,
+            inverse,
+            meshes: known,
+            from: None,
+        };
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
-        assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() != known.is_empty()));
+        assert!(
+            passes
+                .iter()
+                .all(|p| p.held_out_surface_mm.is_some() != known.is_empty())
+        );
         let (filters, inverse) = (settings.filters(), inverse.clone());
         let tracker = Tracker {
             config,
@@ -86,14 +124,23 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             filters,
             sd_factors: [1.0; 2].map(SdFactors::constant),
         };
-        let rows = score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes);
+        let rows = score_objects(
+            &|c: &SweepSeries| Method::Network(&tracker, true).run(c),
+            &judged,
+            &meshes,
+        );
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64
     };
-    let swapped = [("ball", "can"), ("can", "ball")].map(|(n, of)| (n.to_owned(), meshes[of].clone())).into();
+    let swapped = [("ball", "can"), ("can", "ball")]
+        .map(|(n, of)| (n.to_owned(), meshes[of].clone()))
+        .into();
     let [contacts, surfaces, wrong] = [&Meshes::new(), &meshes, &swapped].map(surface_mm);
     println!(
         "from the surface: {contacts:.3} mm, with surfaces {surfaces:.3} mm, with wrong ones {wrong:.3} mm"
     );
-    assert!(surfaces < contacts && surfaces < wrong, "{contacts} {surfaces} {wrong}");
+    assert!(
+        surfaces < contacts && surfaces < wrong,
+        "{contacts} {surfaces} {wrong}"
+    );
 }

@@ -15,7 +15,16 @@ use wcal_lab_sweeps::SweepPlan;
 use wcal_lab_sweeps::objects::built_in;
 use wcal_rod::Shape;
 
-const OBJECTS: [&str; 8] = ["ball", "block", "bottle", "hexagon-bar", "can", "vase", "wedge", "rock"];
+const OBJECTS: [&str; 8] = [
+    "ball",
+    "block",
+    "bottle",
+    "hexagon-bar",
+    "can",
+    "vase",
+    "wedge",
+    "rock",
+];
 const DIRECTIONS_DEG: [f64; 4] = [0.0, 90.0, 200.0, 300.0];
 const SWEEPS: usize = 1;
 /// Noise of the moments and their zero, N mm.
@@ -34,27 +43,57 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
     let nominal = WhiskerSpec::nominal();
     let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), angle_deg.to_radians());
     let shape = Shape::new(&nominal.rest_shape, 0.25).unwrap();
-    let points = (0..=240).map(|k| turn * shape.rest_point(0.25 * f64::from(k))).collect();
-    let whisker = WhiskerSpec { rest_shape: RestShape::Polyline(points), ..nominal };
+    let points = (0..=240)
+        .map(|k| turn * shape.rest_point(0.25 * f64::from(k)))
+        .collect();
+    let whisker = WhiskerSpec {
+        rest_shape: RestShape::Polyline(points),
+        ..nominal
+    };
     // Without jumps a frictionless sweep is the same on its way back.
-    let plan = SweepPlan { rate_hz: 10.0, keep_jumps: false, ..SweepPlan::default() };
-    let request = SweepRequest { whisker: &whisker, plan: &plan, seed, sweeps: SWEEPS };
+    let plan = SweepPlan {
+        rate_hz: 10.0,
+        keep_jumps: false,
+        ..SweepPlan::default()
+    };
+    let request = SweepRequest {
+        whisker: &whisker,
+        plan: &plan,
+        seed,
+        sweeps: SWEEPS,
+    };
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let mut normal =
-        move |sd: f64| sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
+    let mut normal = move |sd: f64| {
+        sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng)
+    };
     let back = turn.inverse();
-    let all = OBJECTS.iter().flat_map(|name| generate_sweeps(&built_in(name).unwrap(), &request).unwrap());
+    let all = OBJECTS
+        .iter()
+        .flat_map(|name| generate_sweeps(&built_in(name).unwrap(), &request).unwrap());
     all.map(|series| {
-        let middle = series.samples.iter().rposition(|s| s.contact.is_some()).unwrap_or(0) * 2 / 3;
+        let middle = series
+            .samples
+            .iter()
+            .rposition(|s| s.contact.is_some())
+            .unwrap_or(0)
+            * 2
+            / 3;
         let forward = &series.samples[..=middle];
         let held = std::iter::repeat_n(&series.samples[middle], 8);
-        let order: Vec<&SweepSample> = forward.iter().chain(held).chain(forward.iter().rev()).collect();
+        let order: Vec<&SweepSample> = forward
+            .iter()
+            .chain(held)
+            .chain(forward.iter().rev())
+            .collect();
         let zero = [normal(ZERO_NMM), normal(ZERO_NMM)];
         let row = |(k, s): (usize, &&SweepSample)| {
             let m = back * Vector3::new(0.0, s.moment_nmm[0], s.moment_nmm[1]);
             MotionRow {
                 t_s: 0.1 * k as f64,
-                moment_nmm: [m.y + zero[0] + normal(NOISE_NMM), m.z + zero[1] + normal(NOISE_NMM)],
+                moment_nmm: [
+                    m.y + zero[0] + normal(NOISE_NMM),
+                    m.z + zero[1] + normal(NOISE_NMM),
+                ],
                 noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
                 shared_nmm: vec![[ZERO_NMM, 0.0], [0.0, ZERO_NMM]],
                 free_nmm2: None,
@@ -69,7 +108,10 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
         };
         let rows = order.iter().enumerate().map(row).collect();
         let single = |s: &&SweepSample| s.contact.filter(|_| s.contacts == 1);
-        let truth = order.iter().map(|s| single(s).map(|c| (back * c.point_mm, c.arclength_mm))).collect();
+        let truth = order
+            .iter()
+            .map(|s| single(s).map(|c| (back * c.point_mm, c.arclength_mm)))
+            .collect();
         Track { rows, truth }
     })
     .collect()
@@ -78,7 +120,12 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
 #[test]
 fn a_sliding_contact_is_followed_in_any_direction() {
     let rod = wcal_rod::Rod::new(&WhiskerSpec::nominal(), 2.0).unwrap();
-    let wire = TouchedWire::new(&rod, WhiskerSpec::nominal().diameter_mm, &MomentAxes::default()).unwrap();
+    let wire = TouchedWire::new(
+        &rod,
+        WhiskerSpec::nominal().diameter_mm,
+        &MomentAxes::default(),
+    )
+    .unwrap();
     let (mut supported, mut reversed_supported, mut sure, mut all) = (0, 0, 0, 0);
     println!("SIMULATED; contact error in space; regions along the wire");
     let (mut pooled_held, mut pooled) = (0, 0);
@@ -86,7 +133,10 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     for (n, angle_deg) in DIRECTIONS_DEG.into_iter().enumerate() {
         let (mut errors, mut held, mut within) = (Vec::new(), 0, 0);
         let both = |track: Track| (locate_sliding(&wire, &track.rows), track);
-        let found: Vec<_> = tracks(angle_deg, 140 + n as u64).into_par_iter().map(both).collect();
+        let found: Vec<_> = tracks(angle_deg, 140 + n as u64)
+            .into_par_iter()
+            .map(both)
+            .collect();
         for (found, track) in found {
             // Control: who is given the motion with its sign reversed.
             let control = SlidingContact {
@@ -103,14 +153,21 @@ fn a_sliding_contact_is_followed_in_any_direction() {
             }
             for ((place, arc), truth) in found.places.iter().zip(&found.arcs).zip(&track.truth) {
                 let regions = arc.regions();
-                let (Some(at), Some((truth_mm, s_mm))) = (place.place_mm, truth) else { continue };
+                let (Some(at), Some((truth_mm, s_mm))) = (place.place_mm, truth) else {
+                    continue;
+                };
                 // The answer is the wire's axis, a radius from the object's point.
                 let off = at - truth_mm;
                 errors.push((off.norm_squared() - RADIUS_MM * RADIUS_MM).max(0.0).sqrt());
                 widths.push(regions.iter().map(|r| r.to_mm - r.from_mm).sum::<f64>());
                 held += usize::from(regions.iter().any(|r| (r.from_mm..=r.to_mm).contains(s_mm)));
-                let spread = place.covariance_mm2 + nalgebra::Matrix3::identity() * RADIUS_MM * RADIUS_MM;
-                within += usize::from(spread.try_inverse().is_some_and(|i| off.dot(&(i * off)) < 7.815));
+                let spread =
+                    place.covariance_mm2 + nalgebra::Matrix3::identity() * RADIUS_MM * RADIUS_MM;
+                within += usize::from(
+                    spread
+                        .try_inverse()
+                        .is_some_and(|i| off.dot(&(i * off)) < 7.815),
+                );
             }
         }
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
@@ -132,7 +189,10 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     );
     widths.sort_by(f64::total_cmp);
     let quantile = |of: &[f64], q: f64| of[(q * (of.len() - 1) as f64) as usize];
-    println!("regions along the wire, width in mm: {:.1?}", [0.1, 0.5, 0.9].map(|q| quantile(&widths, q)));
+    println!(
+        "regions along the wire, width in mm: {:.1?}",
+        [0.1, 0.5, 0.9].map(|q| quantile(&widths, q))
+    );
     assert!(all >= 20, "{all}");
     // A track that turns back is never sure: some contacts are lost, and the regions say so. How narrow they are where the answer is sure, and how
     // near the truth, is tested in sliding_sweeps.rs.
@@ -142,7 +202,10 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     medians.sort_by(f64::total_cmp);
     assert!(medians[2] < 0.6, "{medians:?}");
     // A wrong motion is supported in three of 22, the true one in 18.
-    assert!(supported * 10 >= all * 6 && reversed_supported * 7 <= all, "{supported} {reversed_supported}");
+    assert!(
+        supported * 10 >= all * 6 && reversed_supported * 7 <= all,
+        "{supported} {reversed_supported}"
+    );
     // Readings of a track share their errors: some 20 tracks determine the coverage to a few per cent.
     let coverage = pooled_held as f64 / pooled as f64;
     assert!((0.9..=1.0).contains(&coverage), "{coverage}");

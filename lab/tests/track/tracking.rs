@@ -26,7 +26,14 @@ fn whisker() -> WhiskerSpec {
 }
 
 fn grid() -> InverseGrid {
-    InverseGrid { step_mm: 4.0, refine: 1, tilts: 3, directions: 24, steps: 16, ..InverseGrid::default() }
+    InverseGrid {
+        step_mm: 4.0,
+        refine: 1,
+        tilts: 3,
+        directions: 24,
+        steps: 16,
+        ..InverseGrid::default()
+    }
 }
 
 /// Of the nominal whisker, coarse.
@@ -44,7 +51,10 @@ fn fine() -> &'static StaticInverse {
 const SEED: u64 = 4;
 
 fn plan() -> SweepPlan {
-    SweepPlan { rate_hz: 10.0, ..SweepPlan::default() }
+    SweepPlan {
+        rate_hz: 10.0,
+        ..SweepPlan::default()
+    }
 }
 
 /// Ten sweeps over two objects, made once.
@@ -56,7 +66,9 @@ fn all_series() -> &'static BTreeMap<String, Vec<SweepSeries>> {
             engine: std::sync::Arc::new(wcal_lab::dataset::RodSweeps),
             whisker: whisker(),
             plan: plan(),
-            objects: ["ball", "can"].map(|n| objects::built_in(n).unwrap()).into(),
+            objects: ["ball", "can"]
+                .map(|n| objects::built_in(n).unwrap())
+                .into(),
             sweeps: 5,
             seed: SEED,
             share: [0, 1],
@@ -68,7 +80,15 @@ fn all_series() -> &'static BTreeMap<String, Vec<SweepSeries>> {
 
 fn tiny() -> NetworkConfig {
     let config = preset("compact", coarse_inverse(), true).unwrap();
-    NetworkConfig { layers: 2, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..config }
+    NetworkConfig {
+        layers: 2,
+        heads: 2,
+        width: 16,
+        feed_forward: 32,
+        encoder: 24,
+        context: 24,
+        ..config
+    }
 }
 
 /// Of weights that are the same at each call.
@@ -102,12 +122,18 @@ fn samples(series: &SweepSeries) -> Vec<Sample> {
 fn the_curve_of_candidates_passes_through_the_contact() {
     let (mut off, mut wrong, mut solutions) = (Vec::new(), Vec::new(), Vec::new());
     for instant in all_series().values().flatten().flat_map(|c| &c.samples) {
-        let Some(contact) = instant.contact.filter(|_| instant.contacts == 1 && instant.settled) else {
+        let Some(contact) = instant
+            .contact
+            .filter(|_| instant.contacts == 1 && instant.settled)
+        else {
             continue;
         };
         let mut nearest = |factor: f64| {
             fine().solutions(instant.moment_nmm.map(|m| m * factor), &mut solutions);
-            solutions.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
+            solutions
+                .iter()
+                .map(|c| (c.point_mm - contact.point_mm).norm())
+                .fold(f64::INFINITY, f64::min)
         };
         off.push(nearest(1.0));
         wrong.push(nearest(0.5));
@@ -128,13 +154,17 @@ fn the_curve_holds_a_tip_whose_force_leans() {
     let (mut off, mut square, mut solutions) = (Vec::new(), Vec::new(), Vec::new());
     let on_wire = fine().nodes.iter().take_while(|n| n.tilt == 0.0).count();
     for instant in all_series().values().flatten().flat_map(|c| &c.samples) {
-        let Some(contact) = instant.contact.filter(|c| c.arclength_mm > 59.99 && instant.contacts == 1)
+        let Some(contact) = instant
+            .contact
+            .filter(|c| c.arclength_mm > 59.99 && instant.contacts == 1)
         else {
             continue;
         };
         fine().solutions(instant.moment_nmm, &mut solutions);
         let nearest = |all: &[wcal_track::InverseSolution]| {
-            all.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
+            all.iter()
+                .map(|c| (c.point_mm - contact.point_mm).norm())
+                .fold(f64::INFINITY, f64::min)
         };
         off.push(nearest(&solutions));
         square.push(nearest(&solutions[..on_wire]));
@@ -153,7 +183,16 @@ fn the_curve_holds_a_tip_whose_force_leans() {
 fn drawn_courses_are_those_of_a_dataset() {
     let ball = objects::built_in("ball").unwrap();
     let made = |seed: u64| {
-        generate_sweeps(&ball, &SweepRequest { whisker: &whisker(), plan: &plan(), seed, sweeps: 2 }).unwrap()
+        generate_sweeps(
+            &ball,
+            &SweepRequest {
+                whisker: &whisker(),
+                plan: &plan(),
+                seed,
+                sweeps: 2,
+            },
+        )
+        .unwrap()
     };
     let (right, other, kept) = (made(SEED), made(SEED + 1), &all_series()["ball"][..2]);
     assert_eq!(right.len(), 2);
@@ -166,15 +205,24 @@ fn drawn_courses_are_those_of_a_dataset() {
 /// With the base's speed known the filter finds the contact; with another speed stated, it does not.
 #[test]
 fn the_bayes_filter_follows_with_the_right_speed_only() {
-    let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
+    let meshes = ["ball", "can"]
+        .map(|n| (n.to_owned(), objects::built_in(n).unwrap()))
+        .into();
     let median = |all_series: &BTreeMap<String, Vec<SweepSeries>>| {
         let settings = BayesSettings::default();
         let method = Method::Bayes(fine(), true, &settings);
         let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes).unwrap();
-        rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
+        rows.iter()
+            .map(|r| r.followed.true_contact_median_mm)
+            .sum::<f64>()
+            / rows.len() as f64
     };
     let mut hurried = all_series().clone();
-    hurried.values_mut().flatten().flat_map(|c| &mut c.samples).for_each(|i| i.speed_mm_s *= 1.6);
+    hurried
+        .values_mut()
+        .flatten()
+        .flat_map(|c| &mut c.samples)
+        .for_each(|i| i.speed_mm_s *= 1.6);
     let (right, wrong) = (median(all_series()), median(&hurried));
     assert!(right < 1.0 && wrong > 2.0 * right, "{right} {wrong}");
 }
@@ -186,11 +234,16 @@ fn a_base_that_goes_back_leaves_answers_finite() {
     let series = &all_series()["can"][0];
     let answers = |speed: &dyn Fn(usize) -> f64| {
         let mut all = samples(series);
-        all.iter_mut().enumerate().for_each(|(k, s)| s.base_mm_s = Some(speed(k)));
+        all.iter_mut()
+            .enumerate()
+            .for_each(|(k, s)| s.base_mm_s = Some(speed(k)));
         tracker.track_series(&all)
     };
     let back = answers(&|k| [0.0, -30.0, 5.0][k % 3]);
-    assert!(back.iter().all(|p| p.contact.is_finite() && p.point_mm.iter().all(|x| x.is_finite())));
+    assert!(
+        back.iter()
+            .all(|p| p.contact.is_finite() && p.point_mm.iter().all(|x| x.is_finite()))
+    );
     assert!(back != answers(&|_| 5.0));
 }
 
@@ -201,7 +254,10 @@ fn every_parameter_learns() {
     struct Without<'a>(&'a GradientsParams, usize, Vec<usize>);
     impl ModuleVisitor for Without<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let moved = self.0.get::<D>(param.id).is_some_and(|g| g.abs().sum().into_scalar::<f32>() > 0.0);
+            let moved = self
+                .0
+                .get::<D>(param.id)
+                .is_some_and(|g| g.abs().sum().into_scalar::<f32>() > 0.0);
             if !moved {
                 self.2.push(self.1);
             }
@@ -212,9 +268,14 @@ fn every_parameter_learns() {
     let config = tiny();
     let net = TrainableNet::new(&config, &device).unwrap();
     let times = vec![(0..6).map(|k| f64::from(k) * 0.1).collect::<Vec<_>>(); 2];
-    let inputs: Vec<f32> = (0..2 * 6 * config.inputs).map(|k| ((k * 37 % 101) as f32) / 50.0 - 1.0).collect();
+    let inputs: Vec<f32> = (0..2 * 6 * config.inputs)
+        .map(|k| ((k * 37 % 101) as f32) / 50.0 - 1.0)
+        .collect();
     let inputs = Tensor::<3>::from_data(TensorData::new(inputs, [2, 6, config.inputs]), &device);
-    let out = net.forward(inputs, attention_bias(&times, config.heads, config.context, &device));
+    let out = net.forward(
+        inputs,
+        attention_bias(&times, config.heads, config.context, &device),
+    );
     let gradients = GradientsParams::from_grads(out.square().sum().backward(), &net);
     let mut visitor = Without(&gradients, 0, Vec::new());
     net.visit(&mut visitor);
@@ -245,8 +306,11 @@ fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
 fn a_filter_beside_another_believes_what_it_does_alone() {
     let both = TrainSettings::default().filters();
     let filter = |settings| BayesFilter::new(coarse_inverse(), settings);
-    let (mut first, mut beside, mut alone) =
-        (filter(both.frictional), filter(both.frictionless.unwrap()), filter(both.frictionless.unwrap()));
+    let (mut first, mut beside, mut alone) = (
+        filter(both.frictional),
+        filter(both.frictionless.unwrap()),
+        filter(both.frictionless.unwrap()),
+    );
     let mut apart = 0.0_f64;
     for sample in samples(&all_series()["can"][1]) {
         first.step(0.1, sample.moment_nmm, sample.base_mm_s);
@@ -254,7 +318,12 @@ fn a_filter_beside_another_believes_what_it_does_alone() {
         alone.step(0.1, sample.moment_nmm, sample.base_mm_s);
         assert_eq!(beside.solutions(), alone.solutions());
         assert_eq!(beside.posterior(), alone.posterior());
-        let off = first.posterior().iter().zip(beside.posterior()).map(|(a, b)| (a - b).abs()).sum();
+        let off = first
+            .posterior()
+            .iter()
+            .zip(beside.posterior())
+            .map(|(a, b)| (a - b).abs())
+            .sum();
         apart = apart.max(off);
     }
     assert!(apart > 0.1, "{apart}");
@@ -265,25 +334,49 @@ fn a_filter_beside_another_believes_what_it_does_alone() {
 fn a_network_that_weighs_two_filters_needs_both() {
     let both = tracker(tiny());
     both.check().unwrap();
-    let one = Tracker { filters: both.filters.frictional.into(), ..both.clone() };
+    let one = Tracker {
+        filters: both.filters.frictional.into(),
+        ..both.clone()
+    };
     let error = one.check().unwrap_err().to_string();
     assert!(error.contains("filters below the network"), "{error}");
     let all = samples(&all_series()["can"][1]);
     let with_frictionless = |frictionless| {
-        let filters = FilterBank { frictionless: Some(frictionless), ..both.filters };
-        Tracker { filters, ..both.clone() }.track_series(&all)
+        let filters = FilterBank {
+            frictionless: Some(frictionless),
+            ..both.filters
+        };
+        Tracker {
+            filters,
+            ..both.clone()
+        }
+        .track_series(&all)
     };
     // The frictional filter in both places: another answer than with the one for objects without friction.
-    let (alone, apart) = (with_frictionless(both.filters.frictional), both.track_series(&all));
-    assert!(alone.iter().zip(&apart).any(|(a, b)| (a.point_mm[0] - b.point_mm[0]).abs() > 0.1));
+    let (alone, apart) = (
+        with_frictionless(both.filters.frictional),
+        both.track_series(&all),
+    );
+    assert!(
+        alone
+            .iter()
+            .zip(&apart)
+            .any(|(a, b)| (a.point_mm[0] - b.point_mm[0]).abs() > 0.1)
+    );
 }
 
 #[test]
 fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     let folder = tempfile::tempdir().unwrap();
     // Other filters than models have by default: the card says which ones.
-    let filters = FilterBank { frictional: BayesSettings::multi_mu(), ..tracker(tiny()).filters };
-    let before = Tracker { filters, ..tracker(tiny()) };
+    let filters = FilterBank {
+        frictional: BayesSettings::multi_mu(),
+        ..tracker(tiny()).filters
+    };
+    let before = Tracker {
+        filters,
+        ..tracker(tiny())
+    };
     let mut card = Card {
         format: FORMAT.into(),
         trained_on_simulation: true,
@@ -293,7 +386,10 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         whisker: whisker(),
         sd_factors: [1.0; 2],
         sd_on_bench: [1.5; 2].map(SdFactors::constant),
-        training: TrainSettings { filter: filters.frictional, ..TrainSettings::default() },
+        training: TrainSettings {
+            filter: filters.frictional,
+            ..TrainSettings::default()
+        },
         passes: Vec::new(),
         objects: Split::default(),
         data: BTreeMap::new(),
@@ -301,7 +397,14 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         began_with: None,
         sweeps_trained: 0,
         command: vec!["wcal".into(), "train".into()],
-        cost: Some(TrainingCost { sweeps: None, training: Seconds { wall_s: 2.5, cpu_s: 4.0 }, cores: 2 }),
+        cost: Some(TrainingCost {
+            sweeps: None,
+            training: Seconds {
+                wall_s: 2.5,
+                cpu_s: 4.0,
+            },
+            cores: 2,
+        }),
     };
     save(folder.path(), &net(&before.config), &mut card).unwrap();
     let (after, read) = load(folder.path()).unwrap();
@@ -314,7 +417,8 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     assert_eq!(before.track_series(&all), after.track_series(&all));
     // A card tells more than what is read: other keys are left alone.
     let path = folder.path().join("model.json");
-    let mut old: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let mut old: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
     old["remark"] = serde_json::json!({"slope": 0.5});
     std::fs::write(&path, old.to_string()).unwrap();
     let (of_old, read) = load(folder.path()).unwrap();
@@ -323,10 +427,17 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     let bytes = std::fs::read(&weights).unwrap();
     std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
     let error = load(folder.path()).err().unwrap().to_string();
-    assert!(error.contains("model.safetensors") && error.contains("SHA-256"), "{error}");
+    assert!(
+        error.contains("model.safetensors") && error.contains("SHA-256"),
+        "{error}"
+    );
     // With the card adapted to the damage it is the weights' own format that refuses.
     card.weights_sha256 = wcal_core::provenance::sha256_hex(&bytes[..bytes.len() / 2]);
-    std::fs::write(folder.path().join("model.json"), serde_json::to_string(&card).unwrap()).unwrap();
+    std::fs::write(
+        folder.path().join("model.json"),
+        serde_json::to_string(&card).unwrap(),
+    )
+    .unwrap();
     let error = load(folder.path()).err().unwrap().to_string();
     assert!(error.contains("model.safetensors"), "{error}");
 }
@@ -359,36 +470,84 @@ fn training_learns_and_goes_on_where_it_stopped() {
         "held-out loss: first {:.4}, kept {:.4} (pass {})",
         whole[0].held_out_loss, kept.held_out_loss, kept.epoch
     );
-    assert!(kept.held_out_loss < 0.93 * whole[0].held_out_loss, "{whole:?}");
+    assert!(
+        kept.held_out_loss < 0.93 * whole[0].held_out_loss,
+        "{whole:?}"
+    );
     let folder = tempfile::tempdir().unwrap();
     let stopped = std::panic::catch_unwind(|| {
-        train(&tiny(), &settings, &material, Some(folder.path()), &device, |pass| {
-            assert!(pass.epoch < 2, "stopped on purpose");
-        })
+        train(
+            &tiny(),
+            &settings,
+            &material,
+            Some(folder.path()),
+            &device,
+            |pass| {
+                assert!(pass.epoch < 2, "stopped on purpose");
+            },
+        )
         .unwrap();
     });
     assert!(stopped.is_err());
-    let (_, resumed) = train(&tiny(), &settings, &material, Some(folder.path()), &device, |_| {}).unwrap();
+    let (_, resumed) = train(
+        &tiny(),
+        &settings,
+        &material,
+        Some(folder.path()),
+        &device,
+        |_| {},
+    )
+    .unwrap();
     assert_eq!(resumed.len(), 10);
-    assert!((resumed[9].held_out_loss - whole[9].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
-    let one = TrainSettings { filter_frictionless: None, ..settings };
-    let error = train(&tiny(), &one, &material, None, &device, |_| {}).err().unwrap();
-    assert!(error.to_string().contains("filters below the network"), "{error}");
-    let other = TrainSettings { rate: 1e-3, ..settings };
-    let error = train(&tiny(), &other, &material, Some(folder.path()), &device, |_| {}).err().unwrap();
+    assert!(
+        (resumed[9].held_out_loss - whole[9].held_out_loss).abs() < 1e-4,
+        "{resumed:?} {whole:?}"
+    );
+    let one = TrainSettings {
+        filter_frictionless: None,
+        ..settings
+    };
+    let error = train(&tiny(), &one, &material, None, &device, |_| {})
+        .err()
+        .unwrap();
+    assert!(
+        error.to_string().contains("filters below the network"),
+        "{error}"
+    );
+    let other = TrainSettings {
+        rate: 1e-3,
+        ..settings
+    };
+    let error = train(
+        &tiny(),
+        &other,
+        &material,
+        Some(folder.path()),
+        &device,
+        |_| {},
+    )
+    .err()
+    .unwrap();
     assert!(error.to_string().contains("another folder"), "{error}");
 }
 
 /// The models that come with the program, on built-in objects: they have seen scans of other things only.
 #[test]
 fn the_shipped_models_beat_the_static_inverse_by_far() {
-    let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
+    let meshes = ["ball", "can"]
+        .map(|n| (n.to_owned(), objects::built_in(n).unwrap()))
+        .into();
     let contact_mm = |method: Method<'_>| {
         let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series(), &meshes).unwrap();
-        rows.iter().map(|r| r.followed.true_contact_rmse_mm).sum::<f64>() / rows.len() as f64
+        rows.iter()
+            .map(|r| r.followed.true_contact_rmse_mm)
+            .sum::<f64>()
+            / rows.len() as f64
     };
     for name in ["tracker", "tracker_small"] {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures").join(name);
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../fixtures")
+            .join(name);
         let (tracker, card) = load(&folder).unwrap();
         assert!(card.trained_on_simulation && card.objects.training.len() > 20);
         // Cards of before 2026-11-25 name neither command nor cost, and are read all the same.
@@ -396,9 +555,15 @@ fn the_shipped_models_beat_the_static_inverse_by_far() {
             (card.command.is_empty(), card.cost.is_none()),
             [(true, true), (false, false)][usize::from(name == "tracker_small")]
         );
-        let [known, blind] = [true, false].map(|known| contact_mm(Method::Network(&tracker, known)));
+        let [known, blind] =
+            [true, false].map(|known| contact_mm(Method::Network(&tracker, known)));
         let still = contact_mm(Method::Static(&tracker.inverse, 40.0));
-        println!("{name}: speed known {known:.2} mm, not known {blind:.2} mm, static inverse {still:.2} mm");
-        assert!(known < 0.4 * still && blind < 0.6 * still, "{name}: {known} {blind} {still}");
+        println!(
+            "{name}: speed known {known:.2} mm, not known {blind:.2} mm, static inverse {still:.2} mm"
+        );
+        assert!(
+            known < 0.4 * still && blind < 0.6 * still,
+            "{name}: {known} {blind} {still}"
+        );
     }
 }

@@ -39,7 +39,10 @@ impl MomentLaw {
     fn curvature(self, linear: f64) -> f64 {
         match self {
             Self::Linear => linear,
-            Self::Bilinear { onset_per_mm, ratio } => {
+            Self::Bilinear {
+                onset_per_mm,
+                ratio,
+            } => {
                 if linear <= onset_per_mm {
                     linear
                 } else {
@@ -157,7 +160,10 @@ fn helix(phi: &V3) -> (M3, V3) {
     };
     let k = phi.cross_matrix();
     let k2 = k * k;
-    (M3::identity() + k * a + k2 * b, V3::x() + k.column(0) * b + k2.column(0) * c)
+    (
+        M3::identity() + k * a + k2 * b,
+        V3::x() + k.column(0) * b + k2.column(0) * c,
+    )
 }
 
 /// Gauss points of two on (0, 1).
@@ -204,7 +210,11 @@ impl Wire {
     /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns position and tangent.
     pub fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
         let base = point.cross(force);
-        let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
+        let root = V3::new(
+            0.0,
+            self.root_compliance[0] * base.y,
+            self.root_compliance[1] * base.z,
+        );
         let mut frame = helix(&root).0;
         let mut r = V3::zeros();
         let mut u = V3::zeros();
@@ -222,7 +232,9 @@ impl Wire {
             let rest = V3::new(0.0, curvature, 0.0);
             u += rest;
             for i in 0..count {
-                let factor = self.taper.factor((from + (i as f64 + 0.5) * h) / self.length_mm);
+                let factor = self
+                    .taper
+                    .factor((from + (i as f64 + 0.5) * h) / self.length_mm);
                 u = self.element(point, force, &frame, &r, u, &rest, h, factor);
                 let (turn, chord) = helix(&(u * h));
                 r += frame * (chord * h);
@@ -235,19 +247,35 @@ impl Wire {
     /// Centre line from root to tip in pieces of at most `step_mm`, loaded by `contact` (`None`: at rest) at `point`; what lies past
     /// the contact carries no moment and keeps its rest curvature.
     pub fn centre_line(&self, contact: Option<(&V3, &Equilibrium)>, step_mm: f64) -> Vec<V3> {
-        let (point, force, contact_mm) =
-            contact.map_or((V3::zeros(), V3::zeros(), 0.0), |(p, e)| (*p, e.force_n, e.arclength_mm));
+        let (point, force, contact_mm) = contact
+            .map_or((V3::zeros(), V3::zeros(), 0.0), |(p, e)| {
+                (*p, e.force_n, e.arclength_mm)
+            });
         let base = point.cross(&force);
-        let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
+        let root = V3::new(
+            0.0,
+            self.root_compliance[0] * base.y,
+            self.root_compliance[1] * base.z,
+        );
         let (mut frame, mut r, mut u) = (helix(&root).0, V3::zeros(), V3::zeros());
         let mut line = vec![r];
         for (w, count) in self.pieces(contact_mm, step_mm) {
             let h = (w[1] - w[0]) / count as f64;
-            let curvature = if w[0] >= self.straight_mm { 1.0 / self.arc_radius_mm } else { 0.0 };
+            let curvature = if w[0] >= self.straight_mm {
+                1.0 / self.arc_radius_mm
+            } else {
+                0.0
+            };
             let rest = V3::new(0.0, curvature, 0.0);
-            let load = if w[1] <= contact_mm { force } else { V3::zeros() };
+            let load = if w[1] <= contact_mm {
+                force
+            } else {
+                V3::zeros()
+            };
             for i in 0..count {
-                let factor = self.taper.factor((w[0] + (i as f64 + 0.5) * h) / self.length_mm);
+                let factor = self
+                    .taper
+                    .factor((w[0] + (i as f64 + 0.5) * h) / self.length_mm);
                 u = self.element(&point, &load, &frame, &r, u, &rest, h, factor);
                 let (turn, chord) = helix(&(u * h));
                 r += frame * (chord * h);
@@ -263,7 +291,9 @@ impl Wire {
         let each = |(w, count): ([f64; 2], usize)| {
             (1..=count).map(move |i| w[0] + (w[1] - w[0]) * i as f64 / count as f64)
         };
-        std::iter::once(0.0).chain(self.pieces(contact_mm, step_mm).into_iter().flat_map(each)).collect()
+        std::iter::once(0.0)
+            .chain(self.pieces(contact_mm, step_mm).into_iter().flat_map(each))
+            .collect()
     }
 
     /// Stretches between contact, the end of the straight part and the ends, each with its number of elements.
@@ -271,7 +301,8 @@ impl Wire {
         let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
         cuts.sort_by(f64::total_cmp);
         let long = cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9);
-        long.map(|w| ([w[0], w[1]], ((w[1] - w[0]) / step_mm).ceil() as usize)).collect()
+        long.map(|w| ([w[0], w[1]], ((w[1] - w[0]) / step_mm).ceil() as usize))
+            .collect()
     }
 
     /// Curvature of one element: fixed point of "elastic moment = mean applied moment".
@@ -321,7 +352,12 @@ impl Wire {
         let across = (force - t * along).norm();
         let gap = r - point;
         // Measured by the force of 1 mm of deflection, so that the row stays regular where the force vanishes.
-        Vector4::new(gap.x, gap.y, gap.z, (along - drag * across) / self.force_scale(point))
+        Vector4::new(
+            gap.x,
+            gap.y,
+            gap.z,
+            (along - drag * across) / self.force_scale(point),
+        )
     }
 
     /// Equilibrium with the contact at `point` and tangential over normal force `drag` (0: frictionless).
@@ -337,7 +373,12 @@ impl Wire {
         start: &Equilibrium,
         slope: &mut Option<Matrix4<f64>>,
     ) -> Result<Equilibrium, WireError> {
-        let mut x = Vector4::new(start.force_n.x, start.force_n.y, start.force_n.z, start.arclength_mm);
+        let mut x = Vector4::new(
+            start.force_n.x,
+            start.force_n.y,
+            start.force_n.z,
+            start.arclength_mm,
+        );
         let mut solutions = [Vector4::zeros(); 2];
         for (slot, refine) in solutions.iter_mut().zip([1, 2]) {
             x = self.newton(point, drag, x, refine, slope)?;
@@ -347,7 +388,12 @@ impl Wire {
         let best = solutions[1] + (solutions[1] - solutions[0]) / 3.0;
         let force_n = best.xyz();
         let (_, tangent) = self.march(point, &force_n, best.w, 2);
-        Ok(Equilibrium { force_n, arclength_mm: best.w, tangent, moment_nmm: point.cross(&force_n) })
+        Ok(Equilibrium {
+            force_n,
+            arclength_mm: best.w,
+            tangent,
+            moment_nmm: point.cross(&force_n),
+        })
     }
 
     fn force_scale(&self, point: &V3) -> f64 {
@@ -376,7 +422,9 @@ impl Wire {
                     self.slope(point, drag, &x, &g, refine)
                 }
             };
-            let inverse = j.try_inverse().ok_or(WireError::NoEquilibrium { residual: g.norm() })?;
+            let inverse = j
+                .try_inverse()
+                .ok_or(WireError::NoEquilibrium { residual: g.norm() })?;
             let mut step = -(inverse * g);
             // A long step leaves the branch: cut it back.
             let long = (step.xyz().norm() / (0.05 + 0.5 * x.xyz().norm())).max(step.w.abs() / 2.0);
@@ -394,7 +442,9 @@ impl Wire {
                 *jacobian = Some(j);
             }
             if fresh && long <= 1.0 && g_next.norm() > 4.0 * g.norm() {
-                return Err(WireError::NoEquilibrium { residual: g_next.norm() });
+                return Err(WireError::NoEquilibrium {
+                    residual: g_next.norm(),
+                });
             }
             if fresh && (long > 1.0 || g_next.norm() > 0.1 * g.norm()) {
                 *jacobian = None;
@@ -403,7 +453,11 @@ impl Wire {
             x = next;
             g = g_next;
         }
-        if g.norm() < 1e-8 { Ok(x) } else { Err(WireError::NoEquilibrium { residual: g.norm() }) }
+        if g.norm() < 1e-8 {
+            Ok(x)
+        } else {
+            Err(WireError::NoEquilibrium { residual: g.norm() })
+        }
     }
 
     fn slope(
@@ -429,6 +483,11 @@ impl Wire {
     pub fn touch(&self, arclength_mm: f64, push: &V3) -> Equilibrium {
         let force_n = push * (3.0 * self.ei_nmm2 / arclength_mm.powi(3));
         let (at, tangent) = self.rest(arclength_mm);
-        Equilibrium { force_n, arclength_mm, tangent, moment_nmm: at.cross(&force_n) }
+        Equilibrium {
+            force_n,
+            arclength_mm,
+            tangent,
+            moment_nmm: at.cross(&force_n),
+        }
     }
 }

@@ -94,7 +94,12 @@ pub fn dragged_equilibrium(
 
 impl<'a> Follower<'a> {
     /// A little after first touch.
-    fn start(wire: &'a Wire, path: &'a Path, drag: f64, stage_max_mm: f64) -> Result<Self, WireError> {
+    fn start(
+        wire: &'a Wire,
+        path: &'a Path,
+        drag: f64,
+        stage_max_mm: f64,
+    ) -> Result<Self, WireError> {
         let stage_mm = 0.08 * stage_max_mm;
         let push = path.offset_mm + path.direction * stage_mm;
         let mut last = wire.touch(path.arclength_mm, &push);
@@ -103,10 +108,24 @@ impl<'a> Follower<'a> {
         let mut slope = None;
         last = wire.solve(&path.at(stage_mm), 0.0, &last, &mut slope)?;
         for i in 1..=count {
-            last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last, &mut slope)?;
+            last = wire.solve(
+                &path.at(stage_mm),
+                drag * i as f64 / count as f64,
+                &last,
+                &mut slope,
+            )?;
         }
         let step_mm = 0.12 * stage_max_mm;
-        Ok(Self { wire, path, drag, last, before: None, slope, stage_mm, step_mm })
+        Ok(Self {
+            wire,
+            path,
+            drag,
+            last,
+            before: None,
+            slope,
+            stage_mm,
+            step_mm,
+        })
     }
 
     fn to(&mut self, stage_mm: f64) -> Result<Equilibrium, WireError> {
@@ -115,7 +134,10 @@ impl<'a> Follower<'a> {
             let step = self.step_mm * 0.5f64.powi(halvings);
             let next = self.stage_mm + (stage_mm - self.stage_mm).clamp(-step, step);
             let guess = self.guess(next);
-            match self.wire.solve(&self.path.at(next), self.drag, &guess, &mut self.slope) {
+            match self
+                .wire
+                .solve(&self.path.at(next), self.drag, &guess, &mut self.slope)
+            {
                 Ok(found) => {
                     self.before = Some((self.stage_mm, self.last));
                     (self.last, self.stage_mm) = (found, next);
@@ -160,12 +182,21 @@ impl Table {
         nodes: usize,
     ) -> Result<Self, WireError> {
         let start = |drag: f64| Follower::start(wire, path, drag, stage_max_mm);
-        let touch_mm = if path.offset_mm == V3::zeros() { 0.0 } else { touch(start(0.0)?, path)? };
+        let touch_mm = if path.offset_mm == V3::zeros() {
+            0.0
+        } else {
+            touch(start(0.0)?, path)?
+        };
         let reach = stage_max_mm - touch_mm;
         // Where the contact passes the end of the straight part, for every drag.
         let mut cuts = Vec::new();
         for &drag in drags {
-            cuts.push(crossing(start(drag)?, wire.straight_mm, touch_mm, touch_mm + 1.4 * reach)?);
+            cuts.push(crossing(
+                start(drag)?,
+                wire.straight_mm,
+                touch_mm,
+                touch_mm + 1.4 * reach,
+            )?);
         }
         let found: Vec<f64> = cuts.iter().flatten().copied().collect();
         let split = found.len() == drags.len() && found.iter().any(|&c| c < stage_max_mm);
@@ -173,7 +204,9 @@ impl Table {
         let (mut pieces, mut ends) = (Vec::new(), Vec::new());
         for (&drag, cut) in drags.iter().zip(&cuts) {
             let end = match cut {
-                Some(cut) if split => vec![touch_mm, *cut, cut + (stage_max_mm - first_cut).max(0.05)],
+                Some(cut) if split => {
+                    vec![touch_mm, *cut, cut + (stage_max_mm - first_cut).max(0.05)]
+                }
                 _ => vec![touch_mm, stage_max_mm],
             };
             let mut series = Vec::new();
@@ -187,7 +220,12 @@ impl Table {
             pieces.push(series);
             ends.push(end);
         }
-        Ok(Self { touch_mm, drags: drags.to_vec(), pieces, ends })
+        Ok(Self {
+            touch_mm,
+            drags: drags.to_vec(),
+            pieces,
+            ends,
+        })
     }
 
     /// Stage position of first touch in mm.
@@ -243,7 +281,11 @@ fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, WireError> {
     }
     for _ in 0..40 {
         let mid = 0.5 * (low + high);
-        if push(&follower.to(mid)?) > 0.0 { high = mid } else { low = mid }
+        if push(&follower.to(mid)?) > 0.0 {
+            high = mid
+        } else {
+            low = mid
+        }
     }
     Ok(0.5 * (low + high))
 }
@@ -265,7 +307,9 @@ fn crossing(
     for i in 1..=count {
         let x = from + (to - from) * i as f64 / count as f64;
         // Beyond the declared reach the branch may end; that is no fault of the table.
-        let Ok(e) = follower.to(x) else { return Ok(None) };
+        let Ok(e) = follower.to(x) else {
+            return Ok(None);
+        };
         let gap = e.arclength_mm - target_mm;
         if gap * before.1 < 0.0 {
             let (mut low, mut high) = (before, (x, gap));
@@ -331,7 +375,10 @@ fn clenshaw(c: &[Node], x: f64) -> Node {
 fn lagrange(nodes: &[f64], x: f64) -> Vec<f64> {
     (0..nodes.len())
         .map(|i| {
-            (0..nodes.len()).filter(|&j| j != i).map(|j| (x - nodes[j]) / (nodes[i] - nodes[j])).product()
+            (0..nodes.len())
+                .filter(|&j| j != i)
+                .map(|j| (x - nodes[j]) / (nodes[i] - nodes[j]))
+                .product()
         })
         .collect()
 }
@@ -363,13 +410,20 @@ impl Grip {
             let (mut low, mut high) = (-mu, mu);
             for _ in 0..40 {
                 let mid = 0.5 * (low + high);
-                if table.at(stage_mm, mid)[2] > old { low = mid } else { high = mid }
+                if table.at(stage_mm, mid)[2] > old {
+                    low = mid
+                } else {
+                    high = mid
+                }
             }
             let drag = 0.5 * (low + high);
             (table.at(stage_mm, drag), drag)
         };
-        self.arclength_mm =
-            Some(if (drag - mu).abs() < 1e-9 || (drag + mu).abs() < 1e-9 { at[2] } else { old });
+        self.arclength_mm = Some(if (drag - mu).abs() < 1e-9 || (drag + mu).abs() < 1e-9 {
+            at[2]
+        } else {
+            old
+        });
         ([at[0], at[1]], drag)
     }
 }

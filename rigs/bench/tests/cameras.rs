@@ -10,7 +10,8 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use wcal_bench::cameras::{
-    Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed, tag_cells,
+    Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed,
+    tag_cells,
 };
 use wcal_bench::rod::Wire;
 use wcal_bench::table::{Path, equilibrium};
@@ -25,7 +26,12 @@ fn wire() -> Wire {
 
 fn path(arclength_mm: f64, direction: V3) -> Path {
     let (origin_mm, _) = wire().rest(arclength_mm);
-    Path { origin_mm, direction, arclength_mm, offset_mm: V3::zeros() }
+    Path {
+        origin_mm,
+        direction,
+        arclength_mm,
+        offset_mm: V3::zeros(),
+    }
 }
 
 /// The bench at a depth of a path.
@@ -33,15 +39,27 @@ fn bench(rig: &RigGeometry, path: &Path, depth_mm: f64) -> (View, V3) {
     let (wire, at) = (wire(), path.at(depth_mm));
     let found = equilibrium(&wire, path, 0.4 * path.arclength_mm, depth_mm).unwrap();
     let line = wire.centre_line(Some((&at, &found)), 0.25);
-    let groove = Groove { position_mm: at, axis: found.tangent, push: path.direction };
+    let groove = Groove {
+        position_mm: at,
+        axis: found.tangent,
+        push: path.direction,
+    };
     (rig.scene(line, Some(&groove)), at)
 }
 
 /// Writes pictures for a look, where WCAL_PICTURES names a folder.
 fn keep(name: &str, picture: &[u8]) {
     if let Ok(folder) = std::env::var("WCAL_PICTURES") {
-        let bytes = [format!("P5 {} {} 255\n", SIZE[0], SIZE[1]).as_bytes(), picture].concat();
-        std::fs::write(std::path::Path::new(&folder).join(format!("{name}.pgm")), bytes).unwrap();
+        let bytes = [
+            format!("P5 {} {} 255\n", SIZE[0], SIZE[1]).as_bytes(),
+            picture,
+        ]
+        .concat();
+        std::fs::write(
+            std::path::Path::new(&folder).join(format!("{name}.pgm")),
+            bytes,
+        )
+        .unwrap();
     }
 }
 
@@ -54,7 +72,10 @@ fn a_loaded_centre_line_passes_the_groove_and_keeps_its_length() {
         let line = wire().centre_line(Some((&at, &found)), 0.25);
         let length: f64 = line.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
         assert!((length - 60.0).abs() < 1e-3, "{length}");
-        let near = line.iter().map(|p| (p - at).norm()).fold(f64::INFINITY, f64::min);
+        let near = line
+            .iter()
+            .map(|p| (p - at).norm())
+            .fold(f64::INFINITY, f64::min);
         // A point of the line lies at the contact: pieces end there.
         assert!(near < 2e-3, "{near} mm");
         // Another force, another line.
@@ -70,32 +91,54 @@ fn a_lens_inverts_its_distortion_and_a_straight_line_bends() {
     let [left, _] = default_pair(SIZE);
     for (u, v) in [(0.0, 0.0), (320.0, 240.0), (639.0, 13.0)] {
         let ray = left.undistorted(u, v);
-        let base = left.camera_from_base.inverse_transform_point(&nalgebra::Point3::new(
-            250.0 * ray.x,
-            250.0 * ray.y,
-            250.0,
-        ));
+        let base = left
+            .camera_from_base
+            .inverse_transform_point(&nalgebra::Point3::new(250.0 * ray.x, 250.0 * ray.y, 250.0));
         let (again, depth) = left.project(&base.coords).unwrap();
-        assert!((again.x - u).abs() < 1e-9 && (again.y - v).abs() < 1e-9, "{again}");
+        assert!(
+            (again.x - u).abs() < 1e-9 && (again.y - v).abs() < 1e-9,
+            "{again}"
+        );
         assert!((depth - 250.0).abs() < 1e-9);
     }
-    let pinhole = Lens::new(left.size_px, left.focal_px, left.centre_px, [0.0; 5], left.camera_from_base);
-    let off = (pinhole.project(&V3::zeros()).unwrap().0 - left.project(&V3::zeros()).unwrap().0).norm();
+    let pinhole = Lens::new(
+        left.size_px,
+        left.focal_px,
+        left.centre_px,
+        [0.0; 5],
+        left.camera_from_base,
+    );
+    let off =
+        (pinhole.project(&V3::zeros()).unwrap().0 - left.project(&V3::zeros()).unwrap().0).norm();
     assert!(off > 0.1, "control: {off} px");
-    assert!(left.project(&V3::new(0.0, -400.0, 0.0)).is_none(), "behind the camera");
+    assert!(
+        left.project(&V3::new(0.0, -400.0, 0.0)).is_none(),
+        "behind the camera"
+    );
 }
 
 /// What the wire takes from an even ground is its width times its length in the picture, wherever it lies between the pixels.
 #[test]
 fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
-    let look = Appearance { uneven: [0.0; 2], highlight: 0.0, blur_px: 0.6, ..Appearance::default() };
+    let look = Appearance {
+        uneven: [0.0; 2],
+        highlight: 0.0,
+        blur_px: 0.6,
+        ..Appearance::default()
+    };
     for lens in default_pair(SIZE) {
         for (a, b) in [
             (V3::new(10.0, 0.0, -20.0), V3::new(50.0, 0.0, 5.0)),
             (V3::new(30.3, 0.0, -30.0), V3::new(31.0, 0.0, 5.0)),
         ] {
-            let line: Vec<V3> = (0..=160).map(|k| a + (b - a) * (f64::from(k) / 160.0)).collect();
-            let view = View { faces: Vec::new(), wire: line.clone(), diameter_mm: 0.3 };
+            let line: Vec<V3> = (0..=160)
+                .map(|k| a + (b - a) * (f64::from(k) / 160.0))
+                .collect();
+            let view = View {
+                faces: Vec::new(),
+                wire: line.clone(),
+                diameter_mm: 0.3,
+            };
             let picture = clean(&lens, &view, &look);
             let ground = (look.exposure_dn * look.background) as f32;
             let taken: f64 = picture.iter().map(|v| f64::from(ground - v)).sum::<f64>()
@@ -127,8 +170,16 @@ fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
 #[test]
 fn edges_of_a_tag_lie_where_they_project_to() {
     let rig = RigGeometry::default();
-    let look = Appearance { uneven: [0.0; 2], blur_px: 0.0, ..Appearance::default() };
-    let groove = Groove { position_mm: V3::new(25.0, 0.0, 0.0), axis: V3::x(), push: V3::z() };
+    let look = Appearance {
+        uneven: [0.0; 2],
+        blur_px: 0.0,
+        ..Appearance::default()
+    };
+    let groove = Groove {
+        position_mm: V3::new(25.0, 0.0, 0.0),
+        axis: V3::x(),
+        push: V3::z(),
+    };
     let mut view = rig.scene(Vec::new(), Some(&groove));
     // The base's tag alone: what is dark is its black cells' area.
     view.faces = vec![view.faces[6].clone()];
@@ -139,11 +190,22 @@ fn edges_of_a_tag_lie_where_they_project_to() {
             let p = rig.base_from_tag * nalgebra::Point3::new(x, y, 0.0);
             lens.project(&p.coords).unwrap().0
         };
-        let ring = [corner(-6.25, -6.25), corner(6.25, -6.25), corner(6.25, 6.25), corner(-6.25, 6.25)];
-        let area = 0.5 * (0..4).map(|k| ring[k].perp(&ring[(k + 1) % 4])).sum::<f64>().abs();
+        let ring = [
+            corner(-6.25, -6.25),
+            corner(6.25, -6.25),
+            corner(6.25, 6.25),
+            corner(-6.25, 6.25),
+        ];
+        let area = 0.5
+            * (0..4)
+                .map(|k| ring[k].perp(&ring[(k + 1) % 4]))
+                .sum::<f64>()
+                .abs();
         let unit = look.exposure_dn;
-        let sum: f64 =
-            clean(&lens, &view, &look).iter().map(|v| f64::from(*v) / unit - look.background).sum();
+        let sum: f64 = clean(&lens, &view, &look)
+            .iter()
+            .map(|v| f64::from(*v) / unit - look.background)
+            .sum();
         let expected = area / 100.0 * (white * (0.80 - 0.72) + (100.0 - white) * (0.19 - 0.72));
         assert!((sum / expected - 1.0).abs() < 5e-3, "{sum} {expected}");
     }
@@ -152,14 +214,24 @@ fn edges_of_a_tag_lie_where_they_project_to() {
 
 #[test]
 fn noise_has_its_stated_variance_and_bright_pictures_saturate() {
-    let look = Appearance { uneven: [0.0; 2], ..Appearance::default() };
+    let look = Appearance {
+        uneven: [0.0; 2],
+        ..Appearance::default()
+    };
     let even = vec![100.0_f32; 640 * 480];
     let grey = exposed(&even, &look, 1);
     let mean = grey.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.len() as f64;
-    let variance = grey.iter().map(|v| (f64::from(*v) - mean).powi(2)).sum::<f64>() / grey.len() as f64;
+    let variance = grey
+        .iter()
+        .map(|v| (f64::from(*v) - mean).powi(2))
+        .sum::<f64>()
+        / grey.len() as f64;
     // Rounding adds a twelfth.
     let expected = 0.8 * 0.8 + 0.006 * 100.0 + 1.0 / 12.0;
-    assert!((mean - 100.0).abs() < 0.01 && (variance / expected - 1.0).abs() < 0.01, "{mean} {variance}");
+    assert!(
+        (mean - 100.0).abs() < 0.01 && (variance / expected - 1.0).abs() < 0.01,
+        "{mean} {variance}"
+    );
     assert_eq!(grey, exposed(&even, &look, 1));
     assert_ne!(grey, exposed(&even, &look, 2));
     assert!(exposed(&[900.0; 16], &look, 3).iter().all(|v| *v == 255));
@@ -181,7 +253,10 @@ fn pictures_hold_the_board_and_show_faults() {
         let path = path(s, direction.normalize());
         let (view, _) = bench(&rig, &path, depth);
         for (side, lens) in ["left", "right"].iter().zip(&cameras) {
-            keep(&format!("{side}-{k}"), &exposed(&clean(lens, &view, &look), &look, 7));
+            keep(
+                &format!("{side}-{k}"),
+                &exposed(&clean(lens, &view, &look), &look, 7),
+            );
         }
     }
     for k in 0..12 {
@@ -193,7 +268,10 @@ fn pictures_hold_the_board_and_show_faults() {
             for c in &face.corners {
                 let p = face.base_from_plane * nalgebra::Point3::new(c[0], c[1], 0.0);
                 let at = lens.project(&p.coords).unwrap().0;
-                assert!(at.x > 0.0 && at.y > 0.0 && at.x < 639.0 && at.y < 479.0, "{side} {k}: {at}");
+                assert!(
+                    at.x > 0.0 && at.y > 0.0 && at.x < 639.0 && at.y < 479.0,
+                    "{side} {k}: {at}"
+                );
             }
             keep(&format!("{side}-board-{k}"), &picture);
         }
@@ -203,11 +281,26 @@ fn pictures_hold_the_board_and_show_faults() {
     let still = clean(&cameras[1], &bench(&rig, &path, 3.0).0, &look);
     let changed = |rig: &RigGeometry, lens: &Lens| {
         let other = clean(lens, &bench(rig, &path, 3.0).0, &look);
-        other.iter().zip(&still).map(|(a, b)| (a - b).abs()).fold(0.0_f32, f32::max)
+        other
+            .iter()
+            .zip(&still)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0_f32, f32::max)
     };
     assert_eq!(changed(&rig, &cameras[1]), 0.0);
     let moved = Isometry3::from_parts(Translation3::new(0.1, 0.0, 0.0), UnitQuaternion::identity());
     assert!(changed(&rig, &cameras[1].moved(&moved)) > 20.0);
-    let askew = CameraFaults { rig_tag_moved: moved, ..CameraFaults::default() };
-    assert!(changed(&RigGeometry { faults: askew, ..rig }, &cameras[1]) > 20.0);
+    let askew = CameraFaults {
+        rig_tag_moved: moved,
+        ..CameraFaults::default()
+    };
+    assert!(
+        changed(
+            &RigGeometry {
+                faults: askew,
+                ..rig
+            },
+            &cameras[1]
+        ) > 20.0
+    );
 }

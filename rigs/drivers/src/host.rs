@@ -4,11 +4,18 @@ use wcal_core::device::{DeviceError, DeviceErrorKind};
 
 /// Whether an I/O error is a read that ran out of time (`TimedOut` on serial ports, `WouldBlock` on TCP).
 pub(crate) fn is_timeout(error: &std::io::Error) -> bool {
-    matches!(error.kind(), std::io::ErrorKind::TimedOut | std::io::ErrorKind::WouldBlock)
+    matches!(
+        error.kind(),
+        std::io::ErrorKind::TimedOut | std::io::ErrorKind::WouldBlock
+    )
 }
 
 /// An I/O error as a device error.
 pub(crate) fn io_error(device: &str, action: &str, error: &std::io::Error) -> DeviceError {
-    let kind = if is_timeout(error) { DeviceErrorKind::Timeout } else { DeviceErrorKind::Disconnected };
+    let kind = if is_timeout(error) {
+        DeviceErrorKind::Timeout
+    } else {
+        DeviceErrorKind::Disconnected
+    };
     DeviceError::new(kind, device, action, "a working link", error.to_string())
 }

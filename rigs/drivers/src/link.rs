@@ -20,7 +20,10 @@ const SEND: Duration = Duration::from_secs(3);
 /// What the system says, or `TimedOut` when the deadline is over.
 pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStream> {
     let (sender, receiver) = channel();
-    let (target, allowed) = (address.to_owned(), deadline.remaining().max(Duration::from_millis(1)));
+    let (target, allowed) = (
+        address.to_owned(),
+        deadline.remaining().max(Duration::from_millis(1)),
+    );
     let work = move || {
         let mut last = io::Error::new(ErrorKind::NotFound, "no such host");
         for one in target.to_socket_addrs()? {
@@ -31,10 +34,12 @@ pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStrea
         }
         Err(last)
     };
-    std::thread::Builder::new().name("connect".to_owned()).spawn(move || {
-        // Whoever waited may be gone by now.
-        let _ = sender.send(work());
-    })?;
+    std::thread::Builder::new()
+        .name("connect".to_owned())
+        .spawn(move || {
+            // Whoever waited may be gone by now.
+            let _ = sender.send(work());
+        })?;
     loop {
         match receiver.recv_timeout(deadline.slice()) {
             Ok(found) => return found,
@@ -70,7 +75,11 @@ pub(crate) fn attempts(
 ///
 /// # Errors
 /// As [`attempts`].
-pub(crate) fn read(stream: &mut TcpStream, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+pub(crate) fn read(
+    stream: &mut TcpStream,
+    into: &mut [u8],
+    deadline: &Deadline,
+) -> io::Result<usize> {
     attempts(deadline, |slice| {
         stream.set_read_timeout(Some(slice))?;
         stream.read(into)
@@ -81,7 +90,11 @@ pub(crate) fn read(stream: &mut TcpStream, into: &mut [u8], deadline: &Deadline)
 ///
 /// # Errors
 /// As [`attempts`].
-pub(crate) fn write(stream: &mut TcpStream, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
+pub(crate) fn write(
+    stream: &mut TcpStream,
+    bytes: &[u8],
+    deadline: &Deadline,
+) -> io::Result<usize> {
     attempts(deadline, |slice| {
         stream.set_write_timeout(Some(slice))?;
         stream.write(bytes)
@@ -101,11 +114,20 @@ impl Link {
     ///
     /// # Errors
     /// `Disconnected` when nothing listens there, `Timeout` when nobody answers.
-    pub(crate) fn connect(name: String, address: &str, interrupt: &Interrupt) -> Result<Self, DeviceError> {
+    pub(crate) fn connect(
+        name: String,
+        address: &str,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
         let deadline = Deadline::after(CONNECT, interrupt);
-        let made = connect(address, &deadline).and_then(|stream| stream.set_nodelay(true).map(|()| stream));
+        let made = connect(address, &deadline)
+            .and_then(|stream| stream.set_nodelay(true).map(|()| stream));
         match made {
-            Ok(stream) => Ok(Self { stream, name, interrupt: interrupt.clone() }),
+            Ok(stream) => Ok(Self {
+                stream,
+                name,
+                interrupt: interrupt.clone(),
+            }),
             Err(e) => Err(trouble::of_connection(&name, address, &e, &deadline)),
         }
     }
@@ -169,8 +191,9 @@ mod tests {
     fn full() -> (TcpListener, Vec<TcpStream>, String) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
-        let waiting =
-            std::iter::from_fn(|| TcpStream::connect_timeout(&address, Duration::from_millis(300)).ok());
+        let waiting = std::iter::from_fn(|| {
+            TcpStream::connect_timeout(&address, Duration::from_millis(300)).ok()
+        });
         (listener, waiting.take(900).collect(), address.to_string())
     }
 
@@ -205,7 +228,11 @@ mod tests {
                 if tries == 1 {
                     std::thread::sleep(Duration::from_millis(40));
                 }
-                if comes && tries == 2 { Ok(5) } else { Err(ErrorKind::WouldBlock.into()) }
+                if comes && tries == 2 {
+                    Ok(5)
+                } else {
+                    Err(ErrorKind::WouldBlock.into())
+                }
             });
             (found.map_err(|e| e.kind()), tries)
         };

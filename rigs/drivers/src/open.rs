@@ -5,7 +5,9 @@ use crate::hyperion::Hyperion;
 use crate::sm130::Sm130;
 use crate::zaber::units::Microsteps;
 use crate::zaber::wire::{Connect, connect};
-use crate::zaber::{BinaryLine, Chain, Port, ZaberBinary, ZaberMount, ZaberStage, binary, check_travel};
+use crate::zaber::{
+    BinaryLine, Chain, Port, ZaberBinary, ZaberMount, ZaberStage, binary, check_travel,
+};
 use std::cell::RefCell;
 use std::path::Path;
 use std::rc::Rc;
@@ -13,8 +15,8 @@ use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind, Interrogator, Mount, Stage};
 use wcal_core::rig_devices::{
-    CameraDriver, CameraRig, DeviceOpener, InterrogatorDriver, InterrogatorRig, MountRig, StageDriver,
-    StageRig,
+    CameraDriver, CameraRig, DeviceOpener, InterrogatorDriver, InterrogatorRig, MountRig,
+    StageDriver, StageRig,
 };
 
 /// Speeds of the factory: X-series, T-series.
@@ -46,7 +48,12 @@ impl Drivers {
 
     /// As [`Self::new`], with links of the caller's for the ports of stage and mount.
     pub fn over(connect: Connect, interrupt: &Interrupt) -> Self {
-        Self { chain: None, line: None, connect, interrupt: interrupt.clone() }
+        Self {
+            chain: None,
+            line: None,
+            connect,
+            interrupt: interrupt.clone(),
+        }
     }
 
     /// The chain of a rig; the second time the same one, on a new link.
@@ -58,7 +65,9 @@ impl Drivers {
         let chain = match (rig.port.starts_with("tcp://"), rig.baud) {
             (false, None) => {
                 Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect)
-                    .map_err(|e| self.silent(e, &Port::Serial(rig.port.clone(), BINARY_BAUD), rig.address))?
+                    .map_err(|e| {
+                        self.silent(e, &Port::Serial(rig.port.clone(), BINARY_BAUD), rig.address)
+                    })?
                     .0
             }
             _ => Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect)?,
@@ -75,18 +84,30 @@ impl Drivers {
             return Ok(Rc::clone(line));
         }
         let place = port(rig, BINARY_BAUD);
-        let line =
-            Rc::new(RefCell::new(BinaryLine::open(&place, rig.address, &self.interrupt, &self.connect)?));
+        let line = Rc::new(RefCell::new(BinaryLine::open(
+            &place,
+            rig.address,
+            &self.interrupt,
+            &self.connect,
+        )?));
         self.line = Some(Rc::clone(&line));
         Ok(line)
     }
 
     /// A unit of a chain did not answer: which ones do, or one in the other protocol.
     fn absent(&self, why: DeviceError, device: &str, address: u8) -> DeviceError {
-        let (DeviceErrorKind::Timeout, Some(chain)) = (why.kind, &self.chain) else { return why };
+        let (DeviceErrorKind::Timeout, Some(chain)) = (why.kind, &self.chain) else {
+            return why;
+        };
         match chain.borrow_mut().units() {
             Ok(units) if units.is_empty() => {}
-            Ok(units) => return wrong(device, "a unit at the rig's address", &no_unit(address, &units)),
+            Ok(units) => {
+                return wrong(
+                    device,
+                    "a unit at the rig's address",
+                    &no_unit(address, &units),
+                );
+            }
             Err(_) => return why,
         }
         let place = chain.borrow().place().clone();
@@ -113,10 +134,16 @@ impl Drivers {
 
     /// Nothing answers in the binary protocol: perhaps in ASCII.
     fn not_binary(&self, why: DeviceError, rig: &StageRig) -> DeviceError {
-        let (DeviceErrorKind::Timeout, Some(line)) = (why.kind, &self.line) else { return why };
+        let (DeviceErrorKind::Timeout, Some(line)) = (why.kind, &self.line) else {
+            return why;
+        };
         let units = line.borrow_mut().units().unwrap_or_default();
         if !units.is_empty() {
-            return wrong("stage", "a unit at the rig's address", &no_unit(rig.address, &units));
+            return wrong(
+                "stage",
+                "a unit at the rig's address",
+                &no_unit(rig.address, &units),
+            );
         }
         line.borrow_mut().close();
         let opened = match (rig.port.starts_with("tcp://"), rig.baud) {
@@ -127,7 +154,8 @@ impl Drivers {
         };
         match opened.and_then(|mut chain| chain.units()) {
             Ok(units) if !units.is_empty() => {
-                let found = "a unit that speaks the ASCII protocol: driver = \"zaber-ascii\" under [stage]";
+                let found =
+                    "a unit that speaks the ASCII protocol: driver = \"zaber-ascii\" under [stage]";
                 wrong("stage", "a unit that speaks the binary protocol", found)
             }
             _ => nobody(why),
@@ -136,19 +164,31 @@ impl Drivers {
 }
 
 fn wrong(what: &str, expected: &str, found: &str) -> DeviceError {
-    DeviceError::new(DeviceErrorKind::Configuration, what, "open", expected, found)
+    DeviceError::new(
+        DeviceErrorKind::Configuration,
+        what,
+        "open",
+        expected,
+        found,
+    )
 }
 
 fn no_unit(address: u8, there: &[u8]) -> String {
     let list: Vec<String> = there.iter().map(u8::to_string).collect();
-    format!("no unit at address {address} (units that answer: {})", list.join(", "))
+    format!(
+        "no unit at address {address} (units that answer: {})",
+        list.join(", ")
+    )
 }
 
 /// Silence in both protocols.
 fn nobody(why: DeviceError) -> DeviceError {
     match why.kind {
         DeviceErrorKind::Timeout => {
-            let found = format!("{}; no unit answers in either protocol: power, cable, baud?", why.found);
+            let found = format!(
+                "{}; no unit answers in either protocol: power, cable, baud?",
+                why.found
+            );
             DeviceError { found, ..why }
         }
         _ => why,
@@ -165,13 +205,21 @@ fn port(rig: &StageRig, default_baud: u32) -> Port {
 impl DeviceOpener for Drivers {
     /// Without a baud rate the line's speed is probed. Moves nothing.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError> {
-        let unit = Microsteps { size_um: rig.microstep_um };
+        let unit = Microsteps {
+            size_um: rig.microstep_um,
+        };
         // Who opens again wants to stop it, not to hear why it is silent.
         let first = self.chain.is_none() && self.line.is_none();
         let mut stage: Box<dyn Stage> = match rig.driver {
             StageDriver::ZaberAscii => {
                 let stage = ZaberStage::new(self.chain(rig)?, rig.address, rig.axis, unit, clock);
-                let why = |e| if first { self.absent(e, "stage", rig.address) } else { e };
+                let why = |e| {
+                    if first {
+                        self.absent(e, "stage", rig.address)
+                    } else {
+                        e
+                    }
+                };
                 Box::new(stage.map_err(why)?)
             }
             StageDriver::ZaberBinary => {
@@ -185,13 +233,25 @@ impl DeviceOpener for Drivers {
     }
 
     /// On the stage's line.
-    fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
-        let MountRig::Zaber { address, .. } = rig else { return Ok(None) };
+    fn mount(
+        &mut self,
+        rig: &MountRig,
+        clock: HostClock,
+    ) -> Result<Option<Box<dyn Mount>>, DeviceError> {
+        let MountRig::Zaber { address, .. } = rig else {
+            return Ok(None);
+        };
         let Some(chain) = &self.chain else {
-            return Err(wrong("mount", "a stage with driver zaber-ascii, on whose line it is", "none"));
+            return Err(wrong(
+                "mount",
+                "a stage with driver zaber-ascii, on whose line it is",
+                "none",
+            ));
         };
         let mount = ZaberMount::open(rig, Rc::clone(chain), clock, &self.interrupt);
-        Ok(mount.map_err(|e| self.absent(e, "mount", *address))?.map(|m| Box::new(m) as Box<dyn Mount>))
+        Ok(mount
+            .map_err(|e| self.absent(e, "mount", *address))?
+            .map(|m| Box::new(m) as Box<dyn Mount>))
     }
 
     fn interrogator(
@@ -200,20 +260,33 @@ impl DeviceOpener for Drivers {
         clock: HostClock,
     ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
         match rig.driver {
-            InterrogatorDriver::Sm130 => {
-                Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock, &self.interrupt)?))
-            }
+            InterrogatorDriver::Sm130 => Ok(Box::new(Sm130::connect(
+                &rig.address,
+                rig.rate_hz,
+                clock,
+                &self.interrupt,
+            )?)),
             InterrogatorDriver::Hyperion => {
                 let peaks = rig.peaks_address.as_deref();
                 let peaks = peaks.ok_or_else(|| wrong("interrogator", "peaks_address", "none"))?;
                 let commands = &rig.address;
-                Ok(Box::new(Hyperion::connect(commands, peaks, rig.rate_hz, clock, &self.interrupt)?))
+                Ok(Box::new(Hyperion::connect(
+                    commands,
+                    peaks,
+                    rig.rate_hz,
+                    clock,
+                    &self.interrupt,
+                )?))
             }
             InterrogatorDriver::Replay => Err(wrong("interrogator", "a device", "a recording")),
         }
     }
 
-    fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
+    fn camera(
+        &mut self,
+        rig: &CameraRig,
+        clock: HostClock,
+    ) -> Result<Box<dyn Camera + Send>, DeviceError> {
         let mut camera: Box<dyn Camera + Send> = match rig.driver {
             CameraDriver::Net => Box::new(NetCamera::connect(&rig.source, clock, &self.interrupt)?),
             CameraDriver::Folder => {
@@ -226,7 +299,12 @@ impl DeviceOpener for Drivers {
                     rate_hz: rig.rate_hz,
                     controls: rig.controls.clone().into_iter().collect(),
                 };
-                Box::new(V4l2Camera::open(&rig.source, &settings, clock, &self.interrupt)?)
+                Box::new(V4l2Camera::open(
+                    &rig.source,
+                    &settings,
+                    clock,
+                    &self.interrupt,
+                )?)
             }
         };
         camera.configure(rig.exposure_ms, rig.gain_db)?;
@@ -235,6 +313,8 @@ impl DeviceOpener for Drivers {
 
     fn repeats(&self) -> u64 {
         let of_line = self.line.as_ref().map_or(0, |line| line.borrow().repeats());
-        self.chain.as_ref().map_or(of_line, |chain| chain.borrow().repeats())
+        self.chain
+            .as_ref()
+            .map_or(of_line, |chain| chain.borrow().repeats())
     }
 }

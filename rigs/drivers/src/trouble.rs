@@ -14,15 +14,30 @@ const PLACEHOLDER: &str = "PORT";
 const PROCESSES: usize = 100_000;
 
 /// A connection that was not made.
-pub(crate) fn of_connection(device: &str, address: &str, error: &Error, deadline: &Deadline) -> DeviceError {
+pub(crate) fn of_connection(
+    device: &str,
+    address: &str,
+    error: &Error,
+    deadline: &Deadline,
+) -> DeviceError {
     if address.rsplit(':').next() == Some(PLACEHOLDER) {
         let found = format!(
             "the placeholder {PLACEHOLDER} in {address}: `--bench ADDRESSES.json` fills in what `wcal virtual-bench` prints"
         );
-        return fail(DeviceErrorKind::Configuration, device, "an address with a port number", &found);
+        return fail(
+            DeviceErrorKind::Configuration,
+            device,
+            "an address with a port number",
+            &found,
+        );
     }
     if is_timeout(error) {
-        return deadline.error(device, "open", "a connection", "no answer from this address");
+        return deadline.error(
+            device,
+            "open",
+            "a connection",
+            "no answer from this address",
+        );
     }
     let found = match error.kind() {
         ErrorKind::ConnectionRefused if is_loopback(address) => format!(
@@ -33,11 +48,21 @@ pub(crate) fn of_connection(device: &str, address: &str, error: &Error, deadline
         }
         _ => format!("{error} at {address}"),
     };
-    fail(DeviceErrorKind::Disconnected, device, "a listening unit", &found)
+    fail(
+        DeviceErrorKind::Disconnected,
+        device,
+        "a listening unit",
+        &found,
+    )
 }
 
 /// A serial port that was not opened.
-pub(crate) fn of_serial_port(device: &str, path: &str, error: &Error, deadline: &Deadline) -> DeviceError {
+pub(crate) fn of_serial_port(
+    device: &str,
+    path: &str,
+    error: &Error,
+    deadline: &Deadline,
+) -> DeviceError {
     let found = match error.kind() {
         ErrorKind::NotFound => absent(path),
         ErrorKind::PermissionDenied => forbidden(path),
@@ -47,7 +72,12 @@ pub(crate) fn of_serial_port(device: &str, path: &str, error: &Error, deadline: 
         }
         _ => format!("{error} at {path}"),
     };
-    fail(DeviceErrorKind::Disconnected, device, "a free serial port", &found)
+    fail(
+        DeviceErrorKind::Disconnected,
+        device,
+        "a free serial port",
+        &found,
+    )
 }
 
 fn fail(kind: DeviceErrorKind, device: &str, expected: &str, found: &str) -> DeviceError {
@@ -55,18 +85,31 @@ fn fail(kind: DeviceErrorKind, device: &str, expected: &str, found: &str) -> Dev
 }
 
 fn is_loopback(address: &str) -> bool {
-    let host = address.rsplit_once(':').map_or(address, |(host, _)| host).trim_matches(['[', ']']);
+    let host = address
+        .rsplit_once(':')
+        .map_or(address, |(host, _)| host)
+        .trim_matches(['[', ']']);
     host == "localhost" || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
 }
 
 /// No such file; the ports that there are.
 fn absent(path: &str) -> String {
-    let is_port = |name: &str| ["ttyUSB", "ttyACM"].iter().any(|head| name.starts_with(head));
+    let is_port = |name: &str| {
+        ["ttyUSB", "ttyACM"]
+            .iter()
+            .any(|head| name.starts_with(head))
+    };
     let names = std::fs::read_dir("/dev").into_iter().flatten().flatten();
-    let mut there: Vec<String> =
-        names.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|name| is_port(name)).collect();
+    let mut there: Vec<String> = names
+        .map(|e| e.file_name().to_string_lossy().into_owned())
+        .filter(|name| is_port(name))
+        .collect();
     there.sort();
-    let list = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+    let list = if there.is_empty() {
+        "none".to_owned()
+    } else {
+        there.join(", ")
+    };
     format!("no {path}: is the cable plugged in? serial ports under /dev: {list}")
 }
 
@@ -75,7 +118,9 @@ fn forbidden(path: &str) -> String {
     let gid = std::fs::metadata(path).ok().map(|m| m.gid());
     let groups = wcal_core::files::read_text(Path::new("/etc/group")).unwrap_or_default();
     let name = gid.and_then(|gid| {
-        let fields = groups.lines().map(|line| line.split(':').collect::<Vec<_>>());
+        let fields = groups
+            .lines()
+            .map(|line| line.split(':').collect::<Vec<_>>());
         fields
             .filter(|f| f.get(2).is_some_and(|id| id.parse() == Ok(gid)))
             .find_map(|f| f.first().map(|n| (*n).to_owned()))
@@ -98,8 +143,12 @@ fn busy(path: &str, processes: &Path) -> String {
 fn holder(path: &str, processes: &Path) -> Option<(u32, String)> {
     let port = std::fs::canonicalize(path).ok()?;
     let has = |folder: &Path| {
-        let open = std::fs::read_dir(folder.join("fd")).into_iter().flatten().flatten();
-        open.into_iter().any(|entry| std::fs::read_link(entry.path()).is_ok_and(|to| to == port))
+        let open = std::fs::read_dir(folder.join("fd"))
+            .into_iter()
+            .flatten()
+            .flatten();
+        open.into_iter()
+            .any(|entry| std::fs::read_link(entry.path()).is_ok_and(|to| to == port))
     };
     let all = std::fs::read_dir(processes).ok()?.flatten().take(PROCESSES);
     let mut found: Vec<u32> = all
@@ -131,23 +180,38 @@ mod tests {
     fn absent_forbidden_busy_and_anything_else_are_four_messages() {
         let port = "/dev/ttyNONE";
         let words = [
-            (ErrorKind::NotFound, "no /dev/ttyNONE: is the cable plugged in? serial ports under /dev: "),
-            (ErrorKind::PermissionDenied, "no permission for /dev/ttyNONE: its group is dialout"),
-            (ErrorKind::ResourceBusy, "/dev/ttyNONE in use by another process"),
+            (
+                ErrorKind::NotFound,
+                "no /dev/ttyNONE: is the cable plugged in? serial ports under /dev: ",
+            ),
+            (
+                ErrorKind::PermissionDenied,
+                "no permission for /dev/ttyNONE: its group is dialout",
+            ),
+            (
+                ErrorKind::ResourceBusy,
+                "/dev/ttyNONE in use by another process",
+            ),
             (ErrorKind::InvalidData, "invalid data at /dev/ttyNONE"),
         ];
         for (kind, word) in words {
             let said = said(port, kind);
             assert!(said.contains(word), "{said}");
             let others = words.iter().filter(|(other, _)| *other != kind);
-            assert!(others.into_iter().all(|(_, word)| !said.contains(word)), "control: {said}");
+            assert!(
+                others.into_iter().all(|(_, word)| !said.contains(word)),
+                "control: {said}"
+            );
         }
     }
 
     #[test]
     fn the_group_of_a_port_is_named() {
         let of_root = forbidden("/proc/version");
-        assert!(of_root.contains("its group is root (`sudo usermod -aG root USER`"), "{of_root}");
+        assert!(
+            of_root.contains("its group is root (`sudo usermod -aG root USER`"),
+            "{of_root}"
+        );
     }
 
     #[test]
@@ -156,10 +220,16 @@ mod tests {
         let path = folder.path().join("port");
         std::fs::write(&path, "").unwrap();
         let said = busy(&path.display().to_string(), Path::new("/proc"));
-        assert!(said.ends_with("in use by another process"), "control: {said}");
+        assert!(
+            said.ends_with("in use by another process"),
+            "control: {said}"
+        );
         let open = std::fs::File::open(&path).unwrap();
         let said = busy(&path.display().to_string(), Path::new("/proc"));
-        assert!(said.contains(&format!("in use by process {} (", std::process::id())), "{said}");
+        assert!(
+            said.contains(&format!("in use by process {} (", std::process::id())),
+            "{said}"
+        );
         drop(open);
     }
 
@@ -169,14 +239,22 @@ mod tests {
         for address in ["127.0.0.1:4000", "localhost:4000", "[::1]:4000"] {
             let said = refused(address);
             assert!(
-                said.contains(&format!("nothing that listens at {address}: is `wcal virtual-bench` still")),
+                said.contains(&format!(
+                    "nothing that listens at {address}: is `wcal virtual-bench` still"
+                )),
                 "{said}"
             );
         }
         let real = refused("10.0.0.126:1852");
-        assert!(real.contains("is the unit switched on") && !real.contains("virtual-bench"), "{real}");
+        assert!(
+            real.contains("is the unit switched on") && !real.contains("virtual-bench"),
+            "{real}"
+        );
         let rig = said_of_address("127.0.0.1:PORT", ErrorKind::InvalidInput);
-        assert!(rig.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench"), "{rig}");
+        assert!(
+            rig.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench"),
+            "{rig}"
+        );
         let port = said_of_address("127.0.0.1:40000", ErrorKind::InvalidInput);
         assert!(!port.contains("placeholder"), "control: {port}");
     }

@@ -9,12 +9,20 @@ use wcal_trace::whisker::{Verified, verify_whisker};
 
 /// A groove that sits 0.1 mm off.
 pub fn offset() -> Effect {
-    Effect { kind: Kind::OffsetGroove, amplitude: 0.1, shape: vec![0.0, 0.6, 0.8] }
+    Effect {
+        kind: Kind::OffsetGroove,
+        amplitude: 0.1,
+        shape: vec![0.0, 0.6, 0.8],
+    }
 }
 
 /// A root that turns by 2 mrad/(N mm).
 pub fn compliance() -> Effect {
-    Effect { kind: Kind::ComplianceIsotropic, amplitude: 2e-3, shape: Vec::new() }
+    Effect {
+        kind: Kind::ComplianceIsotropic,
+        amplitude: 2e-3,
+        shape: Vec::new(),
+    }
 }
 
 /// Both.
@@ -26,7 +34,13 @@ pub fn both() -> Vec<Effect> {
 pub const BOARD: Fault = Fault::BoardScale(5e-3);
 
 /// As good as `stereo-shape` was measured on the plant's pictures: wire 0.011 mm, groove 0.012 mm.
-const CAMERAS: Cameras = Cameras { own_mm: 0.012, shift_mm: 0.01, turn_rad: 2e-4, scale: 1e-4, stated: 1.0 };
+const CAMERAS: Cameras = Cameras {
+    own_mm: 0.012,
+    shift_mm: 0.01,
+    turn_rad: 2e-4,
+    scale: 1e-4,
+    stated: 1.0,
+};
 
 /// What acts in a session.
 pub struct Draw {
@@ -40,7 +54,10 @@ pub struct Draw {
 
 /// What the program says of it.
 #[derive(Debug, Clone)]
-#[allow(dead_code, reason = "the debug text of a failed test shows every field")]
+#[allow(
+    dead_code,
+    reason = "the debug text of a failed test shows every field"
+)]
 pub struct Answer {
     pub verdict: Verdict,
     pub effects: Vec<String>,
@@ -79,29 +96,48 @@ pub fn answer(order: &Draw) -> Answer {
         let shapes = shapes_json(
             "case",
             &shown,
-            &Cameras { stated: order.stated, ..CAMERAS },
+            &Cameras {
+                stated: order.stated,
+                ..CAMERAS
+            },
             order.fault,
             order.seed,
         );
-        std::fs::write(folder.join("shapes.json"), serde_json::to_vec(&shapes).unwrap()).unwrap();
+        std::fs::write(
+            folder.join("shapes.json"),
+            serde_json::to_vec(&shapes).unwrap(),
+        )
+        .unwrap();
         let toml = std::fs::read_to_string(folder.join("session.toml")).unwrap();
         let toml = toml.replace("[files]\n", "[files]\nshapes = \"shapes.json\"\n");
         std::fs::write(folder.join("session.toml"), toml).unwrap();
     }
     let session = wcal_session::load(&folder).unwrap();
     assert!(session.warnings.is_empty(), "{:?}", session.warnings);
-    let SessionData::Whisker(data) = &session.data else { panic!("kind") };
+    let SessionData::Whisker(data) = &session.data else {
+        panic!("kind")
+    };
     let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
     let done = verify_whisker("case", data, sealed, &session.inputs, &[], &request).unwrap();
-    let Verified::Done(done) = done else { panic!("refused") };
+    let Verified::Done(done) = done else {
+        panic!("refused")
+    };
     let d = done.document;
     let contact = |e: &Option<wcal_core::verify_document::HeldOutError>| {
-        e.as_ref().and_then(|e| e.rmse.get("contact_rmse_mm")).copied().unwrap_or(f64::NAN)
+        e.as_ref()
+            .and_then(|e| e.rmse.get("contact_rmse_mm"))
+            .copied()
+            .unwrap_or(f64::NAN)
     };
     Answer {
         verdict: d.verdict,
         effects: d.effects.iter().map(|e| e.id.clone()).collect(),
-        witness: d.notes.iter().find(|n| n.starts_with("Pictures: ")).cloned().unwrap_or_default(),
+        witness: d
+            .notes
+            .iter()
+            .find(|n| n.starts_with("Pictures: "))
+            .cloned()
+            .unwrap_or_default(),
         contact_before_mm: contact(&d.before),
         contact_after_mm: contact(&d.after),
         contact_floor_mm: d.noise_floor.contact_mm.unwrap_or(f64::NAN),

@@ -69,14 +69,32 @@ pub fn whisker_calibration() -> serde_json::Value {
 #[test]
 fn calibrations_are_refused_by_name_before_anything_is_computed() {
     let place = tempfile::tempdir().unwrap();
-    fs::write(place.path().join("whisker.csv"), "fbg_1_nm,fbg_2_nm\n1541.21,1535.81\n").unwrap();
+    fs::write(
+        place.path().join("whisker.csv"),
+        "fbg_1_nm,fbg_2_nm\n1541.21,1535.81\n",
+    )
+    .unwrap();
     fs::write(place.path().join("scalar.csv"), "stimulus\n1\n2\n").unwrap();
     let run = |file: &serde_json::Value, table: &str| {
         fs::write(place.path().join("c.json"), file.to_string()).unwrap();
-        wcal(place.path(), &["predict", table, "--calibration", "c.json", "--out", "out.csv"])
+        wcal(
+            place.path(),
+            &[
+                "predict",
+                table,
+                "--calibration",
+                "c.json",
+                "--out",
+                "out.csv",
+            ],
+        )
     };
     let [physical, map, scalar] = models();
-    for (model, table) in [(&physical, "whisker.csv"), (&map, "whisker.csv"), (&scalar, "scalar.csv")] {
+    for (model, table) in [
+        (&physical, "whisker.csv"),
+        (&map, "whisker.csv"),
+        (&scalar, "scalar.csv"),
+    ] {
         // Control: as they are, they predict.
         judge(&run(&calibration(model.clone()), table), 0, &[])
             .unwrap_or_else(|e| panic!("{}: {e}", model["kind"]));
@@ -85,15 +103,30 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
     let none: [f64; 0] = [];
     let far = 4_000_000_000_u32;
     let cases: &[(&serde_json::Value, &str, serde_json::Value, &[&str])] = &[
-        (&physical, "/effects/0/id", "fbg-teleport".into(), &["catalogue", "fbg-teleport", "quadratic"]),
-        (&physical, "/effects/1/law", "quantum".into(), &["catalogue", "hysteresis", "quantum"]),
+        (
+            &physical,
+            "/effects/0/id",
+            "fbg-teleport".into(),
+            &["catalogue", "fbg-teleport", "quadratic"],
+        ),
+        (
+            &physical,
+            "/effects/1/law",
+            "quantum".into(),
+            &["catalogue", "hysteresis", "quantum"],
+        ),
         (
             &physical,
             "/effects/1/values",
             vec![0.02].into(),
             &["values of hysteresis (play)", "expected 2, found 1"],
         ),
-        (&physical, "/seatings", far.into(), &["`seatings`", "expected 1", "found 4000000000"]),
+        (
+            &physical,
+            "/seatings",
+            far.into(),
+            &["`seatings`", "expected 1", "found 4000000000"],
+        ),
         (
             &physical,
             "/coefficients",
@@ -106,21 +139,56 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
             vec![vec![0.0]].into(),
             &["`covariance`", "12 to 14 rows", "found 1 rows"],
         ),
-        (&physical, "/covariance/3", none[..].into(), &["covariance", "0 numbers in row 4"]),
+        (
+            &physical,
+            "/covariance/3",
+            none[..].into(),
+            &["covariance", "0 numbers in row 4"],
+        ),
         (&physical, "/kind", "oracle".into(), &["c.json", "oracle"]),
         (&map, "/version", 2.into(), &["expected version 1, found 2"]),
-        (&map, "/outputs/1/beta", none[..].into(), &["`outputs[1].beta` of 1 numbers", "found 0"]),
-        (&map, "/valid_region/kind", "sphere".into(), &["valid_region.kind", "sphere"]),
-        (&scalar, "/effects/0/id", "warp".into(), &["catalogue", "warp"]),
-        (&scalar, "/effects/0/law", "power-9".into(), &["catalogue", "power-9"]),
+        (
+            &map,
+            "/outputs/1/beta",
+            none[..].into(),
+            &["`outputs[1].beta` of 1 numbers", "found 0"],
+        ),
+        (
+            &map,
+            "/valid_region/kind",
+            "sphere".into(),
+            &["valid_region.kind", "sphere"],
+        ),
+        (
+            &scalar,
+            "/effects/0/id",
+            "warp".into(),
+            &["catalogue", "warp"],
+        ),
+        (
+            &scalar,
+            "/effects/0/law",
+            "power-9".into(),
+            &["catalogue", "power-9"],
+        ),
         (
             &scalar,
             "/declared/polynomial",
             far.into(),
             &["`declared.polynomial`", "at most 2", "found 4000000000"],
         ),
-        (&scalar, "/coefficients", vec![1.0].into(), &["`coefficients`", "expected 3, found 1"]),
-        (&scalar, "/covariance", vec![vec![0.0]].into(), &["`covariance`", "3 rows"]),
+        (
+            &scalar,
+            "/coefficients",
+            vec![1.0].into(),
+            &["`coefficients`", "expected 3, found 1"],
+        ),
+        (
+            &scalar,
+            "/covariance",
+            vec![vec![0.0]].into(),
+            &["`covariance`", "3 rows"],
+        ),
         (
             &scalar,
             "/scaling/covariates",
@@ -132,7 +200,11 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
     for (model, pointer, value, says) in cases {
         let mut model = (*model).clone();
         *model.pointer_mut(pointer).unwrap() = value.clone();
-        let table = if model["kind"] == "scalar" { "scalar.csv" } else { "whisker.csv" };
+        let table = if model["kind"] == "scalar" {
+            "scalar.csv"
+        } else {
+            "whisker.csv"
+        };
         if let Err(why) = judge(&run(&calibration(model), table), 1, says) {
             wrong.push(format!("{pointer}: {why}"));
         }
@@ -140,9 +212,16 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
     let mut newer = calibration(physical);
     newer["format"] = "wcal-calibration/2".into();
     wrong.extend(
-        judge(&run(&newer, "whisker.csv"), 1, &["`format`", "wcal-calibration/1", "wcal-calibration/2"])
-            .err(),
+        judge(
+            &run(&newer, "whisker.csv"),
+            1,
+            &["`format`", "wcal-calibration/1", "wcal-calibration/2"],
+        )
+        .err(),
     );
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    assert!(!place.path().join("out.csv").exists(), "nothing is half-written");
+    assert!(
+        !place.path().join("out.csv").exists(),
+        "nothing is half-written"
+    );
 }

@@ -13,7 +13,12 @@ fn unread(folder: &Path, arguments: &[&str]) -> Output {
         drop(reader);
         Stdio::from(writer)
     };
-    command.args(arguments).current_dir(folder).stdin(Stdio::null()).stdout(closed()).stderr(closed());
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(closed())
+        .stderr(closed());
     command.output().unwrap()
 }
 
@@ -21,7 +26,13 @@ fn unread(folder: &Path, arguments: &[&str]) -> Output {
 fn commands() -> Vec<String> {
     let help = wcal(Path::new("."), &["--help"]);
     let text = String::from_utf8_lossy(&help.stdout).into_owned();
-    let list = text.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let list = text
+        .split("Commands:")
+        .nth(1)
+        .unwrap()
+        .split("Options:")
+        .next()
+        .unwrap();
     let names: Vec<String> = list
         .lines()
         .filter_map(|line| line.strip_prefix("  ").filter(|l| !l.starts_with(' ')))
@@ -53,7 +64,10 @@ fn every_result_is_complete_where_nobody_reads() {
     copied("rigs/virtual", "rig");
     let write = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
     write("c.json", &calibrations::whisker_calibration().to_string());
-    write("t.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n");
+    write(
+        "t.csv",
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n",
+    );
     write("xy.csv", "x,y\n1,2.5\n2,4.5\n");
     let plan = repository.join("rigs/plans/paper-27.toml");
     let plan = plan.to_str().unwrap();
@@ -62,10 +76,36 @@ fn every_result_is_complete_where_nobody_reads() {
         &["verify", "s", "--check"][..],
         &["verify", "s", "--check", "--json"],
         &["verify", "s", "--out", "o", "--json"],
-        &["predict", "t.csv", "--calibration", "c.json", "--out", "o.csv"],
-        &["import", "xy.csv", "--kind", "axis", "--commanded", "x", "--measured", "y", "--out", "o"],
+        &[
+            "predict",
+            "t.csv",
+            "--calibration",
+            "c.json",
+            "--out",
+            "o.csv",
+        ],
+        &[
+            "import",
+            "xy.csv",
+            "--kind",
+            "axis",
+            "--commanded",
+            "x",
+            "--measured",
+            "y",
+            "--out",
+            "o",
+        ],
         &["stage-sweep", "--rig", "rig", "--plan", plan, "--dry-run"],
-        &["stage-sweep", "--rig", "rig", "--plan", plan, "--dry-run", "--json"],
+        &[
+            "stage-sweep",
+            "--rig",
+            "rig",
+            "--plan",
+            plan,
+            "--dry-run",
+            "--json",
+        ],
         &["virtual-bench", "--scenario", "rig/scenario.toml"],
         &["verify", "nothing", "--check"],
     ] {
@@ -77,7 +117,12 @@ fn every_result_is_complete_where_nobody_reads() {
         };
         let read = run(&|folder, arguments| {
             let mut command = program();
-            command.args(arguments).current_dir(folder).stdin(Stdio::null()).output().unwrap()
+            command
+                .args(arguments)
+                .current_dir(folder)
+                .stdin(Stdio::null())
+                .output()
+                .unwrap()
         });
         assert_eq!(run(&unread), read, "{arguments:?}");
         ran += 1;
@@ -88,9 +133,18 @@ fn every_result_is_complete_where_nobody_reads() {
 /// A disk that takes nothing is no reader that left: the program says so.
 #[test]
 fn a_full_disk_is_an_error() {
-    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let full = fs::OpenOptions::new()
+        .write(true)
+        .open("/dev/full")
+        .unwrap();
     let mut command = program();
     let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
-    let output = command.arg("verify").arg(session).arg("--check").stdout(full).output().unwrap();
+    let output = command
+        .arg("verify")
+        .arg(session)
+        .arg("--check")
+        .stdout(full)
+        .output()
+        .unwrap();
     judge(&output, 1, &["writing to stdout"]).unwrap();
 }

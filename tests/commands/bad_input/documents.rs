@@ -9,7 +9,13 @@ use std::io::Write;
 fn small(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 1500000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
     let program = program_of(arguments[0]).get_program().to_owned();
-    Command::new("sh").args(["-c", script]).arg(program).args(arguments).current_dir(folder).output().unwrap()
+    Command::new("sh")
+        .args(["-c", script])
+        .arg(program)
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .unwrap()
 }
 
 /// A folder with a document of every kind that a command reads, each with such a command.
@@ -25,27 +31,56 @@ fn documents(place: &Path) -> Vec<(&'static str, &'static str)> {
     copy(&repository("rigs/plans/paper-27.toml"), "plan.toml");
     copy(&repository("rigs/virtual/scenario.toml"), "scenario.toml");
     copy(&fixture("tracker_small/model.json"), "model/model.json");
-    copy(&fixture("tracker_small/model.safetensors"), "model/model.safetensors");
+    copy(
+        &fixture("tracker_small/model.safetensors"),
+        "model/model.safetensors",
+    );
     copy(&fixture("pictured/stereo.json"), "stereo.json");
     for name in ["rig.toml", "run.json"] {
         copy(&fixture("pictured").join(name), &format!("recorded/{name}"));
     }
     let [_, _, scalar] = calibrations::models();
-    fs::write(place.join("c.json"), calibrations::calibration(scalar).to_string()).unwrap();
+    fs::write(
+        place.join("c.json"),
+        calibrations::calibration(scalar).to_string(),
+    )
+    .unwrap();
     fs::write(place.join("cell.csv"), "point,response\n1,2.5\n2,4.5\n").unwrap();
     fs::write(place.join("sweeps.toml"), "rate_hz = 5.0\n").unwrap();
-    fs::write(place.join("shapes.json"), "{\"format\": \"wcal-shapes/1\", \"pairs\": []}").unwrap();
+    fs::write(
+        place.join("shapes.json"),
+        "{\"format\": \"wcal-shapes/1\", \"pairs\": []}",
+    )
+    .unwrap();
     vec![
         ("s/session.toml", "verify s --check"),
-        ("rig.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
-        ("plan.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
+        (
+            "rig.toml",
+            "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
+        ),
+        (
+            "plan.toml",
+            "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
+        ),
         ("scenario.toml", "virtual-bench --scenario scenario.toml"),
-        ("stereo.json", "stereo-shape left right --cameras stereo.json --rig rig.toml --out shapes"),
+        (
+            "stereo.json",
+            "stereo-shape left right --cameras stereo.json --rig rig.toml --out shapes",
+        ),
         ("recorded/rig.toml", "reduce recorded"),
         ("recorded/run.json", "reduce recorded"),
-        ("c.json", "predict cell.csv --calibration c.json --out o.csv"),
-        ("sweeps.toml", "simulate --object can --sweeps 1 --plan sweeps.toml --out o"),
-        ("shapes.json", "fit-whisker shapes.json --rig rig.toml --out fitted"),
+        (
+            "c.json",
+            "predict cell.csv --calibration c.json --out o.csv",
+        ),
+        (
+            "sweeps.toml",
+            "simulate --object can --sweeps 1 --plan sweeps.toml --out o",
+        ),
+        (
+            "shapes.json",
+            "fit-whisker shapes.json --rig rig.toml --out fitted",
+        ),
     ]
 }
 
@@ -66,7 +101,10 @@ fn documents_have_the_size_that_their_kind_can_have() {
         padded(&path, 1 << 20);
         let output = small(place.path(), &arguments);
         let text = sound(&output).unwrap_or_else(|why| panic!("{file}: {why}"));
-        assert!(!text.contains("bytes, found"), "{file}: negative control, a megabyte more: {text}");
+        assert!(
+            !text.contains("bytes, found"),
+            "{file}: negative control, a megabyte more: {text}"
+        );
         padded(&path, 16 << 20);
         let output = small(place.path(), &arguments);
         let name = file.rsplit('/').next().unwrap();
@@ -79,7 +117,11 @@ fn documents_have_the_size_that_their_kind_can_have() {
 fn a_tables_columns_are_counted_before_it_is_read() {
     let place = tempfile::tempdir().unwrap();
     let [_, _, scalar] = calibrations::models();
-    fs::write(place.path().join("c.json"), calibrations::calibration(scalar).to_string()).unwrap();
+    fs::write(
+        place.path().join("c.json"),
+        calibrations::calibration(scalar).to_string(),
+    )
+    .unwrap();
     Base::Transducer.write(place.path());
     let wide = |columns: usize| {
         let names: String = (0..columns).map(|k| format!(",x{k}")).collect();
@@ -91,7 +133,11 @@ fn a_tables_columns_are_counted_before_it_is_read() {
     };
     for (columns, code) in [(900, 0), (20_003, 1)] {
         fs::write(place.path().join("points.csv"), wide(columns)).unwrap();
-        let says: &[&str] = if code == 1 { &["points.csv", "at most 1000 columns", "20007"] } else { &[] };
+        let says: &[&str] = if code == 1 {
+            &["points.csv", "at most 1000 columns", "20007"]
+        } else {
+            &[]
+        };
         for command in [
             "predict points.csv --calibration c.json --out o.csv --force",
             "import points.csv --kind transducer --stimulus stimulus --response response --model linear --out i --force",
@@ -116,12 +162,31 @@ fn a_mesh_is_refused_by_the_number_of_its_triangles_before_it_is_read() {
     let mut header = vec![b' '; 80];
     header.extend(4_000_000_u32.to_le_bytes());
     fs::write(&path, header).unwrap();
-    fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(84 + 50 * 4_000_000).unwrap();
-    judge(&small(place.path(), &arguments), 1, &["large.stl", "at most 1000000 triangles", "4000000"])
+    fs::OpenOptions::new()
+        .write(true)
+        .open(&path)
+        .unwrap()
+        .set_len(84 + 50 * 4_000_000)
         .unwrap();
+    judge(
+        &small(place.path(), &arguments),
+        1,
+        &["large.stl", "at most 1000000 triangles", "4000000"],
+    )
+    .unwrap();
     fs::write(&path, "solid large\n").unwrap();
-    fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(1 << 30).unwrap();
-    judge(&small(place.path(), &arguments), 1, &["large.stl", "at most 419430400 bytes"]).unwrap();
+    fs::OpenOptions::new()
+        .write(true)
+        .open(&path)
+        .unwrap()
+        .set_len(1 << 30)
+        .unwrap();
+    judge(
+        &small(place.path(), &arguments),
+        1,
+        &["large.stl", "at most 419430400 bytes"],
+    )
+    .unwrap();
 }
 
 /// As many triangles as are allowed: a sheet of a thousand by five hundred fields.
@@ -137,7 +202,10 @@ fn a_mesh_of_the_largest_number_of_triangles_stays_within_its_memory() {
     bytes.extend((2 * columns * rows).to_le_bytes());
     let mut triangle = |corners: [[f32; 3]; 3]| {
         bytes.extend([0; 12]);
-        corners.iter().flatten().for_each(|x| bytes.extend(x.to_le_bytes()));
+        corners
+            .iter()
+            .flatten()
+            .for_each(|x| bytes.extend(x.to_le_bytes()));
         bytes.extend([0, 0]);
     };
     for i in 0..columns {
@@ -159,7 +227,10 @@ fn a_mesh_of_the_largest_number_of_triangles_stays_within_its_memory() {
     };
     let large = run("2500000", "--meshes sheet.stl").unwrap();
     let text = sound(&large).unwrap();
-    assert!(large.status.code() != Some(1) && text.contains("sheet"), "{text}");
+    assert!(
+        large.status.code() != Some(1) && text.contains("sheet"),
+        "{text}"
+    );
     // Negative control: a limit below what it takes is met by this mesh, and by no small object.
     assert!(sound(&run("600000", "--meshes sheet.stl").unwrap()).is_err());
     assert!(sound(&run("600000", "--object can").unwrap()).is_ok());

@@ -22,8 +22,10 @@ fn session(place: &Path, edit: impl Fn(&mut Vec<Vec<String>>)) {
     }
     let path = place.join("s/points.csv");
     let text = fs::read_to_string(&path).unwrap();
-    let mut rows: Vec<Vec<String>> =
-        text.lines().map(|l| l.split(',').map(str::to_owned).collect()).collect();
+    let mut rows: Vec<Vec<String>> = text
+        .lines()
+        .map(|l| l.split(',').map(str::to_owned).collect())
+        .collect();
     edit(&mut rows);
     let lines: Vec<String> = rows.iter().map(|r| r.join(",")).collect();
     fs::write(path, lines.join("\n") + "\n").unwrap();
@@ -71,7 +73,11 @@ fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
             |r| set(r, "fbg_2_nm", |k, _| Some(1543.61 + scatter(k))),
             "No sensitivity: fbg_2 does not follow the load",
         ),
-        ("alike", |r| set(r, "fbg_2_nm", |k, [a, _]| Some(a - 1.63 + scatter(k))), "rank 1"),
+        (
+            "alike",
+            |r| set(r, "fbg_2_nm", |k, [a, _]| Some(a - 1.63 + scatter(k))),
+            "rank 1",
+        ),
     ];
     for (name, edit, says) in cases {
         let place = tempfile::tempdir().unwrap();
@@ -90,7 +96,9 @@ fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
     // One that stands still for a part of the session is an effect that the catalogue does not have.
     let place = tempfile::tempdir().unwrap();
     session(place.path(), |r| {
-        set(r, "fbg_2_nm", |k, _| (100..140).contains(&k).then_some(1543.6123456));
+        set(r, "fbg_2_nm", |k, _| {
+            (100..140).contains(&k).then_some(1543.6123456)
+        });
     });
     let run = wcal(place.path(), &["verify", "s", "--out", "v"]);
     assert_eq!(run.status.code(), Some(4), "{run:?}");
@@ -110,8 +118,16 @@ fn coarse_readings_and_a_gross_one_are_taken() {
         }
         set(rows, "fbg_1_nm", |k, [a, _]| (k == 50).then_some(a + 3.0));
     });
-    judge(&wcal(place.path(), &["verify", "s", "--check"]), 0, &["rows to fit"]).unwrap();
-    let fitted = wcal(place.path(), &["fit-gpr", "s", "--labels", "rod", "--out", "g"]);
+    judge(
+        &wcal(place.path(), &["verify", "s", "--check"]),
+        0,
+        &["rows to fit"],
+    )
+    .unwrap();
+    let fitted = wcal(
+        place.path(),
+        &["fit-gpr", "s", "--labels", "rod", "--out", "g"],
+    );
     assert!(matches!(fitted.status.code(), Some(0 | 3)), "{fitted:?}");
 }
 
@@ -120,9 +136,12 @@ fn overflow_values_and_pasted_rows_are_left_out_and_counted() {
     let place = tempfile::tempdir().unwrap();
     session(place.path(), |rows| {
         let at = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"].map(|name| column(rows, name));
-        for (row, (c, value)) in
-            [(40, (0, "9.9E37")), (90, (1, "999999")), (200, (2, "-127")), (201, (0, "-9.91E+37"))]
-        {
+        for (row, (c, value)) in [
+            (40, (0, "9.9E37")),
+            (90, (1, "999999")),
+            (200, (2, "-127")),
+            (201, (0, "-9.91E+37")),
+        ] {
             rows[row][at[c]] = value.to_owned();
         }
         // One sweep pasted again at the end, once as it is and once with point numbers of its own.
@@ -147,7 +166,9 @@ fn overflow_values_and_pasted_rows_are_left_out_and_counted() {
     let lost = tempfile::tempdir().unwrap();
     session(lost.path(), |rows| {
         let at = column(rows, "fbg_1_nm");
-        rows.iter_mut().skip(1).for_each(|r| r[at] = "9.9E37".to_owned());
+        rows.iter_mut()
+            .skip(1)
+            .for_each(|r| r[at] = "9.9E37".to_owned());
     });
     judge(
         &wcal(lost.path(), &["verify", "s", "--check"]),

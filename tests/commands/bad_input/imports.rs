@@ -10,10 +10,25 @@ struct BadImport {
     says: &'static [&'static str],
 }
 
-const LINEAR: &[&str] = &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "linear"];
+const LINEAR: &[&str] = &[
+    "--kind",
+    "transducer",
+    "--stimulus",
+    "x",
+    "--response",
+    "y",
+    "--model",
+    "linear",
+];
 
 const IMPORTS: &[BadImport] = &[
-    BadImport { name: "empty", table: b"", arguments: LINEAR, code: 1, says: &["t.csv", "header"] },
+    BadImport {
+        name: "empty",
+        table: b"",
+        arguments: LINEAR,
+        code: 1,
+        says: &["t.csv", "header"],
+    },
     BadImport {
         name: "no rows",
         table: b"x,y\n",
@@ -74,25 +89,54 @@ const IMPORTS: &[BadImport] = &[
         code: 1,
         says: &["column x", "x;y"],
     },
-    BadImport { name: "not text", table: b"x,y\n\xff,2\n", arguments: LINEAR, code: 1, says: &["a number"] },
+    BadImport {
+        name: "not text",
+        table: b"x,y\n\xff,2\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["a number"],
+    },
     BadImport {
         name: "no stimulus",
         table: b"x,y\n1,2\n",
-        arguments: &["--kind", "transducer", "--response", "y", "--model", "linear"],
+        arguments: &[
+            "--kind",
+            "transducer",
+            "--response",
+            "y",
+            "--model",
+            "linear",
+        ],
         code: 1,
         says: &["--stimulus"],
     },
     BadImport {
         name: "no response",
         table: b"x,y\n1,2\n",
-        arguments: &["--kind", "transducer", "--stimulus", "x", "--model", "linear"],
+        arguments: &[
+            "--kind",
+            "transducer",
+            "--stimulus",
+            "x",
+            "--model",
+            "linear",
+        ],
         code: 2,
         says: &["--response"],
     },
     BadImport {
         name: "unknown model",
         table: b"x,y\n1,2\n",
-        arguments: &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "cubic"],
+        arguments: &[
+            "--kind",
+            "transducer",
+            "--stimulus",
+            "x",
+            "--response",
+            "y",
+            "--model",
+            "cubic",
+        ],
         code: 2,
         says: &["cubic", "quadratic"],
     },
@@ -137,8 +181,24 @@ fn import_refuses_and_leaves_nothing() {
 #[test]
 fn import_takes_good_tables_and_replaces_only_its_own() {
     let place = tempfile::tempdir().unwrap();
-    fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21\r\n").unwrap();
-    let mapped = [&["import", "t.csv", "--out", "new", "--temperature", "T", "--json"], LINEAR].concat();
+    fs::write(
+        place.path().join("t.csv"),
+        "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21\r\n",
+    )
+    .unwrap();
+    let mapped = [
+        &[
+            "import",
+            "t.csv",
+            "--out",
+            "new",
+            "--temperature",
+            "T",
+            "--json",
+        ],
+        LINEAR,
+    ]
+    .concat();
     let output = wcal(place.path(), &mapped);
     judge(&output, 0, &[]).unwrap();
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -151,11 +211,27 @@ fn import_takes_good_tables_and_replaces_only_its_own() {
     // The same again takes the place of the first, whole; what is not of an import is kept.
     fs::write(place.path().join("new/holdout.csv"), "of the first").unwrap();
     judge(&wcal(place.path(), &mapped), 0, &[]).unwrap();
-    assert_eq!(listing(&place.path().join("new")), ["points.csv", "session.toml"]);
+    assert_eq!(
+        listing(&place.path().join("new")),
+        ["points.csv", "session.toml"]
+    );
     fs::write(place.path().join("new/notes.txt"), "mine").unwrap();
-    judge(&wcal(place.path(), &mapped), 1, &["new", "notes.txt", "--force"]).unwrap();
-    judge(&wcal(place.path(), &[&mapped[..], &["--force"]].concat()), 0, &[]).unwrap();
-    assert_eq!(listing(&place.path().join("new")), ["notes.txt", "points.csv", "session.toml"]);
+    judge(
+        &wcal(place.path(), &mapped),
+        1,
+        &["new", "notes.txt", "--force"],
+    )
+    .unwrap();
+    judge(
+        &wcal(place.path(), &[&mapped[..], &["--force"]].concat()),
+        0,
+        &[],
+    )
+    .unwrap();
+    assert_eq!(
+        listing(&place.path().join("new")),
+        ["notes.txt", "points.csv", "session.toml"]
+    );
     judge(
         &wcal(
             place.path(),
@@ -183,8 +259,16 @@ fn import_takes_good_tables_and_replaces_only_its_own() {
 #[test]
 fn columns_that_are_left_out_are_named() {
     let place = tempfile::tempdir().unwrap();
-    fs::write(place.path().join("t.csv"), "x,y,humidity,remark,t_s\n1,2.5,40,a,0\n2,4.5,41,b,1\n").unwrap();
-    fs::write(place.path().join("h.csv"), "x,y,humidity,t_s,more\n3,6.5,42,2,7\n").unwrap();
+    fs::write(
+        place.path().join("t.csv"),
+        "x,y,humidity,remark,t_s\n1,2.5,40,a,0\n2,4.5,41,b,1\n",
+    )
+    .unwrap();
+    fs::write(
+        place.path().join("h.csv"),
+        "x,y,humidity,t_s,more\n3,6.5,42,2,7\n",
+    )
+    .unwrap();
     let import = |more: &[&str]| {
         let arguments = [&["import", "t.csv", "--out", "new", "--json"], LINEAR, more].concat();
         let output = wcal(place.path(), &arguments);
@@ -195,22 +279,33 @@ fn columns_that_are_left_out_are_named() {
     };
     let (left, said) = import(&[]);
     assert_eq!(left, serde_json::json!(["humidity", "remark"]));
-    assert!(said.contains("columns not imported: humidity, remark; --covariate COLUMN"), "{said}");
+    assert!(
+        said.contains("columns not imported: humidity, remark; --covariate COLUMN"),
+        "{said}"
+    );
     let (left, _) = import(&["--covariate", "humidity", "--holdout", "h.csv"]);
     assert_eq!(left, serde_json::json!(["remark", "more"]));
     let points = fs::read_to_string(place.path().join("new/points.csv")).unwrap();
-    assert!(points.starts_with("point,role,stimulus,response,humidity,t_s\n"), "{points}");
+    assert!(
+        points.starts_with("point,role,stimulus,response,humidity,t_s\n"),
+        "{points}"
+    );
     // Control: nothing is left out, and nothing said.
     fs::write(place.path().join("t.csv"), "x,y\n1,2.5\n2,4.5\n").unwrap();
     let (left, said) = import(&["--force"]);
-    assert!(left == serde_json::json!([]) && !said.contains("not imported"), "{said}");
+    assert!(
+        left == serde_json::json!([]) && !said.contains("not imported"),
+        "{said}"
+    );
 }
 
 #[test]
 fn a_whisker_table_is_imported_with_its_description() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("meta.toml"), broken::WHISKER_TOML).unwrap();
-    let table = broken::WHISKER_POINTS.replace("groove_x_mm", "gx").replace("t_s", "time_ms");
+    let table = broken::WHISKER_POINTS
+        .replace("groove_x_mm", "gx")
+        .replace("t_s", "time_ms");
     fs::write(place.path().join("t.csv"), table).unwrap();
     let arguments = [
         "import",
@@ -227,20 +322,37 @@ fn a_whisker_table_is_imported_with_its_description() {
         "new",
     ];
     judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
-    judge(&wcal(place.path(), &["verify", "new", "--check"]), 3, &["t_s is present"]).unwrap();
+    judge(
+        &wcal(place.path(), &["verify", "new", "--check"]),
+        3,
+        &["t_s is present"],
+    )
+    .unwrap();
 }
 
 /// What was set cannot be what was read.
 #[test]
 fn one_column_for_both_signals_is_named() {
     let place = tempfile::tempdir().unwrap();
-    fs::write(place.path().join("t.csv"), "p,u\n0,0.1\n1,0.2\n2,0.31\n3,0.4\n4,0.5\n").unwrap();
+    fs::write(
+        place.path().join("t.csv"),
+        "p,u\n0,0.1\n1,0.2\n2,0.31\n3,0.4\n4,0.5\n",
+    )
+    .unwrap();
     let import = |response: &str| {
         let words = "import t.csv --kind transducer --model linear --stimulus p --response";
-        let words: Vec<&str> = words.split(' ').chain([response, "--out", "s", "--force"]).collect();
+        let words: Vec<&str> = words
+            .split(' ')
+            .chain([response, "--out", "s", "--force"])
+            .collect();
         wcal(place.path(), &words)
     };
-    judge(&import("p"), 1, &["t.csv", "stimulus", "response", "found p for both"]).unwrap();
+    judge(
+        &import("p"),
+        1,
+        &["t.csv", "stimulus", "response", "found p for both"],
+    )
+    .unwrap();
     // Control.
     judge(&import("u"), 0, &["5 rows"]).unwrap();
 }

@@ -10,32 +10,54 @@ pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 8000000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
     let program = program_of(arguments[0]);
     let script = [OsStr::new("-c"), script.as_ref(), program.get_program()];
-    Command::new("sh").args(script).args(arguments).current_dir(folder).output().unwrap()
+    Command::new("sh")
+        .args(script)
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .unwrap()
 }
 
 /// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no memory.
 pub fn sound(output: &Output) -> Result<String, String> {
-    let text =
-        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    let end: String = text.chars().rev().take(600).collect::<Vec<_>>().into_iter().rev().collect();
+    let text = format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let end: String = text
+        .chars()
+        .rev()
+        .take(600)
+        .collect::<Vec<_>>()
+        .into_iter()
+        .rev()
+        .collect();
     match output.status.code() {
         _ if text.contains("panicked") => Err(format!("a panic: {end}")),
         Some(0 | 1 | 3 | 4) => Ok(text),
         Some(124) => Err(format!("longer than ten minutes: {end}")),
-        None => Err(format!("ended by a signal (a minute of processor time, memory): {end}")),
+        None => Err(format!(
+            "ended by a signal (a minute of processor time, memory): {end}"
+        )),
         other => Err(format!("exit code {other:?}: {end}")),
     }
 }
 
 /// Works through cases with the machine's processors; the faults that were found.
-pub fn in_parallel<T: Sync>(cases: &[T], judge: impl Fn(&T) -> Result<(), String> + Sync) -> Vec<String> {
+pub fn in_parallel<T: Sync>(
+    cases: &[T],
+    judge: impl Fn(&T) -> Result<(), String> + Sync,
+) -> Vec<String> {
     let next = std::sync::atomic::AtomicUsize::new(0);
     let wrong = std::sync::Mutex::new(Vec::new());
     let workers = std::thread::available_parallelism().map_or(2, usize::from);
     std::thread::scope(|scope| {
         for _ in 0..workers {
             scope.spawn(|| {
-                while let Some(case) = cases.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
+                while let Some(case) =
+                    cases.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed))
+                {
                     if let Err(why) = judge(case) {
                         wrong.lock().unwrap().push(why);
                     }

@@ -87,9 +87,16 @@ const NOT_NEGATIVE: [&str; 20] = [
 
 /// Whether no bench has this number under this key. A document that takes it is read without its ranges: the exit code alone said nothing.
 pub(super) fn impossible(way: &str, value: &str) -> bool {
-    let key: Vec<&str> = way.split('/').filter(|part| part.parse::<usize>().is_err()).collect();
+    let key: Vec<&str> = way
+        .split('/')
+        .filter(|part| part.parse::<usize>().is_err())
+        .collect();
     let key = key.join("/");
-    let is = |names: &[&str]| names.iter().any(|name| key == *name || key.ends_with(&format!("/{name}")));
+    let is = |names: &[&str]| {
+        names
+            .iter()
+            .any(|name| key == *name || key.ends_with(&format!("/{name}")))
+    };
     match value {
         "NaN" | "1e308" => true,
         "0" => is(&POSITIVE),
@@ -103,10 +110,17 @@ fn numbers(value: &Value, way: &str, all: &mut Vec<String>) {
     match value {
         Value::Number(_) => all.push(way.to_owned()),
         Value::Array(entries) => {
-            entries.iter().take(1).for_each(|entry| numbers(entry, &format!("{way}/0"), all));
+            entries
+                .iter()
+                .take(1)
+                .for_each(|entry| numbers(entry, &format!("{way}/0"), all));
         }
         Value::Object(map) => map.iter().for_each(|(key, entry)| {
-            numbers(entry, &format!("{way}/{}", key.replace('~', "~0").replace('/', "~1")), all);
+            numbers(
+                entry,
+                &format!("{way}/{}", key.replace('~', "~0").replace('/', "~1")),
+                all,
+            );
         }),
         Value::Null | Value::Bool(_) | Value::String(_) => {}
     }
@@ -120,7 +134,13 @@ impl Document {
         arguments: &'static str,
     ) -> Self {
         let arguments = arguments.split(' ').collect();
-        Self { name, file, content, arguments, sealed: false }
+        Self {
+            name,
+            file,
+            content,
+            arguments,
+            sealed: false,
+        }
     }
 
     fn is_toml(&self) -> bool {
@@ -139,7 +159,9 @@ impl Document {
         let text = content.to_string().replace(&quoted, value);
         // A sealed document is sealed anew, as a program would that writes such a number.
         match serde_json::from_str::<Value>(&text) {
-            Ok(changed) if self.sealed => calibrations::calibration(changed["model"].clone()).to_string(),
+            Ok(changed) if self.sealed => {
+                calibrations::calibration(changed["model"].clone()).to_string()
+            }
             _ => text,
         }
     }
@@ -154,12 +176,16 @@ fn walk(place: &Path, document: &Document) -> Vec<String> {
     assert!(!ways.is_empty(), "{}: numbers", document.name);
     // Half of the pairs, by turns.
     let all = std::env::var_os("WCAL_ALL_NUMBERS").is_some();
-    let pairs = ways
-        .iter()
-        .enumerate()
-        .flat_map(|(k, way)| VALUES.into_iter().enumerate().map(move |(v, value)| (k + v, way, value)));
-    let cases: Vec<(&String, &str)> =
-        pairs.filter(|(n, _, _)| all || n % 2 == 0).map(|(_, way, value)| (way, value)).collect();
+    let pairs = ways.iter().enumerate().flat_map(|(k, way)| {
+        VALUES
+            .into_iter()
+            .enumerate()
+            .map(move |(v, value)| (k + v, way, value))
+    });
+    let cases: Vec<(&String, &str)> = pairs
+        .filter(|(n, _, _)| all || n % 2 == 0)
+        .map(|(_, way, value)| (way, value))
+        .collect();
     in_parallel(&cases, |(way, value)| {
         let own = tempfile::tempdir().unwrap();
         copy_folder(place, own.path());
@@ -172,14 +198,26 @@ fn walk(place: &Path, document: &Document) -> Vec<String> {
                 return Err(format!("{shown}: taken, which no bench can have"));
             }
             let table = fs::read_to_string(own.path().join("o.csv")).unwrap_or_default();
-            let odd = table.lines().find(|line| line.contains("NaN") || line.contains("inf"));
-            return odd.map_or(Ok(()), |line| Err(format!("{shown}: no numbers in the result: {line}")));
+            let odd = table
+                .lines()
+                .find(|line| line.contains("NaN") || line.contains("inf"));
+            return odd.map_or(Ok(()), |line| {
+                Err(format!("{shown}: no numbers in the result: {line}"))
+            });
         }
-        let key = way.rsplit('/').find(|part| part.parse::<usize>().is_err()).unwrap();
+        let key = way
+            .rsplit('/')
+            .find(|part| part.parse::<usize>().is_err())
+            .unwrap();
         // A number that is good alone and not beside another one: the error names that.
-        let beside = BESIDE.iter().any(|(end, name)| way.ends_with(end) && text.contains(name));
+        let beside = BESIDE
+            .iter()
+            .any(|(end, name)| way.ends_with(end) && text.contains(name));
         // JSON has no NaN: the error is one of syntax, by its line.
-        if text.contains(key) || beside || (*value == "NaN" && !document.is_toml() && text.contains("line")) {
+        if text.contains(key)
+            || beside
+            || (*value == "NaN" && !document.is_toml() && text.contains("line"))
+        {
             return Ok(());
         }
         Err(format!("{shown}: the error does not name the key: {text}"))
@@ -218,5 +256,10 @@ pub(super) fn judge_all(place: &Path, documents: &[Document]) {
         assert_ne!(output.status.code(), Some(1), "{}: {text}", document.name);
         wrong.extend(walk(place, document));
     }
-    assert!(wrong.is_empty(), "{} faults\n{}", wrong.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} faults\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
 }

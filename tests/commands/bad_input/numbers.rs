@@ -29,14 +29,19 @@ on_the_fly_hz = 10.0
 
 #[test]
 fn what_no_bench_can_have_is_told_by_key_and_value() {
-    for (way, value) in
-        [("/whisker/length_mm", "0"), ("/fbg/nominal_nm/0", "-1"), ("/model/variance", "-1"), ("/x", "1e308")]
-    {
+    for (way, value) in [
+        ("/whisker/length_mm", "0"),
+        ("/fbg/nominal_nm/0", "-1"),
+        ("/model/variance", "-1"),
+        ("/x", "1e308"),
+    ] {
         assert!(impossible(way, value), "{way} {value}");
     }
-    for (way, value) in
-        [("/whisker/straight_mm", "0"), ("/stage/zero_mm", "-1"), ("/whisker/length_mm", "1000000000")]
-    {
+    for (way, value) in [
+        ("/whisker/straight_mm", "0"),
+        ("/stage/zero_mm", "-1"),
+        ("/whisker/length_mm", "1000000000"),
+    ] {
         assert!(!impossible(way, value), "negative control: {way} {value}");
     }
 }
@@ -50,7 +55,12 @@ fn rigs_and_plans_hold_only_numbers_that_a_bench_can_have() {
     judge_all(
         place.path(),
         &[
-            Document::new("plan", "plan.toml", toml(PLAN), "stage-sweep --rig . --plan plan.toml --dry-run"),
+            Document::new(
+                "plan",
+                "plan.toml",
+                toml(PLAN),
+                "stage-sweep --rig . --plan plan.toml --dry-run",
+            ),
             Document::new(
                 "rig",
                 "rig.toml",
@@ -149,7 +159,10 @@ seconds = 1.0
 fn scenarios_hold_only_numbers_that_a_bench_can_have() {
     let place = tempfile::tempdir().unwrap();
     let command = "virtual-bench --scenario s.toml";
-    judge_all(place.path(), &[Document::new("scenario", "s.toml", toml(SCENARIO), command)]);
+    judge_all(
+        place.path(),
+        &[Document::new("scenario", "s.toml", toml(SCENARIO), command)],
+    );
 }
 
 #[test]
@@ -157,7 +170,15 @@ fn sessions_hold_only_numbers_that_a_wire_can_have() {
     let place = tempfile::tempdir().unwrap();
     Base::Whisker.write(place.path());
     let session = fs::read_to_string(place.path().join("session.toml")).unwrap();
-    judge_all(place.path(), &[Document::new("session", "session.toml", toml(&session), "verify . --check")]);
+    judge_all(
+        place.path(),
+        &[Document::new(
+            "session",
+            "session.toml",
+            toml(&session),
+            "verify . --check",
+        )],
+    );
 }
 
 const SWEEPS: &str = r#"
@@ -228,7 +249,10 @@ fn whiskers_and_sweep_plans_hold_only_numbers_that_can_be_swept() {
 fn calibrations_hold_only_numbers_that_a_table_can_be_put_through() {
     let place = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
-    write("whisker.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,1,1541.4,1535.9\n");
+    write(
+        "whisker.csv",
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,1,1541.4,1535.9\n",
+    );
     write("cell.csv", "point,response\n1,2.5\n2,4.5\n");
     let [physical, map, scalar] = calibrations::models();
     let documents = [
@@ -238,8 +262,18 @@ fn calibrations_hold_only_numbers_that_a_table_can_be_put_through() {
             "predict whisker.csv --calibration physical.json --out o.csv",
             "physical.json",
         ),
-        ("map", map, "predict whisker.csv --calibration map.json --out o.csv", "map.json"),
-        ("scalar", scalar, "predict cell.csv --calibration scalar.json --out o.csv", "scalar.json"),
+        (
+            "map",
+            map,
+            "predict whisker.csv --calibration map.json --out o.csv",
+            "map.json",
+        ),
+        (
+            "scalar",
+            scalar,
+            "predict cell.csv --calibration scalar.json --out o.csv",
+            "scalar.json",
+        ),
     ]
     .map(|(name, model, arguments, file)| Document {
         sealed: true,
@@ -253,16 +287,26 @@ fn models_hold_only_numbers_that_a_network_can_have() {
     let place = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
     write("c.json", &calibrations::whisker_calibration().to_string());
-    write("t.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,0.1,1551.4,1535.9\n");
+    write(
+        "t.csv",
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,0.1,1551.4,1535.9\n",
+    );
     fs::create_dir(place.path().join("model")).unwrap();
     let weights = "fixtures/tracker_small/model.safetensors";
-    fs::copy(repository(weights), place.path().join("model/model.safetensors")).unwrap();
+    fs::copy(
+        repository(weights),
+        place.path().join("model/model.safetensors"),
+    )
+    .unwrap();
     let mut card = json(&read("fixtures/tracker_small/model.json"));
     // A coarse curve: the table is made in every run.
     let inverse = &mut card["inverse"];
     (inverse["directions"], inverse["steps"], inverse["links"]) = (8.into(), 4.into(), 10.into());
     let command = "track t.csv --calibration c.json --model model --force --out o.csv";
-    judge_all(place.path(), &[Document::new("model", "model/model.json", card, command)]);
+    judge_all(
+        place.path(),
+        &[Document::new("model", "model/model.json", card, command)],
+    );
 }
 
 /// Weights that are no numbers would give contacts that are none.
@@ -276,10 +320,26 @@ fn weights_that_are_no_numbers_are_refused_by_their_tensor() {
     let mut card = json(&read("fixtures/tracker_small/model.json"));
     let write = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
     write("c.json", &calibrations::whisker_calibration().to_string());
-    write("t.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n");
-    let track =
-        ["track", "t.csv", "--calibration", "c.json", "--model", "model", "--force", "--out", "o.csv"];
-    for (bits, found) in [(1.0_f32, false), (f32::NAN, true), (f32::NEG_INFINITY, true)] {
+    write(
+        "t.csv",
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n",
+    );
+    let track = [
+        "track",
+        "t.csv",
+        "--calibration",
+        "c.json",
+        "--model",
+        "model",
+        "--force",
+        "--out",
+        "o.csv",
+    ];
+    for (bits, found) in [
+        (1.0_f32, false),
+        (f32::NAN, true),
+        (f32::NEG_INFINITY, true),
+    ] {
         let mut weights = good.clone();
         let last = weights.len() - 4;
         weights[last..].copy_from_slice(&bits.to_le_bytes());
@@ -288,8 +348,14 @@ fn weights_that_are_no_numbers_are_refused_by_their_tensor() {
         fs::write(folder.join("model.json"), card.to_string()).unwrap();
         let run = wcal(place.path(), &track);
         let said = String::from_utf8_lossy(&run.stderr);
-        let named = ["model.safetensors", "norm.gamma", "finite"].iter().all(|word| said.contains(word));
-        assert_eq!((run.status.code() == Some(1), named), (found, found), "{said}");
+        let named = ["model.safetensors", "norm.gamma", "finite"]
+            .iter()
+            .all(|word| said.contains(word));
+        assert_eq!(
+            (run.status.code() == Some(1), named),
+            (found, found),
+            "{said}"
+        );
     }
 }
 
@@ -301,7 +367,11 @@ fn cameras_and_shapes_hold_only_numbers_that_pictures_can_have() {
     for side in ["left", "right"] {
         fs::create_dir(place.path().join(side)).unwrap();
         let name = format!("{side}/00001.png");
-        fs::copy(fixture.join("pictures").join(&name), place.path().join(name)).unwrap();
+        fs::copy(
+            fixture.join("pictures").join(&name),
+            place.path().join(name),
+        )
+        .unwrap();
     }
     fs::copy(fixture.join("rig.toml"), place.path().join("rig.toml")).unwrap();
     let mut cameras = json(&read("fixtures/pictured/stereo.json"));

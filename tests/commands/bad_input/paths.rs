@@ -3,8 +3,16 @@
 use super::limits::{in_parallel, limited, sound};
 use super::*;
 
-const TRANSDUCER: &[&str] =
-    &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "linear"];
+const TRANSDUCER: &[&str] = &[
+    "--kind",
+    "transducer",
+    "--stimulus",
+    "x",
+    "--response",
+    "y",
+    "--model",
+    "linear",
+];
 
 /// Command lines with the path under test as `@`; the other files are there and good as far as the command reads them first.
 fn lines() -> Vec<Vec<&'static str>> {
@@ -47,7 +55,14 @@ fn lines() -> Vec<Vec<&'static str>> {
     .map(|line| line.split(' ').collect())
     .collect();
     all.push([&["import", "@"], TRANSDUCER, &["--out", "o"]].concat());
-    all.push([&["import", "xy.csv", "--holdout", "@"], TRANSDUCER, &["--out", "o"]].concat());
+    all.push(
+        [
+            &["import", "xy.csv", "--holdout", "@"],
+            TRANSDUCER,
+            &["--out", "o"],
+        ]
+        .concat(),
+    );
     all
 }
 
@@ -60,19 +75,37 @@ fn prepare(place: &Path) {
     copy("rigs/plans/paper-27.toml", "plan.toml");
     copy("fixtures/pictured/stereo.json", "stereo.json");
     write("c.json", &calibrations::whisker_calibration().to_string());
-    write("t.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.3,1535.9\n2,1,1541.4,1535.9\n");
-    write("m.csv", "t_s,object_x_mm,object_y_mm,object_z_mm\n0,0,0,0\n1,0,0,-1\n");
+    write(
+        "t.csv",
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.3,1535.9\n2,1,1541.4,1535.9\n",
+    );
+    write(
+        "m.csv",
+        "t_s,object_x_mm,object_y_mm,object_z_mm\n0,0,0,0\n1,0,0,-1\n",
+    );
     write("xy.csv", "x,y\n1,2.5\n2,4.5\n");
     write("w.csv", "fbg_1_nm,fbg_2_nm\n1545,1543\n");
-    write("optic.csv", &sweep_table("fbg_2,fbg_6,fbg_4", "1545,1543,1541", 2000));
+    write(
+        "optic.csv",
+        &sweep_table("fbg_2,fbg_6,fbg_4", "1545,1543,1541", 2000),
+    );
     write("action.csv", "ind,py\n0,0\n1000,0.01\n1999,0.02\n");
     write("m.stl", "solid\nendsolid\n");
-    write("shapes.json", "{\"format\": \"wcal-shapes/1\", \"pairs\": []}");
+    write(
+        "shapes.json",
+        "{\"format\": \"wcal-shapes/1\", \"pairs\": []}",
+    );
     for folder in ["pictures", "sweeps", "a-folder"] {
         fs::create_dir(place.join(folder)).unwrap();
     }
-    copy("fixtures/pictured/pictures/left/00001.png", "pictures/00001.png");
-    let made = Command::new("mkfifo").arg(place.join("a-pipe")).status().unwrap();
+    copy(
+        "fixtures/pictured/pictures/left/00001.png",
+        "pictures/00001.png",
+    );
+    let made = Command::new("mkfifo")
+        .arg(place.join("a-pipe"))
+        .status()
+        .unwrap();
     assert!(made.success());
 }
 
@@ -105,8 +138,11 @@ fn pipes_folders_and_endless_devices_are_named_at_once() {
         let shown = arguments.join(" ");
         let text = sound(&output).map_err(|why| format!("{shown}: {why}"))?;
         // The one document of a refusal says why.
-        let left =
-            if place.path().join(&out).exists() { listing(&place.path().join(&out)) } else { Vec::new() };
+        let left = if place.path().join(&out).exists() {
+            listing(&place.path().join(&out))
+        } else {
+            Vec::new()
+        };
         if output.status.code() == Some(1)
             && text.contains(path)
             && left.iter().all(|name| name == "verify.json")
@@ -114,11 +150,15 @@ fn pipes_folders_and_endless_devices_are_named_at_once() {
             return Ok(());
         }
         let code = output.status.code();
-        Err(format!("{shown}: expected exit code 1 and the path's name, found {code:?}, {left:?}: {text}"))
+        Err(format!(
+            "{shown}: expected exit code 1 and the path's name, found {code:?}, {left:?}: {text}"
+        ))
     });
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    let left: Vec<String> =
-        listing(place.path()).into_iter().filter(|name| !name.starts_with("out-")).collect();
+    let left: Vec<String> = listing(place.path())
+        .into_iter()
+        .filter(|name| !name.starts_with("out-"))
+        .collect();
     assert_eq!(left, before, "nothing else is written");
 }
 
@@ -133,14 +173,25 @@ fn a_pipe_inside_a_session_is_named() {
         // Control: as it is, it is read.
         judge(&limited(&session, &["verify", ".", "--check"]), 3, &[]).unwrap();
         fs::remove_file(session.join(name)).unwrap();
-        assert!(Command::new("mkfifo").arg(session.join(name)).status().unwrap().success());
-        for (command, more) in
-            [("verify", &["--check"][..]), ("verify", &["--out", "v"]), ("fit-gpr", &["--out", "g"])]
-        {
+        assert!(
+            Command::new("mkfifo")
+                .arg(session.join(name))
+                .status()
+                .unwrap()
+                .success()
+        );
+        for (command, more) in [
+            ("verify", &["--check"][..]),
+            ("verify", &["--out", "v"]),
+            ("fit-gpr", &["--out", "g"]),
+        ] {
             let output = limited(&session, &[&[command, "."], more].concat());
             judge(&output, 1, &[name]).unwrap();
             let text = sound(&output).unwrap();
-            assert!(text.contains("a pipe") || text.contains("not a regular file"), "{command}: {text}");
+            assert!(
+                text.contains("a pipe") || text.contains("not a regular file"),
+                "{command}: {text}"
+            );
         }
     }
 }
@@ -155,7 +206,11 @@ fn the_limits_hold() {
         sound(&output)
     };
     assert!(shell("exit 124").unwrap_err().contains("ten minutes"));
-    assert!(shell("echo thread main panicked").unwrap_err().contains("panic"));
+    assert!(
+        shell("echo thread main panicked")
+            .unwrap_err()
+            .contains("panic")
+    );
     assert!(shell("kill -ABRT $$").unwrap_err().contains("signal"));
     assert!(shell("exit 3").is_ok());
 }

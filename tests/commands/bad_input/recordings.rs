@@ -18,17 +18,33 @@ fn record(folder: &Path, more: &[SweepEvent]) {
         fs::copy(fixture("pictured").join(name), folder.join(name)).unwrap();
     }
     let recorder = Recorder::create(&folder.join("recording.mcap"), Default::default()).unwrap();
-    let rig: toml::Table = fs::read_to_string(folder.join("rig.toml")).unwrap().parse().unwrap();
+    let rig: toml::Table = fs::read_to_string(folder.join("rig.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
     let gratings = rig["interrogator"]["grating"].as_array().unwrap();
-    let mut peaks: Vec<f64> = gratings.iter().map(|g| g["nominal_nm"].as_float().unwrap()).collect();
+    let mut peaks: Vec<f64> = gratings
+        .iter()
+        .map(|g| g["nominal_nm"].as_float().unwrap())
+        .collect();
     peaks.sort_by(f64::total_cmp);
     let zero_mm = rig["stage"]["zero_mm"].as_float().unwrap();
     for serial in 0..2000_u64 {
         let t_s = serial as f64 / RATE_HZ;
-        let clocks = Clocks { host_s: START_S + t_s, device_s: Some(t_s) };
+        let clocks = Clocks {
+            host_s: START_S + t_s,
+            device_s: Some(t_s),
+        };
         let wave = 1e-4 * (serial * 37 % 101) as f64 / 101.0;
         let peaks_nm = vec![peaks.iter().map(|nm| nm + wave).collect()];
-        recorder.scan(&FbgReading { serial, peaks_nm, clocks, ..FbgReading::default() }).unwrap();
+        recorder
+            .scan(&FbgReading {
+                serial,
+                peaks_nm,
+                clocks,
+                ..FbgReading::default()
+            })
+            .unwrap();
         if serial % 10 == 0 {
             let measured_mm = zero_mm + if t_s < 2.0 { 1.0 } else { t_s - 1.0 };
             let reading = StageReading {
@@ -57,7 +73,13 @@ fn own() -> [SweepEvent; 2] {
         end_s,
         ..SweepEvent::default()
     };
-    [event("window", 0.5, 1.5), SweepEvent { rows_hz: 10.0, ..event("moving", 2.0, 3.5) }]
+    [
+        event("window", 0.5, 1.5),
+        SweepEvent {
+            rows_hz: 10.0,
+            ..event("moving", 2.0, 3.5)
+        },
+    ]
 }
 
 /// A field by name, with a value in place of its own.
@@ -79,29 +101,50 @@ fn changed(event: &SweepEvent, field: &str, value: f64) -> SweepEvent {
 #[test]
 fn one_message_more_does_not_fill_the_memory() {
     let [window, moving] = own();
-    let long = |step: u32| SweepEvent { step, begin_s: -1e9, end_s: 1e9, ..window.clone() };
+    let long = |step: u32| SweepEvent {
+        step,
+        begin_s: -1e9,
+        end_s: 1e9,
+        ..window.clone()
+    };
     // Name, events, exit code, what is said.
     let cases: [(&str, Vec<SweepEvent>, i32, &[&str]); 5] = [
         ("negative control: as it is", vec![], 0, &["rows"]),
         (
             "negative control: another reading",
-            vec![SweepEvent { begin_s: 1.5, end_s: 1.9, ..window.clone() }],
+            vec![SweepEvent {
+                begin_s: 1.5,
+                end_s: 1.9,
+                ..window.clone()
+            }],
             0,
             &["rows"],
         ),
         (
             "rows a second that the scans cannot give",
-            vec![SweepEvent { rows_hz: 9e4, ..moving.clone() }],
+            vec![SweepEvent {
+                rows_hz: 9e4,
+                ..moving.clone()
+            }],
             1,
             &["/sweep/event", "rows on the fly"],
         ),
         (
             "a move of sixty years",
-            vec![SweepEvent { begin_s: -1e9, end_s: 1e9, ..moving.clone() }],
+            vec![SweepEvent {
+                begin_s: -1e9,
+                end_s: 1e9,
+                ..moving.clone()
+            }],
             1,
             &["/sweep/event", "rows on the fly"],
         ),
-        ("readings that hold every scan", (0..3000).map(long).collect(), 1, &["/sweep/event", "for a scan"]),
+        (
+            "readings that hold every scan",
+            (0..3000).map(long).collect(),
+            1,
+            &["/sweep/event", "for a scan"],
+        ),
     ];
     for (name, more, code, says) in cases {
         let place = tempfile::tempdir().unwrap();
@@ -109,8 +152,15 @@ fn one_message_more_does_not_fill_the_memory() {
         let output = limited(place.path(), &["reduce", "."]);
         let text = sound(&output).unwrap_or_else(|why| panic!("{name}: {why}"));
         // Without noise of the instrument and with a stage of our own a warning may come with the rows.
-        let good = if code == 0 { output.status.code() != Some(1) } else { output.status.code() == Some(1) };
-        assert!(good && says.iter().all(|word| text.contains(word)), "{name}: {text}");
+        let good = if code == 0 {
+            output.status.code() != Some(1)
+        } else {
+            output.status.code() == Some(1)
+        };
+        assert!(
+            good && says.iter().all(|word| text.contains(word)),
+            "{name}: {text}"
+        );
     }
 }
 
@@ -119,11 +169,33 @@ const MARK: f64 = 0.123_456_789;
 
 #[test]
 fn every_number_of_an_event_is_taken_or_named() {
-    let fields = ["target_mm", "speed_mm_s", "begin_s", "end_s", "arrived_s", "rows_hz"];
-    let values = [f64::NAN, f64::INFINITY, -1e308, 1e308, 1e18, 1e9, -1e9, 4294967296.0, 0.0, -1.0];
+    let fields = [
+        "target_mm",
+        "speed_mm_s",
+        "begin_s",
+        "end_s",
+        "arrived_s",
+        "rows_hz",
+    ];
+    let values = [
+        f64::NAN,
+        f64::INFINITY,
+        -1e308,
+        1e308,
+        1e18,
+        1e9,
+        -1e9,
+        4294967296.0,
+        0.0,
+        -1.0,
+    ];
     let events = own();
     let cases: Vec<(usize, &str, f64)> = (0..2)
-        .flat_map(|k| fields.iter().flat_map(move |field| values.map(|value| (k, *field, value))))
+        .flat_map(|k| {
+            fields
+                .iter()
+                .flat_map(move |field| values.map(|value| (k, *field, value)))
+        })
         .collect();
     let wrong = in_parallel(&cases, |(k, field, value)| {
         let place = tempfile::tempdir().unwrap();
@@ -138,14 +210,23 @@ fn every_number_of_an_event_is_taken_or_named() {
             let named = text.contains(&format!(
                 "1 messages that make no sense left out; the first: /sweep/event: {field}"
             ));
-            let all =
-                fs::read_to_string(place.path().join("points.csv")).is_ok_and(|t| t.lines().count() > 10);
-            return if code == Some(3) && named && all { Ok(()) } else { Err(format!("{shown}: {text}")) };
+            let all = fs::read_to_string(place.path().join("points.csv"))
+                .is_ok_and(|t| t.lines().count() > 10);
+            return if code == Some(3) && named && all {
+                Ok(())
+            } else {
+                Err(format!("{shown}: {text}"))
+            };
         }
         match code != Some(1) || text.contains("recording.mcap: /sweep/event") {
             true => Ok(()),
             false => Err(format!("{shown}: not named: {text}")),
         }
     });
-    assert!(wrong.is_empty(), "{} faults\n{}", wrong.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} faults\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
 }

@@ -30,7 +30,11 @@ fn damaged(text: &[u8], which: usize) -> Vec<u8> {
         Some((key, _)) => format!(
             "{key}{}{new}{}\n",
             if own.contains(" = ") { "= " } else { ": " },
-            if own.trim_end().ends_with(',') { "," } else { "" }
+            if own.trim_end().ends_with(',') {
+                ","
+            } else {
+                ""
+            }
         ),
         None => format!("{new}\n"),
     };
@@ -50,7 +54,11 @@ fn damaged(text: &[u8], which: usize) -> Vec<u8> {
 fn place() -> (tempfile::TempDir, Vec<Read>) {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name);
-    for (base, folder) in [(Base::Whisker, "w"), (Base::Transducer, "t"), (Base::Axis, "a")] {
+    for (base, folder) in [
+        (Base::Whisker, "w"),
+        (Base::Transducer, "t"),
+        (Base::Axis, "a"),
+    ] {
         fs::create_dir(at(folder)).unwrap();
         base.write(&at(folder));
     }
@@ -62,7 +70,10 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
     copy(&repository("rigs/plans/paper-27.toml"), "plan.toml");
     copy(&repository("rigs/virtual/scenario.toml"), "scenario.toml");
     copy(&fixture("tracker_small/model.json"), "model/model.json");
-    copy(&fixture("tracker_small/model.safetensors"), "model/model.safetensors");
+    copy(
+        &fixture("tracker_small/model.safetensors"),
+        "model/model.safetensors",
+    );
     copy(&fixture("pictured/stereo.json"), "stereo.json");
     copy(&fixture("pictured/rig.toml"), "seen.toml");
     for name in ["rig.toml", "run.json"] {
@@ -73,10 +84,21 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
     fs::write(at("c.json"), pretty(&calibrations::calibration(scalar))).unwrap();
     fs::write(at("p.json"), pretty(&calibrations::calibration(physical))).unwrap();
     fs::write(at("cell.csv"), "point,response\n1,2.5\n2,4.5\n").unwrap();
-    fs::write(at("wire.csv"), "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,1,1541.4,1535.9\n")
-        .unwrap();
-    fs::write(at("sweeps.toml"), "rate_hz = 5.0\nspeed_mm_s = [3.0, 7.0]\nmost_mm = 30.0\n").unwrap();
-    fs::write(at("shapes.json"), "{\n \"format\": \"wcal-shapes/1\",\n \"pairs\": []\n}\n").unwrap();
+    fs::write(
+        at("wire.csv"),
+        "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,1,1541.4,1535.9\n",
+    )
+    .unwrap();
+    fs::write(
+        at("sweeps.toml"),
+        "rate_hz = 5.0\nspeed_mm_s = [3.0, 7.0]\nmost_mm = 30.0\n",
+    )
+    .unwrap();
+    fs::write(
+        at("shapes.json"),
+        "{\n \"format\": \"wcal-shapes/1\",\n \"pairs\": []\n}\n",
+    )
+    .unwrap();
     let read = |file: &'static str, arguments: &'static str| Read { file, arguments };
     let all = vec![
         read("w/session.toml", "verify w --check"),
@@ -85,18 +107,45 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
         read("t/session.toml", "verify t --out o"),
         read("t/points.csv", "verify t --out o"),
         read("a/points.csv", "verify a --check"),
-        read("rig.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
-        read("plan.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
+        read(
+            "rig.toml",
+            "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
+        ),
+        read(
+            "plan.toml",
+            "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
+        ),
         read("scenario.toml", "virtual-bench --scenario scenario.toml"),
-        read("stereo.json", "stereo-shape left right --cameras stereo.json --rig seen.toml --out o"),
-        read("seen.toml", "stereo-shape left right --cameras stereo.json --rig seen.toml --out o"),
+        read(
+            "stereo.json",
+            "stereo-shape left right --cameras stereo.json --rig seen.toml --out o",
+        ),
+        read(
+            "seen.toml",
+            "stereo-shape left right --cameras stereo.json --rig seen.toml --out o",
+        ),
         read("recorded/rig.toml", "reduce recorded"),
         read("recorded/run.json", "reduce recorded"),
-        read("c.json", "predict cell.csv --calibration c.json --out o.csv"),
-        read("cell.csv", "predict cell.csv --calibration c.json --out o.csv"),
-        read("p.json", "predict wire.csv --calibration p.json --out o.csv"),
-        read("wire.csv", "predict wire.csv --calibration p.json --out o.csv"),
-        read("shapes.json", "fit-whisker shapes.json --rig seen.toml --out o"),
+        read(
+            "c.json",
+            "predict cell.csv --calibration c.json --out o.csv",
+        ),
+        read(
+            "cell.csv",
+            "predict cell.csv --calibration c.json --out o.csv",
+        ),
+        read(
+            "p.json",
+            "predict wire.csv --calibration p.json --out o.csv",
+        ),
+        read(
+            "wire.csv",
+            "predict wire.csv --calibration p.json --out o.csv",
+        ),
+        read(
+            "shapes.json",
+            "fit-whisker shapes.json --rig seen.toml --out o",
+        ),
         read(
             "t/points.csv",
             "import t/points.csv --kind transducer --stimulus stimulus --response response --model linear --out i",
@@ -112,10 +161,14 @@ fn judge_refusal(read: &Read, output: &Output, usual: &str) -> Result<(), String
         return Ok(());
     }
     // `verify --check` says it as a finding, `verify` of data that decide nothing as its verdict.
-    let Some(at) =
-        ["wcal: ", "error  files", "verdict", ": refused"].iter().find_map(|start| text.find(start))
+    let Some(at) = ["wcal: ", "error  files", "verdict", ": refused"]
+        .iter()
+        .find_map(|start| text.find(start))
     else {
-        return Err(format!("no refusal: {}", text.chars().take(300).collect::<String>()));
+        return Err(format!(
+            "no refusal: {}",
+            text.chars().take(300).collect::<String>()
+        ));
     };
     let of_data = read.arguments.starts_with("verify") && text.contains(": refused");
     let whole = if of_data || text[at..].starts_with("error") {
@@ -136,7 +189,8 @@ fn judge_refusal(read: &Read, output: &Output, usual: &str) -> Result<(), String
         return Err(format!("{} characters: {head}", refusal.chars().count()));
     }
     // A label of a point that is no longer there is the label's fault.
-    let of_label = name == "points.csv" && refusal.contains("twin.csv") && refusal.contains("points table");
+    let of_label =
+        name == "points.csv" && refusal.contains("twin.csv") && refusal.contains("points table");
     if !refusal.contains(name) && !of_label {
         return Err(format!("{name} is not named: {head}"));
     }
@@ -146,8 +200,13 @@ fn judge_refusal(read: &Read, output: &Output, usual: &str) -> Result<(), String
 #[test]
 fn a_refusal_names_its_own_file_and_is_one_line() {
     let (place, all) = place();
-    let damages: usize = std::env::var("WCAL_DAMAGES").ok().and_then(|n| n.parse().ok()).unwrap_or(8);
-    let run = |folder: &Path, read: &Read| limited(folder, &read.arguments.split(' ').collect::<Vec<_>>());
+    let damages: usize = std::env::var("WCAL_DAMAGES")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(8);
+    let run = |folder: &Path, read: &Read| {
+        limited(folder, &read.arguments.split(' ').collect::<Vec<_>>())
+    };
     let usual: Vec<String> = all
         .iter()
         .map(|read| {
@@ -157,8 +216,9 @@ fn a_refusal_names_its_own_file_and_is_one_line() {
         })
         .collect();
     // Each kind of damage at another place of the file.
-    let cases: Vec<(usize, usize)> =
-        (0..all.len()).flat_map(|k| (0..damages).map(move |d| (k, 9 * d))).collect();
+    let cases: Vec<(usize, usize)> = (0..all.len())
+        .flat_map(|k| (0..damages).map(move |d| (k, 9 * d)))
+        .collect();
     let refused = std::sync::atomic::AtomicUsize::new(0);
     let wrong = in_parallel(&cases, |(k, damage)| {
         let read = &all[*k];
@@ -168,12 +228,25 @@ fn a_refusal_names_its_own_file_and_is_one_line() {
         let good = fs::read(&path).unwrap();
         fs::write(&path, damaged(&good, *damage)).unwrap();
         let output = run(own.path(), read);
-        refused.fetch_add(usize::from(output.status.code() == Some(1)), std::sync::atomic::Ordering::Relaxed);
+        refused.fetch_add(
+            usize::from(output.status.code() == Some(1)),
+            std::sync::atomic::Ordering::Relaxed,
+        );
         judge_refusal(read, &output, &usual[*k])
             .map_err(|why| format!("{} damage {damage}: {why}", read.arguments))
     });
-    assert!(wrong.is_empty(), "{} of {} faults\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} of {} faults\n{}",
+        wrong.len(),
+        cases.len(),
+        wrong.join("\n")
+    );
     // Negative control: damage is noticed, or nothing was judged.
     let refused = refused.into_inner();
-    assert!(2 * refused > cases.len(), "{refused} of {} refused", cases.len());
+    assert!(
+        2 * refused > cases.len(),
+        "{refused} of {} refused",
+        cases.len()
+    );
 }

@@ -39,13 +39,18 @@ fn in_schema(schema: &Value, root: &Value, at: &str, out: &mut Vec<String>) {
             }
             "anyOf" | "oneOf" => {
                 let all = value.as_array().filter(|a| !a.is_empty());
-                all.into_iter().flatten().for_each(|s| in_schema(s, root, &at, out));
+                all.into_iter()
+                    .flatten()
+                    .for_each(|s| in_schema(s, root, &at, out));
                 all.is_some()
             }
             "$ref" => value.as_str().and_then(|r| referred(root, r)).is_some(),
             "type" => types(value).is_some_and(|all| {
                 all.iter().all(|t| {
-                    ["object", "array", "string", "number", "integer", "boolean", "null"].contains(t)
+                    [
+                        "object", "array", "string", "number", "integer", "boolean", "null",
+                    ]
+                    .contains(t)
                 })
             }),
             "required" | "enum" => value.as_array().is_some_and(|a| !a.is_empty()),
@@ -55,7 +60,9 @@ fn in_schema(schema: &Value, root: &Value, at: &str, out: &mut Vec<String>) {
             "minItems" | "maxItems" | "minProperties" | "maxProperties" => value.is_u64(),
             "prefixItems" => {
                 let all = value.as_array();
-                all.into_iter().flatten().for_each(|s| in_schema(s, root, &at, out));
+                all.into_iter()
+                    .flatten()
+                    .for_each(|s| in_schema(s, root, &at, out));
                 all.is_some()
             }
             other => REMARKS.contains(&other),
@@ -84,26 +91,47 @@ fn in_value(schema: &Value, root: &Value, value: &Value, at: &str, out: &mut Vec
         let holds = match key.as_str() {
             "$ref" => {
                 let other = says.as_str().and_then(|r| referred(root, r));
-                other.into_iter().for_each(|s| in_value(s, root, value, at, out));
+                other
+                    .into_iter()
+                    .for_each(|s| in_value(s, root, value, at, out));
                 other.is_some()
             }
             "type" => types(says).is_some_and(|all| all.iter().any(|t| is(value, t))),
             "const" => same(value, says),
-            "enum" => says.as_array().is_some_and(|all| all.iter().any(|one| same(value, one))),
+            "enum" => says
+                .as_array()
+                .is_some_and(|all| all.iter().any(|one| same(value, one))),
             "pattern" => value.as_str().is_none_or(is_sha256),
             "minimum" => number(value, says).is_none_or(|(v, limit)| v >= limit),
             "maximum" => number(value, says).is_none_or(|(v, limit)| v <= limit),
             "exclusiveMinimum" => number(value, says).is_none_or(|(v, limit)| v > limit),
-            "minItems" => value.as_array().is_none_or(|a| a.len() as u64 >= count(says)),
-            "maxItems" => value.as_array().is_none_or(|a| a.len() as u64 <= count(says)),
-            "minProperties" => value.as_object().is_none_or(|o| o.len() as u64 >= count(says)),
-            "maxProperties" => value.as_object().is_none_or(|o| o.len() as u64 <= count(says)),
+            "minItems" => value
+                .as_array()
+                .is_none_or(|a| a.len() as u64 >= count(says)),
+            "maxItems" => value
+                .as_array()
+                .is_none_or(|a| a.len() as u64 <= count(says)),
+            "minProperties" => value
+                .as_object()
+                .is_none_or(|o| o.len() as u64 >= count(says)),
+            "maxProperties" => value
+                .as_object()
+                .is_none_or(|o| o.len() as u64 <= count(says)),
             "required" => value.as_object().is_none_or(|o| {
-                says.as_array().into_iter().flatten().all(|k| k.as_str().is_some_and(|k| o.contains_key(k)))
+                says.as_array()
+                    .into_iter()
+                    .flatten()
+                    .all(|k| k.as_str().is_some_and(|k| o.contains_key(k)))
             }),
             "prefixItems" => {
-                let pairs = value.as_array().into_iter().flatten().zip(says.as_array().into_iter().flatten());
-                pairs.enumerate().for_each(|(k, (v, s))| in_value(s, root, v, &format!("{at}/{k}"), out));
+                let pairs = value
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .zip(says.as_array().into_iter().flatten());
+                pairs
+                    .enumerate()
+                    .for_each(|(k, (v, s))| in_value(s, root, v, &format!("{at}/{k}"), out));
                 true
             }
             "items" => {
@@ -115,8 +143,13 @@ fn in_value(schema: &Value, root: &Value, value: &Value, at: &str, out: &mut Vec
             "properties" | "additionalProperties" => {
                 for (name, inner) in value.as_object().into_iter().flatten() {
                     let own = schema.get("properties").and_then(|all| all.get(name));
-                    let rule = if key == "properties" { own } else { own.is_none().then_some(says) };
-                    rule.into_iter().for_each(|s| in_value(s, root, inner, &format!("{at}/{name}"), out));
+                    let rule = if key == "properties" {
+                        own
+                    } else {
+                        own.is_none().then_some(says)
+                    };
+                    rule.into_iter()
+                        .for_each(|s| in_value(s, root, inner, &format!("{at}/{name}"), out));
                 }
                 true
             }
@@ -132,7 +165,10 @@ fn in_value(schema: &Value, root: &Value, value: &Value, at: &str, out: &mut Vec
             _ => true,
         };
         if !holds {
-            out.push(format!("{at}: {key}: expected {says}, found {}", short(value)));
+            out.push(format!(
+                "{at}: {key}: expected {says}, found {}",
+                short(value)
+            ));
         }
     }
 }
@@ -180,5 +216,7 @@ fn is_sha256(text: &str) -> bool {
 
 fn short(value: &Value) -> String {
     let text = value.to_string();
-    text.char_indices().nth(80).map_or(text.clone(), |(end, _)| format!("{}...", &text[..end]))
+    text.char_indices()
+        .nth(80)
+        .map_or(text.clone(), |(end, _)| format!("{}...", &text[..end]))
 }

@@ -24,26 +24,45 @@ impl Place<'_> {
     /// Runs the program; its standard output. Words are separated by spaces.
     fn run(&self, command: &str, codes: &[i32]) -> String {
         let words: Vec<&str> = command.split_whitespace().collect();
-        let output = program_of(words[0]).args(&words).current_dir(self.0).output().unwrap();
+        let output = program_of(words[0])
+            .args(&words)
+            .current_dir(self.0)
+            .output()
+            .unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         let code = output.status.code().unwrap_or(-1);
-        assert!(codes.contains(&code), "wcal {command}: exit code {code}, expected {codes:?}\n{said}");
+        assert!(
+            codes.contains(&code),
+            "wcal {command}: exit code {code}, expected {codes:?}\n{said}"
+        );
         String::from_utf8(output.stdout).unwrap()
     }
 
     fn printed(&self, schema: &'static str, command: &str, codes: &[i32]) -> Written {
         let text = self.run(command, codes);
-        (schema, command.to_owned(), serde_json::from_str(&text).unwrap())
+        (
+            schema,
+            command.to_owned(),
+            serde_json::from_str(&text).unwrap(),
+        )
     }
 
     fn file(&self, schema: &'static str, name: &str) -> Written {
         let text = std::fs::read(self.0.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
-        (schema, name.to_owned(), serde_json::from_slice(&text).unwrap())
+        (
+            schema,
+            name.to_owned(),
+            serde_json::from_slice(&text).unwrap(),
+        )
     }
 
     fn header(&self, name: &str) -> (String, String) {
-        let text = std::fs::read_to_string(self.0.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
-        (name.to_owned(), text.lines().next().unwrap_or_default().to_owned())
+        let text =
+            std::fs::read_to_string(self.0.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        (
+            name.to_owned(),
+            text.lines().next().unwrap_or_default().to_owned(),
+        )
     }
 
     /// A session of the fixtures that may be written to.
@@ -78,14 +97,25 @@ const TRACK: &str =
 pub fn documents(folder: &Path) -> Vec<Written> {
     let place = Place(folder);
     std::thread::scope(|scope| {
-        let parts =
-            [scope.spawn(|| traced(&place)), scope.spawn(|| pictured(&place)), scope.spawn(|| swept(&place))];
+        let parts = [
+            scope.spawn(|| traced(&place)),
+            scope.spawn(|| pictured(&place)),
+            scope.spawn(|| swept(&place)),
+        ];
         let mut all: Vec<Written> = parts.into_iter().flat_map(|p| p.join().unwrap()).collect();
         // Needs a calibration of the first and a recording of the third.
         place.run(&format!("track session {TRACK} stream.csv"), &[3, 4, 0]);
-        place.run(&format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv"), &[3, 4, 0]);
-        place.run("track held --calibration held-verified/calibration.json --out groove.csv", &[0, 3, 4]);
-        all.extend(["stream.json", "table.json", "groove.json"].map(|name| place.file("track", name)));
+        place.run(
+            &format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv"),
+            &[3, 4, 0],
+        );
+        place.run(
+            "track held --calibration held-verified/calibration.json --out groove.csv",
+            &[0, 3, 4],
+        );
+        all.extend(
+            ["stream.json", "table.json", "groove.json"].map(|name| place.file("track", name)),
+        );
         all
     })
 }
@@ -104,9 +134,15 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
         "predict held/points.csv --calibration held-verified/calibration.json --out moments.csv",
         &[0, 4],
     );
-    place.run("twin fixtures/whiskerfbg --engine rod --out twin.csv", &[0, 3]);
+    place.run(
+        "twin fixtures/whiskerfbg --engine rod --out twin.csv",
+        &[0, 3],
+    );
     // A calibration that is judged, and data that are refused.
-    place.run("verify held --calibration held-verified/calibration.json --out judged", &[0, 1, 3, 4]);
+    place.run(
+        "verify held --calibration held-verified/calibration.json --out judged",
+        &[0, 1, 3, 4],
+    );
     all.push(place.file("verify", "judged/verify.json"));
     all.push(place.printed(
         "predict",
@@ -132,14 +168,24 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
     const SCENE: &str = "fixtures/stereo_bench/scene";
     const BOARD: &str = "fixtures/stereo_bench/board";
     place.run(
-        &format!("stereo-calibrate {BOARD}/left {BOARD}/right --board 9x6 --square-mm 6 --out cameras"),
+        &format!(
+            "stereo-calibrate {BOARD}/left {BOARD}/right --board 9x6 --square-mm 6 --out cameras"
+        ),
         &[0, 3],
     );
     let cameras = "--cameras cameras/stereo.json --rig fixtures/stereo_bench/rig.toml";
-    place.run(&format!("stereo-shape {SCENE}/left {SCENE}/right {cameras} --out shapes"), &[0, 3]);
-    place
-        .run("simulate --object ball --object can --object vase --object cone --sweeps 3 --out sweeps", &[0]);
-    place.run("train sweeps --held-out 1 --unseen 1 --epochs 1 --preset compact --out model", &[0]);
+    place.run(
+        &format!("stereo-shape {SCENE}/left {SCENE}/right {cameras} --out shapes"),
+        &[0, 3],
+    );
+    place.run(
+        "simulate --object ball --object can --object vase --object cone --sweeps 3 --out sweeps",
+        &[0],
+    );
+    place.run(
+        "train sweeps --held-out 1 --unseen 1 --epochs 1 --preset compact --out model",
+        &[0],
+    );
     place.run(
         "evaluate sweeps --model model --simulation-only --objects 1 --sweeps-each 1 --out evaluation",
         &[0],
@@ -169,9 +215,18 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
     // The gratings of the calibration that the recording is tracked with.
     let changes = [
         ("rate_hz = 2000.0", "rate_hz = 250.0"),
-        ("nominal_nm = 1537.3, window_nm = 0.7", "nominal_nm = 1542.461, window_nm = 0.5"),
-        ("nominal_nm = 1541.2, window_nm = 1.5", "nominal_nm = 1545.249, window_nm = 0.8"),
-        ("nominal_nm = 1535.8, window_nm = 0.7", "nominal_nm = 1543.606, window_nm = 0.6"),
+        (
+            "nominal_nm = 1537.3, window_nm = 0.7",
+            "nominal_nm = 1542.461, window_nm = 0.5",
+        ),
+        (
+            "nominal_nm = 1541.2, window_nm = 1.5",
+            "nominal_nm = 1545.249, window_nm = 0.8",
+        ),
+        (
+            "nominal_nm = 1535.8, window_nm = 0.7",
+            "nominal_nm = 1543.606, window_nm = 0.6",
+        ),
     ];
     let changed = changes.iter().fold(rig, |rig, (from, to)| {
         assert!(rig.contains(from), "{from}");

@@ -32,8 +32,16 @@ impl Goal {
 pub fn clopper_pearson(hits: usize, trials: usize) -> (f64, f64) {
     let (k, n) = (hits as f64, trials as f64);
     let quantile = |a: f64, b: f64, p: f64| Beta::new(a, b).map_or(f64::NAN, |d| d.inverse_cdf(p));
-    let low = if hits == 0 { 0.0 } else { quantile(k, n - k + 1.0, 0.025) };
-    let high = if hits == trials { 1.0 } else { quantile(k + 1.0, n - k, 0.975) };
+    let low = if hits == 0 {
+        0.0
+    } else {
+        quantile(k, n - k + 1.0, 0.025)
+    };
+    let high = if hits == trials {
+        1.0
+    } else {
+        quantile(k + 1.0, n - k, 0.975)
+    };
     (low, high)
 }
 
@@ -72,12 +80,23 @@ pub(super) fn rate(score: &str, goal: &str, hits: usize, trials: usize, side: Si
         Side::NoneOfThem => Some(hits == 0),
         Side::None => None,
     });
-    Goal { score: score.into(), goal: goal.into(), value, bounds, counts: (hits, trials), met }
+    Goal {
+        score: score.into(),
+        goal: goal.into(),
+        value,
+        bounds,
+        counts: (hits, trials),
+        met,
+    }
 }
 
 /// Met, missed, or neither.
 fn decided(met: bool, missed: bool) -> Option<bool> {
-    if met { Some(true) } else { missed.then_some(false) }
+    if met {
+        Some(true)
+    } else {
+        missed.then_some(false)
+    }
 }
 
 /// Bounds of a quantile that hold for any distribution: the order statistics whose ranks a binomial count of values below it has at 2.5 and 97.5 %
@@ -90,8 +109,13 @@ fn quantile_bounds(sorted: &[f64], quantile: f64) -> (f64, f64) {
     }
     let below = Binomial::new(quantile, n as u64);
     let rank = |p: f64| below.as_ref().map_or(0, |b| b.inverse_cdf(p)) as usize;
-    let low = rank(0.025).checked_sub(1).map_or(f64::NEG_INFINITY, |k| sorted[k]);
-    (low, sorted.get(rank(0.975)).copied().unwrap_or(f64::INFINITY))
+    let low = rank(0.025)
+        .checked_sub(1)
+        .map_or(f64::NEG_INFINITY, |k| sorted[k]);
+    (
+        low,
+        sorted.get(rank(0.975)).copied().unwrap_or(f64::INFINITY),
+    )
 }
 
 /// Quantile of the finite values, linear between them; NaN where there is none.
@@ -106,11 +130,26 @@ pub(super) fn quantile_of(mut values: Vec<f64>, quantile: f64) -> f64 {
     values[i] + f * (values[(i + 1).min(values.len() - 1)] - values[i])
 }
 
-pub(super) fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
+pub(super) fn number(
+    score: &str,
+    goal: &str,
+    mut values: Vec<f64>,
+    quantile: f64,
+    most: f64,
+) -> Goal {
     values.retain(|v| v.is_finite());
     values.sort_by(f64::total_cmp);
     let value = quantile_of(values.clone(), quantile);
     let bounds = (!values.is_empty()).then(|| quantile_bounds(&values, quantile));
-    let met = bounds.filter(|_| most.is_finite()).and_then(|(low, high)| decided(high <= most, low > most));
-    Goal { score: score.into(), goal: goal.into(), value, bounds, counts: (values.len(), values.len()), met }
+    let met = bounds
+        .filter(|_| most.is_finite())
+        .and_then(|(low, high)| decided(high <= most, low > most));
+    Goal {
+        score: score.into(),
+        goal: goal.into(),
+        value,
+        bounds,
+        counts: (values.len(), values.len()),
+        met,
+    }
 }

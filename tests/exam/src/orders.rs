@@ -37,7 +37,9 @@ impl Order {
             Self::Whisker(request, noise, make) => {
                 Drawn::Whisker(Box::new(draw_under(request, *noise, *make)?))
             }
-            Self::PictureSetup(request, looked) => Drawn::Whisker(Box::new(draw_looked(request, *looked)?)),
+            Self::PictureSetup(request, looked) => {
+                Drawn::Whisker(Box::new(draw_looked(request, *looked)?))
+            }
             Self::Scalar(request) => Drawn::Scalar(Box::new(scalar::draw(request))),
         })
     }
@@ -114,9 +116,13 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
     let (mut noisy, mut scalars) = (0, 0);
     let (mut walked, offset) = (0, rng.random_range(0..50_usize));
     if ["pictures", "pictures-null", "without-pictures", "nominals"].contains(&mix) {
-        let of: Vec<Kind> =
-            catalogue.into_iter().filter(|k| k.observable(false) && *k != Kind::SlipOutliers).collect();
-        return (0..draws).map(|i| looked_order(mix, i, &of, seed_of(seed, i))).collect();
+        let of: Vec<Kind> = catalogue
+            .into_iter()
+            .filter(|k| k.observable(false) && *k != Kind::SlipOutliers)
+            .collect();
+        return (0..draws)
+            .map(|i| looked_order(mix, i, &of, seed_of(seed, i)))
+            .collect();
     }
     (0..draws)
         .map(|i| {
@@ -144,13 +150,20 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                 noise = Noise::ALL[noisy % Noise::ALL.len()];
                 noisy += 1;
                 design = noisy_layout(noise, part == "noise-null", &mut rng);
-                make = if rng.random_bool(1.0 / 3.0) { Make::Thin } else { Make::Usual };
+                make = if rng.random_bool(1.0 / 3.0) {
+                    Make::Thin
+                } else {
+                    Make::Usual
+                };
             }
             let want = match part {
                 // Which reading is off is the truth already where the noise has gross readings.
                 "noise-single" if matches!(noise, Noise::OneGross | Noise::TwoGross) => {
-                    let of: Vec<Kind> =
-                        catalogue.iter().copied().filter(|k| *k != Kind::SlipOutliers).collect();
+                    let of: Vec<Kind> = catalogue
+                        .iter()
+                        .copied()
+                        .filter(|k| *k != Kind::SlipOutliers)
+                        .collect();
                     turn(&of).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k]))
                 }
                 "single" | "noise-single" => {
@@ -159,31 +172,53 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                 "pair" => pair(&catalogue, &mut rng),
                 "confounded" => {
                     design = Design::Paper;
-                    let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
+                    let of: Vec<Kind> = catalogue
+                        .iter()
+                        .copied()
+                        .filter(|k| k.observable(false))
+                        .collect();
                     pair(&of, &mut rng)
                 }
                 "unknown" => turn(&unknown).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k])),
                 "paper" => {
                     design = Design::Paper;
-                    let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
+                    let of: Vec<Kind> = catalogue
+                        .iter()
+                        .copied()
+                        .filter(|k| k.observable(false))
+                        .collect();
                     if rng.random_bool(0.3) {
                         CaseKind::Null
                     } else {
                         turn(&of).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k]))
                     }
                 }
-                "adversarial" => CaseKind::Adversarial(Tampering::ALL[(i / 15 + i) % Tampering::ALL.len()]),
+                "adversarial" => {
+                    CaseKind::Adversarial(Tampering::ALL[(i / 15 + i) % Tampering::ALL.len()])
+                }
                 _ => CaseKind::Null,
             };
             let target_sigma = targets[rng.random_range(0..targets.len())];
             let seed = seed_of(seed, i);
-            Order::Whisker(Request { seed, design, want, target_sigma, rivals }, noise, make)
+            Order::Whisker(
+                Request {
+                    seed,
+                    design,
+                    want,
+                    target_sigma,
+                    rivals,
+                },
+                noise,
+                make,
+            )
         })
         .collect()
 }
 
 /// Kinds of a whisker's session that cameras look at, in turn.
-const LOOKED_PARTS: [&str; 8] = ["single", "camera", "single", "null", "single", "pair", "camera", "single"];
+const LOOKED_PARTS: [&str; 8] = [
+    "single", "camera", "single", "null", "single", "pair", "camera", "single",
+];
 
 /// One approach-only session. Its content hangs on its place and seed alone, so that it is the same with and without pictures.
 fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
@@ -193,8 +228,11 @@ fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
         "pictures-null" => "null",
         _ => LOOKED_PARTS[place % LOOKED_PARTS.len()],
     };
-    let mut looked =
-        PictureSetup { pictures: mix != "without-pictures", fault: Fault::None, straight_off_mm: 0.0 };
+    let mut looked = PictureSetup {
+        pictures: mix != "without-pictures",
+        fault: Fault::None,
+        straight_off_mm: 0.0,
+    };
     let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
     let mut direction = |size: f64| {
         let v: [f64; 3] = [0; 3].map(|_| rng.sample::<f64, _>(StandardNormal));
@@ -220,7 +258,16 @@ fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
         _ => CaseKind::Null,
     };
     let target_sigma = [8.0, 12.0, 20.0][rng.random_range(0..3_usize)];
-    Order::PictureSetup(Request { seed, design: Design::Paper, want, target_sigma, rivals: false }, looked)
+    Order::PictureSetup(
+        Request {
+            seed,
+            design: Design::Paper,
+            want,
+            target_sigma,
+            rivals: false,
+        },
+        looked,
+    )
 }
 
 /// Parts of the mix `all`, in turn.
@@ -250,8 +297,19 @@ fn seed_of(seed: u64, order: usize) -> u64 {
 fn noisy_layout(noise: Noise, null: bool, rng: &mut impl Rng) -> Design {
     let of: &[Design] = match (noise, null) {
         (Noise::Pose, _) => &[Design::Repeats, Design::Shuffled],
-        (_, true) => &[Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase, Design::Paper],
-        (_, false) => &[Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase],
+        (_, true) => &[
+            Design::Rich,
+            Design::Repeats,
+            Design::Shuffled,
+            Design::Staircase,
+            Design::Paper,
+        ],
+        (_, false) => &[
+            Design::Rich,
+            Design::Repeats,
+            Design::Shuffled,
+            Design::Staircase,
+        ],
     };
     of[rng.random_range(0..of.len())]
 }
@@ -272,8 +330,14 @@ fn scalar_order(single: bool, turn: usize, seed: u64, rng: &mut impl Rng) -> Sca
 /// Two effects of different names.
 fn pair(catalogue: &[Kind], rng: &mut impl Rng) -> CaseKind {
     for _ in 0..100 {
-        let mut one = || catalogue.get(rng.random_range(0..catalogue.len().max(1))).copied();
-        let (Some(a), Some(b)) = (one(), one()) else { return CaseKind::Null };
+        let mut one = || {
+            catalogue
+                .get(rng.random_range(0..catalogue.len().max(1)))
+                .copied()
+        };
+        let (Some(a), Some(b)) = (one(), one()) else {
+            return CaseKind::Null;
+        };
         if a.name().0 != b.name().0 && a != Kind::StageScale && b != Kind::StageScale {
             return CaseKind::Effects(vec![a, b]);
         }

@@ -87,9 +87,17 @@ impl Examiner {
     }
 
     /// Makes the measurement that the answer in `session` asks for, and asks again with it; none where it asks for no poses.
-    fn follow_up(&self, paper: &Paper, case: &Case, session: &Path) -> Result<Option<FollowUp>, PlantError> {
-        let text = std::fs::read_to_string(session.join("verify-out/verify.json")).unwrap_or_default();
-        let Ok(verify) = serde_json::from_str::<serde_json::Value>(&text) else { return Ok(None) };
+    fn follow_up(
+        &self,
+        paper: &Paper,
+        case: &Case,
+        session: &Path,
+    ) -> Result<Option<FollowUp>, PlantError> {
+        let text =
+            std::fs::read_to_string(session.join("verify-out/verify.json")).unwrap_or_default();
+        let Ok(verify) = serde_json::from_str::<serde_json::Value>(&text) else {
+            return Ok(None);
+        };
         let next = &verify["next_measurement"];
         let asked: Vec<Asked> = serde_json::from_value(next["poses"].clone()).unwrap_or_default();
         if asked.is_empty() {
@@ -122,7 +130,11 @@ fn answer_with(
     added: Option<&Path>,
     timeout_s: f64,
 ) -> Outcome {
-    let out = session.join(if added.is_some() { "verify-later" } else { "verify-out" });
+    let out = session.join(if added.is_some() {
+        "verify-later"
+    } else {
+        "verify-out"
+    });
     let start = Instant::now();
     let run = spawn(program, session, added, &out, timeout_s);
     let seconds = start.elapsed().as_secs_f64();
@@ -146,13 +158,22 @@ fn answer_with(
     match verify {
         Ok(verify) => {
             // A refused session may come without predictions.
-            let predictions = std::fs::read_to_string(out.join("predictions.csv")).unwrap_or_default();
+            let predictions =
+                std::fs::read_to_string(out.join("predictions.csv")).unwrap_or_default();
             match case {
                 Drawn::Whisker(case) => score(name, case, &verify, &predictions, seconds, code),
-                Drawn::Scalar(case) => score_scalar(name, case, &verify, &predictions, seconds, code),
+                Drawn::Scalar(case) => {
+                    score_scalar(name, case, &verify, &predictions, seconds, code)
+                }
             }
         }
-        Err(e) => crash(name, case, format!("parsing verify.json: {e}"), seconds, code),
+        Err(e) => crash(
+            name,
+            case,
+            format!("parsing verify.json: {e}"),
+            seconds,
+            code,
+        ),
     }
 }
 
@@ -164,12 +185,18 @@ fn spawn(
     timeout_s: f64,
 ) -> Result<Option<i32>, String> {
     let log = |name: &str| {
-        std::fs::File::create(session.join(name)).map(Stdio::from).map_err(|e| format!("making {name}: {e}"))
+        std::fs::File::create(session.join(name))
+            .map(Stdio::from)
+            .map_err(|e| format!("making {name}: {e}"))
     };
     let mut child = Command::new(program)
         .arg("verify")
         .arg(session)
-        .args(added.iter().flat_map(|a| [std::ffi::OsStr::new("--add"), a.as_os_str()]))
+        .args(
+            added
+                .iter()
+                .flat_map(|a| [std::ffi::OsStr::new("--add"), a.as_os_str()]),
+        )
         .arg("--out")
         .arg(out)
         .args(["--json", "--seed", "1"])

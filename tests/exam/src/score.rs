@@ -120,7 +120,8 @@ pub struct Part {
 impl Part {
     /// Stated within a factor of the truth.
     pub fn within(&self, factor: f64) -> bool {
-        self.value.is_some_and(|v| v <= factor * self.truth && v * factor >= self.truth)
+        self.value
+            .is_some_and(|v| v <= factor * self.truth && v * factor >= self.truth)
     }
 }
 
@@ -152,7 +153,12 @@ struct HeldOut {
 }
 
 fn strings(v: &Value) -> BTreeSet<String> {
-    v.as_array().into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect()
+    v.as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .map(str::to_owned)
+        .collect()
 }
 
 /// Scores `verify.json` and `predictions.csv` (texts) of a case.
@@ -167,7 +173,11 @@ pub fn score(
     let t = &case.truth;
     let mut want: BTreeSet<String> = t.names.iter().cloned().collect();
     let effects = verify["effects"].as_array().cloned().unwrap_or_default();
-    let got: Vec<String> = effects.iter().filter_map(|e| e["id"].as_str()).map(str::to_owned).collect();
+    let got: Vec<String> = effects
+        .iter()
+        .filter_map(|e| e["id"].as_str())
+        .map(str::to_owned)
+        .collect();
     let classes: Vec<BTreeSet<String>> = effects
         .iter()
         .zip(&got)
@@ -177,8 +187,12 @@ pub fn score(
             class
         })
         .collect();
-    let alternatives: Vec<BTreeSet<String>> =
-        verify["alternatives"].as_array().into_iter().flatten().map(strings).collect();
+    let alternatives: Vec<BTreeSet<String>> = verify["alternatives"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(strings)
+        .collect();
     let verdict = verify["verdict"].as_str().unwrap_or("none").to_owned();
     let said = flags(verify);
     let true_flags: BTreeSet<Flag> = t.flagged.iter().cloned().collect();
@@ -195,9 +209,16 @@ pub fn score(
         || (want.len() == 1 && alternatives.iter().any(|a| !want.is_disjoint(a)));
     let kind = match t.label.as_str() {
         "adversarial" => {
-            let said =
-                if verdict == "effect" { format!("effect:{}", got.join(",")) } else { verdict.clone() };
-            if t.expected.contains(&said) { Kind::Right } else { Kind::Wrong }
+            let said = if verdict == "effect" {
+                format!("effect:{}", got.join(","))
+            } else {
+                verdict.clone()
+            };
+            if t.expected.contains(&said) {
+                Kind::Right
+            } else {
+                Kind::Wrong
+            }
         }
         "null" => match verdict.as_str() {
             "adequate" if !true_flags.is_empty() && said.is_empty() => Kind::Missed,
@@ -228,9 +249,12 @@ pub fn score(
     Outcome {
         name: name.to_owned(),
         parts: parts(t, verify),
-        floor_ratio: verify["noise_floor"]["wavelength_pm"].as_f64().map(|f| f / t.new_pose_noise_pm),
+        floor_ratio: verify["noise_floor"]["wavelength_pm"]
+            .as_f64()
+            .map(|f| f / t.new_pose_noise_pm),
         // A refused session flags nothing, which says something only where a reading is off.
-        flags_right: (!slips && (verdict != "refused" || !true_flags.is_empty())).then(|| said == true_flags),
+        flags_right: (!slips && (verdict != "refused" || !true_flags.is_empty()))
+            .then(|| said == true_flags),
         driver_right: (t.label == "unknown").then(|| driver_right(t, verify)),
         before_ratio: held.as_ref().map(|h| h.before / floor),
         after_ratio: held.as_ref().map(|h| h.after / floor),
@@ -260,15 +284,30 @@ pub fn score_scalar(
 ) -> Outcome {
     let t = &case.truth;
     let effects = verify["effects"].as_array().cloned().unwrap_or_default();
-    let got: Vec<String> = effects.iter().filter_map(|e| e["id"].as_str()).map(str::to_owned).collect();
-    let alternatives: Vec<BTreeSet<String>> =
-        verify["alternatives"].as_array().into_iter().flatten().map(strings).collect();
+    let got: Vec<String> = effects
+        .iter()
+        .filter_map(|e| e["id"].as_str())
+        .map(str::to_owned)
+        .collect();
+    let alternatives: Vec<BTreeSet<String>> = verify["alternatives"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(strings)
+        .collect();
     let verdict = verify["verdict"].as_str().unwrap_or("none").to_owned();
     let names_truth = |e: &Value, id: &String| {
         t.names.contains(id) || t.names.iter().any(|n| strings(&e["class"]).contains(n))
     };
-    let right = effects.iter().zip(&got).filter(|(e, id)| names_truth(e, id)).count();
-    let in_set = right > 0 || alternatives.iter().any(|a| t.names.iter().any(|n| a.contains(n)));
+    let right = effects
+        .iter()
+        .zip(&got)
+        .filter(|(e, id)| names_truth(e, id))
+        .count();
+    let in_set = right > 0
+        || alternatives
+            .iter()
+            .any(|a| t.names.iter().any(|n| a.contains(n)));
     let kind = match (t.label.as_str(), verdict.as_str()) {
         ("null", "adequate") => Kind::Right,
         ("null", _) => Kind::False,
@@ -286,14 +325,22 @@ pub fn score_scalar(
     let rho_s = -READING_S / t.rho.ln();
     Outcome {
         covered: scalar_cover(case, predictions, key),
-        after_ratio: verify["after"][if case.axis { "error_rmse_um" } else { "response_rmse" }]
-            .as_f64()
-            .map(|v| v / t.noise_sd),
+        after_ratio: verify["after"][if case.axis {
+            "error_rmse_um"
+        } else {
+            "response_rmse"
+        }]
+        .as_f64()
+        .map(|v| v / t.noise_sd),
         floor_ratio: verify["noise_floor"][key].as_f64().map(|v| v / t.noise_sd),
         parts: if t.rho > 0.0 {
             vec![
                 compared("correlated.sd", t.noise_sd, correlated("sd")),
-                compared("correlated.time_constant_s", rho_s, correlated("time_constant_s")),
+                compared(
+                    "correlated.time_constant_s",
+                    rho_s,
+                    correlated("time_constant_s"),
+                ),
             ]
         } else {
             Vec::new()
@@ -316,11 +363,22 @@ fn scalar_cover(case: &ScalarCase, predictions: &str, key: &str) -> Option<(usiz
     let header = reader.headers().ok()?.clone();
     let column = |name: &str| header.iter().position(|h| h == name);
     let (source, point) = (column("source")?, column("point")?);
-    let (after, sd) = (column(&format!("{key}_after"))?, column(&format!("{key}_sd"))?);
-    let held_out: BTreeMap<usize, f64> =
-        case.readings.iter().filter(|r| r.holdout).map(|r| (r.point, r.y)).collect();
+    let (after, sd) = (
+        column(&format!("{key}_after"))?,
+        column(&format!("{key}_sd"))?,
+    );
+    let held_out: BTreeMap<usize, f64> = case
+        .readings
+        .iter()
+        .filter(|r| r.holdout)
+        .map(|r| (r.point, r.y))
+        .collect();
     let (mut inside, mut values) = (0, 0);
-    for record in reader.records().flatten().filter(|r| r.get(source) == Some("holdout.csv")) {
+    for record in reader
+        .records()
+        .flatten()
+        .filter(|r| r.get(source) == Some("holdout.csv"))
+    {
         let number = |k: usize| record.get(k).and_then(|v| v.parse::<f64>().ok());
         let y = held_out.get(&record.get(point)?.parse::<usize>().ok()?)?;
         inside += usize::from((y - number(after)?).abs() <= 1.96 * number(sd)?);
@@ -335,7 +393,12 @@ pub fn crash(name: &str, case: &Drawn, why: String, seconds: f64, code: Option<i
         Drawn::Whisker(case) => blank(name, case),
         Drawn::Scalar(case) => blank_scalar(name, case),
     };
-    Outcome { why, seconds, code, ..blank }
+    Outcome {
+        why,
+        seconds,
+        code,
+        ..blank
+    }
 }
 
 /// Effect whose name gross readings may bear.
@@ -350,28 +413,56 @@ fn flags(verify: &Value) -> BTreeSet<Flag> {
             .iter()
             .filter_map(|f| {
                 let point = usize::try_from(f["point"].as_u64()?).ok()?;
-                Some(Flag { source: f["source"].as_str()?.to_owned(), point })
+                Some(Flag {
+                    source: f["source"].as_str()?.to_owned(),
+                    point,
+                })
             })
             .collect();
     }
-    let notes = verify["notes"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    let notes = verify["notes"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str);
     notes
-        .filter_map(|n| n.strip_prefix("Readings marked")?.split_once("points ").map(|p| p.1))
+        .filter_map(|n| {
+            n.strip_prefix("Readings marked")?
+                .split_once("points ")
+                .map(|p| p.1)
+        })
         .flat_map(|p| p.trim_end_matches('.').split(", "))
-        .filter_map(|p| Some(Flag { source: "points.csv".into(), point: p.parse().ok()? }))
+        .filter_map(|p| {
+            Some(Flag {
+                source: "points.csv".into(),
+                point: p.parse().ok()?,
+            })
+        })
         .collect()
 }
 
 /// A part of `noise`: an object of a value and its interval, or a bare number.
 fn part(v: &Value) -> Option<(f64, Option<[f64; 2]>)> {
     let value = v.as_f64().or_else(|| v["value"].as_f64())?;
-    let ends: Vec<f64> = v["interval95"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+    let ends: Vec<f64> = v["interval95"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_f64)
+        .collect();
     Some((value, <[f64; 2]>::try_from(ends).ok()))
 }
 
 fn compared(name: &str, truth: f64, said: Option<(f64, Option<[f64; 2]>)>) -> Part {
-    let inside = said.and_then(|s| s.1).map(|[low, high]| (low..=high).contains(&truth));
-    Part { name: name.into(), truth, value: said.map(|s| s.0), inside }
+    let inside = said
+        .and_then(|s| s.1)
+        .map(|[low, high]| (low..=high).contains(&truth));
+    Part {
+        name: name.into(),
+        truth,
+        value: said.map(|s| s.0),
+        inside,
+    }
 }
 
 /// Parts that were put in beside what the answer says of them. All are standard deviations, rounding too.
@@ -389,10 +480,18 @@ fn parts(t: &Truth, verify: &Value) -> Vec<Part> {
     if let Some(d) = n.drift {
         let c = &said["correlated"];
         out.push(compared("correlated.sd", d.sd_pm, part(&c["sd"])));
-        out.push(compared("correlated.time_constant_s", d.time_constant_s, part(&c["time_constant_s"])));
+        out.push(compared(
+            "correlated.time_constant_s",
+            d.time_constant_s,
+            part(&c["time_constant_s"]),
+        ));
     }
     if let Some(r) = n.rounding {
-        out.push(compared("rounding", r.step_pm / 12f64.sqrt(), part(&said["rounding"])));
+        out.push(compared(
+            "rounding",
+            r.step_pm / 12f64.sqrt(),
+            part(&said["rounding"]),
+        ));
     }
     if let Some(dof) = n.tails_dof {
         out.push(compared("tails_dof", dof, part(&said["tails_dof"])));
@@ -420,14 +519,23 @@ fn blank(name: &str, case: &Case) -> Outcome {
     Outcome {
         name: name.to_owned(),
         label: t.label.clone(),
-        laws: t.laws.iter().map(|(id, law)| format!("{id}/{}", law.as_str().unwrap_or(""))).collect(),
+        laws: t
+            .laws
+            .iter()
+            .map(|(id, law)| format!("{id}/{}", law.as_str().unwrap_or("")))
+            .collect(),
         design: Some(t.design),
         noise: t.noise.kind.name().into(),
         wire: Some(t.wire),
         pictures: case.looked.map(|l| l.pictures),
         clear: t.clear,
         delta: t.projected_size_in_noises,
-        delta_each: t.sizes_each.values().filter_map(Value::as_f64).fold(f64::INFINITY, f64::min).min(1e9),
+        delta_each: t
+            .sizes_each
+            .values()
+            .filter_map(Value::as_f64)
+            .fold(f64::INFINITY, f64::min)
+            .min(1e9),
         rival_sigma: t.nearest_rival.as_ref().map(|r| r.sigma),
         allowed: t.nearest_rival.as_ref().map(|r| 1 + r.within_three),
         oracle_ratio: t.oracle_after_nmm / floor_nmm(t),
@@ -444,7 +552,10 @@ fn floor_nmm(t: &Truth) -> f64 {
 
 /// Contact error of a model over what the shapes state; none without pictures.
 fn contact_ratio(verify: &Value, model: &str) -> Option<f64> {
-    Some(verify[model]["contact_rmse_mm"].as_f64()? / verify["noise_floor"]["contact_mm"].as_f64()?)
+    Some(
+        verify[model]["contact_rmse_mm"].as_f64()?
+            / verify["noise_floor"]["contact_mm"].as_f64()?,
+    )
 }
 
 fn driver_right(t: &Truth, verify: &Value) -> bool {
@@ -474,15 +585,21 @@ fn held_out(case: &Case, predictions: &str) -> Option<HeldOut> {
         let record = record.ok()?;
         let file = source.and_then(|s| record.get(s)).unwrap_or("holdout.csv");
         if file == "holdout.csv" && record.get(role) == Some("holdout") {
-            let values: Option<Vec<f64>> =
-                numbers.iter().map(|&n| record.get(n).and_then(|v| v.parse().ok())).collect();
+            let values: Option<Vec<f64>> = numbers
+                .iter()
+                .map(|&n| record.get(n).and_then(|v| v.parse().ok()))
+                .collect();
             rows.insert(record.get(point)?.parse::<usize>().ok()?, values);
         }
     }
     let (mut before, mut after, mut covered, mut values) = (0.0, 0.0, 0, 0);
     let holdout = case.readings.iter().filter(|r| r.planned.holdout);
     for (reading, m) in holdout.zip(&case.truth.holdout_moments_nmm) {
-        let off = case.truth.flagged.iter().any(|f| f.source == "holdout.csv" && f.point == reading.point);
+        let off = case
+            .truth
+            .flagged
+            .iter()
+            .any(|f| f.source == "holdout.csv" && f.point == reading.point);
         if reading.planned.role != "holdout" || m[0].is_nan() || off {
             continue;
         }
@@ -498,5 +615,10 @@ fn held_out(case: &Case, predictions: &str) -> Option<HeldOut> {
         return None;
     }
     let rms = |s: f64| (s / values as f64).sqrt();
-    Some(HeldOut { before: rms(before), after: rms(after), covered, values })
+    Some(HeldOut {
+        before: rms(before),
+        after: rms(after),
+        covered,
+        values,
+    })
 }

@@ -15,7 +15,9 @@ use crate::goal::clopper_pearson;
 use anyhow::Context;
 use serde::Serialize;
 use serde_json::Value;
-use wcal_plant::scalar::{self, EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+use wcal_plant::scalar::{
+    self, EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest,
+};
 
 /// How often one kind of number held under one kind of noise and layout.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -59,11 +61,27 @@ impl StatementRow {
 }
 
 /// Kinds of noise that are drawn.
-pub const NOISES: [ScalarNoise; 4] =
-    [ScalarNoise::White, ScalarNoise::StudentT, ScalarNoise::Correlated, ScalarNoise::Rounded];
+pub const NOISES: [ScalarNoise; 4] = [
+    ScalarNoise::White,
+    ScalarNoise::StudentT,
+    ScalarNoise::Correlated,
+    ScalarNoise::Rounded,
+];
 /// Few readings, some, many.
-pub const LAYOUTS: [Layout; 3] =
-    [Layout { sweeps: 3, places: 6 }, Layout { sweeps: 4, places: 11 }, Layout { sweeps: 6, places: 40 }];
+pub const LAYOUTS: [Layout; 3] = [
+    Layout {
+        sweeps: 3,
+        places: 6,
+    },
+    Layout {
+        sweeps: 4,
+        places: 11,
+    },
+    Layout {
+        sweeps: 6,
+        places: 40,
+    },
+];
 /// Size at which the parameters' intervals are counted, in noises.
 const CLEAR: f64 = 20.0;
 /// Level at which p values are counted.
@@ -92,15 +110,23 @@ impl Auditor {
         seed: u64,
     ) -> anyhow::Result<Vec<StatementRow>> {
         let orders = orders(noises, layouts, draws, seed);
-        let (next, tally, failed) = (AtomicUsize::new(0), Mutex::new(Tally::new()), Mutex::new(None));
+        let (next, tally, failed) = (
+            AtomicUsize::new(0),
+            Mutex::new(Tally::new()),
+            Mutex::new(None),
+        );
         std::thread::scope(|scope| {
             for _ in 0..self.jobs.max(1) {
                 scope.spawn(|| {
                     while let Some(draw) = orders.get(next.fetch_add(1, Ordering::Relaxed)) {
                         let counted = self.one(draw);
-                        let (Ok(mut tally), Ok(mut failed)) = (tally.lock(), failed.lock()) else { return };
+                        let (Ok(mut tally), Ok(mut failed)) = (tally.lock(), failed.lock()) else {
+                            return;
+                        };
                         match counted {
-                            Ok(counted) => counted.into_iter().for_each(|c| c.add(draw, &mut tally)),
+                            Ok(counted) => {
+                                counted.into_iter().for_each(|c| c.add(draw, &mut tally))
+                            }
                             Err(error) => *failed = Some(error),
                         }
                     }
@@ -131,7 +157,13 @@ impl Auditor {
         }
         let mut out = of_noise(&case, &verify);
         out.extend(p_values(&verify));
-        if !case.axis && self.folder.join(&draw.name).join("verify/calibration.json").exists() {
+        if !case.axis
+            && self
+                .folder
+                .join(&draw.name)
+                .join("verify/calibration.json")
+                .exists()
+        {
             out.extend(self.predictions(draw, &case, &verify)?);
         }
         out.extend(self.detectable(draw, &verify)?);
@@ -143,7 +175,13 @@ impl Auditor {
         let (case, folder) = (scalar::draw(request), self.folder.join(name));
         case.write(&folder)?;
         let out = folder.join("verify");
-        self.run(&["verify".as_ref(), folder.as_ref(), "--out".as_ref(), out.as_ref(), "--force".as_ref()])?;
+        self.run(&[
+            "verify".as_ref(),
+            folder.as_ref(),
+            "--out".as_ref(),
+            out.as_ref(),
+            "--force".as_ref(),
+        ])?;
         let text = std::fs::read_to_string(out.join("verify.json"))
             .with_context(|| format!("reading what verify says of {name}"))?;
         Ok((case, serde_json::from_str(&text)?))
@@ -157,19 +195,28 @@ impl Auditor {
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .status();
-        status.map(|_| ()).with_context(|| format!("starting {}", self.program.display()))
+        status
+            .map(|_| ())
+            .with_context(|| format!("starting {}", self.program.display()))
     }
 
     /// Readings of another sweep inside their stated half widths, and the error that the first page states.
-    fn predictions(&self, draw: &Draw, case: &ScalarCase, verify: &Value) -> anyhow::Result<Vec<Counted>> {
+    fn predictions(
+        &self,
+        draw: &Draw,
+        case: &ScalarCase,
+        verify: &Value,
+    ) -> anyhow::Result<Vec<Counted>> {
         let folder = self.folder.join(&draw.name);
         let (table, out) = (folder.join("another.csv"), folder.join("predicted.csv"));
         let calibration = folder.join("verify/calibration.json");
         let n = draw.layout.places;
         let step = 1.0 / (n - 1) as f64;
         // At the places of the session, and between them; the ends are places, too.
-        let parts: Vec<f64> =
-            (0..n).map(|k| k as f64 * step).chain((0..n - 1).map(|k| (k as f64 + 0.5) * step)).collect();
+        let parts: Vec<f64> = (0..n)
+            .map(|k| k as f64 * step)
+            .chain((0..n - 1).map(|k| (k as f64 + 0.5) * step))
+            .collect();
         let sweep = case.another_sweep(&parts, draw.request.seed);
         let rows: String = sweep.iter().map(|r| format!("{:.9}\n", r.x)).collect();
         std::fs::write(&table, format!("stimulus\n{rows}"))?;
@@ -198,7 +245,11 @@ impl Auditor {
                 0.95,
                 (sweep[k].y - value).abs() <= half,
             ));
-            squares += if k < n { (sweep[k].clean - value).powi(2) } else { 0.0 };
+            squares += if k < n {
+                (sweep[k].clean - value).powi(2)
+            } else {
+                0.0
+            };
         }
         // What a new sweep over the same places is off by, in the mean over its noise.
         let error = (case.reading_sd().powi(2) + squares / n as f64).sqrt();
@@ -214,27 +265,50 @@ impl Auditor {
     fn detectable(&self, draw: &Draw, verify: &Value) -> anyhow::Result<Vec<Counted>> {
         let mut out = Vec::new();
         for effect in ScalarEffect::ALL {
-            let stated =
-                verify["detectable"].as_array().into_iter().flatten().find(|d| d["id"] == effect.name());
-            let Some(smallest) = stated.and_then(|d| d["smallest"].as_f64()) else { continue };
+            let stated = verify["detectable"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .find(|d| d["id"] == effect.name());
+            let Some(smallest) = stated.and_then(|d| d["smallest"].as_f64()) else {
+                continue;
+            };
             let request = ScalarRequest {
                 effect: Some(effect),
                 size: EffectSize::Parameter(smallest),
                 noise_seed: Some(draw.request.seed ^ 0x0dec_7ab1),
                 ..draw.request
             };
-            let (_, planted) = self.verify(&format!("{}-{}", draw.name, effect.name()), &request)?;
+            let (_, planted) =
+                self.verify(&format!("{}-{}", draw.name, effect.name()), &request)?;
             let said: Vec<&str> = planted["effects"]
                 .as_array()
                 .into_iter()
                 .flatten()
                 .filter_map(|e| e["id"].as_str())
                 .collect();
-            let among = |list: &Value| list.as_array().into_iter().flatten().any(|c| c == effect.name());
+            let among = |list: &Value| {
+                list.as_array()
+                    .into_iter()
+                    .flatten()
+                    .any(|c| c == effect.name())
+            };
             let found = said.contains(&effect.name())
-                || planted["effects"].as_array().into_iter().flatten().any(|e| among(&e["class"]))
-                || planted["alternatives"].as_array().into_iter().flatten().any(among);
-            out.push(Counted::new(format!("detectable.smallest: {} found", effect.name()), 0.9, found));
+                || planted["effects"]
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .any(|e| among(&e["class"]))
+                || planted["alternatives"]
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .any(among);
+            out.push(Counted::new(
+                format!("detectable.smallest: {} found", effect.name()),
+                0.9,
+                found,
+            ));
         }
         Ok(out)
     }
@@ -249,13 +323,18 @@ struct Counted {
 
 impl Counted {
     fn new(statement: impl Into<String>, says: f64, held: bool) -> Self {
-        Self { statement: statement.into(), says, held }
+        Self {
+            statement: statement.into(),
+            says,
+            held,
+        }
     }
 
     fn add(self, draw: &Draw, tally: &mut Tally) {
         let layout = [draw.layout.sweeps, draw.layout.places];
-        let entry =
-            tally.entry((self.statement, draw.request.noise.name(), layout)).or_insert((self.says, 0, 0));
+        let entry = tally
+            .entry((self.statement, draw.request.noise.name(), layout))
+            .or_insert((self.says, 0, 0));
         entry.1 += usize::from(self.held);
         entry.2 += 1;
     }
@@ -271,19 +350,40 @@ fn holds(statement: &str, interval: &Value, truth: f64) -> Option<Counted> {
 fn of_noise(case: &ScalarCase, verify: &Value) -> Vec<Counted> {
     let noise = &verify["noise"];
     let white = case.truth.rho == 0.0;
-    let repeat =
-        holds("noise.repeat.interval95: sd of a reading", &noise["repeat"]["interval95"], case.reading_sd());
-    let correlated =
-        holds("noise.correlated.interval95: its sd", &noise["correlated"]["interval95"], case.truth.noise_sd);
-    repeat.filter(|_| white).into_iter().chain(correlated.filter(|_| !white)).collect()
+    let repeat = holds(
+        "noise.repeat.interval95: sd of a reading",
+        &noise["repeat"]["interval95"],
+        case.reading_sd(),
+    );
+    let correlated = holds(
+        "noise.correlated.interval95: its sd",
+        &noise["correlated"]["interval95"],
+        case.truth.noise_sd,
+    );
+    repeat
+        .filter(|_| white)
+        .into_iter()
+        .chain(correlated.filter(|_| !white))
+        .collect()
 }
 
 fn p_values(verify: &Value) -> Vec<Counted> {
-    let omnibus = verify["reason"]
-        .as_str()
-        .and_then(|r| r.split_once("omnibus p = ")?.1.split(')').next()?.parse::<f64>().ok());
-    let replicates = verify["tests"].as_array().into_iter().flatten().filter_map(|t| t["p"].as_f64()).next();
-    let below = |statement: &str, p: Option<f64>| p.map(|p| Counted::new(statement, LEVEL, p < LEVEL));
+    let omnibus = verify["reason"].as_str().and_then(|r| {
+        r.split_once("omnibus p = ")?
+            .1
+            .split(')')
+            .next()?
+            .parse::<f64>()
+            .ok()
+    });
+    let replicates = verify["tests"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(|t| t["p"].as_f64())
+        .next();
+    let below =
+        |statement: &str, p: Option<f64>| p.map(|p| Counted::new(statement, LEVEL, p < LEVEL));
     let named = Counted::new(
         "a session in which nothing acts is not called adequate",
         0.025,
@@ -292,21 +392,41 @@ fn p_values(verify: &Value) -> Vec<Counted> {
     let listed = [
         below("omnibus p below .05 where nothing acts", omnibus),
         below("replicates p below .05 where nothing acts", replicates),
-        below("holdout.p below .05 where nothing acts", verify["holdout"]["p"].as_f64()),
+        below(
+            "holdout.p below .05 where nothing acts",
+            verify["holdout"]["p"].as_f64(),
+        ),
     ];
     listed.into_iter().flatten().chain([named]).collect()
 }
 
 fn parameters(case: &ScalarCase, verify: &Value) -> Vec<Counted> {
     let mut out = Vec::new();
-    for effect in verify["effects"].as_array().into_iter().flatten().filter(|e| e["id"] == case.truth.label) {
+    for effect in verify["effects"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|e| e["id"] == case.truth.label)
+    {
         for p in effect["parameters"].as_array().into_iter().flatten() {
-            let Some(truth) = p["name"].as_str().and_then(|n| case.truth.parameters.get(n)) else { continue };
-            let statement =
-                format!("parameter of {}: {}", case.truth.label, p["name"].as_str().unwrap_or_default());
+            let Some(truth) = p["name"]
+                .as_str()
+                .and_then(|n| case.truth.parameters.get(n))
+            else {
+                continue;
+            };
+            let statement = format!(
+                "parameter of {}: {}",
+                case.truth.label,
+                p["name"].as_str().unwrap_or_default()
+            );
             // Signs are a matter of direction.
-            let ends: Vec<f64> =
-                p["interval95"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+            let ends: Vec<f64> = p["interval95"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_f64)
+                .collect();
             let [low, high] = ends[..] else { continue };
             let held = (low..=high).contains(truth) || (low..=high).contains(&-truth);
             out.push(Counted::new(statement, 0.95, held));
@@ -332,7 +452,11 @@ fn orders(noises: &[ScalarNoise], layouts: &[Layout], draws: usize, seed: u64) -
                     layout: Some(layout),
                     noise_seed: None,
                 };
-                out.push(Draw { name: format!("draw-{number:05}"), request, layout });
+                out.push(Draw {
+                    name: format!("draw-{number:05}"),
+                    request,
+                    layout,
+                });
             }
         }
     }

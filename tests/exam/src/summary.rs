@@ -14,10 +14,16 @@ use wcal_plant::scalar::ScalarNoise;
 
 /// Alternatives of all ambiguous answers together over those that the data allow; nothing where no rivals were computed.
 fn set_over_allowed(ambiguous: &[&Outcome]) -> Vec<f64> {
-    let counted: Vec<(usize, usize)> =
-        ambiguous.iter().filter_map(|o| Some((o.set_size, o.allowed?))).collect();
+    let counted: Vec<(usize, usize)> = ambiguous
+        .iter()
+        .filter_map(|o| Some((o.set_size, o.allowed?)))
+        .collect();
     let (listed, allowed) = counted.iter().fold((0, 0), |(a, b), (l, k)| (a + l, b + k));
-    if allowed == 0 { Vec::new() } else { vec![listed as f64 / allowed as f64] }
+    if allowed == 0 {
+        Vec::new()
+    } else {
+        vec![listed as f64 / allowed as f64]
+    }
 }
 
 /// White normal noise in the layouts of the practice sessions, on their wire.
@@ -34,19 +40,48 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
         outcomes.iter().partition(|o| o.pictures.is_some());
     let outcomes: Vec<Outcome> = outcomes.into_iter().cloned().collect();
     let outcomes = outcomes.as_slice();
-    let practice: Vec<Outcome> = outcomes.iter().filter(|o| practice_like(o)).cloned().collect();
+    let practice: Vec<Outcome> = outcomes
+        .iter()
+        .filter(|o| practice_like(o))
+        .cloned()
+        .collect();
     let mut out = practice_goals(&practice);
     out.extend(noise_goals(outcomes));
     let seconds = |d: &[Design]| {
-        let of = outcomes.iter().filter(|o| o.design.is_some_and(|o| d.contains(&o)));
+        let of = outcomes
+            .iter()
+            .filter(|o| o.design.is_some_and(|o| d.contains(&o)));
         of.map(|o| o.seconds).collect::<Vec<_>>()
     };
     let all: Vec<&Outcome> = outcomes.iter().chain(looked.iter().copied()).collect();
-    let long = [Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase];
+    let long = [
+        Design::Rich,
+        Design::Repeats,
+        Design::Shuffled,
+        Design::Staircase,
+    ];
     out.extend(picture_goals(&looked));
-    out.push(share("crashes", "none of these", &all, |o| o.kind == Kind::Crash, Side::NoneOfThem));
-    out.push(number("slowest paper session, s", "<= 10", seconds(&[Design::Paper]), 1.0, 10.0));
-    out.push(number("slowest session of about 360 rows, s", "<= 60", seconds(&long), 1.0, 60.0));
+    out.push(share(
+        "crashes",
+        "none of these",
+        &all,
+        |o| o.kind == Kind::Crash,
+        Side::NoneOfThem,
+    ));
+    out.push(number(
+        "slowest paper session, s",
+        "<= 10",
+        seconds(&[Design::Paper]),
+        1.0,
+        10.0,
+    ));
+    out.push(number(
+        "slowest session of about 360 rows, s",
+        "<= 60",
+        seconds(&long),
+        1.0,
+        60.0,
+    ));
     out
 }
 
@@ -60,7 +95,10 @@ fn refused(o: &Outcome) -> bool {
 }
 
 fn part_of<'a>(of: &[&'a Outcome], name: &str) -> Vec<&'a Part> {
-    of.iter().flat_map(|o| &o.parts).filter(|p| p.name == name).collect()
+    of.iter()
+        .flat_map(|o| &o.parts)
+        .filter(|p| p.name == name)
+        .collect()
 }
 
 /// Factor within which a part of the noise counts as stated right.
@@ -68,9 +106,14 @@ const PART_FACTOR: f64 = 1.3;
 
 /// Goals over all kinds of noise.
 fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
-    let honest = |o: &Outcome| o.label != "adversarial" && o.label != "unknown" && o.label != "pair";
-    let pick =
-        |f: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| honest(o) && f(o)).collect::<Vec<_>>();
+    let honest =
+        |o: &Outcome| o.label != "adversarial" && o.label != "unknown" && o.label != "pair";
+    let pick = |f: &dyn Fn(&Outcome) -> bool| {
+        outcomes
+            .iter()
+            .filter(|o| honest(o) && f(o))
+            .collect::<Vec<_>>()
+    };
     let whisker = |o: &Outcome| o.design.is_some();
     let nulls = pick(&|o| whisker(o) && o.label == "null");
     let singles = pick(&|o| {
@@ -84,10 +127,21 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let right = |o: &Outcome| o.kind == Kind::Right;
     let rejected = |o: &Outcome| o.verdict != "adequate";
     let wrong = |o: &Outcome| matches!(o.kind, Kind::Wrong | Kind::Part);
-    let ratios = || answered.iter().filter_map(|o| o.after_ratio).collect::<Vec<_>>();
+    let ratios = || {
+        answered
+            .iter()
+            .filter_map(|o| o.after_ratio)
+            .collect::<Vec<_>>()
+    };
     let oracle = || answered.iter().map(|o| o.oracle_ratio).collect::<Vec<_>>();
     vec![
-        share("every noise: false names on nulls", "<= 5 %", &nulls, names_something, Side::AtMost(0.05)),
+        share(
+            "every noise: false names on nulls",
+            "<= 5 %",
+            &nulls,
+            names_something,
+            Side::AtMost(0.05),
+        ),
         share(
             "every noise: nulls called unknown-effect",
             "-",
@@ -96,14 +150,62 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             Side::None,
         ),
         // What the program's error budget (`levels.rs` of wcal-trace) allows.
-        share("every noise: nulls not called adequate", "<= 2.5 %", &nulls, rejected, Side::AtMost(0.025)),
-        share("every noise: refused", "none of these", &answered, refused, Side::NoneOfThem),
-        share("every noise: singles >= 8 sigma right", ">= 93 %", &singles, right, Side::AtLeast(0.93)),
-        share("every noise: singles >= 8 sigma, wrong name", "<= 1 %", &singles, wrong, Side::AtMost(0.01)),
-        number("every noise: after / floor, median", "<= 1.03", ratios(), 0.5, 1.03),
-        number("every noise: after / floor, 95th percentile", "<= 1.2", ratios(), 0.95, 1.2),
-        number("every noise: the same of the oracle, median", "-", oracle(), 0.5, f64::INFINITY),
-        number("every noise: the same of the oracle, 95th percentile", "-", oracle(), 0.95, f64::INFINITY),
+        share(
+            "every noise: nulls not called adequate",
+            "<= 2.5 %",
+            &nulls,
+            rejected,
+            Side::AtMost(0.025),
+        ),
+        share(
+            "every noise: refused",
+            "none of these",
+            &answered,
+            refused,
+            Side::NoneOfThem,
+        ),
+        share(
+            "every noise: singles >= 8 sigma right",
+            ">= 93 %",
+            &singles,
+            right,
+            Side::AtLeast(0.93),
+        ),
+        share(
+            "every noise: singles >= 8 sigma, wrong name",
+            "<= 1 %",
+            &singles,
+            wrong,
+            Side::AtMost(0.01),
+        ),
+        number(
+            "every noise: after / floor, median",
+            "<= 1.03",
+            ratios(),
+            0.5,
+            1.03,
+        ),
+        number(
+            "every noise: after / floor, 95th percentile",
+            "<= 1.2",
+            ratios(),
+            0.95,
+            1.2,
+        ),
+        number(
+            "every noise: the same of the oracle, median",
+            "-",
+            oracle(),
+            0.5,
+            f64::INFINITY,
+        ),
+        number(
+            "every noise: the same of the oracle, 95th percentile",
+            "-",
+            oracle(),
+            0.95,
+            f64::INFINITY,
+        ),
         rate(
             "scatter of poses stated within a factor 1.3",
             ">= 95 %",
@@ -118,7 +220,13 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.flags_right == Some(true),
             Side::AtLeast(0.98),
         ),
-        share("lines: false names on nulls", "<= 5 %", &lines, names_something, Side::AtMost(0.05)),
+        share(
+            "lines: false names on nulls",
+            "<= 5 %",
+            &lines,
+            names_something,
+            Side::AtMost(0.05),
+        ),
         share(
             "lines: nulls called unknown-effect",
             "-",
@@ -126,9 +234,27 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.verdict == "unknown-effect",
             Side::None,
         ),
-        share("lines: nulls not called adequate", "<= 2.5 %", &lines, rejected, Side::AtMost(0.025)),
-        share("lines: singles >= 8 sigma right", "-", &line_singles, right, Side::None),
-        share("lines: singles >= 8 sigma, wrong name", "-", &line_singles, wrong, Side::None),
+        share(
+            "lines: nulls not called adequate",
+            "<= 2.5 %",
+            &lines,
+            rejected,
+            Side::AtMost(0.025),
+        ),
+        share(
+            "lines: singles >= 8 sigma right",
+            "-",
+            &line_singles,
+            right,
+            Side::None,
+        ),
+        share(
+            "lines: singles >= 8 sigma, wrong name",
+            "-",
+            &line_singles,
+            wrong,
+            Side::None,
+        ),
     ]
 }
 
@@ -172,10 +298,16 @@ pub struct NoiseRow {
 
 /// One row a kind of noise that occurs, whiskers first; pairs, tampered sessions and effects outside the catalogue are left out.
 pub fn by_noise(outcomes: &[Outcome]) -> Vec<NoiseRow> {
-    let names = Noise::ALL.iter().map(|n| n.name()).chain(ScalarNoise::ALL.iter().map(|n| n.name()));
+    let names = Noise::ALL
+        .iter()
+        .map(|n| n.name())
+        .chain(ScalarNoise::ALL.iter().map(|n| n.name()));
     let of = |name: &str| -> Vec<&Outcome> {
-        let here = outcomes.iter().filter(|o| o.noise == name && o.pictures.is_none());
-        here.filter(|o| !matches!(o.label.as_str(), "pair" | "unknown" | "adversarial")).collect()
+        let here = outcomes
+            .iter()
+            .filter(|o| o.noise == name && o.pictures.is_none());
+        here.filter(|o| !matches!(o.label.as_str(), "pair" | "unknown" | "adversarial"))
+            .collect()
     };
     names
         .map(|name| (name, of(name)))
@@ -186,10 +318,16 @@ pub fn by_noise(outcomes: &[Outcome]) -> Vec<NoiseRow> {
 
 fn noise_row(noise: &str, of: &[&Outcome]) -> NoiseRow {
     let nulls: Vec<&Outcome> = of.iter().copied().filter(|o| o.label == "null").collect();
-    let singles: Vec<&Outcome> =
-        of.iter().copied().filter(|o| o.label != "null" && o.delta >= 0.97 * 8.0).collect();
-    let sizeable: Vec<&Outcome> =
-        of.iter().copied().filter(|o| o.label == "null" || o.delta >= 6.0).collect();
+    let singles: Vec<&Outcome> = of
+        .iter()
+        .copied()
+        .filter(|o| o.label != "null" && o.delta >= 0.97 * 8.0)
+        .collect();
+    let sizeable: Vec<&Outcome> = of
+        .iter()
+        .copied()
+        .filter(|o| o.label == "null" || o.delta >= 6.0)
+        .collect();
     let count = |of: &[&Outcome], hit: &dyn Fn(&Outcome) -> bool| -> Count {
         (of.iter().filter(|o| hit(o)).count(), of.len())
     };
@@ -212,13 +350,17 @@ fn noise_row(noise: &str, of: &[&Outcome]) -> NoiseRow {
     NoiseRow {
         noise: noise.to_owned(),
         false_names,
-        false_names_bounds: (false_names.1 > 0).then(|| clopper_pearson(false_names.0, false_names.1)),
+        false_names_bounds: (false_names.1 > 0)
+            .then(|| clopper_pearson(false_names.0, false_names.1)),
         adequate: count(&nulls, &|o| o.verdict == "adequate"),
         unknown: count(&nulls, &|o| o.verdict == "unknown-effect"),
         refused: count(of, &refused),
         right: count(&singles, &|o| o.kind == Kind::Right),
         wrong: count(&singles, &|o| matches!(o.kind, Kind::Wrong | Kind::Part)),
-        covered: of.iter().filter_map(|o| o.covered).fold((0, 0), |(a, b), (k, n)| (a + k, b + n)),
+        covered: of
+            .iter()
+            .filter_map(|o| o.covered)
+            .fold((0, 0), |(a, b), (k, n)| (a + k, b + n)),
         after_floor: both(&|o| o.after_ratio),
         oracle_floor: both(&|o| Some(o.oracle_ratio)),
         stated_floor: [0.05, 0.5, 0.95].map(|q| quantiles(&|o| o.floor_ratio, q)),
@@ -251,7 +393,11 @@ fn right(o: &Outcome) -> bool {
 
 impl<'a> Practice<'a> {
     fn new(outcomes: &'a [Outcome]) -> Self {
-        let mut all = Self { outcomes, singles: Vec::new(), known: Vec::new() };
+        let mut all = Self {
+            outcomes,
+            singles: Vec::new(),
+            known: Vec::new(),
+        };
         all.singles = all.pick(&|o| rich(o) && o.laws.len() == 1 && o.label != "unknown");
         all.known = all.pick(&|o| !tampered(o) && o.label != "unknown");
         all
@@ -265,11 +411,21 @@ impl<'a> Practice<'a> {
     fn names(&self) -> Vec<Goal> {
         let nulls = self.pick(&|o| o.label == "null");
         let above = |sigma: f64| -> Vec<&Outcome> {
-            self.singles.iter().copied().filter(|o| o.delta >= 0.97 * sigma).collect()
+            self.singles
+                .iter()
+                .copied()
+                .filter(|o| o.delta >= 0.97 * sigma)
+                .collect()
         };
-        let clear: Vec<&Outcome> =
-            above(8.0).into_iter().filter(|o| o.rival_sigma.is_none_or(|r| r >= 3.0)).collect();
-        let clear_big: Vec<&Outcome> = clear.iter().copied().filter(|o| o.delta >= 0.97 * 20.0).collect();
+        let clear: Vec<&Outcome> = above(8.0)
+            .into_iter()
+            .filter(|o| o.rival_sigma.is_none_or(|r| r >= 3.0))
+            .collect();
+        let clear_big: Vec<&Outcome> = clear
+            .iter()
+            .copied()
+            .filter(|o| o.delta >= 0.97 * 20.0)
+            .collect();
         let pairs = self.pick(&|o| rich(o) && o.label == "pair" && o.delta_each >= 0.97 * 8.0);
         vec![
             share(
@@ -293,7 +449,13 @@ impl<'a> Practice<'a> {
                 right,
                 Side::AtLeast(0.98),
             ),
-            share("right class, every rich single >= 8 sigma", "-", &above(8.0), right, Side::None),
+            share(
+                "right class, every rich single >= 8 sigma",
+                "-",
+                &above(8.0),
+                right,
+                Side::None,
+            ),
             share(
                 "right or in the set, rich single >= 8 sigma",
                 "-",
@@ -308,8 +470,20 @@ impl<'a> Practice<'a> {
                 |o| matches!(o.kind, Kind::Wrong | Kind::Part),
                 Side::None,
             ),
-            share("exact set on pairs, each >= 8 sigma", ">= 80 %", &pairs, right, Side::AtLeast(0.80)),
-            share("wrong extra effect on pairs", "<= 5 %", &pairs, |o| o.extra > 0, Side::AtMost(0.05)),
+            share(
+                "exact set on pairs, each >= 8 sigma",
+                ">= 80 %",
+                &pairs,
+                right,
+                Side::AtLeast(0.80),
+            ),
+            share(
+                "wrong extra effect on pairs",
+                "<= 5 %",
+                &pairs,
+                |o| o.extra > 0,
+                Side::AtMost(0.05),
+            ),
         ]
     }
 
@@ -317,11 +491,24 @@ impl<'a> Practice<'a> {
     fn ambiguities(&self) -> Vec<Goal> {
         let named = |o: &Outcome| o.label != "unknown" && o.label != "null";
         let ambiguous = self.pick(&|o| o.verdict == "ambiguous" && !tampered(o) && named(o));
-        let followed: Vec<&FollowUp> = self.outcomes.iter().filter_map(|o| o.follow_up.as_ref()).collect();
-        let resolvable: Vec<&FollowUp> =
-            followed.iter().copied().filter(|f| f.expected_power >= 0.95).collect();
+        let followed: Vec<&FollowUp> = self
+            .outcomes
+            .iter()
+            .filter_map(|o| o.follow_up.as_ref())
+            .collect();
+        let resolvable: Vec<&FollowUp> = followed
+            .iter()
+            .copied()
+            .filter(|f| f.expected_power >= 0.95)
+            .collect();
         vec![
-            share("truth inside the ambiguity set", ">= 95 %", &ambiguous, |o| o.in_set, Side::AtLeast(0.95)),
+            share(
+                "truth inside the ambiguity set",
+                ">= 95 %",
+                &ambiguous,
+                |o| o.in_set,
+                Side::AtLeast(0.95),
+            ),
             number(
                 "alternatives in an ambiguous answer, median",
                 "-",
@@ -353,7 +540,10 @@ impl<'a> Practice<'a> {
             rate(
                 "a wrong name after the measurement asked for",
                 "-",
-                followed.iter().filter(|f| matches!(f.kind, Kind::Wrong | Kind::Part)).count(),
+                followed
+                    .iter()
+                    .filter(|f| matches!(f.kind, Kind::Wrong | Kind::Part))
+                    .count(),
                 followed.len(),
                 Side::None,
             ),
@@ -363,15 +553,27 @@ impl<'a> Practice<'a> {
     /// Goals of held-out errors and of intervals.
     fn errors(&self) -> Vec<Goal> {
         let known = self.known.iter();
-        let (inside, values) = known.filter_map(|o| o.covered).fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
-        let sizeable: Vec<&Outcome> =
-            self.known.iter().copied().filter(|o| o.label == "null" || o.delta >= 6.0).collect();
+        let (inside, values) = known
+            .filter_map(|o| o.covered)
+            .fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
+        let sizeable: Vec<&Outcome> = self
+            .known
+            .iter()
+            .copied()
+            .filter(|o| o.label == "null" || o.delta >= 6.0)
+            .collect();
         let ratios = |f: &dyn Fn(&Outcome) -> Option<f64>, of: &[&Outcome]| {
             of.iter().filter_map(|o| f(o)).collect::<Vec<_>>()
         };
         let after = |o: &Outcome| o.after_ratio;
         vec![
-            number("held-out error after / floor, median", "<= 1.05", ratios(&after, &sizeable), 0.5, 1.05),
+            number(
+                "held-out error after / floor, median",
+                "<= 1.05",
+                ratios(&after, &sizeable),
+                0.5,
+                1.05,
+            ),
             number(
                 "held-out error after / floor, 95th percentile",
                 "<= 1.2",
@@ -457,5 +659,11 @@ impl<'a> Practice<'a> {
 /// Goals of sessions like the practice sessions.
 fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let practice = Practice::new(outcomes);
-    [practice.names(), practice.ambiguities(), practice.errors(), practice.unknowns()].concat()
+    [
+        practice.names(),
+        practice.ambiguities(),
+        practice.errors(),
+        practice.unknowns(),
+    ]
+    .concat()
 }

@@ -4,7 +4,11 @@ use super::safety::{cause, ended, finished};
 use super::*;
 
 fn reduced(bench: &Bench) -> (Option<i32>, String) {
-    let run = program().arg("reduce").arg(bench.session()).output().expect("wcal runs");
+    let run = program()
+        .arg("reduce")
+        .arg(bench.session())
+        .output()
+        .expect("wcal runs");
     (run.status.code(), text(&run.stderr))
 }
 
@@ -15,21 +19,41 @@ fn a_clock_step_is_called_a_clock_step_and_the_sweep_goes_on_later() {
     bench.type_fault("{\"kind\":\"clock-step\",\"seconds\":-3600}");
     let run = ended(child);
     let (kind, said, stopped) = cause(&run);
-    assert!(kind == "clock" && said.contains("a clock step: 3600.0") && said.contains("back"), "{said}");
-    assert!(stopped && !text(&run.stderr).contains("fell behind"), "{}", text(&run.stderr));
+    assert!(
+        kind == "clock" && said.contains("a clock step: 3600.0") && said.contains("back"),
+        "{said}"
+    );
+    assert!(
+        stopped && !text(&run.stderr).contains("fell behind"),
+        "{}",
+        text(&run.stderr)
+    );
     let (code, said) = reduced(&bench);
-    assert!(code == Some(3) && said.contains("a clock step") && !said.contains("fell behind"), "{said}");
+    assert!(
+        code == Some(3) && said.contains("a clock step") && !said.contains("fell behind"),
+        "{said}"
+    );
     // What was measured is kept, the rest is measured, and the step is still said.
     let run = bench.run_short("--resume");
     let sweep = document(&run);
-    assert_eq!((run.status.code(), &sweep["rows"]), (Some(3), &6.into()), "{sweep}");
-    assert!(sweep["warnings"].to_string().contains("a clock step"), "{sweep}");
+    assert_eq!(
+        (run.status.code(), &sweep["rows"]),
+        (Some(3), &6.into()),
+        "{sweep}"
+    );
+    assert!(
+        sweep["warnings"].to_string().contains("a clock step"),
+        "{sweep}"
+    );
 }
 
 #[test]
 fn a_clock_that_steps_ahead_or_stands_still_ends_the_sweep() {
     for (fault, word) in [
-        ("{\"kind\":\"clock-step\",\"seconds\":3600}", "a clock step: 3600.0"),
+        (
+            "{\"kind\":\"clock-step\",\"seconds\":3600}",
+            "a clock step: 3600.0",
+        ),
         ("{\"kind\":\"clock-stop\",\"on\":true}", "a stopped clock"),
     ] {
         let mut bench = Bench::start("");
@@ -38,9 +62,16 @@ fn a_clock_that_steps_ahead_or_stands_still_ends_the_sweep() {
         let run = ended(child);
         let (kind, said, stopped) = cause(&run);
         assert!(kind == "clock" && said.contains(word) && stopped, "{said}");
-        assert!(!text(&run.stderr).contains("fell behind"), "{}", text(&run.stderr));
+        assert!(
+            !text(&run.stderr).contains("fell behind"),
+            "{}",
+            text(&run.stderr)
+        );
         let (code, said) = reduced(&bench);
-        assert!(code == Some(3) && said.contains(word) && !said.contains("fell behind"), "{said}");
+        assert!(
+            code == Some(3) && said.contains(word) && !said.contains("fell behind"),
+            "{said}"
+        );
     }
 }
 
@@ -56,9 +87,22 @@ fn a_peak_without_a_value_marks_its_scan_and_does_not_end_a_sweep() {
         bench.type_fault("{\"kind\":\"nan-peak\",\"grating\":1,\"count\":3}");
         let run = ended(child);
         let sweep = document(&run);
-        assert_eq!((run.status.code(), &sweep["ending"]), (Some(3), &"finished".into()), "{sweep}");
-        assert!(sweep["warnings"].to_string().contains("3 scans with a lost or crossing peak"), "{sweep}");
-        assert_eq!((&sweep["rows"], &sweep["lost_scans"]), (&6.into(), &0.into()), "{sweep}");
+        assert_eq!(
+            (run.status.code(), &sweep["ending"]),
+            (Some(3), &"finished".into()),
+            "{sweep}"
+        );
+        assert!(
+            sweep["warnings"]
+                .to_string()
+                .contains("3 scans with a lost or crossing peak"),
+            "{sweep}"
+        );
+        assert_eq!(
+            (&sweep["rows"], &sweep["lost_scans"]),
+            (&6.into(), &0.into()),
+            "{sweep}"
+        );
         // Control: without the fault nothing is said.
         std::fs::remove_dir_all(bench.session()).expect("removed");
         finished(&bench.run_short("--out"), 6);

@@ -4,19 +4,37 @@ use super::*;
 
 fn dry_run(rig: &Path, plan: &Path, json: bool) -> Output {
     let mut command = program();
-    command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(rig).arg("--plan").arg(plan);
-    command.args(json.then_some("--json")).output().expect("wcal runs")
+    command
+        .arg("stage-sweep")
+        .arg("--dry-run")
+        .arg("--rig")
+        .arg(rig)
+        .arg("--plan")
+        .arg(plan);
+    command
+        .args(json.then_some("--json"))
+        .output()
+        .expect("wcal runs")
 }
 
 #[test]
 fn a_dry_run_says_what_the_plan_reads_and_checks_the_limits() {
-    let (rig, plan) = (repository("rigs/paper"), repository("rigs/plans/paper-27.toml"));
+    let (rig, plan) = (
+        repository("rigs/paper"),
+        repository("rigs/plans/paper-27.toml"),
+    );
     let said = dry_run(&rig, &plan, false);
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
     let lines = text(&said.stdout);
-    assert!(lines.starts_with("36 settled readings") && lines.contains("\ntime-lag "), "{lines}");
+    assert!(
+        lines.starts_with("36 settled readings") && lines.contains("\ntime-lag "),
+        "{lines}"
+    );
     let listed = document(&dry_run(&rig, &plan, true));
-    assert_eq!((&listed["format"], &listed["readings"]), (&"wcal-path/1".into(), &36.into()));
+    assert_eq!(
+        (&listed["format"], &listed["readings"]),
+        (&"wcal-path/1".into(), &36.into())
+    );
     // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and usage.
     let folder = tempfile::tempdir().expect("temporary folder");
     let broken = |name: &str, from: &str, to: &str| {
@@ -31,9 +49,15 @@ fn a_dry_run_says_what_the_plan_reads_and_checks_the_limits() {
         message
     };
     let far = broken("far.toml", "5.0]", "45.0]");
-    assert!(far.contains("expected a stage position in 5.000..40.000 mm, found 65.000 mm"), "{far}");
+    assert!(
+        far.contains("expected a stage position in 5.000..40.000 mm, found 65.000 mm"),
+        "{far}"
+    );
     let format = broken("format.toml", "wcal-plan/1", "wcal-plan/9");
-    assert!(format.contains("format.toml: format: expected wcal-plan/1, found wcal-plan/9"), "{format}");
+    assert!(
+        format.contains("format.toml: format: expected wcal-plan/1, found wcal-plan/9"),
+        "{format}"
+    );
     let missing = dry_run(&rig, &folder.path().join("none.toml"), false);
     assert!(missing.status.code() == Some(1) && text(&missing.stderr).contains("none.toml"));
     let usage = program().arg("stage-sweep").output().expect("wcal runs");
@@ -43,7 +67,12 @@ fn a_dry_run_says_what_the_plan_reads_and_checks_the_limits() {
 #[test]
 fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
     let check = |plan: &str| {
-        document(&dry_run(&repository("rigs/virtual"), &repository(plan), true))["shows"].clone()
+        document(&dry_run(
+            &repository("rigs/virtual"),
+            &repository(plan),
+            true,
+        ))["shows"]
+            .clone()
     };
     let poor = check("rigs/plans/paper-27.toml");
     let of = |found: &Value, id: &str| {
@@ -53,14 +82,27 @@ fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
     // Nothing moves while it is read, so no lag can show; readings while passing would show it.
     assert_eq!(of(&poor, "time-lag")["status"], "not-observable");
     let additions = poor["additions"].as_array().expect("additions");
-    let passing = additions.iter().find(|a| a["what"].as_str().is_some_and(|w| w.contains("passing")));
-    assert!(passing.is_some_and(|a| a["testable"].to_string().contains("time-lag")), "{additions:?}");
+    let passing = additions
+        .iter()
+        .find(|a| a["what"].as_str().is_some_and(|w| w.contains("passing")));
+    assert!(
+        passing.is_some_and(|a| a["testable"].to_string().contains("time-lag")),
+        "{additions:?}"
+    );
     // A reversal is never made: backlash is an offset like a periodic error's.
-    assert!(of(&poor, "stage-backlash")["never_apart"].to_string().contains("stage-periodic"), "{poor}");
+    assert!(
+        of(&poor, "stage-backlash")["never_apart"]
+            .to_string()
+            .contains("stage-periodic"),
+        "{poor}"
+    );
     // Negative control: a plan with both directions, speeds and dwells.
     let rich = check("rigs/plans/rich.toml");
     assert_eq!(of(&rich, "time-lag")["status"], "testable");
-    assert_eq!(of(&rich, "stage-backlash")["never_apart"], Value::Array(Vec::new()));
+    assert_eq!(
+        of(&rich, "stage-backlash")["never_apart"],
+        Value::Array(Vec::new())
+    );
 }
 
 #[test]
@@ -71,7 +113,12 @@ fn the_templates_are_a_rig_and_a_plan_that_fit() {
     for plan in ["rigs/plans/paper-27.toml", "rigs/plans/rich.toml"] {
         for rig in ["rigs/paper", "rigs/virtual"] {
             let run = dry_run(&repository(rig), &repository(plan), true);
-            assert_eq!(run.status.code(), Some(0), "{rig} {plan}: {}", text(&run.stderr));
+            assert_eq!(
+                run.status.code(),
+                Some(0),
+                "{rig} {plan}: {}",
+                text(&run.stderr)
+            );
         }
     }
 }
@@ -86,11 +133,18 @@ fn a_plan_of_one_or_two_readings_is_checked_and_shows_nothing() {
         std::fs::write(&plan, format!("{head}\n{block}\n")).expect("written");
         let run = dry_run(&repository("rigs/virtual"), &plan, false);
         assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
-        assert!(text(&run.stdout).contains("limits hold"), "{}", text(&run.stdout));
+        assert!(
+            text(&run.stdout).contains("limits hold"),
+            "{}",
+            text(&run.stdout)
+        );
         text(&run.stderr)
     };
     for (depths, rest) in [("[1.0]", false), ("[1.0]", true), ("[1.0, 2.0]", false)] {
-        assert!(said(depths, rest).contains("so few readings show no effect"), "{depths} {rest}");
+        assert!(
+            said(depths, rest).contains("so few readings show no effect"),
+            "{depths} {rest}"
+        );
     }
     // Negative control.
     assert!(!said("[1.0, 2.0]", true).contains("so few"));
@@ -104,8 +158,16 @@ fn a_rig_of_another_rate_than_the_scenario_is_named_before_anything_opens() {
         let text = format!("format = \"wcal-scenario/1\"\n[interrogator]\nrate_hz = {rate_hz}\n");
         std::fs::write(&scenario, text).expect("written");
         let mut command = program();
-        command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(repository("rigs/virtual"));
-        command.arg("--plan").arg(repository("rigs/plans/paper-27.toml")).arg("--scenario").arg(&scenario);
+        command
+            .arg("stage-sweep")
+            .arg("--dry-run")
+            .arg("--rig")
+            .arg(repository("rigs/virtual"));
+        command
+            .arg("--plan")
+            .arg(repository("rigs/plans/paper-27.toml"))
+            .arg("--scenario")
+            .arg(&scenario);
         command.output().expect("wcal runs")
     };
     let (other, message) = (run(500), text(&run(500).stderr));

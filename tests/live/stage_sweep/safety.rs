@@ -28,8 +28,17 @@ impl Bench {
         let plan = self.folder.path().join("short.toml");
         std::fs::write(&plan, PLAN).expect("plan");
         let mut command = program();
-        command.arg("stage-sweep").arg("--rig").arg(&self.rig).arg("--plan").arg(plan);
-        command.arg("--bench").arg(&self.served.addresses).args(["--home", "--json"]).args(arguments);
+        command
+            .arg("stage-sweep")
+            .arg("--rig")
+            .arg(&self.rig)
+            .arg("--plan")
+            .arg(plan);
+        command
+            .arg("--bench")
+            .arg(&self.served.addresses)
+            .args(["--home", "--json"])
+            .args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -64,7 +73,13 @@ pub(crate) fn ended(mut child: Child) -> Output {
 
 fn kill(child: &Child, signal: &str) {
     let id = child.id().to_string();
-    assert!(Command::new("kill").args([signal, &id]).status().expect("kill").success());
+    assert!(
+        Command::new("kill")
+            .args([signal, &id])
+            .status()
+            .expect("kill")
+            .success()
+    );
 }
 
 /// Kind and text of the cause, and whether the stage was known to stand.
@@ -72,18 +87,29 @@ pub(crate) fn cause(run: &Output) -> (String, String, bool) {
     let sweep = document(run);
     let said = sweep["cause"]["text"].as_str().expect("text");
     let by_signal = [("by Ctrl-C", 130), ("by SIGTERM", 143), ("by SIGHUP", 129)];
-    let code = by_signal.iter().find(|(name, _)| said.contains(name)).map_or(1, |signal| signal.1);
+    let code = by_signal
+        .iter()
+        .find(|(name, _)| said.contains(name))
+        .map_or(1, |signal| signal.1);
     assert_eq!(run.status.code(), Some(code), "{}", text(&run.stderr));
     assert_eq!(sweep["ending"], "stopped", "{sweep}");
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
     let word = |v: &Value| v.as_str().expect("text").to_owned();
-    (word(&sweep["cause"]["kind"]), word(&sweep["cause"]["text"]), sweep["stage_stopped"] == true)
+    (
+        word(&sweep["cause"]["kind"]),
+        word(&sweep["cause"]["text"]),
+        sweep["stage_stopped"] == true,
+    )
 }
 
 /// Finished, and nothing said but that this computer was busy.
 pub(crate) fn finished(run: &Output, rows: u64) {
     let sweep = document(run);
-    assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &rows.into()), "{sweep}");
+    assert_eq!(
+        (&sweep["ending"], &sweep["rows"]),
+        (&"finished".into(), &rows.into()),
+        "{sweep}"
+    );
     let warnings = sweep["warnings"].as_array().expect("warnings");
     // At 20 times real time a busy computer makes scans late, or a clock seem to drift.
     let busy = |w: &Value| {
@@ -91,7 +117,11 @@ pub(crate) fn finished(run: &Output, rows: u64) {
         said.contains(" late") || said.contains("the device clock drifts by")
     };
     assert!(warnings.iter().all(busy), "{sweep}");
-    assert_eq!(run.status.code(), Some(if warnings.is_empty() { 0 } else { 3 }), "{sweep}");
+    assert_eq!(
+        run.status.code(),
+        Some(if warnings.is_empty() { 0 } else { 3 }),
+        "{sweep}"
+    );
 }
 
 #[test]
@@ -100,7 +130,10 @@ fn a_stage_that_stays_busy_is_stopped_named_and_the_sweep_goes_on_later() {
     let child = bench.begun_short();
     bench.type_fault("busy-for-ever");
     let (kind, said, stopped) = cause(&ended(child));
-    assert!(kind == "timeout" && said.contains("BUSY") && said.contains("expected standstill"), "{said}");
+    assert!(
+        kind == "timeout" && said.contains("BUSY") && said.contains("expected standstill"),
+        "{said}"
+    );
     assert!(stopped, "{said}");
     assert_ne!(check(&bench.session()), 1);
     finished(&bench.run_short("--resume"), 6);
@@ -122,7 +155,10 @@ fn a_sweep_that_was_itself_paused_does_not_blame_the_interrogator() {
     }
     // The bench may have given up meanwhile: then the pause is what is said.
     let said = sweep["cause"]["text"].as_str().expect("text");
-    assert!(said.contains("this program") && said.contains("stood still"), "{said}");
+    assert!(
+        said.contains("this program") && said.contains("stood still"),
+        "{said}"
+    );
     finished(&bench.run_short("--resume"), 6);
 }
 
@@ -139,13 +175,23 @@ fn a_bench_that_does_not_run_is_waited_for() {
     let run = stopped_for_a_while(bench.begun_short());
     finished(&run, 6);
     // In step with the bench: nothing came late by the clocks of the two.
-    assert!(!text(&run.stderr).contains(" late"), "{}", text(&run.stderr));
+    assert!(
+        !text(&run.stderr).contains(" late"),
+        "{}",
+        text(&run.stderr)
+    );
     // Control: who is not told the bench's time names the device that is silent, as with a real one.
     let mut addresses = document_of(&bench.served.addresses);
-    addresses.as_object_mut().and_then(|a| a.remove("clock")).expect("the bench's clock");
+    addresses
+        .as_object_mut()
+        .and_then(|a| a.remove("clock"))
+        .expect("the bench's clock");
     std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let session = bench.folder.path().join("untold");
-    let child = bench.short(&["--out", &session.display().to_string()]).spawn().expect("wcal runs");
+    let child = bench
+        .short(&["--out", &session.display().to_string()])
+        .spawn()
+        .expect("wcal runs");
     until_done(&session, 3);
     let (kind, said, _) = cause(&stopped_for_a_while(child));
     assert_eq!(kind, "timeout", "{said}");
@@ -154,14 +200,21 @@ fn a_bench_that_does_not_run_is_waited_for() {
 #[test]
 fn a_flood_without_a_reply_is_named_and_the_sweep_goes_on_when_it_is_over() {
     let mut bench = Bench::start("");
-    for (k, (flood, word)) in
-        [("alert-flood", "alerts"), ("foreign-flood", "replies of other units")].into_iter().enumerate()
+    for (k, (flood, word)) in [
+        ("alert-flood", "alerts"),
+        ("foreign-flood", "replies of other units"),
+    ]
+    .into_iter()
+    .enumerate()
     {
         let child = match k {
             0 => bench.begun_short(),
             _ => {
                 let session = bench.session().display().to_string();
-                bench.short(&["--resume", &session]).spawn().expect("wcal runs")
+                bench
+                    .short(&["--resume", &session])
+                    .spawn()
+                    .expect("wcal runs")
             }
         };
         if k > 0 {
@@ -171,7 +224,10 @@ fn a_flood_without_a_reply_is_named_and_the_sweep_goes_on_when_it_is_over() {
         }
         bench.type_fault(&format!("{{\"kind\":\"{flood}\",\"on\":true}}"));
         let (kind, said, stopped) = cause(&ended(child));
-        assert!(kind == "timeout" && said.contains("none among") && said.contains(word), "{said}");
+        assert!(
+            kind == "timeout" && said.contains("none among") && said.contains(word),
+            "{said}"
+        );
         // Its command was sent; without a reply nobody knows, and the user is told.
         assert!(!stopped);
         bench.type_fault(&format!("{{\"kind\":\"{flood}\",\"on\":false}}"));
@@ -196,9 +252,13 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     let mut bench = Bench::start("");
     bench.type_fault("{\"kind\":\"never-accept\",\"on\":true}");
     // Until the queue of its port is full, connections are made and not answered.
-    let address = document_of(&bench.served.addresses)["stage_tcp"].as_str().expect("address").to_owned();
+    let address = document_of(&bench.served.addresses)["stage_tcp"]
+        .as_str()
+        .expect("address")
+        .to_owned();
     let address = address.parse().expect("an address");
-    let answers = || std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok();
+    let answers =
+        || std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok();
     until("a port that does not answer", || !answers());
     let refused = |run: Output, word: &str| {
         let said = text(&run.stderr);
@@ -208,7 +268,10 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     };
     refused(bench.run_short("--out"), "no answer from this address");
     // The stage is there, the interrogator is not.
-    let closed = TcpListener::bind("127.0.0.1:0").expect("a port").local_addr().expect("an address");
+    let closed = TcpListener::bind("127.0.0.1:0")
+        .expect("a port")
+        .local_addr()
+        .expect("an address");
     let mut addresses = document_of(&bench.served.addresses);
     let good = addresses.clone();
     addresses["sm130"] = closed.to_string().into();
@@ -237,28 +300,53 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
     let child = bench.begun_short();
     kill(&child, "-TERM");
     let (kind, said, stopped) = cause(&ended(child));
-    assert!(kind == "interrupted" && said.contains("interrupted by SIGTERM") && stopped, "{said}");
+    assert!(
+        kind == "interrupted" && said.contains("interrupted by SIGTERM") && stopped,
+        "{said}"
+    );
     // Whatever started the tests may ignore SIGHUP: the sweep begins with the signal's default.
     let resume = || {
         let plain = bench.short(&["--resume", &session]);
         let mut command = Command::new("env");
-        command.arg("--default-signal=HUP").arg(plain.get_program()).args(plain.get_args());
-        command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("env runs")
+        command
+            .arg("--default-signal=HUP")
+            .arg(plain.get_program())
+            .args(plain.get_args());
+        command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("env runs")
     };
     // The second recording begins when everything is open.
     let recorded = |number: usize| {
-        until("recording", || bench.session().join(format!("recording-{number}.mcap")).exists());
+        until("recording", || {
+            bench
+                .session()
+                .join(format!("recording-{number}.mcap"))
+                .exists()
+        });
     };
     let child = resume();
     recorded(2);
     kill(&child, "-HUP");
     let (kind, said, stopped) = cause(&ended(child));
-    assert!(kind == "interrupted" && said.contains("interrupted by SIGHUP") && stopped, "{said}");
+    assert!(
+        kind == "interrupted" && said.contains("interrupted by SIGHUP") && stopped,
+        "{said}"
+    );
     // A sweep that is to outlive its terminal.
     let plain = bench.short(&["--resume", &session]);
     let mut outlives = Command::new("sh");
-    outlives.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(plain.get_program()).args(plain.get_args());
-    let child = outlives.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("sh runs");
+    outlives
+        .args(["-c", "trap '' HUP; exec \"$0\" \"$@\""])
+        .arg(plain.get_program())
+        .args(plain.get_args());
+    let child = outlives
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("sh runs");
     recorded(3);
     kill(&child, "-HUP");
     finished(&ended(child), 6);
@@ -274,7 +362,10 @@ fn a_signal_is_heard_while_a_device_hangs() {
     std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let session = bench.session().display().to_string();
     let begin = || {
-        let child = bench.short(&["--out", &session]).spawn().expect("wcal runs");
+        let child = bench
+            .short(&["--out", &session])
+            .spawn()
+            .expect("wcal runs");
         // It has connected, and asks.
         let held = silent.accept().expect("a client");
         (child, held)
@@ -283,12 +374,18 @@ fn a_signal_is_heard_while_a_device_hangs() {
     kill(&child, "-TERM");
     let run = ended(child);
     let said = text(&run.stderr);
-    assert!(run.status.code() == Some(1) && said.contains("interrupted by SIGTERM"), "{said}");
+    assert!(
+        run.status.code() == Some(1) && said.contains("interrupted by SIGTERM"),
+        "{said}"
+    );
     assert!(!bench.session().exists(), "{said}");
     // Control: without a signal the wait ends by itself.
     let (child, _held) = begin();
     let said = text(&ended(child).stderr);
-    assert!(said.contains("expected a reply within 3.0 s, found none [timeout]"), "{said}");
+    assert!(
+        said.contains("expected a reply within 3.0 s, found none [timeout]"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -299,21 +396,41 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
     let beside = bench.run_short("--resume");
     let said = text(&beside.stderr);
     assert_eq!(beside.status.code(), Some(1), "{said}");
-    assert!(said.contains(&me) && said.contains("a session that no sweep records now"), "{said}");
+    assert!(
+        said.contains(&me) && said.contains("a session that no sweep records now"),
+        "{said}"
+    );
     let other = bench.folder.path().join("other");
     // Whatever its environment says: temporary files elsewhere are no other machine.
     let mut elsewhere = bench.short(&["--out", &other.display().to_string()]);
-    let run = elsewhere.env("TMPDIR", bench.folder.path()).spawn().expect("wcal runs");
+    let run = elsewhere
+        .env("TMPDIR", bench.folder.path())
+        .spawn()
+        .expect("wcal runs");
     let run = ended(run);
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(1), "{said}");
-    assert!(said.contains(&me) && said.contains("a stage that no other program drives"), "{said}");
+    assert!(
+        said.contains(&me) && said.contains("a stage that no other program drives"),
+        "{said}"
+    );
     assert!(!other.exists(), "{said}");
     // Control: neither disturbed the first, and afterwards both are free.
     finished(&ended(first), 6);
-    let left: Vec<_> = std::fs::read_dir(bench.session()).expect("a folder").collect();
-    assert!(!left.iter().flatten().any(|e| e.file_name().to_string_lossy().contains("tmp")), "{left:?}");
-    let run = bench.short(&["--out", &other.display().to_string()]).spawn().expect("wcal runs");
+    let left: Vec<_> = std::fs::read_dir(bench.session())
+        .expect("a folder")
+        .collect();
+    assert!(
+        !left
+            .iter()
+            .flatten()
+            .any(|e| e.file_name().to_string_lossy().contains("tmp")),
+        "{left:?}"
+    );
+    let run = bench
+        .short(&["--out", &other.display().to_string()])
+        .spawn()
+        .expect("wcal runs");
     finished(&ended(run), 6);
 }
 
@@ -321,7 +438,11 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
 #[test]
 fn a_bench_that_is_not_there_says_what_to_do() {
     let refused = |mut command: Command| {
-        let run = command.stdout(Stdio::piped()).stderr(Stdio::piped()).output().expect("wcal runs");
+        let run = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .output()
+            .expect("wcal runs");
         assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
         text(&run.stderr)
     };
@@ -332,7 +453,10 @@ fn a_bench_that_is_not_there_says_what_to_do() {
     bench.served.end();
     let new = bench.folder.path().join("new").display().to_string();
     let said = refused(bench.short(&["--out", &new]));
-    assert!(said.contains("nothing that listens at 127.0.0.1:"), "{said}");
+    assert!(
+        said.contains("nothing that listens at 127.0.0.1:"),
+        "{said}"
+    );
     assert!(
         said.contains("is `wcal virtual-bench` still running? its addresses are new at each start"),
         "{said}"
@@ -340,17 +464,36 @@ fn a_bench_that_is_not_there_says_what_to_do() {
     assert!(!Path::new(&new).exists() && Path::new(&session).exists());
     // Without --bench the rig has a word where its port belongs.
     let mut plain = program();
-    plain.arg("stage-sweep").arg("--rig").arg(&bench.rig).args(["--home", "--out", &new]);
-    plain.arg("--plan").arg(bench.folder.path().join("short.toml"));
+    plain
+        .arg("stage-sweep")
+        .arg("--rig")
+        .arg(&bench.rig)
+        .args(["--home", "--out", &new]);
+    plain
+        .arg("--plan")
+        .arg(bench.folder.path().join("short.toml"));
     let said = refused(plain);
-    assert!(said.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench ADDRESSES.json`"), "{said}");
+    assert!(
+        said.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench ADDRESSES.json`"),
+        "{said}"
+    );
     let alone = |input: Stdio| {
         let mut command = program();
-        command.args(["virtual-bench", "--scenario"]).arg(bench.folder.path().join("scenario.toml"));
-        command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("wcal runs")
+        command
+            .args(["virtual-bench", "--scenario"])
+            .arg(bench.folder.path().join("scenario.toml"));
+        command
+            .stdin(input)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("wcal runs")
     };
     let closed = ended(alone(Stdio::null()));
-    assert!(text(&closed.stderr).contains("virtual-bench: its input closed, so it ends"), "{closed:?}");
+    assert!(
+        text(&closed.stderr).contains("virtual-bench: its input closed, so it ends"),
+        "{closed:?}"
+    );
     // Control: with an input that stays open it runs on.
     let mut open = alone(Stdio::piped());
     std::thread::sleep(Duration::from_secs(2));
@@ -364,12 +507,27 @@ fn a_bench_that_is_not_there_says_what_to_do() {
 #[test]
 fn ctrl_c_ends_a_sweep_in_this_process_and_what_is_said_goes_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let (session, plan) = (folder.path().join("s"), repository("rigs/plans/paper-27.toml"));
+    let (session, plan) = (
+        folder.path().join("s"),
+        repository("rigs/plans/paper-27.toml"),
+    );
     let sweep = |option: &str| {
         let mut command = program();
-        command.arg("stage-sweep").arg("--rig").arg(repository("rigs/virtual")).arg("--plan").arg(&plan);
-        command.arg("--scenario").arg(repository("rigs/virtual/scenario.toml")).arg("--home");
-        command.arg(option).arg(&session).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+            .arg("stage-sweep")
+            .arg("--rig")
+            .arg(repository("rigs/virtual"))
+            .arg("--plan")
+            .arg(&plan);
+        command
+            .arg("--scenario")
+            .arg(repository("rigs/virtual/scenario.toml"))
+            .arg("--home");
+        command
+            .arg(option)
+            .arg(&session)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
         command
     };
     let child = sweep("--out").spawn().expect("wcal runs");
@@ -378,12 +536,20 @@ fn ctrl_c_ends_a_sweep_in_this_process_and_what_is_said_goes_on() {
     let run = ended(child);
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(130), "{said}");
-    assert!(said.contains("go on with the same rig and plan, scenario, --home and --resume"), "{said}");
+    assert!(
+        said.contains("go on with the same rig and plan, scenario, --home and --resume"),
+        "{said}"
+    );
     let run = sweep("--resume").output().expect("wcal runs");
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let table = std::fs::read_to_string(session.join("points.csv")).expect("points.csv");
-    let times =
-        table.lines().skip(1).map(|line| line.split(',').nth(4).expect("t_s").parse::<f64>().expect("s"));
+    let times = table.lines().skip(1).map(|line| {
+        line.split(',')
+            .nth(4)
+            .expect("t_s")
+            .parse::<f64>()
+            .expect("s")
+    });
     let times: Vec<f64> = times.collect();
     assert!(times.len() == 36 && times.is_sorted(), "{times:?}");
 }

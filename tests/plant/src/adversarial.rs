@@ -6,9 +6,12 @@ use crate::case::{Case, Tampering};
 
 /// Applies a trick to a drawn (effect-free) session.
 pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
-    case.truth.effects.insert("adversarial".into(), serde_json::json!(trick.name()));
-    let points: Vec<usize> =
-        (0..case.readings.len()).filter(|&i| !case.readings[i].planned.holdout).collect();
+    case.truth
+        .effects
+        .insert("adversarial".into(), serde_json::json!(trick.name()));
+    let points: Vec<usize> = (0..case.readings.len())
+        .filter(|&i| !case.readings[i].planned.holdout)
+        .collect();
     let n = points.len();
     let rows = &mut case.readings;
     match trick {
@@ -21,7 +24,8 @@ pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
                     let copy = &mut rows[i + 12];
                     if copy.planned.replicate == 2 && copy.planned.role != "rest" {
                         (copy.fbg_nm, copy.sd_pm) = (source.fbg_nm, source.sd_pm);
-                        (copy.groove_mm, copy.reference_nm) = (source.groove_mm, source.reference_nm);
+                        (copy.groove_mm, copy.reference_nm) =
+                            (source.groove_mm, source.reference_nm);
                         copy.temperature_degc = source.temperature_degc;
                         copy.planned.stage_mm = source.planned.stage_mm;
                         copy.planned.commanded_mm = source.planned.commanded_mm;
@@ -30,13 +34,17 @@ pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
             }
         }
         Tampering::SwappedPoses => {
-            let loaded: Vec<usize> = points.into_iter().filter(|&i| rows[i].planned.role != "rest").collect();
+            let loaded: Vec<usize> = points
+                .into_iter()
+                .filter(|&i| rows[i].planned.role != "rest")
+                .collect();
             let a = loaded[rng.random_range(0..loaded.len())];
             let b = *loaded
                 .iter()
                 .filter(|&&b| rows[b].trajectory_id == rows[a].trajectory_id)
                 .max_by(|&&b, &&c| {
-                    let far = |i: usize| (rows[i].planned.stage_mm - rows[a].planned.stage_mm).abs();
+                    let far =
+                        |i: usize| (rows[i].planned.stage_mm - rows[a].planned.stage_mm).abs();
                     far(b).total_cmp(&far(c))
                 })
                 .unwrap_or(&a);
@@ -50,9 +58,9 @@ pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
                 r.fbg_nm[0] = 2.0 * nominal - r.fbg_nm[0];
             }
         }
-        Tampering::GrooveInMetres => {
-            rows.iter_mut().for_each(|r| r.groove_mm = r.groove_mm.map(|v| v * 1e-3))
-        }
+        Tampering::GrooveInMetres => rows
+            .iter_mut()
+            .for_each(|r| r.groove_mm = r.groove_mm.map(|v| v * 1e-3)),
         Tampering::StageInMicrometres => rows.iter_mut().for_each(|r| r.planned.stage_mm *= 1e3),
         Tampering::ClockShift => {
             let from = rng.random_range(n / 5..n / 2);
@@ -67,9 +75,17 @@ pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
             }
         }
         Tampering::CopiedHoldout => {
-            let sources: Vec<_> = rows[..n].iter().filter(|r| r.planned.role != "rest").cloned().collect();
+            let sources: Vec<_> = rows[..n]
+                .iter()
+                .filter(|r| r.planned.role != "rest")
+                .cloned()
+                .collect();
             let moments = &mut case.truth.holdout_moments_nmm;
-            for (k, r) in rows[n..].iter_mut().enumerate().filter(|(_, r)| r.planned.role != "rest") {
+            for (k, r) in rows[n..]
+                .iter_mut()
+                .enumerate()
+                .filter(|(_, r)| r.planned.role != "rest")
+            {
                 let (point, source) = (r.point, &sources[(k * 5) % sources.len()]);
                 *r = source.clone();
                 r.point = point;

@@ -42,7 +42,10 @@ impl Thermal {
     /// T - T0 in degC.
     pub fn at(&self, t_s: f64) -> f64 {
         let tau = std::f64::consts::TAU;
-        self.waves.iter().map(|[a, p, f]| a * ((tau * t_s / p + f).sin() - f.sin())).sum()
+        self.waves
+            .iter()
+            .map(|[a, p, f]| a * ((tau * t_s / p + f).sin() - f.sin()))
+            .sum()
     }
 
     /// The same of a part that lags behind with a time constant, deg C: z' = (T - z) / lag, z(0) = 0.
@@ -94,11 +97,15 @@ impl Bench {
     pub fn draw(rng: &mut impl Rng) -> Self {
         let pick = |rng: &mut dyn Rng, of: &[f64]| of[rng.random_range(0..of.len())];
         let youngs_gpa = pick(rng, &[60.0, 75.0]);
-        let nanometres = |rng: &mut dyn Rng| (1e3 * rng.random_range(1535.0..1555.0_f64)).round() / 1e3;
+        let nanometres =
+            |rng: &mut dyn Rng| (1e3 * rng.random_range(1535.0..1555.0_f64)).round() / 1e3;
         let gain = rng.random_range(62.0..90.0);
         let turn = rng.random_range(0.22..0.68) * if rng.random_bool(0.5) { 1.0 } else { -1.0_f64 };
         let cross = |rng: &mut dyn Rng| gain * turn.sin() * rng.random_range(0.85..1.15);
-        let k = [[gain * turn.cos(), -cross(rng)], [cross(rng), gain * turn.cos()]];
+        let k = [
+            [gain * turn.cos(), -cross(rng)],
+            [cross(rng), gain * turn.cos()],
+        ];
         let waves = (0..rng.random_range(1..=2_usize))
             .map(|i| {
                 [
@@ -143,7 +150,10 @@ impl Bench {
     }
 
     fn with_shear(self) -> Self {
-        Self { shear_gpa: (1e4 * self.youngs_gpa / 2.6).round() / 1e4, ..self }
+        Self {
+            shear_gpa: (1e4 * self.youngs_gpa / 2.6).round() / 1e4,
+            ..self
+        }
     }
 
     /// The wire of this bench, as declared.
@@ -166,9 +176,10 @@ impl Bench {
         // Turn about the wire's own axis from the arc's plane, in degrees.
         let points = [(18.0, 5.0), (31.0, 9.0), (45.0, 13.0)];
         let holdout = [(23.0, 6.0), (38.0, 10.5)];
-        for (first, places, turns) in
-            [(1, &points[..], [0.0, -60.0, 60.0_f64]), (101, &holdout[..], [-25.0, -85.0, 35.0])]
-        {
+        for (first, places, turns) in [
+            (1, &points[..], [0.0, -60.0, 60.0_f64]),
+            (101, &holdout[..], [-25.0, -85.0, 35.0]),
+        ] {
             for (i, place) in places.iter().enumerate() {
                 let arclength_mm = (10.0 * scale * place.0).round() / 10.0;
                 let reach_mm = scale * place.1;
@@ -176,8 +187,17 @@ impl Bench {
                 let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
                 for (j, turn) in turns.iter().map(|t| t.to_radians()).enumerate() {
                     let direction = normal * turn.cos() + Vector3::y() * turn.sin();
-                    let path = Path { origin_mm, direction, arclength_mm, offset_mm: Vector3::zeros() };
-                    out.push(Trajectory { id: first + 3 * i + j, path, reach_mm });
+                    let path = Path {
+                        origin_mm,
+                        direction,
+                        arclength_mm,
+                        offset_mm: Vector3::zeros(),
+                    };
+                    out.push(Trajectory {
+                        id: first + 3 * i + j,
+                        path,
+                        reach_mm,
+                    });
                 }
             }
         }

@@ -255,8 +255,10 @@ const HEADER: &str = "point,role,trajectory,replicate,t_s,stage_mm,direction,spe
 
 /// Writes a file.
 pub(crate) fn put(path: &Path, text: &str) -> Result<(), PlantError> {
-    std::fs::write(path, text)
-        .map_err(|source| PlantError::Write { path: path.display().to_string(), source })
+    std::fs::write(path, text).map_err(|source| PlantError::Write {
+        path: path.display().to_string(),
+        source,
+    })
 }
 
 impl Case {
@@ -265,9 +267,13 @@ impl Case {
     /// # Errors
     /// [`PlantError::Write`] with the file that could not be written.
     pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
-        std::fs::create_dir_all(folder)
-            .map_err(|source| PlantError::Write { path: folder.display().to_string(), source })?;
-        let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
+        std::fs::create_dir_all(folder).map_err(|source| PlantError::Write {
+            path: folder.display().to_string(),
+            source,
+        })?;
+        let id = folder
+            .file_name()
+            .map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
         put(&folder.join("session.toml"), &self.session_toml(&id))?;
         put(&folder.join("points.csv"), &self.table(false))?;
         if let Some(looked) = self.looked.filter(|l| l.pictures) {
@@ -288,7 +294,11 @@ impl Case {
     fn table(&self, holdout: bool) -> String {
         let mut out = String::from(HEADER);
         let decimals = self.truth.noise.decimals();
-        for r in self.readings.iter().filter(|r| r.planned.holdout == holdout) {
+        for r in self
+            .readings
+            .iter()
+            .filter(|r| r.planned.holdout == holdout)
+        {
             let p = &r.planned;
             let [x, y, z] = r.groove_mm.map(|v| v + 0.0);
             let _ = writeln!(
@@ -326,8 +336,16 @@ impl Case {
              youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
              [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\
              temperature_pm_per_degc = [10.0, 10.0]\nreference_temperature_pm_per_degc = 10.0\n\n",
-            if self.has_holdout() { "holdout = \"holdout.csv\"\n" } else { "" },
-            if pictures { "shapes = \"shapes.json\"\n" } else { "" },
+            if self.has_holdout() {
+                "holdout = \"holdout.csv\"\n"
+            } else {
+                ""
+            },
+            if pictures {
+                "shapes = \"shapes.json\"\n"
+            } else {
+                ""
+            },
             b.diameter_mm,
             b.length_mm,
             b.straight_mm,
@@ -339,7 +357,10 @@ impl Case {
             b.reference_nominal_nm
         );
         for t in b.trajectories() {
-            let (o, d) = (t.path.origin_mm.map(|v| v + 0.0), t.path.direction.map(|v| v + 0.0));
+            let (o, d) = (
+                t.path.origin_mm.map(|v| v + 0.0),
+                t.path.direction.map(|v| v + 0.0),
+            );
             let _ = write!(
                 out,
                 "[[trajectory]]\nid = {}\nnominal_arclength_mm = {:.1}\norigin_mm = [{:.6}, {:.6}, {:.6}]\n\

@@ -210,7 +210,9 @@ impl Kind {
             DeadZoneRadial | DeadZoneComponent => (0.02, 0.8),
             TaperLinear | TaperCone => (0.02, 0.3),
             SlipOutliers => (0.02, 0.6),
-            UnknownSineTime | UnknownStepTime | UnknownDirectionSign | UnknownDepthKink => (0.05, 40.0),
+            UnknownSineTime | UnknownStepTime | UnknownDirectionSign | UnknownDepthKink => {
+                (0.05, 40.0)
+            }
             UnknownExponentialTime | UnknownQuadraticDrift => (0.05, 80.0),
             UnknownPermanentSet => (1e-3, 0.5),
             UnknownRipple => (0.05, 40.0),
@@ -287,7 +289,11 @@ impl Effect {
             DriftLinear => unit(rng, 2),
             CreepProny1 => vec![log_uniform(rng, 3.0, 400.0)],
             CreepProny2 => {
-                vec![log_uniform(rng, 2.0, 20.0), log_uniform(rng, 40.0, 600.0), rng.random_range(0.3..0.7)]
+                vec![
+                    log_uniform(rng, 2.0, 20.0),
+                    log_uniform(rng, 40.0, 600.0),
+                    rng.random_range(0.3..0.7),
+                ]
             }
             HysteresisBoucWen => vec![rng.random_range(0.03..0.15), rng.random_range(0.3..0.8)],
             HysteresisPlay => vec![rng.random_range(0.05..0.1), rng.random_range(0.12..0.3)],
@@ -298,34 +304,55 @@ impl Effect {
             FbgChannel => unit(rng, 2),
             SlipOutliers => {
                 // Share of the settled rows, then a private stream for which and how much.
-                vec![rng.random_range(0.01..0.03), f64::from(rng.random_range(0..1_000_000_u32))]
+                vec![
+                    rng.random_range(0.01..0.03),
+                    f64::from(rng.random_range(0..1_000_000_u32)),
+                ]
             }
-            UnknownSineTime => {
-                [unit(rng, 2), vec![rng.random_range(100.0..600.0), rng.random_range(0.0..tau)]].concat()
-            }
+            UnknownSineTime => [
+                unit(rng, 2),
+                vec![rng.random_range(100.0..600.0), rng.random_range(0.0..tau)],
+            ]
+            .concat(),
             UnknownStepTime => [unit(rng, 2), vec![end_s * rng.random_range(0.25..0.75)]].concat(),
             UnknownTrajectoryGain => {
                 let mut v: Vec<f64> = (0..15).map(|_| rng.random_range(-1.0..1.0)).collect();
                 // A pattern without the sign balance of the turns, so that K cannot take it up.
-                v.iter_mut().enumerate().for_each(|(i, v)| *v += if i % 2 == 0 { 0.7 } else { -0.7 });
+                v.iter_mut()
+                    .enumerate()
+                    .for_each(|(i, v)| *v += if i % 2 == 0 { 0.7 } else { -0.7 });
                 v
             }
-            UnknownExponentialTime => [unit(rng, 2), vec![end_s * rng.random_range(0.08..0.3)]].concat(),
-            UnknownQuadraticDrift => [unit(rng, 2), vec![end_s, rng.random_range(0.3..0.7)]].concat(),
+            UnknownExponentialTime => {
+                [unit(rng, 2), vec![end_s * rng.random_range(0.08..0.3)]].concat()
+            }
+            UnknownQuadraticDrift => {
+                [unit(rng, 2), vec![end_s, rng.random_range(0.3..0.7)]].concat()
+            }
             UnknownDirectionSign => unit(rng, 2),
             UnknownDepthKink => [unit(rng, 2), vec![rng.random_range(0.35..0.65)]].concat(),
             // Onset as a share of the largest moment.
             UnknownPermanentSet => vec![rng.random_range(0.3..0.6)],
             // Pitch, pm, and phase of each channel.
             UnknownRipple => {
-                vec![rng.random_range(60.0..200.0), rng.random_range(0.0..tau), rng.random_range(0.0..tau)]
+                vec![
+                    rng.random_range(60.0..200.0),
+                    rng.random_range(0.0..tau),
+                    rng.random_range(0.0..tau),
+                ]
             }
             // Time constant by which the mount lags behind the wire, s.
-            UnknownTemperatureGradient => [unit(rng, 2), vec![rng.random_range(30.0..150.0)]].concat(),
+            UnknownTemperatureGradient => {
+                [unit(rng, 2), vec![rng.random_range(30.0..150.0)]].concat()
+            }
             _ => Vec::new(),
         };
         let range = kind.range();
-        Self { kind, amplitude: 0.5 * (range.low + range.high), shape }
+        Self {
+            kind,
+            amplitude: 0.5 * (range.low + range.high),
+            shape,
+        }
     }
 
     /// Onset of softening in 1/mm.
@@ -337,7 +364,10 @@ impl Effect {
     pub fn moment_law(&self) -> Option<MomentLaw> {
         let onset_per_mm = self.onset_per_mm();
         match self.kind {
-            SofteningBilinear => Some(MomentLaw::Bilinear { onset_per_mm, ratio: self.shape[0] }),
+            SofteningBilinear => Some(MomentLaw::Bilinear {
+                onset_per_mm,
+                ratio: self.shape[0],
+            }),
             SofteningPlateau => Some(MomentLaw::Plateau { onset_per_mm }),
             _ => None,
         }
@@ -358,11 +388,15 @@ impl Effect {
         let s = &self.shape;
         let scaled = |s: &[f64]| s.iter().map(|v| v * a).collect::<Vec<_>>();
         match self.kind {
-            FrictionCoulomb | BacklashApproach | StageScale | LagPose | ComplianceIsotropic => json!(a),
+            FrictionCoulomb | BacklashApproach | StageScale | LagPose | ComplianceIsotropic => {
+                json!(a)
+            }
             FrictionPresliding => json!({"friction_coefficient": a, "presliding_mm": s[0]}),
             FrictionStribeck => json!({"friction_coefficient": a, "moving_share": s[0]}),
             BacklashSymmetric => json!({"width_mm": a}),
-            PeriodicLead | PeriodicDouble => json!({"amplitude_mm": a, "pitch_mm": s[0], "phase_rad": s[1]}),
+            PeriodicLead | PeriodicDouble => {
+                json!({"amplitude_mm": a, "pitch_mm": s[0], "phase_rad": s[1]})
+            }
             PeriodicHarmonics => {
                 json!({"amplitude_mm": a, "pitch_mm": s[0], "phase_rad": s[1], "second_share": s[2], "second_phase_rad": s[3]})
             }
@@ -375,7 +409,9 @@ impl Effect {
             HysteresisBoucWen => json!({"amplitude": a, "width_nmm": s[0], "beta": s[1]}),
             HysteresisPlay => json!({"amplitude": a, "radii_nmm": s}),
             HysteresisVector => json!({"amplitude": a, "radius_nmm": s[0]}),
-            SofteningBilinear => json!({"onset_per_m": 1e3 * self.onset_per_mm(), "tangent_ratio": s[0]}),
+            SofteningBilinear => {
+                json!({"onset_per_m": 1e3 * self.onset_per_mm(), "tangent_ratio": s[0]})
+            }
             SofteningPlateau => json!({"onset_per_m": 1e3 * self.onset_per_mm()}),
             // pm/(N mm)^2 at 80 pm/(N mm).
             FbgThree | FbgFull | FbgChannel => {

@@ -61,16 +61,29 @@ const HOME_MM_S: f64 = 4.0;
 impl Planner {
     fn settled(&mut self, to_mm: f64, dwell_s: f64, replicate: usize, role: &'static str) {
         let direction = if to_mm >= self.commanded_mm { 1 } else { -1 };
-        let speed = if role == "rest" { HOME_MM_S } else { SETTLED_MM_S };
+        let speed = if role == "rest" {
+            HOME_MM_S
+        } else {
+            SETTLED_MM_S
+        };
         self.t_s += (to_mm - self.commanded_mm).abs() / speed + dwell_s;
         self.push(to_mm, direction, 0.0, dwell_s, replicate, role);
     }
 
     /// Reads once more without moving; the time since arrival goes on.
     fn again(&mut self, wait_s: f64, replicate: usize, role: &'static str) {
-        let Some((direction, dwell_s)) = self.rows.last().map(|r| (r.direction, r.dwell_s)) else { return };
+        let Some((direction, dwell_s)) = self.rows.last().map(|r| (r.direction, r.dwell_s)) else {
+            return;
+        };
         self.t_s += wait_s;
-        self.push(self.commanded_mm, direction, 0.0, dwell_s + wait_s, replicate, role);
+        self.push(
+            self.commanded_mm,
+            direction,
+            0.0,
+            dwell_s + wait_s,
+            replicate,
+            role,
+        );
     }
 
     /// A settled pose read `times` times.
@@ -120,7 +133,13 @@ impl Planner {
 
 /// Plans points and holdout rows; `trajectories` are those of [`crate::bench::Bench::trajectories`].
 pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<PlannedRow> {
-    let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
+    let mut p = Planner {
+        rows: Vec::new(),
+        t_s: 0.0,
+        commanded_mm: 0.0,
+        trajectory: 0,
+        holdout: false,
+    };
     let fitted: Vec<(usize, f64)> = trajectories
         .iter()
         .enumerate()
@@ -130,7 +149,11 @@ pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> 
     if design == Design::Shuffled {
         shuffled(&mut p, &fitted, rng);
     }
-    let times = if design == Design::Repeats { rng.random_range(2..=3_usize) } else { 1 };
+    let times = if design == Design::Repeats {
+        rng.random_range(2..=3_usize)
+    } else {
+        1
+    };
     for (index, reach_mm) in fitted.into_iter().filter(|_| design != Design::Shuffled) {
         p.next_trajectory(index, if index == 0 { 0.0 } else { 20.0 });
         match design {
@@ -149,7 +172,9 @@ pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> 
     p.holdout = true;
     for (index, trajectory) in trajectories.iter().enumerate().filter(|(_, t)| t.id > 100) {
         p.next_trajectory(index, 20.0);
-        let mut up: Vec<f64> = (0..4).map(|_| rng.random_range(0.15..0.97) * trajectory.reach_mm).collect();
+        let mut up: Vec<f64> = (0..4)
+            .map(|_| rng.random_range(0.15..0.97) * trajectory.reach_mm)
+            .collect();
         up.sort_by(f64::total_cmp);
         p.settled(0.0, 3.0, 1, "rest");
         for &x in up.iter().chain(up.iter().rev().skip(1)) {
@@ -183,9 +208,17 @@ const ASKED_REPEATS: usize = 4;
 
 /// Plans the later session that `asked` describes: a rest reading before every excursion.
 pub fn plan_asked(asked: &[Asked], trajectories: &[Trajectory]) -> Vec<PlannedRow> {
-    let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
+    let mut p = Planner {
+        rows: Vec::new(),
+        t_s: 0.0,
+        commanded_mm: 0.0,
+        trajectory: 0,
+        holdout: false,
+    };
     for (k, a) in asked.iter().enumerate() {
-        let Some(index) = trajectories.iter().position(|t| t.id == a.trajectory) else { continue };
+        let Some(index) = trajectories.iter().position(|t| t.id == a.trajectory) else {
+            continue;
+        };
         p.next_trajectory(index, if k == 0 { 0.0 } else { 20.0 });
         for replicate in 1..=ASKED_REPEATS {
             p.settled(0.0, 3.0, replicate, "rest");
@@ -210,7 +243,11 @@ fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
         let jitter = if replicate == 2 { 0.02 } else { 0.0 };
         let up = shares.map(|s| (s + jitter * rng.random_range(-1.0..1.0)) * reach_mm);
         for (i, x) in up.iter().chain(up.iter().rev().skip(1)).enumerate() {
-            let role = if replicate == 1 && [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
+            let role = if replicate == 1 && [1, 3, 5].contains(&i) {
+                "calibration"
+            } else {
+                "verification"
+            };
             let dwell = [1.5, 4.0, 12.0][rng.random_range(0..3_usize)];
             p.settled(*x, dwell, replicate, role);
         }
@@ -229,14 +266,24 @@ fn repeats(p: &mut Planner, index: usize, reach_mm: f64, times: usize, rng: &mut
     let shares = [0.2, 0.35, 0.5, 0.7, 0.85, 1.0];
     p.settled(0.0, 3.0, 1, "rest");
     for (i, share) in shares.iter().chain(shares.iter().rev().skip(1)).enumerate() {
-        let role = if [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
+        let role = if [1, 3, 5].contains(&i) {
+            "calibration"
+        } else {
+            "verification"
+        };
         let dwell = [1.5, 4.0, 12.0][rng.random_range(0..3_usize)];
         p.visit(share * reach_mm, dwell, times, 1, role);
     }
     p.settled(0.0, 3.0, 2, "rest");
     if times == 2 {
         for low in [0.15, 0.4, 0.6, 0.8] {
-            p.visit((low + rng.random_range(0.0..0.15)) * reach_mm, 4.0, times, 3, "verification");
+            p.visit(
+                (low + rng.random_range(0.0..0.15)) * reach_mm,
+                4.0,
+                times,
+                3,
+                "verification",
+            );
         }
     }
     let speed = if index.is_multiple_of(2) { 2.0 } else { 8.0 };
@@ -258,13 +305,23 @@ fn shuffled(p: &mut Planner, trajectories: &[(usize, f64)], rng: &mut impl Rng) 
             let up = [0.2, 0.45, 0.7, 0.92].map(|s| (s + rng.random_range(-0.08..0.08)) * reach_mm);
             let down = [0.75, 0.5, 0.25].map(|s| (s + rng.random_range(-0.1..0.1)) * reach_mm);
             for (i, x) in up.into_iter().chain(down).enumerate() {
-                let role = if round == 0 && (1..4).contains(&i) { "calibration" } else { "verification" };
+                let role = if round == 0 && (1..4).contains(&i) {
+                    "calibration"
+                } else {
+                    "verification"
+                };
                 let dwell = rng.random_range(1.0..10.0_f64).round();
                 p.visit(x, dwell, rng.random_range(1..=3_usize), first, role);
             }
             if round == 1 {
-                for (share, speed) in [(0.4, 3.0), (0.8, 3.0), (0.5, 3.0), (0.9, 7.0), (0.6, 7.0), (0.3, 7.0)]
-                {
+                for (share, speed) in [
+                    (0.4, 3.0),
+                    (0.8, 3.0),
+                    (0.5, 3.0),
+                    (0.9, 7.0),
+                    (0.6, 7.0),
+                    (0.3, 7.0),
+                ] {
                     p.moving(share * reach_mm, speed);
                 }
             }
@@ -279,7 +336,11 @@ fn staircase(p: &mut Planner, reach_mm: f64) {
     p.settled(0.0, 3.0, 1, "rest");
     for replicate in 1..=2 {
         for (i, step) in STEPS.iter().enumerate() {
-            let role = if replicate == 1 && [1, 5, 9].contains(&i) { "calibration" } else { "verification" };
+            let role = if replicate == 1 && [1, 5, 9].contains(&i) {
+                "calibration"
+            } else {
+                "verification"
+            };
             let dwell = [2.0, 8.0][i % 2];
             p.settled(step / 6.0 * reach_mm, dwell, replicate, role);
         }
@@ -319,7 +380,11 @@ pub fn motion(rows: &[PlannedRow]) -> Vec<Instant> {
     let mut last: Option<&PlannedRow> = None;
     for (i, row) in rows.iter().enumerate() {
         let same = last.is_some_and(|l| l.trajectory == row.trajectory);
-        let from_mm = if same { last.map_or(0.0, |l| l.commanded_mm) } else { 0.0 };
+        let from_mm = if same {
+            last.map_or(0.0, |l| l.commanded_mm)
+        } else {
+            0.0
+        };
         let travel = row.commanded_mm - from_mm;
         let speed = match (row.speed_mm_s > 0.0, row.role) {
             (true, _) => row.speed_mm_s,
@@ -354,7 +419,13 @@ pub fn motion(rows: &[PlannedRow]) -> Vec<Instant> {
             });
         }
         if row.dwell_s > 0.0 {
-            out.push(Instant { t_s: row.t_s, commanded_mm: row.commanded_mm, loaded, row: Some(i), ..base });
+            out.push(Instant {
+                t_s: row.t_s,
+                commanded_mm: row.commanded_mm,
+                loaded,
+                row: Some(i),
+                ..base
+            });
         }
         last = Some(row);
     }

@@ -140,7 +140,9 @@ pub fn apply(effect: &Effect, motion: &[Instant], mut m: Vec<M>) -> Vec<M> {
         }
         Kind::CreepLog => {
             // A flat spectrum of time constants answers a step with the logarithm of time.
-            let spectrum: Vec<_> = (0..8).map(|i| relaxed(motion, &m, 0.5 * 3f64.powi(i))).collect();
+            let spectrum: Vec<_> = (0..8)
+                .map(|i| relaxed(motion, &m, 0.5 * 3f64.powi(i)))
+                .collect();
             for z in &spectrum {
                 add(&mut m, z, a / 8.0);
             }
@@ -171,7 +173,8 @@ pub fn apply(effect: &Effect, motion: &[Instant], mut m: Vec<M>) -> Vec<M> {
             m
         }
         Kind::DeadZoneComponent => {
-            m.iter_mut().for_each(|m| *m = m.map(|v| v.signum() * (v.abs() - a).max(0.0)));
+            m.iter_mut()
+                .for_each(|m| *m = m.map(|v| v.signum() * (v.abs() - a).max(0.0)));
             m
         }
         Kind::UnknownPermanentSet => {

@@ -130,7 +130,11 @@ const MOVING_SAMPLES: usize = 200;
 
 /// Samples averaged in a reading.
 pub fn samples(row: &PlannedRow) -> usize {
-    if row.speed_mm_s > 0.0 { MOVING_SAMPLES } else { SETTLED_SAMPLES }
+    if row.speed_mm_s > 0.0 {
+        MOVING_SAMPLES
+    } else {
+        SETTLED_SAMPLES
+    }
 }
 
 /// Share of gross readings that fall into the holdout.
@@ -162,7 +166,10 @@ impl Law {
     pub fn draw(kind: Noise, bench: &Bench, rows: &[PlannedRow], seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x0401_5e00);
         let rng = &mut rng;
-        let mut law = Self { kind, ..Self::gaussian(bench) };
+        let mut law = Self {
+            kind,
+            ..Self::gaussian(bench)
+        };
         if matches!(kind, Noise::StudentT | Noise::RoundedT | Noise::DriftT) {
             law.tails_dof = Some(log_uniform(rng, 3.0, 12.0));
         }
@@ -175,10 +182,22 @@ impl Law {
         if matches!(kind, Noise::Rounding | Noise::RoundedT) {
             // Whole pm, tenths written short or padded, and steps of a converter that are no decimals.
             law.rounding = Some(match rng.random_range(0..4_usize) {
-                0 => Rounding { step_pm: 1.0, decimals: 3 },
-                1 => Rounding { step_pm: 0.1, decimals: 4 },
-                2 => Rounding { step_pm: 0.1, decimals: 7 },
-                _ => Rounding { step_pm: log_uniform(rng, 0.2, 1.6), decimals: 7 },
+                0 => Rounding {
+                    step_pm: 1.0,
+                    decimals: 3,
+                },
+                1 => Rounding {
+                    step_pm: 0.1,
+                    decimals: 4,
+                },
+                2 => Rounding {
+                    step_pm: 0.1,
+                    decimals: 7,
+                },
+                _ => Rounding {
+                    step_pm: log_uniform(rng, 0.2, 1.6),
+                    decimals: 7,
+                },
             });
         }
         match kind {
@@ -207,10 +226,18 @@ impl Law {
 
     /// Standard deviation of a temperature-compensated reading at a pose not visited before, pm.
     pub fn new_pose_pm(&self, bench: &Bench, row: &PlannedRow, reach_mm: f64) -> f64 {
-        let pose = if row.role == "rest" { 0.0 } else { self.pose_pm };
+        let pose = if row.role == "rest" {
+            0.0
+        } else {
+            self.pose_pm
+        };
         let drift = self.drift.map_or(0.0, |d| d.sd_pm);
         let reading = self.reading_pm(bench, row);
-        (self.white_pm(row, reach_mm).powi(2) + pose * pose + drift * drift + 2.0 * reading * reading).sqrt()
+        (self.white_pm(row, reach_mm).powi(2)
+            + pose * pose
+            + drift * drift
+            + 2.0 * reading * reading)
+            .sqrt()
     }
 
     /// Standard deviation of repeated readings at rest, pm, without the steps of rounding.
@@ -224,11 +251,16 @@ impl Law {
         let mut slow = ChaCha8Rng::seed_from_u64(seed ^ 0x510e_0000);
         let mut poses = ChaCha8Rng::seed_from_u64(seed ^ 0x905e_0000);
         let normal = |rng: &mut ChaCha8Rng| -> f64 { StandardNormal.sample(rng) };
-        let chi = self.tails_dof.and_then(|dof| Some((dof, ChiSquared::new(dof).ok()?)));
+        let chi = self
+            .tails_dof
+            .and_then(|dof| Some((dof, ChiSquared::new(dof).ok()?)));
         let visits = visits(rows);
         let mut drift = [0.0; 2];
         let mut offset = [0.0; 2];
-        let mut out = Series { scale_pm: Vec::new(), add_pm: Vec::new() };
+        let mut out = Series {
+            scale_pm: Vec::new(),
+            add_pm: Vec::new(),
+        };
         for (i, row) in rows.iter().enumerate() {
             let white = self.white_pm(row, trajectories[row.trajectory].reach_mm);
             out.scale_pm.push([0, 1].map(|_| match &chi {
@@ -237,10 +269,14 @@ impl Law {
                 None => white,
             }));
             if let Some(d) = self.drift {
-                let kept =
-                    if i == 0 { 0.0 } else { (-(row.t_s - rows[i - 1].t_s) / d.time_constant_s).exp() };
+                let kept = if i == 0 {
+                    0.0
+                } else {
+                    (-(row.t_s - rows[i - 1].t_s) / d.time_constant_s).exp()
+                };
                 for state in &mut drift {
-                    *state = kept * *state + (1.0 - kept * kept).sqrt() * d.sd_pm * normal(&mut slow);
+                    *state =
+                        kept * *state + (1.0 - kept * kept).sqrt() * d.sd_pm * normal(&mut slow);
                 }
             }
             if i == 0 || visits[i] != visits[i - 1] {
@@ -254,7 +290,8 @@ impl Law {
 
     /// A wavelength in nm as the instrument writes it.
     pub fn rounded(&self, nm: f64) -> f64 {
-        self.rounding.map_or(nm, |r| (1e3 * nm / r.step_pm).round() * r.step_pm / 1e3)
+        self.rounding
+            .map_or(nm, |r| (1e3 * nm / r.step_pm).round() * r.step_pm / 1e3)
     }
 
     /// Decimals of a wavelength in nm.
@@ -268,10 +305,12 @@ fn gross(count: usize, rows: &[PlannedRow], rng: &mut impl Rng) -> Vec<Outlier> 
     let mut out: Vec<Outlier> = Vec::new();
     while out.len() < count {
         let held_out = rng.random_bool(GROSS_HELD_OUT);
-        let of: Vec<usize> =
-            (0..rows.len()).filter(|&i| rows[i].speed_mm_s == 0.0 && rows[i].holdout == held_out).collect();
+        let of: Vec<usize> = (0..rows.len())
+            .filter(|&i| rows[i].speed_mm_s == 0.0 && rows[i].holdout == held_out)
+            .collect();
         let row = of[rng.random_range(0..of.len())];
-        let mut one = || log_uniform(rng, 0.05, 10.0) * if rng.random_bool(0.5) { 1.0 } else { -1.0 };
+        let mut one =
+            || log_uniform(rng, 0.05, 10.0) * if rng.random_bool(0.5) { 1.0 } else { -1.0 };
         let (first, second) = (one(), one());
         let error_nm = [[first, 0.0], [0.0, second], [first, second]][rng.random_range(0..3_usize)];
         if out.iter().all(|g| g.row != row) {
@@ -324,19 +363,29 @@ impl Covariance {
             let (a, b) = (points[i], points[j]);
             let mut sum = 0.0;
             if a == b {
-                sum += law.white_pm(&rows[a], trajectories[rows[a].trajectory].reach_mm).powi(2);
+                sum += law
+                    .white_pm(&rows[a], trajectories[rows[a].trajectory].reach_mm)
+                    .powi(2);
                 sum += 2.0 * law.reading_pm(bench, &rows[a]).powi(2);
-                sum += if law.gross.iter().any(|g| g.row == a) { NO_WEIGHT_PM2 } else { 0.0 };
+                sum += if law.gross.iter().any(|g| g.row == a) {
+                    NO_WEIGHT_PM2
+                } else {
+                    0.0
+                };
             }
             if visits[a] == visits[b] && rows[a].role != "rest" {
                 sum += law.pose_pm.powi(2);
             }
             if let Some(d) = law.drift {
-                sum += d.sd_pm.powi(2) * (-(rows[a].t_s - rows[b].t_s).abs() / d.time_constant_s).exp();
+                sum += d.sd_pm.powi(2)
+                    * (-(rows[a].t_s - rows[b].t_s).abs() / d.time_constant_s).exp();
             }
             sum
         });
-        Self { rows: points, factor: matrix.cholesky() }
+        Self {
+            rows: points,
+            factor: matrix.cholesky(),
+        }
     }
 
     /// Rows it speaks of, in order.
@@ -354,11 +403,16 @@ impl Covariance {
 
     /// Norm of what `base` (whitened) leaves of a column, in noises.
     pub fn left_over(&self, base: &DMatrix<f64>, column: DVector<f64>) -> f64 {
-        let y = self.whiten(&DMatrix::from_columns(&[column])).column(0).into_owned();
+        let y = self
+            .whiten(&DMatrix::from_columns(&[column]))
+            .column(0)
+            .into_owned();
         if !y.iter().all(|v| v.is_finite()) {
             return f64::NAN;
         }
-        let Ok(x) = base.clone().svd(true, true).solve(&y, 1e-12) else { return f64::NAN };
+        let Ok(x) = base.clone().svd(true, true).solve(&y, 1e-12) else {
+            return f64::NAN;
+        };
         (y - base * x).norm()
     }
 }

@@ -14,7 +14,12 @@ const UNDECIDED: f64 = 3.0;
 
 /// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings, the noise's
 /// covariance and the gross readings, and fits only K and the zero on the points.
-pub fn oracle_error_nmm(plant: &Plant, clean: &[NoiseFree], readings: &[Reading], gross: &[Outlier]) -> f64 {
+pub fn oracle_error_nmm(
+    plant: &Plant,
+    clean: &[NoiseFree],
+    readings: &[Reading],
+    gross: &[Outlier],
+) -> f64 {
     let points = plant.covariance.rows();
     let moment = |i: usize| clean[i].moment_nmm;
     // Reading without the declared temperature term and without the effect's own part.
@@ -24,12 +29,19 @@ pub fn oracle_error_nmm(plant: &Plant, clean: &[NoiseFree], readings: &[Reading]
         let linear = plant.bench.shift_pm(moment(i))[c];
         1e3 * (r.fbg_nm[c] - plant.bench.nominal_nm[c]) - warm_pm - (clean[i].shift_pm[c] - linear)
     };
-    let svd = plant.covariance.whiten(&moments(points, clean)).svd(true, true);
+    let svd = plant
+        .covariance
+        .whiten(&moments(points, clean))
+        .svd(true, true);
     let y = DMatrix::from_fn(points.len(), 2, |i, c| reading(points[i], c));
-    let Ok(fit) = svd.solve(&plant.covariance.whiten(&y), 1e-12) else { return f64::NAN };
+    let Ok(fit) = svd.solve(&plant.covariance.whiten(&y), 1e-12) else {
+        return f64::NAN;
+    };
     // Rows are channels.
     let k = Matrix2::new(fit[(1, 0)], fit[(2, 0)], fit[(1, 1)], fit[(2, 1)]);
-    let Some(inverse) = k.try_inverse() else { return f64::NAN };
+    let Some(inverse) = k.try_inverse() else {
+        return f64::NAN;
+    };
     let (mut sum, mut count) = (0.0, 0);
     for i in (0..plant.rows.len()).filter(|&i| plant.rows[i].role == "holdout") {
         if gross.iter().any(|g| g.row == i) {
@@ -46,15 +58,30 @@ pub fn oracle_error_nmm(plant: &Plant, clean: &[NoiseFree], readings: &[Reading]
 type Alternatives = Vec<Vec<Effect>>;
 
 fn rivals() -> Vec<(&'static str, Alternatives)> {
-    let one = |kind, amplitude, shape: &[f64]| Effect { kind, amplitude, shape: shape.to_vec() };
+    let one = |kind, amplitude, shape: &[f64]| Effect {
+        kind,
+        amplitude,
+        shape: shape.to_vec(),
+    };
     let half = std::f64::consts::FRAC_PI_2;
     let axes = |kind, amplitude, n: usize| -> Vec<Effect> {
         (0..n)
-            .map(|i| one(kind, amplitude, &(0..n).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>()))
+            .map(|i| {
+                one(
+                    kind,
+                    amplitude,
+                    &(0..n)
+                        .map(|j| f64::from(u8::from(i == j)))
+                        .collect::<Vec<_>>(),
+                )
+            })
             .collect()
     };
     let waves = |pitch: f64| {
-        vec![one(Kind::PeriodicLead, 0.01, &[pitch, 0.0]), one(Kind::PeriodicLead, 0.01, &[pitch, half])]
+        vec![
+            one(Kind::PeriodicLead, 0.01, &[pitch, 0.0]),
+            one(Kind::PeriodicLead, 0.01, &[pitch, half]),
+        ]
     };
     vec![
         (
@@ -66,7 +93,10 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
         ),
         (
             "stage-backlash",
-            vec![vec![one(Kind::BacklashApproach, 0.03, &[])], vec![one(Kind::BacklashSymmetric, 0.03, &[])]],
+            vec![
+                vec![one(Kind::BacklashApproach, 0.03, &[])],
+                vec![one(Kind::BacklashSymmetric, 0.03, &[])],
+            ],
         ),
         ("stage-scale", vec![vec![one(Kind::StageScale, 0.01, &[])]]),
         ("stage-periodic", vec![waves(0.6096), waves(1.2192)]),
@@ -79,8 +109,14 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
             ],
         ),
         ("contact-offset", vec![axes(Kind::OffsetGroove, 0.1, 3)]),
-        ("base-compliance", vec![axes(Kind::ComplianceTwoAxes, 0.01, 2)]),
-        ("temperature-mismatch", vec![axes(Kind::TemperatureLinear, 1.0, 2)]),
+        (
+            "base-compliance",
+            vec![axes(Kind::ComplianceTwoAxes, 0.01, 2)],
+        ),
+        (
+            "temperature-mismatch",
+            vec![axes(Kind::TemperatureLinear, 1.0, 2)],
+        ),
         ("zero-drift", vec![axes(Kind::DriftLinear, 0.1, 2)]),
         (
             "creep",
@@ -99,11 +135,17 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
                 vec![one(Kind::HysteresisVector, 0.01, &[0.1])],
             ],
         ),
-        ("superelastic-softening", vec![vec![one(Kind::SofteningBilinear, 0.8, &[0.6])]]),
+        (
+            "superelastic-softening",
+            vec![vec![one(Kind::SofteningBilinear, 0.8, &[0.6])]],
+        ),
         ("fbg-nonlinearity", vec![axes(Kind::FbgFull, 0.01, 6)]),
         (
             "dead-zone",
-            vec![vec![one(Kind::DeadZoneRadial, 0.03, &[])], vec![one(Kind::DeadZoneComponent, 0.03, &[])]],
+            vec![
+                vec![one(Kind::DeadZoneRadial, 0.03, &[])],
+                vec![one(Kind::DeadZoneComponent, 0.03, &[])],
+            ],
         ),
         ("wire-taper", vec![vec![one(Kind::TaperLinear, 0.1, &[])]]),
     ]
@@ -123,7 +165,9 @@ pub fn nearest(
     let n = rows.len();
     // Both channels, whitened, one above the other.
     let stack = |plant: &Plant, a: &[NoiseFree]| -> DVector<f64> {
-        let d = DMatrix::from_fn(n, 2, |i, c| a[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
+        let d = DMatrix::from_fn(n, 2, |i, c| {
+            a[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]
+        });
         DVector::from_column_slice(plant.covariance.whiten(&d).as_slice())
     };
     let effect = stack(plant, with);
@@ -149,14 +193,23 @@ pub fn nearest(
             _ => columns[j - 6][i],
         });
         let svd = design.clone().svd(true, true);
-        let Ok(x) = svd.solve(&effect, 1e-9) else { continue };
+        let Ok(x) = svd.solve(&effect, 1e-9) else {
+            continue;
+        };
         let sigma = (&effect - &design * x).norm();
         if sigma < UNDECIDED {
             close.insert(id);
         }
         if best.as_ref().is_none_or(|b| sigma < b.sigma) {
-            best = Some(Rival { id: id.to_owned(), sigma: (sigma * 10.0).round() / 10.0, within_three: 0 });
+            best = Some(Rival {
+                id: id.to_owned(),
+                sigma: (sigma * 10.0).round() / 10.0,
+                within_three: 0,
+            });
         }
     }
-    Ok(best.map(|b| Rival { within_three: close.len(), ..b }))
+    Ok(best.map(|b| Rival {
+        within_three: close.len(),
+        ..b
+    }))
 }

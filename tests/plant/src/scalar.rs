@@ -34,8 +34,13 @@ pub enum ScalarNoise {
 
 impl ScalarNoise {
     /// Every kind that the exam's mixes draw.
-    pub const ALL: [Self; 5] =
-        [Self::White, Self::StudentT, Self::WeaklyCorrelated, Self::Correlated, Self::StronglyCorrelated];
+    pub const ALL: [Self; 5] = [
+        Self::White,
+        Self::StudentT,
+        Self::WeaklyCorrelated,
+        Self::Correlated,
+        Self::StronglyCorrelated,
+    ];
 
     /// Name in tables and in truth.json.
     pub fn name(self) -> &'static str {
@@ -77,7 +82,13 @@ pub enum ScalarEffect {
 
 impl ScalarEffect {
     /// Every effect.
-    pub const ALL: [Self; 5] = [Self::Quadratic, Self::Backlash, Self::Periodic, Self::Step, Self::Drift];
+    pub const ALL: [Self; 5] = [
+        Self::Quadratic,
+        Self::Backlash,
+        Self::Periodic,
+        Self::Step,
+        Self::Drift,
+    ];
 
     /// Identifier of the catalogue.
     pub fn name(self) -> &'static str {
@@ -227,7 +238,9 @@ impl Signature {
                     let turns = self.shape[0] * r.x / self.range;
                     amplitude * (std::f64::consts::TAU * (turns + self.shape[1])).sin()
                 }
-                ScalarEffect::Step => amplitude * f64::from(u8::from(r.t_s > self.shape[0] * self.end_s)),
+                ScalarEffect::Step => {
+                    amplitude * f64::from(u8::from(r.t_s > self.shape[0] * self.end_s))
+                }
                 ScalarEffect::Drift => amplitude * r.t_s / self.end_s,
             })
             .collect()
@@ -254,8 +267,16 @@ impl Signature {
     /// Amplitude for a value of the parameter that scales with it.
     fn amplitude(&self, parameter: f64) -> f64 {
         let one = self.parameters(1.0);
-        let name = if self.effect == ScalarEffect::Periodic { "amplitude" } else { "" };
-        let of_one = one.get(name).or_else(|| one.values().next()).copied().unwrap_or(1.0);
+        let name = if self.effect == ScalarEffect::Periodic {
+            "amplitude"
+        } else {
+            ""
+        };
+        let of_one = one
+            .get(name)
+            .or_else(|| one.values().next())
+            .copied()
+            .unwrap_or(1.0);
         parameter / of_one
     }
 }
@@ -264,19 +285,24 @@ impl Signature {
 /// declared model (a line; for an axis a constant) takes up.
 fn size(signature: &[f64], rows: &[ScalarReading], axis: bool, rho: f64, noise_sd: f64) -> f64 {
     let n = rows.iter().filter(|r| !r.holdout).count();
-    let whiten =
-        |v: &dyn Fn(usize) -> f64| -> DVector<f64> {
-            DVector::from_fn(n, |k, _| {
-                if k == 0 { v(0) } else { (v(k) - rho * v(k - 1)) / (1.0 - rho * rho).sqrt() }
-            })
-        };
+    let whiten = |v: &dyn Fn(usize) -> f64| -> DVector<f64> {
+        DVector::from_fn(n, |k, _| {
+            if k == 0 {
+                v(0)
+            } else {
+                (v(k) - rho * v(k - 1)) / (1.0 - rho * rho).sqrt()
+            }
+        })
+    };
     let mut columns = vec![whiten(&|_| 1.0)];
     if !axis {
         columns.push(whiten(&|k| rows[k].x));
     }
     let base = DMatrix::from_columns(&columns);
     let y = whiten(&|k| signature[k] / noise_sd);
-    let Ok(x) = base.clone().svd(true, true).solve(&y, 1e-12) else { return f64::NAN };
+    let Ok(x) = base.clone().svd(true, true).solve(&y, 1e-12) else {
+        return f64::NAN;
+    };
     (y - base * x).norm()
 }
 
@@ -289,12 +315,18 @@ fn sweeps(rng: &mut impl Rng, range: f64, layout: Option<Layout>) -> Vec<ScalarR
     let drawn = if rng.random_bool(0.5) {
         (5, 40)
     } else {
-        (rng.random_range(4..=7_usize), rng.random_range(28..=48_usize))
+        (
+            rng.random_range(4..=7_usize),
+            rng.random_range(28..=48_usize),
+        )
     };
     let (count, length) = layout.map_or(drawn, |l| (l.sweeps, l.places));
     let held_out = usize::from(rng.random_bool(0.5));
-    let (amplitude, period, phase) =
-        (rng.random_range(0.1..1.5), rng.random_range(200.0..900.0), rng.random_range(0.0..6.0_f64));
+    let (amplitude, period, phase) = (
+        rng.random_range(0.1..1.5),
+        rng.random_range(200.0..900.0),
+        rng.random_range(0.0..6.0_f64),
+    );
     let mut t_s = 0.0;
     let mut out = Vec::new();
     for sweep in 0..count + held_out {
@@ -303,7 +335,11 @@ fn sweeps(rng: &mut impl Rng, range: f64, layout: Option<Layout>) -> Vec<ScalarR
             let direction = if sweep % 2 == 0 { 1 } else { -1 };
             out.push(ScalarReading {
                 holdout: sweep >= count,
-                point: if sweep >= count { k } else { sweep * length + k },
+                point: if sweep >= count {
+                    k
+                } else {
+                    sweep * length + k
+                },
                 sweep: sweep + 1,
                 x: range * if direction > 0 { place } else { 1.0 - place },
                 clean: 0.0,
@@ -322,10 +358,22 @@ fn sweeps(rng: &mut impl Rng, range: f64, layout: Option<Layout>) -> Vec<ScalarR
 /// Draws a session.
 pub fn draw(request: &ScalarRequest) -> ScalarCase {
     let mut rng = ChaCha8Rng::seed_from_u64(request.seed ^ 0x5ca1_a200);
-    let range = if request.axis { rng.random_range(5.0..40.0_f64) } else { rng.random_range(2.0..50.0_f64) };
+    let range = if request.axis {
+        rng.random_range(5.0..40.0_f64)
+    } else {
+        rng.random_range(2.0..50.0_f64)
+    };
     let mut readings = sweeps(&mut rng, range, request.layout);
-    let slope = if request.axis { 0.0 } else { rng.random_range(0.05..2.0_f64) };
-    let zero = if request.axis { rng.random_range(-5.0..5.0) } else { rng.random_range(-0.1..0.1) };
+    let slope = if request.axis {
+        0.0
+    } else {
+        rng.random_range(0.05..2.0_f64)
+    };
+    let zero = if request.axis {
+        rng.random_range(-5.0..5.0)
+    } else {
+        rng.random_range(-0.1..0.1)
+    };
     let noise_sd = if request.axis {
         rng.random_range(0.2..2.0)
     } else {
@@ -333,18 +381,33 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
     };
     let (mut noise, rho, tails_dof) = draw_noise(request.noise, &mut rng, readings.len());
     if let Some(seed) = request.noise_seed {
-        noise = unit_noise(rho, tails_dof, &mut ChaCha8Rng::seed_from_u64(seed), readings.len());
+        noise = unit_noise(
+            rho,
+            tails_dof,
+            &mut ChaCha8Rng::seed_from_u64(seed),
+            readings.len(),
+        );
     }
 
-    let end_s = readings.iter().rev().find(|r| !r.holdout).map_or(1.0, |r| r.t_s);
+    let end_s = readings
+        .iter()
+        .rev()
+        .find(|r| !r.holdout)
+        .map_or(1.0, |r| r.t_s);
     let shape = match request.effect {
         Some(ScalarEffect::Periodic) => [rng.random_range(2.5..8.0), rng.random_range(0.0..1.0)],
         _ => [rng.random_range(0.2..0.8), 0.0],
     };
     let mut added = vec![0.0; readings.len()];
     let (mut amplitude, mut projected) = (0.0, 0.0);
-    let signature =
-        request.effect.map(|effect| Signature { effect, axis: request.axis, slope, range, end_s, shape });
+    let signature = request.effect.map(|effect| Signature {
+        effect,
+        axis: request.axis,
+        slope,
+        range,
+        end_s,
+        shape,
+    });
     if let Some(signature) = &signature {
         let play = slope > 0.0 && signature.effect == ScalarEffect::Backlash;
         amplitude = match request.size {
@@ -376,7 +439,9 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
             rho,
             tails_dof,
             amplitude,
-            parameters: signature.map(|s| s.parameters(amplitude)).unwrap_or_default(),
+            parameters: signature
+                .map(|s| s.parameters(amplitude))
+                .unwrap_or_default(),
             projected_size_in_noises: projected,
             seed: request.seed,
         },
@@ -387,15 +452,32 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
 
 /// A value as the instrument shows it.
 fn read_out(noise: ScalarNoise, value: f64, step: f64) -> f64 {
-    if noise == ScalarNoise::Rounded { (value / step).round() * step } else { value }
+    if noise == ScalarNoise::Rounded {
+        (value / step).round() * step
+    } else {
+        value
+    }
 }
 
 /// Correlation from reading to reading and degrees of freedom of the tails, and noise of unit variance for `count` readings.
-fn draw_noise(kind: ScalarNoise, rng: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, Option<f64>) {
+fn draw_noise(
+    kind: ScalarNoise,
+    rng: &mut ChaCha8Rng,
+    count: usize,
+) -> (Vec<f64>, f64, Option<f64>) {
     // Half of the correlated sessions have the round number, the others one beside it.
-    let beside = if rng.random_bool(0.5) { 0.0 } else { rng.random_range(-0.12..0.06) };
-    let rho = if kind.about() > 0.0 { kind.about() + beside } else { 0.0 };
-    let tails_dof = (kind == ScalarNoise::StudentT).then(|| rng.random_range(3f64.ln()..12f64.ln()).exp());
+    let beside = if rng.random_bool(0.5) {
+        0.0
+    } else {
+        rng.random_range(-0.12..0.06)
+    };
+    let rho = if kind.about() > 0.0 {
+        kind.about() + beside
+    } else {
+        0.0
+    };
+    let tails_dof =
+        (kind == ScalarNoise::StudentT).then(|| rng.random_range(3f64.ln()..12f64.ln()).exp());
     (unit_noise(rho, tails_dof, rng, count), rho, tails_dof)
 }
 
@@ -410,7 +492,11 @@ fn unit_noise(rho: f64, tails_dof: Option<f64>, rng: &mut ChaCha8Rng, count: usi
                 Some((dof, chi)) => white * ((dof - 2.0) / chi.sample(rng)).sqrt(),
                 None => white,
             };
-            state = if k == 0 { white } else { rho * state + (1.0 - rho * rho).sqrt() * white };
+            state = if k == 0 {
+                white
+            } else {
+                rho * state + (1.0 - rho * rho).sqrt() * white
+            };
             state
         })
         .collect()
@@ -419,7 +505,11 @@ fn unit_noise(rho: f64, tails_dof: Option<f64>, rng: &mut ChaCha8Rng, count: usi
 impl ScalarCase {
     /// Standard deviation of a reading, rounding included (uniform within a step), in the unit of the response; um for an axis.
     pub fn reading_sd(&self) -> f64 {
-        let rounding = if self.truth.noise == ScalarNoise::Rounded { 1.0 / 12.0 } else { 0.0 };
+        let rounding = if self.truth.noise == ScalarNoise::Rounded {
+            1.0 / 12.0
+        } else {
+            0.0
+        };
         self.truth.noise_sd * f64::sqrt(1.0 + rounding)
     }
 
@@ -444,7 +534,11 @@ impl ScalarCase {
         let noise = unit_noise(self.truth.rho, self.truth.tails_dof, &mut rng, parts.len());
         for (k, r) in out.iter_mut().enumerate() {
             r.clean = self.line.zero + self.line.slope * r.x + added.as_ref().map_or(0.0, |a| a[k]);
-            r.y = read_out(self.truth.noise, r.clean + self.truth.noise_sd * noise[k], self.truth.noise_sd);
+            r.y = read_out(
+                self.truth.noise,
+                r.clean + self.truth.noise_sd * noise[k],
+                self.truth.noise_sd,
+            );
         }
         out
     }
@@ -454,16 +548,27 @@ impl ScalarCase {
     /// # Errors
     /// [`PlantError::Write`] with the file that could not be written.
     pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
-        std::fs::create_dir_all(folder)
-            .map_err(|source| PlantError::Write { path: folder.display().to_string(), source })?;
-        let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
+        std::fs::create_dir_all(folder).map_err(|source| PlantError::Write {
+            path: folder.display().to_string(),
+            source,
+        })?;
+        let id = folder
+            .file_name()
+            .map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
         let held_out = self.readings.iter().any(|r| r.holdout);
         let (kind, model) = if self.axis {
             ("axis", "")
         } else {
-            ("transducer", "[transducer]\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\nmodel = \"linear\"\n")
+            (
+                "transducer",
+                "[transducer]\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\nmodel = \"linear\"\n",
+            )
         };
-        let holdout = if held_out { "holdout = \"holdout.csv\"\n" } else { "" };
+        let holdout = if held_out {
+            "holdout = \"holdout.csv\"\n"
+        } else {
+            ""
+        };
         let toml = format!(
             "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"{kind}\"\nmedium = \"air\"\n\
              created = \"2026-11-20T09:00:00Z\"\n\n[files]\npoints = \"points.csv\"\n{holdout}\n{model}"

@@ -44,7 +44,14 @@ pub fn draw_under(request: &Request, noise: Noise, wire: Make) -> Result<Case, P
 pub fn draw_looked(request: &Request, looked: PictureSetup) -> Result<Case, PlantError> {
     let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
     let bench = Bench::draw(&mut rng);
-    drawn(request, Noise::Gaussian, Make::Usual, bench, Some(looked), rng)
+    drawn(
+        request,
+        Noise::Gaussian,
+        Make::Usual,
+        bench,
+        Some(looked),
+        rng,
+    )
 }
 
 /// Draws a session on a given bench, with white normal noise.
@@ -65,7 +72,10 @@ fn drawn(
     mut rng: ChaCha8Rng,
 ) -> Result<Case, PlantError> {
     let off_mm = looked.map_or(0.0, |l| l.straight_off_mm);
-    let bench = Bench { straight_mm: declared.straight_mm + off_mm, ..declared.clone() };
+    let bench = Bench {
+        straight_mm: declared.straight_mm + off_mm,
+        ..declared.clone()
+    };
     // The rig runs where the declared wire would be; the real wire lies beside it.
     let mut trajectories = declared.trajectories();
     for t in &mut trajectories {
@@ -74,7 +84,11 @@ fn drawn(
         t.path.origin_mm = origin_mm;
     }
     let rows = plan(request.design, &trajectories, &mut rng);
-    let end_s = rows.iter().rev().find(|r| !r.holdout).map_or(0.0, |r| r.t_s);
+    let end_s = rows
+        .iter()
+        .rev()
+        .find(|r| !r.holdout)
+        .map_or(0.0, |r| r.t_s);
     let law = Law::draw(noise, &bench, &rows, request.seed);
     let mut plant = Plant::new(bench, trajectories, rows, &law);
     let without = plant.clean(&[])?;
@@ -92,15 +106,22 @@ fn drawn(
         target_reached &= (size / request.target_sigma - 1.0).abs() < 0.05;
         each.insert(kind.name().0.into(), json!((size * 10.0).round() / 10.0));
         if looked.is_some() {
+            let [with, without] = [
+                plant.wires_in_groove(std::slice::from_ref(&effect))?,
+                plant.wires_in_groove(&[])?,
+            ];
             let [with, without] =
-                [plant.wires_in_groove(std::slice::from_ref(&effect))?, plant.wires_in_groove(&[])?];
-            let [with, without] = [with, without].map(|s| s.into_iter().flatten().collect::<Vec<_>>());
+                [with, without].map(|s| s.into_iter().flatten().collect::<Vec<_>>());
             let contact = contact_sigma(&with, &without, &Cameras::default());
             clear &= size >= NEAR_ENOUGH * CLEAR_SIGMA || contact >= CLEAR_CONTACT_SIGMA;
         }
         effects.push(effect);
     }
-    let clean = if effects.is_empty() { without.clone() } else { plant.clean(&effects)? };
+    let clean = if effects.is_empty() {
+        without.clone()
+    } else {
+        plant.clean(&effects)?
+    };
     let projected = plant.size(&clean, &without);
 
     let readings = measure(&plant, &clean, &law, request.seed, &mut rng);
@@ -109,7 +130,12 @@ fn drawn(
     (truth.sizes_each, truth.target_reached) = (each, target_reached);
     truth.clear = looked.map(|_| clear);
     truth.projected_size_in_noises = (projected * 10.0).round() / 10.0;
-    truth.flagged = truth.noise.gross.iter().map(|g| flag(&readings[g.row])).collect();
+    truth.flagged = truth
+        .noise
+        .gross
+        .iter()
+        .map(|g| flag(&readings[g.row]))
+        .collect();
     truth.flagged.sort();
     truth.oracle_after_nmm = oracle_error_nmm(&plant, &clean, &readings, &truth.noise.gross);
     if let ([one], true) = (effects.as_slice(), request.rivals) {
@@ -119,10 +145,20 @@ fn drawn(
         (truth.label, truth.names) = (name.into(), vec![name.into()]);
     }
     let shown = match looked {
-        Some(looked) if looked.pictures => points_shown(&readings, plant.wires_in_groove(&effects)?),
+        Some(looked) if looked.pictures => {
+            points_shown(&readings, plant.wires_in_groove(&effects)?)
+        }
         _ => Vec::new(),
     };
-    let mut case = Case { bench: plant.bench.clone(), readings, truth, effects, declared, looked, shown };
+    let mut case = Case {
+        bench: plant.bench.clone(),
+        readings,
+        truth,
+        effects,
+        declared,
+        looked,
+        shown,
+    };
     if let CaseKind::Adversarial(trick) = request.want {
         adversarial::tamper(&mut case, trick, &mut rng);
     }
@@ -145,13 +181,23 @@ impl PictureSetup {
 
 /// What is shown of the rows of points.csv, each with its point.
 fn points_shown(readings: &[Reading], shown: Vec<Option<WireAtPose>>) -> Vec<(usize, WireAtPose)> {
-    let points = readings.iter().zip(shown).filter(|(r, _)| !r.planned.holdout);
+    let points = readings
+        .iter()
+        .zip(shown)
+        .filter(|(r, _)| !r.planned.holdout);
     points.filter_map(|(r, s)| Some((r.point, s?))).collect()
 }
 
 fn flag(reading: &Reading) -> Flag {
-    let file = if reading.planned.holdout { "holdout.csv" } else { "points.csv" };
-    Flag { source: file.into(), point: reading.point }
+    let file = if reading.planned.holdout {
+        "holdout.csv"
+    } else {
+        "points.csv"
+    };
+    Flag {
+        source: file.into(),
+        point: reading.point,
+    }
 }
 
 /// Size of a clear effect in noises of the wavelengths, the share of it that the scaling of effects keeps, and size in the contacts.
@@ -175,11 +221,18 @@ pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
     let trajectories = bench.trajectories();
     let rows = plan_asked(asked, &trajectories);
     // The noise is as before; what went grossly wrong in a reading does so once.
-    let law = Law { gross: Vec::new(), ..case.truth.noise.clone() };
+    let law = Law {
+        gross: Vec::new(),
+        ..case.truth.noise.clone()
+    };
     let mut plant = Plant::new(bench, trajectories, rows, &law);
     let clean = plant.clean(&case.effects)?;
     let readings = measure(&plant, &clean, &law, case.truth.seed ^ 0x1a7e, &mut rng);
-    Ok(Case { bench: plant.bench, readings, ..case.clone() })
+    Ok(Case {
+        bench: plant.bench,
+        readings,
+        ..case.clone()
+    })
 }
 
 /// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the size.
@@ -197,7 +250,11 @@ fn scale(
     };
     let (mut low, mut high) = (range.low, range.high);
     let (mut low_tried, mut high_tried) = (false, false);
-    let mut a = if low > 0.0 { (low * high).sqrt() } else { 0.5 * (low + high) };
+    let mut a = if low > 0.0 {
+        (low * high).sqrt()
+    } else {
+        0.5 * (low + high)
+    };
     let mut size = f64::NAN;
     for _ in 0..12 {
         size = size_at(a, effect)?;
@@ -228,7 +285,13 @@ fn scale(
 }
 
 /// Turns noise-free answers into readings.
-fn measure(plant: &Plant, clean: &[NoiseFree], law: &Law, seed: u64, rng: &mut impl Rng) -> Vec<Reading> {
+fn measure(
+    plant: &Plant,
+    clean: &[NoiseFree],
+    law: &Law,
+    seed: u64,
+    rng: &mut impl Rng,
+) -> Vec<Reading> {
     let bench = &plant.bench;
     let series = law.series(&plant.rows, &plant.trajectories, seed);
     let mut normal = |sd: f64| -> f64 {
@@ -253,7 +316,8 @@ fn measure(plant: &Plant, clean: &[NoiseFree], law: &Law, seed: u64, rng: &mut i
             let error_nm = gross.map_or(0.0, |g| g.error_nm[c]);
             law.rounded(bench.nominal_nm[c] + 1e-3 * shift_pm + error_nm)
         });
-        let sd_pm = [0, 1].map(|_| bench.sample_sd_pm * (1.0 + 0.02 * normal(1.0).clamp(-2.5, 2.5)));
+        let sd_pm =
+            [0, 1].map(|_| bench.sample_sd_pm * (1.0 + 0.02 * normal(1.0).clamp(-2.5, 2.5)));
         out.push(Reading {
             point,
             planned: row.clone(),
@@ -271,7 +335,13 @@ fn measure(plant: &Plant, clean: &[NoiseFree], law: &Law, seed: u64, rng: &mut i
     out
 }
 
-fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[NoiseFree], law: Law) -> Truth {
+fn truth(
+    request: &Request,
+    plant: &Plant,
+    effects: &[Effect],
+    clean: &[NoiseFree],
+    law: Law,
+) -> Truth {
     let unknown = effects.iter().find(|e| e.kind.is_unknown());
     let driver = unknown.and_then(|e| e.kind.driver());
     let label = match (&request.want, effects) {
@@ -281,17 +351,29 @@ fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[NoiseFre
         _ => "pair".to_owned(),
     };
     let by_name = |f: &dyn Fn(&Effect) -> Value| -> Map<String, Value> {
-        effects.iter().map(|e| (e.kind.name().0.to_owned(), f(e))).collect()
+        effects
+            .iter()
+            .map(|e| (e.kind.name().0.to_owned(), f(e)))
+            .collect()
     };
-    let (laws, mut parameters) = (by_name(&|e| json!(e.kind.name().1)), by_name(&|e| e.parameters()));
-    if let Some(length) = parameters.get_mut("wire-taper").and_then(|v| v.get_mut("length_mm")) {
+    let (laws, mut parameters) = (
+        by_name(&|e| json!(e.kind.name().1)),
+        by_name(&|e| e.parameters()),
+    );
+    if let Some(length) = parameters
+        .get_mut("wire-taper")
+        .and_then(|v| v.get_mut("length_mm"))
+    {
         *length = json!(plant.bench.length_mm);
     }
     let variances: Vec<f64> = plant
         .rows
         .iter()
         .filter(|r| r.role == "holdout")
-        .map(|r| law.new_pose_pm(&plant.bench, r, plant.trajectories[r.trajectory].reach_mm).powi(2))
+        .map(|r| {
+            law.new_pose_pm(&plant.bench, r, plant.trajectories[r.trajectory].reach_mm)
+                .powi(2)
+        })
         .collect();
     let expected = match request.want {
         CaseKind::Adversarial(trick) => trick.expected().iter().map(|s| (*s).to_owned()).collect(),
@@ -344,12 +426,23 @@ impl Case {
     ///
     /// # Errors
     /// [`PlantError::Wire`] when the rod does not settle.
-    pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, WireAtPose)>), PlantError> {
+    pub fn under(
+        &self,
+        effects: &[Effect],
+    ) -> Result<(Self, Vec<(usize, WireAtPose)>), PlantError> {
         let rows: Vec<PlannedRow> = self.readings.iter().map(|r| r.planned.clone()).collect();
-        let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);
+        let mut plant = Plant::new(
+            self.bench.clone(),
+            self.bench.trajectories(),
+            rows,
+            &self.truth.noise,
+        );
         let (without, with) = (plant.clean(&self.effects)?, plant.clean(effects)?);
         let shown = plant.wires_in_groove(effects)?;
-        let mut case = Self { effects: effects.to_vec(), ..self.clone() };
+        let mut case = Self {
+            effects: effects.to_vec(),
+            ..self.clone()
+        };
         for ((reading, a), b) in case.readings.iter_mut().zip(&without).zip(&with) {
             for c in 0..2 {
                 reading.fbg_nm[c] += 1e-3 * (b.shift_pm[c] - a.shift_pm[c]);

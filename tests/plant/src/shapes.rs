@@ -50,7 +50,13 @@ pub struct Cameras {
 
 impl Default for Cameras {
     fn default() -> Self {
-        Self { own_mm: 0.02, shift_mm: 0.01, turn_rad: 2e-4, scale: 1e-4, stated: 1.0 }
+        Self {
+            own_mm: 0.02,
+            shift_mm: 0.01,
+            turn_rad: 2e-4,
+            scale: 1e-4,
+            stated: 1.0,
+        }
     }
 }
 
@@ -58,7 +64,10 @@ impl Cameras {
     /// As usual, with a statement of their own noise that is too small, right, or too large, by the session's seed.
     pub fn of_session(seed: u64) -> Self {
         const STATED: [f64; 4] = [0.85, 1.0, 1.3, 1.7];
-        Self { stated: STATED[(seed % 4) as usize], ..Self::default() }
+        Self {
+            stated: STATED[(seed % 4) as usize],
+            ..Self::default()
+        }
     }
 }
 
@@ -103,24 +112,33 @@ pub fn contact_sigma(with: &[WireAtPose], without: &[WireAtPose], cameras: &Came
     let variance = cameras.own_mm.powi(2);
     for (k, (a, b)) in with.iter().zip(without).enumerate() {
         let at = 4 * k;
-        change.fixed_rows_mut::<3>(at).copy_from(&(a.groove_mm - b.groove_mm));
+        change
+            .fixed_rows_mut::<3>(at)
+            .copy_from(&(a.groove_mm - b.groove_mm));
         change[at + 3] = a.arclength_mm - b.arclength_mm;
         // Along the wire the tag errs, and the foot with it; across it the wire does.
         own.fixed_view_mut::<3, 3>(at, at).fill_with_identity();
         own.fixed_view_mut::<3, 1>(at, at + 3).copy_from(&b.tangent);
-        own.fixed_view_mut::<1, 3>(at + 3, at).copy_from(&b.tangent.transpose());
+        own.fixed_view_mut::<1, 3>(at + 3, at)
+            .copy_from(&b.tangent.transpose());
         own[(at + 3, at + 3)] = 1.25;
         for (j, axis) in [V3::x(), V3::y(), V3::z()].iter().enumerate() {
-            shared.fixed_view_mut::<3, 1>(at, j).copy_from(&(axis * cameras.shift_mm));
+            shared
+                .fixed_view_mut::<3, 1>(at, j)
+                .copy_from(&(axis * cameras.shift_mm));
             shared
                 .fixed_view_mut::<3, 1>(at, 3 + j)
                 .copy_from(&(axis.cross(&b.groove_mm) * cameras.turn_rad));
         }
-        shared.fixed_view_mut::<3, 1>(at, 6).copy_from(&(b.groove_mm * cameras.scale));
+        shared
+            .fixed_view_mut::<3, 1>(at, 6)
+            .copy_from(&(b.groove_mm * cameras.scale));
         shared[(at + 3, 6)] = b.arclength_mm * cameras.scale;
     }
     let covariance = own * variance + &shared * shared.transpose();
-    covariance.cholesky().map_or(f64::NAN, |c| change.dot(&c.solve(&change)).sqrt())
+    covariance
+        .cholesky()
+        .map_or(f64::NAN, |c| change.dot(&c.solve(&change)).sqrt())
 }
 
 /// Two unit vectors across `t`.
@@ -135,16 +153,32 @@ fn own_errors(s: &WireAtPose, stations: &[usize], own_mm: f64) -> Vec<Column> {
     let zeros = || vec![V3::zeros(); stations.len()];
     let mut own = Vec::new();
     // Along the wire the tag errs, and the foot with it; across it the wire does.
-    own.push(Column { groove: s.tangent * own_mm, arc: own_mm, stations: zeros() });
-    own.extend(across(&s.tangent).map(|n| Column { groove: n * own_mm, arc: 0.0, stations: zeros() }));
-    own.push(Column { groove: V3::zeros(), arc: 0.5 * own_mm, stations: zeros() });
+    own.push(Column {
+        groove: s.tangent * own_mm,
+        arc: own_mm,
+        stations: zeros(),
+    });
+    own.extend(across(&s.tangent).map(|n| Column {
+        groove: n * own_mm,
+        arc: 0.0,
+        stations: zeros(),
+    }));
+    own.push(Column {
+        groove: V3::zeros(),
+        arc: 0.5 * own_mm,
+        stations: zeros(),
+    });
     for (i, at) in stations.iter().enumerate() {
         let next = s.line_mm[(at + 1).min(s.line_mm.len() - 1)];
         let before = s.line_mm[at.saturating_sub(1)];
         for n in across(&(next - before).normalize()) {
             let mut moved = zeros();
             moved[i] = n * own_mm;
-            own.push(Column { groove: V3::zeros(), arc: 0.0, stations: moved });
+            own.push(Column {
+                groove: V3::zeros(),
+                arc: 0.0,
+                stations: moved,
+            });
         }
     }
     own
@@ -154,20 +188,34 @@ fn own_errors(s: &WireAtPose, stations: &[usize], own_mm: f64) -> Vec<Column> {
 fn shared_errors(s: &WireAtPose, places: &[V3]) -> Vec<Column> {
     let zeros = || vec![V3::zeros(); places.len()];
     let axes = [V3::x(), V3::y(), V3::z()];
-    let mut shared: Vec<Column> =
-        axes.iter().map(|a| Column { groove: *a, arc: 0.0, stations: vec![*a; places.len()] }).collect();
+    let mut shared: Vec<Column> = axes
+        .iter()
+        .map(|a| Column {
+            groove: *a,
+            arc: 0.0,
+            stations: vec![*a; places.len()],
+        })
+        .collect();
     shared.extend(axes.iter().map(|a| Column {
         groove: a.cross(&s.groove_mm),
         arc: 0.0,
         stations: places.iter().map(|p| a.cross(p)).collect(),
     }));
-    let scaled = || Column { groove: s.groove_mm, arc: s.arclength_mm, stations: places.to_vec() };
+    let scaled = || Column {
+        groove: s.groove_mm,
+        arc: s.arclength_mm,
+        stations: places.to_vec(),
+    };
     shared.push(scaled());
     // Taken as known by the pictures' evaluation: their derivatives say what a fault would do.
     shared.push(scaled());
     shared.extend(axes.iter().map(|a| {
         let along = s.tangent.dot(a);
-        Column { groove: s.tangent * along, arc: along, stations: zeros() }
+        Column {
+            groove: s.tangent * along,
+            arc: along,
+            stations: zeros(),
+        }
     }));
     shared
 }
@@ -265,9 +313,16 @@ pub fn shapes_json(
         .collect();
     let mut pairs = Vec::new();
     for (k, (point, s)) in shown.iter().enumerate() {
-        pairs.push(pair_json((*point, s), cameras, (fault, k, shown.len()), &q, &mut normal));
+        pairs.push(pair_json(
+            (*point, s),
+            cameras,
+            (fault, k, shown.len()),
+            &q,
+            &mut normal,
+        ));
     }
-    let named = |name: &str, unit: &str, cause: &str| json!({"name": name, "unit": unit, "cause": cause});
+    let named =
+        |name: &str, unit: &str, cause: &str| json!({"name": name, "unit": unit, "cause": cause});
     let parameters = vec![
         named("base-tag x", "mm", "base-tag"),
         named("base-tag y", "mm", "base-tag"),
@@ -284,7 +339,11 @@ pub fn shapes_json(
     let (s, t) = (cameras.shift_mm, cameras.turn_rad);
     let sds = [s, s, s, t, t, t, cameras.scale, 0.0, 0.0, 0.0, 0.0];
     let covariance: Vec<Vec<f64>> = (0..sds.len())
-        .map(|i| (0..sds.len()).map(|j| if i == j { sds[i] * sds[i] } else { 0.0 }).collect())
+        .map(|i| {
+            (0..sds.len())
+                .map(|j| if i == j { sds[i] * sds[i] } else { 0.0 })
+                .collect()
+        })
         .collect();
     json!({
         "format": "wcal-shapes/1",

@@ -39,7 +39,10 @@ struct Geometry {
 impl Geometry {
     /// Where the groove really runs on a trajectory.
     fn path(&self, trajectory: &Trajectory) -> Path {
-        Path { offset_mm: trajectory.path.offset_mm + self.offset_mm, ..trajectory.path }
+        Path {
+            offset_mm: trajectory.path.offset_mm + self.offset_mm,
+            ..trajectory.path
+        }
     }
 }
 
@@ -63,10 +66,22 @@ pub struct NoiseFree {
 
 impl Plant {
     /// A plant for a bench and a plan under a law of noise.
-    pub fn new(bench: Bench, trajectories: Vec<Trajectory>, rows: Vec<PlannedRow>, law: &Law) -> Self {
+    pub fn new(
+        bench: Bench,
+        trajectories: Vec<Trajectory>,
+        rows: Vec<PlannedRow>,
+        law: &Law,
+    ) -> Self {
         let motion = motion(&rows);
         let covariance = Covariance::new(law, &bench, &rows, &trajectories);
-        Self { bench, trajectories, rows, covariance, motion, cache: None }
+        Self {
+            bench,
+            trajectories,
+            rows,
+            covariance,
+            motion,
+            cache: None,
+        }
     }
 
     /// Noise-free answers of all rows under `effects`.
@@ -74,7 +89,11 @@ impl Plant {
     /// # Errors
     /// [`PlantError::Wire`] when the rod does not settle.
     pub fn clean(&mut self, effects: &[Effect]) -> Result<Vec<NoiseFree>, PlantError> {
-        let rod: Vec<[f64; 2]> = self.held(effects)?.into_iter().map(|h| h.moment_nmm).collect();
+        let rod: Vec<[f64; 2]> = self
+            .held(effects)?
+            .into_iter()
+            .map(|h| h.moment_nmm)
+            .collect();
         let mut sensed = rod.clone();
         for effect in effects {
             sensed = memory::apply(effect, &self.motion, sensed);
@@ -82,7 +101,10 @@ impl Plant {
         let mut out = vec![NoiseFree::default(); self.rows.len()];
         for ((instant, rod), sensed) in self.motion.iter().zip(&rod).zip(&sensed) {
             let Some(row) = instant.row else { continue };
-            out[row] = NoiseFree { moment_nmm: *rod, shift_pm: self.bench.shift_pm(*sensed) };
+            out[row] = NoiseFree {
+                moment_nmm: *rod,
+                shift_pm: self.bench.shift_pm(*sensed),
+            };
             for effect in effects {
                 let add = self.sensor(effect, row, *sensed);
                 out[row].shift_pm[0] += add[0];
@@ -99,17 +121,29 @@ impl Plant {
     ///
     /// # Errors
     /// [`PlantError::Wire`] when the rod does not settle.
-    pub fn wires_in_groove(&mut self, effects: &[Effect]) -> Result<Vec<Option<WireAtPose>>, PlantError> {
+    pub fn wires_in_groove(
+        &mut self,
+        effects: &[Effect],
+    ) -> Result<Vec<Option<WireAtPose>>, PlantError> {
         let held = self.held(effects)?;
         let geometry = self.geometry(effects);
         let mut out = vec![None; self.rows.len()];
         for ((instant, stage_mm), held) in self.motion.iter().zip(self.stages(effects)).zip(held) {
-            let Some(row) = instant.row.filter(|_| instant.loaded && instant.velocity_mm_s == 0.0) else {
+            let Some(row) = instant
+                .row
+                .filter(|_| instant.loaded && instant.velocity_mm_s == 0.0)
+            else {
                 continue;
             };
             let trajectory = &self.trajectories[instant.trajectory];
             let path = geometry.path(trajectory);
-            let e = dragged_equilibrium(&geometry.wire, &path, held.drag, trajectory.reach_mm, stage_mm)?;
+            let e = dragged_equilibrium(
+                &geometry.wire,
+                &path,
+                held.drag,
+                trajectory.reach_mm,
+                stage_mm,
+            )?;
             let groove_mm = path.at(stage_mm);
             out[row] = Some(WireAtPose {
                 groove_mm,
@@ -134,10 +168,16 @@ impl Plant {
     }
 
     fn geometry(&self, effects: &[Effect]) -> Geometry {
-        let mut g = Geometry { wire: self.bench.wire(), offset_mm: Vector3::zeros(), friction: false };
+        let mut g = Geometry {
+            wire: self.bench.wire(),
+            offset_mm: Vector3::zeros(),
+            friction: false,
+        };
         for e in effects {
             match e.kind {
-                Kind::OffsetGroove => g.offset_mm = Vector3::from_column_slice(&e.shape) * e.amplitude,
+                Kind::OffsetGroove => {
+                    g.offset_mm = Vector3::from_column_slice(&e.shape) * e.amplitude
+                }
                 Kind::ComplianceIsotropic => g.wire.root_compliance = [e.amplitude; 2],
                 Kind::ComplianceTwoAxes => {
                     g.wire.root_compliance = [e.amplitude * e.shape[0], e.amplitude * e.shape[1]];
@@ -158,12 +198,28 @@ impl Plant {
     }
 
     fn tables(&self, g: &Geometry) -> Result<Vec<Table>, PlantError> {
-        let drags = if g.friction { friction_drags() } else { vec![0.0] };
+        let drags = if g.friction {
+            friction_drags()
+        } else {
+            vec![0.0]
+        };
         // A moment law with a corner needs more nodes.
-        let nodes = if g.wire.law == crate::rod::MomentLaw::Linear { 11 } else { 20 };
+        let nodes = if g.wire.law == crate::rod::MomentLaw::Linear {
+            11
+        } else {
+            20
+        };
         self.trajectories
             .iter()
-            .map(|t| Ok(Table::build(&g.wire, &g.path(t), 1.04 * t.reach_mm + 0.2, &drags, nodes)?))
+            .map(|t| {
+                Ok(Table::build(
+                    &g.wire,
+                    &g.path(t),
+                    1.04 * t.reach_mm + 0.2,
+                    &drags,
+                    nodes,
+                )?)
+            })
             .collect()
     }
 
@@ -177,7 +233,8 @@ impl Plant {
             match e.kind {
                 Kind::StageScale => out.iter_mut().for_each(|x| *x *= 1.0 + a),
                 Kind::PeriodicLead | Kind::PeriodicDouble => {
-                    out.iter_mut().for_each(|x| *x += a * (tau * *x / s[0] + s[1]).sin());
+                    out.iter_mut()
+                        .for_each(|x| *x += a * (tau * *x / s[0] + s[1]).sin());
                 }
                 Kind::PeriodicHarmonics => out.iter_mut().for_each(|x| {
                     let turn = tau * *x / s[0];
@@ -185,7 +242,11 @@ impl Plant {
                 }),
                 Kind::BacklashApproach | Kind::BacklashSymmetric => {
                     // The carriage hangs behind the screw: a play of width a.
-                    let shift = if e.kind == Kind::BacklashSymmetric { 0.5 * a } else { 0.0 };
+                    let shift = if e.kind == Kind::BacklashSymmetric {
+                        0.5 * a
+                    } else {
+                        0.0
+                    };
                     let mut state = out[0];
                     let mut trajectory = usize::MAX;
                     for (x, i) in out.iter_mut().zip(&self.motion) {
@@ -210,7 +271,10 @@ impl Plant {
     /// The rod at every instant.
     fn rod(&self, effects: &[Effect], tables: &[Table], stages: &[f64]) -> Vec<GrooveLoad> {
         let friction = effects.iter().find(|e| {
-            matches!(e.kind, Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck)
+            matches!(
+                e.kind,
+                Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck
+            )
         });
         let mut grip = Grip::default();
         let (mut drag, mut before) = (0.0, 0.0);
@@ -220,7 +284,8 @@ impl Plant {
             .zip(stages)
             .map(|(instant, &x)| {
                 if !instant.loaded || instant.trajectory != trajectory {
-                    (grip, drag, before, trajectory) = (Grip::default(), 0.0, x, instant.trajectory);
+                    (grip, drag, before, trajectory) =
+                        (Grip::default(), 0.0, x, instant.trajectory);
                 }
                 if !instant.loaded {
                     return GrooveLoad::default();
@@ -228,7 +293,10 @@ impl Plant {
                 let table = &tables[instant.trajectory];
                 let held = |drag: f64| {
                     let at = table.at(x, drag);
-                    GrooveLoad { moment_nmm: [at[0], at[1]], drag }
+                    GrooveLoad {
+                        moment_nmm: [at[0], at[1]],
+                        drag,
+                    }
                 };
                 let Some(f) = friction else { return held(0.0) };
                 if f.kind == Kind::FrictionPresliding {
@@ -258,25 +326,32 @@ impl Plant {
             Kind::TemperatureLinear => both(warm),
             Kind::DriftLinear => both(t / 60.0),
             // Form read off the practice sessions: my^2 and my mz in channel 1, mz^2 in channel 2.
-            Kind::FbgThree => {
-                [a * FBG_PM * (s[0] * m[0] * m[0] + s[1] * m[0] * m[1]), a * FBG_PM * s[2] * m[1] * m[1]]
-            }
+            Kind::FbgThree => [
+                a * FBG_PM * (s[0] * m[0] * m[0] + s[1] * m[0] * m[1]),
+                a * FBG_PM * s[2] * m[1] * m[1],
+            ],
             Kind::FbgFull => {
                 let q = [m[0] * m[0], m[0] * m[1], m[1] * m[1]];
                 let dot = |c: &[f64]| a * FBG_PM * c.iter().zip(q).map(|(c, q)| c * q).sum::<f64>();
                 [dot(&s[..3]), dot(&s[3..])]
             }
-            Kind::FbgChannel => [a * s[0] * k[0] * k[0] / FBG_PM, a * s[1] * k[1] * k[1] / FBG_PM],
+            Kind::FbgChannel => [
+                a * s[0] * k[0] * k[0] / FBG_PM,
+                a * s[1] * k[1] * k[1] / FBG_PM,
+            ],
             Kind::UnknownSineTime => both((std::f64::consts::TAU * t / s[2] + s[3]).sin()),
             Kind::UnknownStepTime => both(f64::from(u8::from(t > s[2]))),
             Kind::UnknownExponentialTime => both((-t / s[2]).exp()),
             Kind::UnknownQuadraticDrift => both((t / s[2] - s[3]).powi(2)),
             Kind::UnknownDirectionSign if r.role != "rest" => both(f64::from(r.direction)),
             Kind::UnknownDepthKink if r.role != "rest" => both(
-                (r.commanded_mm / self.trajectories[r.trajectory].reach_mm - s[2]).max(0.0) / (1.0 - s[2]),
+                (r.commanded_mm / self.trajectories[r.trajectory].reach_mm - s[2]).max(0.0)
+                    / (1.0 - s[2]),
             ),
             Kind::UnknownTrajectoryGain => k.map(|k| a * s[r.trajectory] * k),
-            Kind::UnknownRipple => [0, 1].map(|c| a * (std::f64::consts::TAU * k[c] / s[0] + s[1 + c]).sin()),
+            Kind::UnknownRipple => {
+                [0, 1].map(|c| a * (std::f64::consts::TAU * k[c] / s[0] + s[1 + c]).sin())
+            }
             Kind::UnknownTemperatureGradient => both(warm - self.bench.thermal.behind(r.t_s, s[2])),
             Kind::UnknownTemperatureGain => k.map(|k| a * warm * k),
             _ => [0.0; 2],
@@ -287,7 +362,9 @@ impl Plant {
     fn slips(&self, effect: &Effect, out: &mut [NoiseFree]) {
         let mut rng = ChaCha8Rng::seed_from_u64(effect.shape[1] as u64);
         let settled: Vec<usize> = (0..self.rows.len())
-            .filter(|&i| !self.rows[i].holdout && self.rows[i].role != "rest" && self.rows[i].dwell_s > 0.0)
+            .filter(|&i| {
+                !self.rows[i].holdout && self.rows[i].role != "rest" && self.rows[i].dwell_s > 0.0
+            })
             .collect();
         let count = ((effect.shape[0] * settled.len() as f64).round() as usize).max(1);
         for _ in 0..count {
@@ -295,8 +372,10 @@ impl Plant {
             let (share, turn) = (rng.random_range(0.4..1.0), rng.random_range(-0.6..0.6));
             let m = out[row].moment_nmm;
             let lost = effect.amplitude * share;
-            let slipped =
-                [m[0] * (1.0 - lost) - lost * turn * m[1], m[1] * (1.0 - lost) + lost * turn * m[0]];
+            let slipped = [
+                m[0] * (1.0 - lost) - lost * turn * m[1],
+                m[1] * (1.0 - lost) + lost * turn * m[0],
+            ];
             let (from, to) = (self.bench.shift_pm(m), self.bench.shift_pm(slipped));
             out[row].moment_nmm = slipped;
             for c in 0..2 {
@@ -324,5 +403,11 @@ impl Plant {
 
 /// Columns that the zero and K take up: one, and both moments.
 pub fn moments(rows: &[usize], clean: &[NoiseFree]) -> DMatrix<f64> {
-    DMatrix::from_fn(rows.len(), 3, |i, j| if j == 0 { 1.0 } else { clean[rows[i]].moment_nmm[j - 1] })
+    DMatrix::from_fn(rows.len(), 3, |i, j| {
+        if j == 0 {
+            1.0
+        } else {
+            clean[rows[i]].moment_nmm[j - 1]
+        }
+    })
 }

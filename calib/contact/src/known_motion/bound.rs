@@ -30,9 +30,18 @@ pub fn bound_mm2(
     settings: &Settings,
     truth: &State,
 ) -> Result<Option<Matrix3<f64>>, ContactError> {
-    let Some(path) = ContactPath::new(field, episode) else { return Ok(None) };
-    let fails = || ContactError::value("covariance of the moments", "positive definite", "one that is not");
-    let Some((slopes, covariance)) = slopes(&path, truth).zip(covariance(&path, settings, truth)) else {
+    let Some(path) = ContactPath::new(field, episode) else {
+        return Ok(None);
+    };
+    let fails = || {
+        ContactError::value(
+            "covariance of the moments",
+            "positive definite",
+            "one that is not",
+        )
+    };
+    let Some((slopes, covariance)) = slopes(&path, truth).zip(covariance(&path, settings, truth))
+    else {
         return Ok(None);
     };
     // Fisher information of Gaussian readings, G' S^-1 G.
@@ -41,7 +50,8 @@ pub fn bound_mm2(
     // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12.
     information[(0, 0)] += 12.0 / (field.length_mm() - settings.first_mm).powi(2);
     information[(1, 1)] += 12.0 / (path.onset_mm[1] - path.onset_mm[0]).powi(2);
-    let (Some(covariance), Some(turn)) = (information.try_inverse(), place_rates(&path, truth)) else {
+    let (Some(covariance), Some(turn)) = (information.try_inverse(), place_rates(&path, truth))
+    else {
         return Ok(None);
     };
     let covariance = Matrix3::from_fn(|i, j| covariance[(i, j)]);
@@ -67,7 +77,10 @@ pub fn bound_mm(
 fn slopes(path: &ContactPath<'_>, state: &State) -> Option<DMatrix<f64>> {
     let moments = |k: usize, step: f64| {
         let all = path.moments(&moved(state, k, step))?;
-        Some(DVector::from_iterator(2 * all.len(), all.into_iter().flatten()))
+        Some(DVector::from_iterator(
+            2 * all.len(),
+            all.into_iter().flatten(),
+        ))
     };
     // Central differences err by O(h^2), one-sided ones by O(h): the latter only at the edge of the equilibria.
     let column = |k: usize| match (moments(k, -STEP_MM), moments(k, STEP_MM)) {
@@ -76,7 +89,9 @@ fn slopes(path: &ContactPath<'_>, state: &State) -> Option<DMatrix<f64>> {
         (None, Some(b)) => Some((b - moments(k, 0.0)?) / STEP_MM),
         (None, None) => None,
     };
-    Some(DMatrix::from_columns(&(0..3).map(column).collect::<Option<Vec<_>>>()?))
+    Some(DMatrix::from_columns(
+        &(0..3).map(column).collect::<Option<Vec<_>>>()?,
+    ))
 }
 
 /// S at a state; none where the rod has no equilibrium there.
@@ -112,14 +127,22 @@ fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Opt
         all.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
     }
     // First-order Gauss-Markov part: its covariance falls as exp(-|dt| / tau); the white part is on the diagonal alone.
-    if let Some(CorrelatedNoise::InTime { variance_share, time_constant_s }) = settings.correlated {
-        let factors =
-            rows.iter().map(|r| Some(r.noise_nmm2.cholesky()?.l())).collect::<Option<Vec<Matrix2<f64>>>>()?;
+    if let Some(CorrelatedNoise::InTime {
+        variance_share,
+        time_constant_s,
+    }) = settings.correlated
+    {
+        let factors = rows
+            .iter()
+            .map(|r| Some(r.noise_nmm2.cholesky()?.l()))
+            .collect::<Option<Vec<Matrix2<f64>>>>()?;
         for (k, l) in (0..rows.len()).flat_map(|k| (0..k).map(move |l| (k, l))) {
-            let correlation = (-(rows[k].t_s - rows[l].t_s).abs() / time_constant_s.max(1e-9)).exp();
+            let correlation =
+                (-(rows[k].t_s - rows[l].t_s).abs() / time_constant_s.max(1e-9)).exp();
             let block = factors[k] * factors[l].transpose() * (variance_share * correlation);
             all.view_mut((2 * k, 2 * l), (2, 2)).copy_from(&block);
-            all.view_mut((2 * l, 2 * k), (2, 2)).copy_from(&block.transpose());
+            all.view_mut((2 * l, 2 * k), (2, 2))
+                .copy_from(&block.transpose());
         }
     }
     // Common unknowns of unit variance, marginalised: each adds a rank-one term to S.

@@ -37,7 +37,13 @@ pub struct Innovations {
 impl Innovations {
     /// Of an episode that no state explains.
     pub fn unexplained(rows: usize) -> Self {
-        Self { plain: f64::INFINITY, robust: f64::INFINITY, dof: 2.0 * rows as f64, outlier: 0, rows }
+        Self {
+            plain: f64::INFINITY,
+            robust: f64::INFINITY,
+            dof: 2.0 * rows as f64,
+            outlier: 0,
+            rows,
+        }
     }
 
     /// Whether the innovations are consistent, a few outliers allowed.
@@ -47,7 +53,12 @@ impl Innovations {
 
     /// What speaks against motion and moments, for people; none where they are consistent.
     pub fn sentence(&self) -> Option<String> {
-        let of = || format!("{DISAGREEMENT} (chi2 {:.0} for {:.0} degrees of freedom)", self.plain, self.dof);
+        let of = || {
+            format!(
+                "{DISAGREEMENT} (chi2 {:.0} for {:.0} degrees of freedom)",
+                self.plain, self.dof
+            )
+        };
         (!self.consistent()).then(of)
     }
 }

@@ -47,9 +47,16 @@ pub struct ContactPath<'a> {
 
 /// Whether a reading is loaded beyond its noise.
 pub(crate) fn loaded(row: &MotionRow) -> bool {
-    let shared = || row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum::<f64>();
+    let shared = || {
+        row.shared_nmm
+            .iter()
+            .map(|h| h[0] * h[0] + h[1] * h[1])
+            .sum::<f64>()
+    };
     // What a free wire would show: noise and the common errors at no load.
-    let variance = row.free_nmm2.map_or_else(|| row.noise_nmm2.trace() + shared(), |free| free.trace());
+    let variance = row
+        .free_nmm2
+        .map_or_else(|| row.noise_nmm2.trace() + shared(), |free| free.trace());
     let sd = variance.max(0.0).sqrt();
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
 }
@@ -62,7 +69,11 @@ pub(crate) fn creep_mm(
     creep_sd: f64,
 ) -> [Vector3<f64>; 2] {
     // Not before the first load, to where the point has not come from anywhere.
-    let way_mm = if moved_mm.dot(push) > 0.0 { moved_mm.norm() } else { 0.0 };
+    let way_mm = if moved_mm.dot(push) > 0.0 {
+        moved_mm.norm()
+    } else {
+        0.0
+    };
     let least = Vector3::ith(push.iamin(), 1.0);
     let first = push.cross(&least).normalize();
     [first, push.cross(&first)].map(|e| turn * e * (creep_sd * way_mm))
@@ -78,8 +89,13 @@ impl<'a> ContactPath<'a> {
             let turn = r.turn * back;
             (turn, r.moved_mm - turn * rows[first].moved_mm)
         });
-        let mut own =
-            Self { field, rows, push: Vector3::zeros(), motions: motions.collect(), onset_mm: [0.0; 2] };
+        let mut own = Self {
+            field,
+            rows,
+            push: Vector3::zeros(),
+            motions: motions.collect(),
+            onset_mm: [0.0; 2],
+        };
         let push = match episode.push {
             Some(push) => push,
             None => own.push_direction(first)?,
@@ -89,7 +105,10 @@ impl<'a> ContactPath<'a> {
         let touched = along.iter().zip(rows).filter(|(_, r)| loaded(r));
         let deepest = touched.map(|(a, _)| *a).fold(f64::NEG_INFINITY, f64::max);
         let lowest = along.iter().copied().fold(0.0, f64::min);
-        Some(Self { onset_mm: [lowest - BEFORE_MM, deepest], ..own })
+        Some(Self {
+            onset_mm: [lowest - BEFORE_MM, deepest],
+            ..own
+        })
     }
 
     /// Of one reading, whose motion since the reference is known.
@@ -99,7 +118,13 @@ impl<'a> ContactPath<'a> {
         push: Vector3<f64>,
         motion: (Rotation3<f64>, Vector3<f64>),
     ) -> Self {
-        Self { field, rows: std::slice::from_ref(row), push, motions: vec![motion], onset_mm: [0.0; 2] }
+        Self {
+            field,
+            rows: std::slice::from_ref(row),
+            push,
+            motions: vec![motion],
+            onset_mm: [0.0; 2],
+        }
     }
 
     /// Displacement of a reading from the reference, mm; under rotation that of the wire's middle.
@@ -111,7 +136,8 @@ impl<'a> ContactPath<'a> {
     /// Direction of motion when the object first loads the wire, over a tenth of its largest displacement so that jitter does not set it.
     fn push_direction(&self, first: usize) -> Option<Vector3<f64>> {
         const SHARE: f64 = 0.1;
-        let displacements: Vec<Vector3<f64>> = (0..self.rows.len()).map(|k| self.displacement(k)).collect();
+        let displacements: Vec<Vector3<f64>> =
+            (0..self.rows.len()).map(|k| self.displacement(k)).collect();
         let farthest = displacements.iter().map(Vector3::norm).fold(0.0, f64::max);
         let jitter = 3.0 * self.rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
         let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
@@ -156,7 +182,12 @@ impl<'a> ContactPath<'a> {
     }
 
     /// State of an episode whose point is at `place_mm` at a reading: the inverse of [`Self::place`], near an arc length where it is given.
-    pub fn state_of(&self, place_mm: &Vector3<f64>, row: usize, near_mm: Option<f64>) -> Option<State> {
+    pub fn state_of(
+        &self,
+        place_mm: &Vector3<f64>,
+        row: usize,
+        near_mm: Option<f64>,
+    ) -> Option<State> {
         // The line of the push through the point at the reference reading.
         let (turn, displacement) = &self.motions[row];
         let origin = turn.inverse() * (place_mm - displacement);
@@ -166,7 +197,9 @@ impl<'a> ContactPath<'a> {
             let off = self.field.free(s).0 - origin;
             (off - self.push * off.dot(&self.push)).norm_squared()
         };
-        let grid: Vec<f64> = (1..=steps).map(|k| self.field.length_mm() * k as f64 / steps as f64).collect();
+        let grid: Vec<f64> = (1..=steps)
+            .map(|k| self.field.length_mm() * k as f64 / steps as f64)
+            .collect();
         let minimum = |k: &usize| {
             let here = gap2(grid[*k]);
             (*k == 0 || gap2(grid[k - 1]) >= here) && (*k + 1 == steps || gap2(grid[k + 1]) > here)
@@ -185,10 +218,18 @@ impl<'a> ContactPath<'a> {
             Some(near) => found.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())),
             None => found.min_by(|a, b| gap2(*a).total_cmp(&gap2(*b))),
         }?;
-        let state = State { s_mm, onset_mm: 0.0, gap_mm: 0.0 };
+        let state = State {
+            s_mm,
+            onset_mm: 0.0,
+            gap_mm: 0.0,
+        };
         let (wire, across) = self.touch(&state)?;
         let off = origin - wire;
-        Some(State { s_mm, onset_mm: -off.dot(&self.push), gap_mm: off.dot(&across) })
+        Some(State {
+            s_mm,
+            onset_mm: -off.dot(&self.push),
+            gap_mm: off.dot(&across),
+        })
     }
 
     /// Moments of every reading; none where a state has no equilibrium there.
@@ -198,7 +239,10 @@ impl<'a> ContactPath<'a> {
         // Place at a reading, and whether the wire is held there.
         let at = |k: usize| {
             let place = self.carried(&origin, k);
-            (place, !self.rows[k].free && (place - touch).dot(&self.push) > 0.0)
+            (
+                place,
+                !self.rows[k].free && (place - touch).dot(&self.push) > 0.0,
+            )
         };
         let mu = self.field.friction();
         if mu.coefficient <= 0.0 {
@@ -222,7 +266,11 @@ impl<'a> ContactPath<'a> {
                 Some((s, from, _)) => (s, from),
                 None => (state.s_mm, self.visit_start(&touch, &to)),
             };
-            let share = if row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
+            let share = if row.velocity_mm_s.norm() > 0.0 {
+                mu.moving_share
+            } else {
+                1.0
+            };
             let steps = ((to - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
             let mut held = None;
             for n in 1..=steps {
@@ -256,7 +304,8 @@ pub(crate) fn play(
     s_mm: &mut f64,
 ) -> Option<ContactMoments> {
     let here = field.at_place(at)?;
-    let [low, free, high] = [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
+    let [low, free, high] =
+        [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
     let (low, free, high) = (low?, free?, high?);
     *s_mm = s_mm.clamp(low.min(high), low.max(high));
     // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.

@@ -118,7 +118,9 @@ impl CorrelatedNoise {
     /// B: covariance of a draw.
     pub(super) fn draw(&self) -> Matrix2<f64> {
         match self {
-            Self::ByPose { covariance_nmm2, .. } => *covariance_nmm2,
+            Self::ByPose {
+                covariance_nmm2, ..
+            } => *covariance_nmm2,
             Self::InTime { .. } => Matrix2::identity(),
         }
     }
@@ -135,7 +137,9 @@ impl CorrelatedNoise {
     pub(super) fn correlation(&self, moved_mm: f64, passed_s: f64) -> f64 {
         match self {
             Self::ByPose { length_mm, .. } => (-moved_mm / length_mm.max(1e-9)).exp(),
-            Self::InTime { time_constant_s, .. } => (-passed_s.abs() / time_constant_s.max(1e-9)).exp(),
+            Self::InTime {
+                time_constant_s, ..
+            } => (-passed_s.abs() / time_constant_s.max(1e-9)).exp(),
         }
     }
 }
@@ -164,15 +168,35 @@ pub(crate) fn check_rows(episode: &Episode) -> Result<(), ContactError> {
 }
 
 /// A reading after one at `last_s`, of a record with `shared` common unknowns.
-pub(crate) fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<(), ContactError> {
-    let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
+pub(crate) fn check_row(
+    row: &MotionRow,
+    last_s: f64,
+    shared: usize,
+    what: &str,
+) -> Result<(), ContactError> {
+    let numbers = row
+        .moment_nmm
+        .iter()
+        .chain(row.moved_mm.iter())
+        .chain(row.velocity_mm_s.iter());
     if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
-        return Err(ContactError::value(what, "finite moments, noise and motion", "one that is not"));
+        return Err(ContactError::value(
+            what,
+            "finite moments, noise and motion",
+            "one that is not",
+        ));
     }
     if !(row.t_s >= last_s) {
-        return Err(ContactError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
+        return Err(ContactError::value(
+            what,
+            format!("a time from {last_s} s on"),
+            row.t_s.to_string(),
+        ));
     }
-    for count in [row.shared_nmm.len(), row.shared_displacement_mm.len().max(shared)] {
+    for count in [
+        row.shared_nmm.len(),
+        row.shared_displacement_mm.len().max(shared),
+    ] {
         if count != shared {
             let expected = format!("{shared} common unknowns as in the first");
             return Err(ContactError::value(what, expected, count.to_string()));

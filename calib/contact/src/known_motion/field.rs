@@ -38,7 +38,10 @@ pub struct Friction {
 
 impl Friction {
     /// No friction.
-    pub const NONE: Self = Self { coefficient: 0.0, moving_share: 1.0 };
+    pub const NONE: Self = Self {
+        coefficient: 0.0,
+        moving_share: 1.0,
+    };
 }
 
 /// The wire held at one point: moments (N mm) and contact arc length (mm).
@@ -61,7 +64,13 @@ impl InterpolatedField<'_> {
     /// As [`MomentField::held`].
     pub fn held(&self, ratio: f64) -> Option<ContactMoments> {
         let by_ratio = self.field.ratio_weights(ratio);
-        let sum = [0, 1, 2].map(|k| self.sums.iter().zip(by_ratio).map(|(s, by)| by * s[k]).sum());
+        let sum = [0, 1, 2].map(|k| {
+            self.sums
+                .iter()
+                .zip(by_ratio)
+                .map(|(s, by)| by * s[k])
+                .sum()
+        });
         self.field.of_sums(&self.place_mm, &sum)
     }
 }
@@ -117,7 +126,11 @@ impl MomentField {
     /// Of a rod with its accepted effects; moments are those of contact, less the moment of the free wire's weight.
     pub fn new(rod: &Rod, axes: &MomentAxes, friction: Friction) -> Self {
         // A heavy extension would change the sag of the wire itself.
-        let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 { 0.0 } else { BEYOND_MM };
+        let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 {
+            0.0
+        } else {
+            BEYOND_MM
+        };
         let length_mm = rod.shape.length_mm;
         let at_rest_nmm = axes.components_nmm(&rod.rest_moment_nmm());
         let rod = rod.extended(beyond_mm);
@@ -158,9 +171,16 @@ impl MomentField {
     /// Free wire at an arc length (mm): place and tangent.
     pub fn free(&self, s_mm: f64) -> (Vector3<f64>, Vector3<f64>) {
         const STEP_MM: f64 = 0.05;
-        let at = |s: f64| self.rod.shape.rest_point(s.clamp(0.0, self.rod.shape.length_mm));
+        let at = |s: f64| {
+            self.rod
+                .shape
+                .rest_point(s.clamp(0.0, self.rod.shape.length_mm))
+        };
         let tangent = at(s_mm + STEP_MM) - at(s_mm - STEP_MM);
-        (at(s_mm), tangent.try_normalize(1e-12).unwrap_or_else(Vector3::x))
+        (
+            at(s_mm),
+            tangent.try_normalize(1e-12).unwrap_or_else(Vector3::x),
+        )
     }
 
     /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where no equilibrium is known or the contact
@@ -179,10 +199,16 @@ impl MomentField {
         for (n, values) in cell.chunks_exact(ratios).enumerate() {
             let weight = wx[n / 16] * wy[n / 4 % 4] * wz[n % 4];
             for (sum, value) in sums.iter_mut().zip(values) {
-                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+                sum.iter_mut()
+                    .zip(value)
+                    .for_each(|(s, v)| *s += weight * v);
             }
         }
-        Some(InterpolatedField { field: self, place_mm: *place_mm, sums })
+        Some(InterpolatedField {
+            field: self,
+            place_mm: *place_mm,
+            sums,
+        })
     }
 
     /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
@@ -202,16 +228,23 @@ impl MomentField {
             for (v, by) in values.iter().zip(by_ratio) {
                 value.iter_mut().zip(v).for_each(|(s, v)| *s += by * v);
             }
-            let by_axis = [rx[i] * wy[j] * wz[k], wx[i] * ry[j] * wz[k], wx[i] * wy[j] * rz[k]];
+            let by_axis = [
+                rx[i] * wy[j] * wz[k],
+                wx[i] * ry[j] * wz[k],
+                wx[i] * wy[j] * rz[k],
+            ];
             let weight = wx[i] * wy[j] * wz[k];
-            sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+            sum.iter_mut()
+                .zip(value)
+                .for_each(|(s, v)| *s += weight * v);
             for (rate, by) in rates.iter_mut().zip(by_axis) {
                 (0..2).for_each(|c| rate[c] += by / PITCH_MM * value[c]);
             }
         }
         // m = q / |P|^2.
         let squared = place_mm.norm_squared();
-        let rate = |c: usize, a: usize| (rates[a][c] - 2.0 * sum[c] * place_mm[a] / squared) / squared;
+        let rate =
+            |c: usize, a: usize| (rates[a][c] - 2.0 * sum[c] * place_mm[a] / squared) / squared;
         Some((self.of_sums(place_mm, &sum)?, Matrix2x3::from_fn(rate)))
     }
 
@@ -223,7 +256,11 @@ impl MomentField {
             let at = key_of(wire);
             for n in 0..(2 * steps + 1).pow(3) {
                 let side = 2 * steps + 1;
-                let by = [n / side / side - steps, n / side % side - steps, n % side - steps];
+                let by = [
+                    n / side / side - steps,
+                    n / side % side - steps,
+                    n % side - steps,
+                ];
                 let key = [at[0] + by[0], at[1] + by[1], at[2] + by[2]];
                 if (place(&key) - wire).norm() <= reach_mm {
                     cells.push(key);
@@ -235,20 +272,28 @@ impl MomentField {
         cells.into_iter().for_each(|key| {
             let _ = self.cell(key);
         });
-        self.changed.iter().for_each(|changed| changed.fill(reach_mm));
+        self.changed
+            .iter()
+            .for_each(|changed| changed.fill(reach_mm));
     }
 
     /// The cell of a place, and where in it the place is, in each coordinate from 0 to 1.
     fn around(&self, place_mm: &Vector3<f64>) -> Option<(Cell, [f64; 3])> {
         let scaled = place_mm / PITCH_MM;
         let low = [0, 1, 2].map(|k| scaled[k].floor());
-        Some((self.cell(low.map(|v| v as i32))?, [0, 1, 2].map(|k| scaled[k] - low[k])))
+        Some((
+            self.cell(low.map(|v| v as i32))?,
+            [0, 1, 2].map(|k| scaled[k] - low[k]),
+        ))
     }
 
     fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<ContactMoments> {
         let squared = place_mm.norm_squared();
         (sum[2] <= self.length_mm).then_some(ContactMoments {
-            moment_nmm: [sum[0] / squared - self.at_rest_nmm[0], sum[1] / squared - self.at_rest_nmm[1]],
+            moment_nmm: [
+                sum[0] / squared - self.at_rest_nmm[0],
+                sum[1] / squared - self.at_rest_nmm[1],
+            ],
             arclength_mm: sum[2],
         })
     }
@@ -269,11 +314,16 @@ impl MomentField {
             return known.clone();
         }
         let around = (0..64_i32).map(|n| {
-            let key = [low[0] + n / 16 - 1, low[1] + n / 4 % 4 - 1, low[2] + n % 4 - 1];
+            let key = [
+                low[0] + n / 16 - 1,
+                low[1] + n / 4 % 4 - 1,
+                low[2] + n % 4 - 1,
+            ];
             self.node(key).map(|node| node.values.clone())
         });
-        let cell: Option<Arc<[[f64; 3]]>> =
-            around.collect::<Option<Vec<Values>>>().map(|all| all.concat().into());
+        let cell: Option<Arc<[[f64; 3]]>> = around
+            .collect::<Option<Vec<Values>>>()
+            .map(|all| all.concat().into());
         self.cells.write().ok()?.insert(low, cell.clone());
         cell
     }
@@ -309,9 +359,14 @@ impl MomentField {
         let distance_mm = to_wire.norm();
         let previous = key_of(&(target + to_wire * (PITCH_MM / distance_mm.max(PITCH_MM))));
         // Each step must come closer to the wire, or the continuation would not end.
-        let near =
-            distance_mm <= PITCH_MM || previous == *key || (place(&previous) - wire).norm() >= distance_mm;
-        Some(Continuation { arclength_mm, distance_mm, previous: (!near).then_some(previous) })
+        let near = distance_mm <= PITCH_MM
+            || previous == *key
+            || (place(&previous) - wire).norm() >= distance_mm;
+        Some(Continuation {
+            arclength_mm,
+            distance_mm,
+            previous: (!near).then_some(previous),
+        })
     }
 
     /// Sample of the free wire next to a place.
@@ -327,8 +382,14 @@ impl MomentField {
         let step = self.continuation(&key)?;
         let equilibrium = match step.previous {
             None => {
-                let free = Guess { force_n: Vector3::zeros(), arclength_mm: step.arclength_mm };
-                let found = self.rod.solve(&target, &free, Tangential::Frictionless).ok()?;
+                let free = Guess {
+                    force_n: Vector3::zeros(),
+                    arclength_mm: step.arclength_mm,
+                };
+                let found = self
+                    .rod
+                    .solve(&target, &free, Tangential::Frictionless)
+                    .ok()?;
                 let jump = (found.arclength_mm - step.arclength_mm).abs();
                 (jump <= JUMP * step.distance_mm + JUMP_MM).then_some(found)?
             }
@@ -342,10 +403,16 @@ impl MomentField {
         let free = values(&equilibrium);
         let mu = self.friction.coefficient;
         if mu <= 0.0 {
-            return Some(Node { equilibrium, values: vec![free] });
+            return Some(Node {
+                equilibrium,
+                values: vec![free],
+            });
         }
         let slipped = |ratio: f64| self.slipped(&equilibrium, ratio).map(|e| values(&e));
-        Some(Node { equilibrium, values: vec![slipped(-mu)?, free, slipped(mu)?] })
+        Some(Node {
+            equilibrium,
+            values: vec![slipped(-mu)?, free, slipped(mu)?],
+        })
     }
 
     /// Continuation of a known equilibrium along the straight line to a point, with the step halved where a solution is refused.
@@ -354,8 +421,12 @@ impl MomentField {
             let steps = 1 << halvings;
             let mut last = *from;
             for k in 1..=steps {
-                let at = from.point_mm + (target - from.point_mm) * (f64::from(k) / f64::from(steps));
-                let found = self.rod.solve(&at, &Guess::from(&last), Tangential::Frictionless).ok()?;
+                let at =
+                    from.point_mm + (target - from.point_mm) * (f64::from(k) / f64::from(steps));
+                let found = self
+                    .rod
+                    .solve(&at, &Guess::from(&last), Tangential::Frictionless)
+                    .ok()?;
                 let jump = (found.arclength_mm - last.arclength_mm).abs();
                 let step_mm = (at - last.point_mm).norm();
                 // The determinant changes its sign at a fold: the other sign is another branch (wcal-rod, path).
@@ -374,7 +445,10 @@ impl MomentField {
         let mut last = *free;
         for k in 1..=STEPS {
             let part = Tangential::Ratio(ratio * k as f64 / STEPS as f64);
-            last = self.rod.solve(&free.point_mm, &Guess::from(&last), part).ok()?;
+            last = self
+                .rod
+                .solve(&free.point_mm, &Guess::from(&last), part)
+                .ok()?;
         }
         Some(last)
     }

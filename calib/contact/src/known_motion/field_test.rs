@@ -15,7 +15,10 @@ fn largest_off(field: &MomentField, rod: &Rod) -> f64 {
         for turn in [0.0, -1.1, 0.7_f64] {
             let (origin_mm, tangent) = field.free(s_mm);
             let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
-            let line = Line { origin_mm, direction: normal * turn.cos() + Vector3::y() * turn.sin() };
+            let line = Line {
+                origin_mm,
+                direction: normal * turn.cos() + Vector3::y() * turn.sin(),
+            };
             let xs: Vec<f64> = (1..=9).map(|k| reach_mm * f64::from(k) / 9.0).collect();
             for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
                 let Outcome::Held(e) = outcome else { continue };
@@ -23,7 +26,10 @@ fn largest_off(field: &MomentField, rod: &Rod) -> f64 {
                 let m = MomentAxes::default().components_nmm(&e.moment_nmm);
                 let off = (m[0] - held.moment_nmm[0]).hypot(m[1] - held.moment_nmm[1]);
                 largest = largest.max(off / (m[0].hypot(m[1]) + 0.02));
-                assert!((held.arclength_mm - e.arclength_mm).abs() < 0.02, "{s_mm} {x}: {held:?}");
+                assert!(
+                    (held.arclength_mm - e.arclength_mm).abs() < 0.02,
+                    "{s_mm} {x}: {held:?}"
+                );
             }
         }
     }
@@ -44,7 +50,10 @@ fn the_table_is_the_rod() {
 
 #[test]
 fn the_rate_is_the_difference_of_neighbours() {
-    let friction = Friction { coefficient: 0.2, moving_share: 1.0 };
+    let friction = Friction {
+        coefficient: 0.2,
+        moving_share: 1.0,
+    };
     let field = MomentField::new(&rod(), &MomentAxes::default(), friction);
     let at = Vector3::new(33.3, -3.1, 2.4);
     for ratio in [-0.2, 0.0, 0.1] {
@@ -57,12 +66,16 @@ fn the_rate_is_the_difference_of_neighbours() {
             let [a, b] = [at - step, at + step].map(|p| field.held(&p, ratio).unwrap().moment_nmm);
             for c in 0..2 {
                 let expected = (b[c] - a[c]) / 2e-4;
-                assert!((rate[(c, k)] - expected).abs() < 1e-6, "{k} {c}: {rate} {expected}");
+                assert!(
+                    (rate[(c, k)] - expected).abs() < 1e-6,
+                    "{k} {c}: {rate} {expected}"
+                );
             }
         }
     }
     // Control: elsewhere it is another.
-    let [here, there] = [at, at + Vector3::x() * 3.0].map(|p| field.held_and_rate(&p, 0.0).unwrap().1);
+    let [here, there] =
+        [at, at + Vector3::x() * 3.0].map(|p| field.held_and_rate(&p, 0.0).unwrap().1);
     assert!((here - there).norm() > 1e-3);
 }
 
@@ -73,14 +86,23 @@ fn what_lies_beyond_the_tip_or_behind_the_root_holds_nothing() {
     assert!(field.held(&(tip - tangent * 0.5), 0.0).is_some());
     assert!(field.held(&(tip + tangent * 0.5), 0.0).is_none());
     assert!(field.held(&Vector3::new(-5.0, 0.0, 3.0), 0.0).is_none());
-    assert!(field.held(&Vector3::new(2e4, 0.0, 4e4), 0.0).is_none(), "metres away");
+    assert!(
+        field.held(&Vector3::new(2e4, 0.0, 4e4), 0.0).is_none(),
+        "metres away"
+    );
 }
 
 #[test]
 fn friction_moves_the_contact_both_ways() {
-    let friction = Friction { coefficient: 0.2, moving_share: 1.0 };
+    let friction = Friction {
+        coefficient: 0.2,
+        moving_share: 1.0,
+    };
     let field = MomentField::new(&rod(), &MomentAxes::default(), friction);
     let at = Vector3::new(30.0, -4.0, 3.0);
     let [low, free, high] = [-0.2, 0.0, 0.2].map(|r| field.held(&at, r).unwrap().arclength_mm);
-    assert!((low - free) * (high - free) < 0.0 && (high - low).abs() > 1e-4, "{low} {free} {high}");
+    assert!(
+        (low - free) * (high - free) < 0.0 && (high - low).abs() > 1e-4,
+        "{low} {free} {high}"
+    );
 }

@@ -98,7 +98,9 @@ pub fn estimate_contact(
     let found = match whole {
         Some(found) if consistent(&found) => Some(found),
         // The first loaded reading sets the onset: where it is gross, the others stand out instead (masking).
-        whole => without_first(field, &path, &rows, settings).filter(consistent).or(whole),
+        whole => without_first(field, &path, &rows, settings)
+            .filter(consistent)
+            .or(whole),
     };
     let Some(found) = found else {
         return Ok(EpisodeEstimate::unexplained(episode));
@@ -106,10 +108,21 @@ pub fn estimate_contact(
     let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
     let place = |k| {
         let (place, arc) = found.posterior.place(&path, k);
-        (EpisodeContact { outlier: outlier(k), ..place }, arc)
+        (
+            EpisodeContact {
+                outlier: outlier(k),
+                ..place
+            },
+            arc,
+        )
     };
     let (places, arcs) = (0..episode.rows.len()).map(place).unzip();
-    Ok(EpisodeEstimate { places, arcs, posterior: Some(found.posterior), innovations: found.innovations })
+    Ok(EpisodeEstimate {
+        places,
+        arcs,
+        posterior: Some(found.posterior),
+        innovations: found.innovations,
+    })
 }
 
 /// An episode without its first loaded reading, as an outlier; none where none may be.
@@ -119,13 +132,18 @@ fn without_first(
     rows: &[MotionRow],
     settings: &Settings,
 ) -> Option<recursive::Finished> {
-    let first = rows.iter().position(loaded).filter(|_| settings.gross_share > 0.0)?;
+    let first = rows
+        .iter()
+        .position(loaded)
+        .filter(|_| settings.gross_share > 0.0)?;
     let others = [&rows[..first], &rows[first + 1..]].concat();
     let mut found = recursive::run(field, path.push, &others, settings)?;
     found.outliers.insert(first, true);
     // Displacements of that posterior count from the next loaded reading.
     let next = others.iter().find(|row| settings.is_loaded(row))?;
-    found.posterior.move_onset((next.moved_mm - rows[first].moved_mm).dot(&path.push));
+    found
+        .posterior
+        .move_onset((next.moved_mm - rows[first].moved_mm).dot(&path.push));
     Some(found)
 }
 
@@ -137,7 +155,10 @@ impl EpisodeEstimate {
 
     /// Loaded readings that no contact on the wire explains.
     fn unexplained(episode: &Episode) -> Self {
-        Self { innovations: Innovations::unexplained(episode.rows.len()), ..Self::nothing(episode) }
+        Self {
+            innovations: Innovations::unexplained(episode.rows.len()),
+            ..Self::nothing(episode)
+        }
     }
 
     fn nothing(episode: &Episode) -> Self {
@@ -146,7 +167,10 @@ impl EpisodeEstimate {
             places: vec![EpisodeContact::default(); rows],
             arcs: vec![ArcDensity::default(); rows],
             posterior: None,
-            innovations: Innovations { rows, ..Innovations::default() },
+            innovations: Innovations {
+                rows,
+                ..Innovations::default()
+            },
         }
     }
 }

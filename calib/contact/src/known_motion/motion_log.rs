@@ -101,7 +101,11 @@ impl MotionLog {
     /// Fewer than two rows, or times that do not increase, by line.
     pub fn new(rows: Vec<LogRow>) -> Result<Self, ContactError> {
         if rows.len() < 2 {
-            return Err(ContactError::value("motion", "at least two rows", rows.len().to_string()));
+            return Err(ContactError::value(
+                "motion",
+                "at least two rows",
+                rows.len().to_string(),
+            ));
         }
         if let Some(w) = rows.windows(2).find(|w| !(w[1].t_s > w[0].t_s)) {
             let what = format!("motion, line {}, t_s", w[1].line);
@@ -109,7 +113,10 @@ impl MotionLog {
             return Err(ContactError::value(what, expected, w[1].t_s.to_string()));
         }
         let speeds = |w: &[LogRow]| step_mm(&w[0], &w[1]) / (w[1].t_s - w[0].t_s);
-        let moving = rows.windows(2).filter(|w| step_mm(&w[0], &w[1]) > STILL_MM).map(speeds);
+        let moving = rows
+            .windows(2)
+            .filter(|w| step_mm(&w[0], &w[1]) > STILL_MM)
+            .map(speeds);
         let median_mm_s = median(moving).unwrap_or(0.0);
         let step_s = median(rows.windows(2).map(|w| w[1].t_s - w[0].t_s)).unwrap_or(0.0);
         let max_gap_s = (GAP_STEPS * step_s).max(GAP_S);
@@ -118,7 +125,11 @@ impl MotionLog {
             let jumped = step_mm(&w[0], &w[1]) > JUMP_MM && speeds(w) > JUMP_RATIO * median_mm_s;
             pieces.push(pieces[pieces.len() - 1] + u32::from(jumped));
         }
-        Ok(Self { rows, pieces, max_gap_s })
+        Ok(Self {
+            rows,
+            pieces,
+            max_gap_s,
+        })
     }
 
     /// First and last time, s.
@@ -145,7 +156,8 @@ impl MotionLog {
             return Err(ContactError::value("clock of the motion", expected, found));
         }
         if b < first || a > last {
-            let expected = format!("times that overlap those of the readings ({first} to {last} s)");
+            let expected =
+                format!("times that overlap those of the readings ({first} to {last} s)");
             return Err(ContactError::value("clock of the motion", expected, found));
         }
         Ok(())
@@ -159,7 +171,9 @@ impl MotionLog {
         let after = self.rows.partition_point(|r| r.t_s < t_s - SAME_S);
         // At a row's own time the pose is known; the velocity is that of an adjoining interval that is known.
         let own = self.rows.get(after).is_some_and(|r| r.t_s <= t_s + SAME_S);
-        let sides = [after.checked_sub(1), own.then_some(after)].into_iter().flatten();
+        let sides = [after.checked_sub(1), own.then_some(after)]
+            .into_iter()
+            .flatten();
         let mut why = MotionUnknown::Outside;
         for k in sides.filter(|k| k + 1 < self.rows.len()) {
             match self.between(k) {
@@ -169,7 +183,12 @@ impl MotionLog {
         }
         let row = self.rows.get(after).filter(|_| own).ok_or(why)?;
         let (turn, moved_mm, piece) = (row.turn, row.moved_mm, self.pieces[after]);
-        Ok(Motion { turn, moved_mm, velocity_mm_s: Vector3::zeros(), piece })
+        Ok(Motion {
+            turn,
+            moved_mm,
+            velocity_mm_s: Vector3::zeros(),
+            piece,
+        })
     }
 
     /// Motion averaged over a filter's times and weights around a time (s), with the rotation at that time.
@@ -193,7 +212,11 @@ impl MotionLog {
             place += (m.turn * fixed + m.moved_mm) * *weight;
             velocity_mm_s += m.velocity_mm_s * *weight;
         }
-        Ok(Motion { moved_mm: place - here.turn * fixed, velocity_mm_s, ..here })
+        Ok(Motion {
+            moved_mm: place - here.turn * fixed,
+            velocity_mm_s,
+            ..here
+        })
     }
 
     /// Whether the motion between a row and the next is known.
@@ -220,7 +243,12 @@ impl MotionLog {
         // The point in the object's own frame, in which it is fixed over the interval.
         let fixed = turn.inverse() * (point_mm - moved_mm);
         let of = |r: &LogRow| r.turn * fixed + r.moved_mm;
-        Motion { turn, moved_mm, velocity_mm_s: (of(b) - of(a)) / dt_s, piece: self.pieces[k] }
+        Motion {
+            turn,
+            moved_mm,
+            velocity_mm_s: (of(b) - of(a)) / dt_s,
+            piece: self.pieces[k],
+        }
     }
 }
 
@@ -240,10 +268,14 @@ mod tests {
 
     #[test]
     fn motion_is_known_between_rows_and_nowhere_else() {
-        let even: Vec<(f64, f64)> = (0..20).map(|k| (0.1 * f64::from(k), 0.4 * f64::from(k))).collect();
+        let even: Vec<(f64, f64)> = (0..20)
+            .map(|k| (0.1 * f64::from(k), 0.4 * f64::from(k)))
+            .collect();
         let at = |log: &MotionLog, t: f64| log.at(t, &Vector3::x());
         let known = at(&log(&even), 0.25).unwrap();
-        assert!((known.moved_mm.z - 1.0).abs() < 1e-12 && (known.velocity_mm_s.z - 4.0).abs() < 1e-9);
+        assert!(
+            (known.moved_mm.z - 1.0).abs() < 1e-12 && (known.velocity_mm_s.z - 4.0).abs() < 1e-9
+        );
         assert_eq!(at(&log(&even), -0.1), Err(MotionUnknown::Outside));
         assert_eq!(at(&log(&even), 1.95), Err(MotionUnknown::Outside));
         assert!(at(&log(&even), 0.0).is_ok() && at(&log(&even), 1.9).is_ok());
@@ -279,18 +311,37 @@ mod tests {
         let point = Vector3::new(40.0, 0.0, 0.0);
         let v = log.at(2.5, &point).unwrap().velocity_mm_s;
         // w x (p - d) in addition to the translation's velocity.
-        assert!((v - Vector3::new(0.5, 0.01 * 38.75, 0.0)).norm() < 1e-3, "{v:?}");
+        assert!(
+            (v - Vector3::new(0.5, 0.01 * 38.75, 0.0)).norm() < 1e-3,
+            "{v:?}"
+        );
     }
 
     #[test]
     fn clocks_that_do_not_belong_together_are_named() {
         let rows: Vec<(f64, f64)> = (0..20).map(|k| (f64::from(k), f64::from(k))).collect();
         let said = |readings: [f64; 2]| log(&rows).check_clock(readings).unwrap_err().to_string();
-        assert!(said([100.0, 110.0]).contains("overlap"), "{}", said([100.0, 110.0]));
+        assert!(
+            said([100.0, 110.0]).contains("overlap"),
+            "{}",
+            said([100.0, 110.0])
+        );
         assert!(said([0.0, 0.02]).contains("seconds") && said([0.0, 19_000.0]).contains("seconds"));
         assert!(log(&rows).check_clock([5.0, 30.0]).is_ok());
-        let rows =
-            vec![LogRow { line: 7, t_s: 1.0, turn: Rotation3::identity(), moved_mm: Vector3::zeros() }; 2];
-        assert!(MotionLog::new(rows).unwrap_err().to_string().contains("line 7"));
+        let rows = vec![
+            LogRow {
+                line: 7,
+                t_s: 1.0,
+                turn: Rotation3::identity(),
+                moved_mm: Vector3::zeros()
+            };
+            2
+        ];
+        assert!(
+            MotionLog::new(rows)
+                .unwrap_err()
+                .to_string()
+                .contains("line 7")
+        );
     }
 }

@@ -36,7 +36,14 @@ pub struct Creep {
 impl Node {
     /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc length.
     pub(crate) fn new(state: State, covariance_mm2: Matrix2<f64>, ln: f64) -> Self {
-        Self { state, covariance_mm2, creep: None, ln, mass: 0.0, length_mm: 0.0 }
+        Self {
+            state,
+            covariance_mm2,
+            creep: None,
+            ln,
+            mass: 0.0,
+            length_mm: 0.0,
+        }
     }
 
     pub(crate) fn with_creep(self, creep: Option<Creep>) -> Self {
@@ -64,41 +71,58 @@ impl Posterior {
         let last = nodes.len().saturating_sub(1);
         for (k, node) in nodes.iter_mut().enumerate() {
             // Trapezoids.
-            node.length_mm = 0.5 * (places[(k + 1).min(last)] - places[k.saturating_sub(1)]).max(1e-9);
+            node.length_mm =
+                0.5 * (places[(k + 1).min(last)] - places[k.saturating_sub(1)]).max(1e-9);
             node.mass = node.length_mm * (node.ln - best).exp();
         }
         let total: f64 = nodes.iter().map(|n| n.mass).sum();
         nodes.iter_mut().for_each(|n| n.mass /= total);
         let threshold = threshold(&nodes);
-        Self { nodes, threshold, creep_sd }
+        Self {
+            nodes,
+            threshold,
+            creep_sd,
+        }
     }
 
     /// Density at a state, 1/mm^3.
     pub fn density(&self, state: &State) -> f64 {
         let at = self.nodes.partition_point(|n| n.state.s_mm <= state.s_mm);
-        let (Some(a), Some(b)) =
-            (at.checked_sub(1).and_then(|k| self.nodes.get(k)), self.nodes.get(at).or(self.nodes.last()))
-        else {
+        let (Some(a), Some(b)) = (
+            at.checked_sub(1).and_then(|k| self.nodes.get(k)),
+            self.nodes.get(at).or(self.nodes.last()),
+        ) else {
             return 0.0;
         };
         let width = b.state.s_mm - a.state.s_mm;
         if state.s_mm > b.state.s_mm + 1e-9 {
             return 0.0;
         }
-        let u = if width > 0.0 { (state.s_mm - a.state.s_mm) / width } else { 0.0 };
+        let u = if width > 0.0 {
+            (state.s_mm - a.state.s_mm) / width
+        } else {
+            0.0
+        };
         let mix = |p: f64, q: f64| p + (q - p) * u;
-        let mean = Vector2::new(mix(a.state.onset_mm, b.state.onset_mm), mix(a.state.gap_mm, b.state.gap_mm));
+        let mean = Vector2::new(
+            mix(a.state.onset_mm, b.state.onset_mm),
+            mix(a.state.gap_mm, b.state.gap_mm),
+        );
         let covariance = a.covariance_mm2 * (1.0 - u) + b.covariance_mm2 * u;
         // A normal density in onset and gap, its peak by the mass over the arc length.
         let off = Vector2::new(state.onset_mm, state.gap_mm) - mean;
-        let Some(inverse) = covariance.try_inverse() else { return 0.0 };
+        let Some(inverse) = covariance.try_inverse() else {
+            return 0.0;
+        };
         mix(peak(a).max(1e-300).ln(), peak(b).max(1e-300).ln()).exp()
             * (-0.5 * off.dot(&(inverse * off))).exp()
     }
 
     /// Counts displacements along the push from a reading `by_mm` earlier on the way.
     pub(crate) fn move_onset(&mut self, by_mm: f64) {
-        self.nodes.iter_mut().for_each(|n| n.state.onset_mm += by_mm);
+        self.nodes
+            .iter_mut()
+            .for_each(|n| n.state.onset_mm += by_mm);
     }
 
     /// Whether a state lies in the 95 % region of highest density.
@@ -124,10 +148,17 @@ impl Posterior {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let (mut total, mut along) = (0.0, Vec::new());
         // How far the point has crept by one standard deviation of each share.
-        let way = creep_mm(&path.push, path.turned(row), &path.displacement(row), self.creep_sd);
+        let way = creep_mm(
+            &path.push,
+            path.turned(row),
+            &path.displacement(row),
+            self.creep_sd,
+        );
         let way = Matrix3x2::from_columns(&way);
         for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
-            let Some((touch, across)) = path.touch(&n.state) else { continue };
+            let Some((touch, across)) = path.touch(&n.state) else {
+                continue;
+            };
             let mut at = path.carried(&(touch - path.push * n.state.onset_mm), row);
             let axes = Matrix3x2::from_columns(&[-path.push, across]);
             // The place is linear in onset and gap: its covariance follows from dP/d(x, g), turned as the point is.
@@ -146,12 +177,21 @@ impl Posterior {
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
             let past = (at - touch).dot(&path.push) / sd;
             // The wire's point at the place: along the wire it spreads as the place does, and with the node's share of the wire.
-            let held = path.field.held_and_rate(&at, 0.0).filter(|_| past > 0.0 && !path.rows[row].free);
+            let held = path
+                .field
+                .held_and_rate(&at, 0.0)
+                .filter(|_| past > 0.0 && !path.rows[row].free);
             let s_mm = held.map_or(n.state.s_mm, |h| h.0.arclength_mm);
             let tangent = path.field.free(s_mm).1;
-            let spread = tangent.dot(&(covariance * tangent)).max(0.0) * f64::from(u8::from(past > 0.0));
+            let spread =
+                tangent.dot(&(covariance * tangent)).max(0.0) * f64::from(u8::from(past > 0.0));
             along.push((n.mass, s_mm, (spread + n.length_mm.powi(2) / 12.0).sqrt()));
-            contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
+            contact += n.mass
+                * if path.rows[row].free {
+                    0.0
+                } else {
+                    normal_share(past)
+                };
             total += n.mass;
         }
         if total <= 0.0 {
@@ -165,25 +205,38 @@ impl Posterior {
             contact: contact / total,
             outlier: false,
         };
-        (place, ArcDensity::of_normals(&along, path.field.length_mm()))
+        (
+            place,
+            ArcDensity::of_normals(&along, path.field.length_mm()),
+        )
     }
 }
 
 /// Density at a node's middle, 1/mm^3.
 fn peak(n: &Node) -> f64 {
-    n.mass / (n.length_mm * std::f64::consts::TAU * n.covariance_mm2.determinant().max(1e-300).sqrt())
+    n.mass
+        / (n.length_mm * std::f64::consts::TAU * n.covariance_mm2.determinant().max(1e-300).sqrt())
 }
 
 /// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
     let peaks: Vec<f64> = nodes.iter().map(peak).collect();
-    let above =
-        |t: f64| nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>();
+    let above = |t: f64| {
+        nodes
+            .iter()
+            .zip(&peaks)
+            .map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0))
+            .sum::<f64>()
+    };
     let (mut low, mut high) = (0.0, peaks.iter().copied().fold(0.0, f64::max));
     // The mass above a level falls monotonically with the level: bisection cannot fail.
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if above(middle) > REGION { low = middle } else { high = middle }
+        if above(middle) > REGION {
+            low = middle
+        } else {
+            high = middle
+        }
     }
     low
 }

@@ -62,10 +62,16 @@ const MAX_STEP_LN: f64 = 1.0;
 impl Settings {
     /// Whether a reading is loaded beyond its noise, the pose's included.
     pub fn is_loaded(&self, row: &MotionRow) -> bool {
-        let Some(CorrelatedNoise::ByPose { covariance_nmm2, .. }) = self.correlated else {
+        let Some(CorrelatedNoise::ByPose {
+            covariance_nmm2, ..
+        }) = self.correlated
+        else {
             return loaded(row);
         };
-        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + covariance_nmm2, ..row.clone() })
+        loaded(&MotionRow {
+            noise_nmm2: row.noise_nmm2 + covariance_nmm2,
+            ..row.clone()
+        })
     }
 }
 
@@ -161,7 +167,9 @@ impl RecursivePosterior {
         let length = field.length_mm() - settings.first_mm;
         let count = (length / SCAN_MM).ceil().max(1.0) as usize;
         let place = |k: usize| settings.first_mm + length * k as f64 / count as f64;
-        own.nodes = (0..=count).filter_map(|k| own.node(field, place(k))).collect();
+        own.nodes = (0..=count)
+            .filter_map(|k| own.node(field, place(k)))
+            .collect();
         own.normalise();
         (!own.nodes.is_empty()).then_some(own)
     }
@@ -202,8 +210,10 @@ impl RecursivePosterior {
         }
         for _ in 0..MAX_HALVINGS {
             let gaps = gaps(&nodes);
-            let made: Vec<NodeFilter> =
-                gaps.into_par_iter().filter_map(|s_mm| self.node(field, s_mm)).collect();
+            let made: Vec<NodeFilter> = gaps
+                .into_par_iter()
+                .filter_map(|s_mm| self.node(field, s_mm))
+                .collect();
             if made.is_empty() {
                 break;
             }
@@ -221,8 +231,10 @@ impl RecursivePosterior {
             let moved_mm = self.middle_mm(field, &row) - self.middle_mm(field, &self.reference);
             let (turn, _) = motion_since(&self.reference, &row);
             // An error of the place that grows with the way, of the map that is none.
-            row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
-            row.shared_displacement_mm.extend(creep_mm(&self.push, &turn, &moved_mm, creep_sd));
+            row.shared_displacement_mm
+                .resize(row.shared_nmm.len(), Vector3::zeros());
+            row.shared_displacement_mm
+                .extend(creep_mm(&self.push, &turn, &moved_mm, creep_sd));
             row.shared_nmm.extend([[0.0; 2]; 2]);
         }
         row
@@ -250,10 +262,14 @@ impl RecursivePosterior {
         let table_mm2 = Matrix2::identity() * TABLE_MM.powi(2);
         let node = |n: &NodeFilter| {
             let (state, covariance_mm2) = n.state();
-            let creep = (self.settings.creep_sd > 0.0).then(|| n.creep(self.reference.shared_nmm.len()));
+            let creep =
+                (self.settings.creep_sd > 0.0).then(|| n.creep(self.reference.shared_nmm.len()));
             posterior::Node::new(state, covariance_mm2 + table_mm2, n.ln).with_creep(creep)
         };
-        Posterior::of_nodes(self.nodes.iter().map(node).collect(), self.settings.creep_sd)
+        Posterior::of_nodes(
+            self.nodes.iter().map(node).collect(),
+            self.settings.creep_sd,
+        )
     }
 
     /// Innovations so far, at the node of highest density.
@@ -261,20 +277,27 @@ impl RecursivePosterior {
         let rows = self.lead.len() + self.rows.len();
         // Two moments a reading, three numbers fitted.
         let dof = (2.0 * rows as f64 - 3.0).max(1.0);
-        self.best().map_or(Innovations::unexplained(rows), |n| Innovations {
-            plain: n.chi2[0],
-            robust: n.chi2[1],
-            dof,
-            outlier: n.outlier.round() as usize,
-            rows,
-        })
+        self.best()
+            .map_or(Innovations::unexplained(rows), |n| Innovations {
+                plain: n.chi2[0],
+                robust: n.chi2[1],
+                dof,
+                outlier: n.outlier.round() as usize,
+                rows,
+            })
     }
 
     /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on which s is uniform.
     pub fn ln_evidence(&self, field: &MomentField) -> f64 {
         // Trapezoids over s, on which the prior is uniform.
-        let width = |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);
-        let mass = self.nodes.windows(2).map(width).sum::<f64>().max(MIN_STEP_MM);
+        let width =
+            |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);
+        let mass = self
+            .nodes
+            .windows(2)
+            .map(width)
+            .sum::<f64>()
+            .max(MIN_STEP_MM);
         match self.nodes.is_empty() {
             true => f64::NEG_INFINITY,
             false => self.taken_ln + (mass / (field.length_mm() - self.settings.first_mm)).ln(),
@@ -286,7 +309,12 @@ impl RecursivePosterior {
     }
 
     /// A reading after another one.
-    fn reading<'a>(&'a self, field: &'a MomentField, before: &MotionRow, row: &'a MotionRow) -> Reading<'a> {
+    fn reading<'a>(
+        &'a self,
+        field: &'a MomentField,
+        before: &MotionRow,
+        row: &'a MotionRow,
+    ) -> Reading<'a> {
         let (turn, displacement_mm) = motion_since(&self.reference, row);
         let correlation = |c: CorrelatedNoise| {
             let moved_mm = (self.middle_mm(field, row) - self.middle_mm(field, before)).norm();
@@ -312,7 +340,11 @@ impl RecursivePosterior {
         self.nodes.iter_mut().for_each(|n| n.ln -= best);
         self.taken_ln += best;
         let has: Vec<bool> = self.nodes.iter().map(|n| n.ln > -NO_MASS).collect();
-        let near = |k: usize| has[k.saturating_sub(1)..(k + 2).min(has.len())].iter().any(|h| *h);
+        let near = |k: usize| {
+            has[k.saturating_sub(1)..(k + 2).min(has.len())]
+                .iter()
+                .any(|h| *h)
+        };
         let mut k = 0;
         self.nodes.retain(|_| {
             k += 1;
@@ -324,8 +356,17 @@ impl RecursivePosterior {
 /// Places of new nodes: half way between neighbours that differ by too much.
 fn gaps(nodes: &[NodeFilter]) -> Vec<f64> {
     // Where every node takes the reading for an outlier, its place may lie between two of them.
-    let missed = nodes.iter().max_by(|a, b| a.ln.total_cmp(&b.ln)).is_some_and(|n| n.last_outlier > 0.5);
-    let ln = |k: usize| if missed { nodes[k].regular_ln } else { nodes[k].ln };
+    let missed = nodes
+        .iter()
+        .max_by(|a, b| a.ln.total_cmp(&b.ln))
+        .is_some_and(|n| n.last_outlier > 0.5);
+    let ln = |k: usize| {
+        if missed {
+            nodes[k].regular_ln
+        } else {
+            nodes[k].ln
+        }
+    };
     let best = (0..nodes.len()).map(ln).fold(f64::NEG_INFINITY, f64::max);
     let kept = |k: &usize| {
         let near = k.saturating_sub(1)..(k + 2).min(nodes.len());
@@ -338,7 +379,8 @@ fn gaps(nodes: &[NodeFilter]) -> Vec<f64> {
     };
     let room = MAX_NODES.saturating_sub((0..nodes.len()).filter(kept).count());
     let gaps = (0..nodes.len().saturating_sub(1)).filter(split).take(room);
-    gaps.map(|k| 0.5 * (nodes[k].s_mm + nodes[k + 1].s_mm)).collect()
+    gaps.map(|k| 0.5 * (nodes[k].s_mm + nodes[k + 1].s_mm))
+        .collect()
 }
 
 fn best_ln(nodes: &[NodeFilter]) -> f64 {

@@ -124,7 +124,10 @@ impl Segmenter {
             running.segment[1] = number;
         } else if let Some(running) = &mut self.running {
             let moved = |push| displacement_mm(self.middle_mm, &running.first, row).dot(&push);
-            let past = running.push.map(moved).is_none_or(|along_mm| along_mm > BACK_MM);
+            let past = running
+                .push
+                .map(moved)
+                .is_none_or(|along_mm| along_mm > BACK_MM);
             running.past = if past { running.past + 1 } else { 0 };
             running.free += 1;
             self.visit += u32::from(running.free == DIPS + 1);
@@ -151,7 +154,12 @@ impl Segmenter {
 
     fn end(&mut self) {
         let long_enough = |r: &Running| r.loaded >= MIN_LOADED;
-        self.ended = self.running.take().filter(long_enough).map(|r| r.segment).or(self.ended);
+        self.ended = self
+            .running
+            .take()
+            .filter(long_enough)
+            .map(|r| r.segment)
+            .or(self.ended);
     }
 
     /// What a reading is of that was counted.
@@ -168,11 +176,24 @@ impl Segmenter {
             }
             return Step::Outside;
         };
-        let Running { first, waiting: Some(waiting), .. } = running else { return Step::Within };
+        let Running {
+            first,
+            waiting: Some(waiting),
+            ..
+        } = running
+        else {
+            return Step::Within;
+        };
         waiting.push(row.clone());
         let displacement = |to: &MotionRow| displacement_mm(self.middle_mm, first, to);
         let enough = |w: &Vector3<f64>| w.norm() > BACK_MM.max(3.0 * first.moved_sd_mm);
-        let before = || self.lead.iter().rev().map(|row| -displacement(row)).find(enough);
+        let before = || {
+            self.lead
+                .iter()
+                .rev()
+                .map(|row| -displacement(row))
+                .find(enough)
+        };
         let after = || waiting.iter().map(displacement).find(enough);
         let found = before().or_else(after).map(|push| push.normalize());
         let Some(push) = running.push.or(found) else {
@@ -184,7 +205,11 @@ impl Segmenter {
         };
         running.push = Some(push);
         let rows = running.waiting.take().unwrap_or_default();
-        Step::Begins(Beginning { push, lead: self.lead.drain(..).collect(), rows })
+        Step::Begins(Beginning {
+            push,
+            lead: self.lead.drain(..).collect(),
+            rows,
+        })
     }
 }
 
@@ -239,15 +264,23 @@ mod tests {
 
     #[test]
     fn a_contact_that_comes_again_is_one_and_others_are_two() {
-        let (up, down): (Vec<f64>, Vec<f64>) =
-            ((0..8).map(f64::from).collect(), (0..7).rev().map(f64::from).collect());
+        let (up, down): (Vec<f64>, Vec<f64>) = (
+            (0..8).map(f64::from).collect(),
+            (0..7).rev().map(f64::from).collect(),
+        );
         let twice = [&up[..], &down, &up].concat();
         let mut all = rows(&twice);
-        assert_eq!(segments(&mut all, &vec![0; twice.len()]), vec![[3, twice.len() - 1]]);
+        assert_eq!(
+            segments(&mut all, &vec![0; twice.len()]),
+            vec![[3, twice.len() - 1]]
+        );
         assert!(all[7].contact_segment == 0 && all[twice.len() - 1].contact_segment == 1);
         // The motion jumped in between: the first contact says nothing about the second.
         let pieces: Vec<u32> = (0..twice.len()).map(|k| u32::from(k >= 15)).collect();
-        assert_eq!(segments(&mut rows(&twice), &pieces), vec![[3, 11], [18, twice.len() - 1]]);
+        assert_eq!(
+            segments(&mut rows(&twice), &pieces),
+            vec![[3, 11], [18, twice.len() - 1]]
+        );
         // Released while the object moves on: the next touch is at another point.
         let mut on = rows(&(0..20).map(f64::from).collect::<Vec<_>>());
         on[8..14].iter_mut().for_each(|r| r.moment_nmm = [0.0; 2]);
@@ -266,10 +299,19 @@ mod tests {
         let mut segmenter = Segmenter::new(&field);
         // In contact from the beginning, held, then pressed on.
         let mut all = rows(&[&[3.0; 60][..], &[3.2, 3.5, 4.0]].concat());
-        let steps: Vec<Step> = all.iter_mut().map(|row| segmenter.push(row, 0, None, true)).collect();
+        let steps: Vec<Step> = all
+            .iter_mut()
+            .map(|row| segmenter.push(row, 0, None, true))
+            .collect();
         assert!(steps[..61].iter().all(|s| *s == Step::Outside));
-        let Step::Begins(b) = &steps[61] else { unreachable!("{:?}", steps[61]) };
-        assert!((b.push - Vector3::z()).norm() < 1e-9 && b.lead.is_empty() && b.rows.len() == WAITING + 1);
+        let Step::Begins(b) = &steps[61] else {
+            unreachable!("{:?}", steps[61])
+        };
+        assert!(
+            (b.push - Vector3::z()).norm() < 1e-9
+                && b.lead.is_empty()
+                && b.rows.len() == WAITING + 1
+        );
         assert_eq!((b.rows[0].t_s, steps[62].clone()), (0.0, Step::Within));
     }
 }

@@ -28,12 +28,20 @@ fn verified(seed: u64, design: Design, want: CaseKind) -> WhiskerVerification {
 
 /// The same with noise of a kind.
 fn verified_under(seed: u64, design: Design, want: CaseKind, noise: Noise) -> WhiskerVerification {
-    let request = Request { seed, design, want, target_sigma: 20.0, rivals: false };
+    let request = Request {
+        seed,
+        design,
+        want,
+        target_sigma: 20.0,
+        rivals: false,
+    };
     let case = draw_under(&request, noise, Make::Usual).unwrap();
     let folder = tempfile::tempdir().unwrap();
     case.write(folder.path()).unwrap();
     let session = wcal_session::load(folder.path()).unwrap();
-    let SessionData::Whisker(data) = &session.data else { unreachable!("the plant draws whiskers") };
+    let SessionData::Whisker(data) = &session.data else {
+        unreachable!("the plant draws whiskers")
+    };
     let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
     match verify_whisker(&session.id, data, sealed, &session.inputs, &[], &request).unwrap() {
         Verified::Done(done) => *done,
@@ -69,9 +77,16 @@ fn exact(motion: &mut GrooveMotion) {
 fn less_certain(model: &PhysicalModel, times: f64, seed: u64) -> PhysicalModel {
     let mut model = model.clone();
     let size = model.covariance.len();
-    model.covariance.iter_mut().flatten().for_each(|v| *v *= times * times);
+    model
+        .covariance
+        .iter_mut()
+        .flatten()
+        .for_each(|v| *v *= times * times);
     // By the Cholesky factor, which moves with the covariance; the signs of eigenvectors jump with its last digits.
-    let root = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]).cholesky().unwrap().unpack();
+    let root = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j])
+        .cholesky()
+        .unwrap()
+        .unpack();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let draw = DVector::from_fn(size, |_, _| -> f64 { StandardNormal.sample(&mut rng) });
     let off = root * draw;
@@ -89,10 +104,18 @@ fn held(compared: &[Compared]) -> usize {
 fn said(compared: &[Compared]) -> String {
     let each = compared.iter().map(|c| {
         let held = if c.held { "" } else { "!" };
-        format!("{:.0} mm: {:.2}/{:.2}{held}", c.arclength_mm, c.error_mm, c.bound_mm)
+        format!(
+            "{:.0} mm: {:.2}/{:.2}{held}",
+            c.arclength_mm, c.error_mm, c.bound_mm
+        )
     });
     let each: Vec<String> = each.collect();
-    format!("{} of {}: {}", held(compared), compared.len(), each.join(", "))
+    format!(
+        "{} of {}: {}",
+        held(compared),
+        compared.len(),
+        each.join(", ")
+    )
 }
 
 #[test]
@@ -103,7 +126,11 @@ fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
         assert_eq!(done.document.verdict, Verdict::Adequate, "{seed}");
         all.extend(tracked(&done, done.decision.calibration(), |_| ()));
     }
-    assert!(all.len() >= 40 && binomial_cdf(held(&all), all.len(), REGION) > LEVEL, "{}", said(&all));
+    assert!(
+        all.len() >= 40 && binomial_cdf(held(&all), all.len(), REGION) > LEVEL,
+        "{}",
+        said(&all)
+    );
     // The median, since the bound is one for small errors and a shallow press has a few large ones.
     let mut ratios: Vec<f64> = all.iter().map(|c| c.error_mm / c.bound_mm).collect();
     ratios.sort_by(f64::total_cmp);
@@ -117,7 +144,11 @@ fn regions_hold_with_an_effect_that_the_loop_repaired() {
     let done = verified(300, Design::Rich, CaseKind::Effects(vec![Kind::FbgThree]));
     assert_eq!(done.document.verdict, Verdict::Effect);
     let found = tracked(&done, done.decision.calibration(), |_| ());
-    assert!(binomial_cdf(held(&found), found.len(), REGION) > LEVEL, "{}", said(&found));
+    assert!(
+        binomial_cdf(held(&found), found.len(), REGION) > LEVEL,
+        "{}",
+        said(&found)
+    );
 }
 
 /// With the map's error as large as the noise it is seen whether the regions know of it; control: without it they hold too little.
@@ -133,8 +164,16 @@ fn the_error_of_the_map_is_in_the_regions() {
             without.extend(tracked(&done, &model, exact));
         }
     }
-    assert!(binomial_cdf(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
-    assert!(binomial_cdf(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+    assert!(
+        binomial_cdf(held(&with), with.len(), REGION) > LEVEL,
+        "{}",
+        said(&with)
+    );
+    assert!(
+        binomial_cdf(held(&without), without.len(), REGION) < 1e-4,
+        "{}",
+        said(&without)
+    );
 }
 
 /// Drift that the session shows is in the regions; control: taken for white noise they hold too little. Readings that it displaces together
@@ -149,13 +188,24 @@ fn noise_that_is_correlated_in_time_is_in_the_regions() {
             continue;
         }
         sessions += 1;
-        let white = PhysicalModel { correlated_noise: None, ..done.decision.calibration().clone() };
+        let white = PhysicalModel {
+            correlated_noise: None,
+            ..done.decision.calibration().clone()
+        };
         with.extend(tracked(&done, done.decision.calibration(), |_| ()));
         without.extend(tracked(&done, &white, |_| ()));
     }
     assert!(sessions >= 5, "{sessions} sessions show their drift");
-    assert!(binomial_cdf(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
-    assert!(binomial_cdf(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+    assert!(
+        binomial_cdf(held(&with), with.len(), REGION) > LEVEL,
+        "{}",
+        said(&with)
+    );
+    assert!(
+        binomial_cdf(held(&without), without.len(), REGION) < 1e-4,
+        "{}",
+        said(&without)
+    );
 }
 
 #[test]

@@ -59,7 +59,9 @@ impl Band {
             let row = self.row(i, first, i + 1);
             let value = x[i] / row[i - first];
             x[i] = value;
-            row.iter().zip(&mut x[first..i]).for_each(|(l, x)| *x -= l * value);
+            row.iter()
+                .zip(&mut x[first..i])
+                .for_each(|(l, x)| *x -= l * value);
         }
     }
 }
@@ -77,7 +79,10 @@ impl Normal {
     /// Without any equation.
     pub fn new(unknowns: usize, common: usize, width: usize) -> Self {
         Self {
-            band: Band { width, entries: vec![0.0; width * unknowns] },
+            band: Band {
+                width,
+                entries: vec![0.0; width * unknowns],
+            },
             border: DMatrix::zeros(unknowns, common),
             corner: DMatrix::zeros(common, common),
             right: DVector::zeros(unknowns),
@@ -93,11 +98,15 @@ impl Normal {
             for (b, vb) in j[..=a].iter().enumerate() {
                 *self.band.at(first + a, first + b) += weight * va * vb;
             }
-            k.iter().enumerate().for_each(|(b, vb)| self.border[(first + a, b)] += weight * va * vb);
+            k.iter()
+                .enumerate()
+                .for_each(|(b, vb)| self.border[(first + a, b)] += weight * va * vb);
         }
         for (a, va) in k.iter().enumerate() {
             self.right_common[a] -= weight * va * r;
-            k.iter().enumerate().for_each(|(b, vb)| self.corner[(a, b)] += weight * va * vb);
+            k.iter()
+                .enumerate()
+                .for_each(|(b, vb)| self.corner[(a, b)] += weight * va * vb);
         }
     }
 
@@ -117,8 +126,12 @@ impl Normal {
             // Cholesky's factor of a band has no fill outside the band: O(n width^2).
             for j in band.first(i)..=i {
                 let from = band.first(i);
-                let sum: f64 =
-                    band.row(i, from, j).iter().zip(band.row(j, from, j)).map(|(a, b)| a * b).sum();
+                let sum: f64 = band
+                    .row(i, from, j)
+                    .iter()
+                    .zip(band.row(j, from, j))
+                    .map(|(a, b)| a * b)
+                    .sum();
                 let value = *band.at(i, j) - sum;
                 *band.at(i, j) = if j < i {
                     value / *band.at(j, j)
@@ -129,7 +142,11 @@ impl Normal {
                 };
             }
         }
-        let mut made = Factored { band, solved: self.border.clone(), corner: DMatrix::zeros(0, 0) };
+        let mut made = Factored {
+            band,
+            solved: self.border.clone(),
+            corner: DMatrix::zeros(0, 0),
+        };
         for mut column in made.solved.column_iter_mut() {
             made.band.solve(column.as_mut_slice(), 0);
         }
@@ -191,7 +208,10 @@ mod tests {
     fn band_and_border_solve_what_the_dense_matrix_does() {
         let (n, m) = (6, 2);
         let mut normal = Normal::new(n, m, 3);
-        let (mut dense, mut right) = (DMatrix::<f64>::zeros(n + m, n + m), DVector::<f64>::zeros(n + m));
+        let (mut dense, mut right) = (
+            DMatrix::<f64>::zeros(n + m, n + m),
+            DVector::<f64>::zeros(n + m),
+        );
         let value = |i: usize| ((37 * i + 11) % 17) as f64 / 7.0 - 1.0;
         for k in 0..n {
             for part in 0..4 {
@@ -200,10 +220,14 @@ mod tests {
                 let c: Vec<f64> = (0..m).map(|a| value(7 * a + k + 3 * part)).collect();
                 let (weight, r) = (1.0 + 0.1 * k as f64, value(k + 29 * part));
                 normal.add(weight, r, from, &j, &c);
-                let row: Vec<(usize, f64)> = (from..=k).chain(n..n + m).zip(j.into_iter().chain(c)).collect();
+                let row: Vec<(usize, f64)> = (from..=k)
+                    .chain(n..n + m)
+                    .zip(j.into_iter().chain(c))
+                    .collect();
                 for (a, va) in &row {
                     right[*a] -= weight * va * r;
-                    row.iter().for_each(|(b, vb)| dense[(*a, *b)] += weight * va * vb);
+                    row.iter()
+                        .for_each(|(b, vb)| dense[(*a, *b)] += weight * va * vb);
                 }
             }
         }
@@ -214,7 +238,10 @@ mod tests {
         let inverse = dense.try_inverse().unwrap();
         let (step, common) = normal.step(&factored);
         let expected = &inverse * &right;
-        assert!((step - expected.rows(0, n)).amax() < 1e-8 && (common - expected.rows(n, m)).amax() < 1e-8);
+        assert!(
+            (step - expected.rows(0, n)).amax() < 1e-8
+                && (common - expected.rows(n, m)).amax() < 1e-8
+        );
         assert!((factored.ln_determinant() + inverse.determinant().ln()).abs() < 1e-6);
         assert!((normal.gain(&factored) - right.dot(&(&inverse * &right))).abs() < 1e-6);
         let block = factored.covariance(2, 3);

@@ -22,7 +22,8 @@ impl Means {
     fn push(&mut self, rows: &[MotionRow]) {
         let mean = mean(rows);
         let off = |r: &MotionRow| (r.moved_mm - mean.moved_mm).norm_squared();
-        self.spreads_mm2.push(rows.iter().map(off).sum::<f64>() / rows.len() as f64);
+        self.spreads_mm2
+            .push(rows.iter().map(off).sum::<f64>() / rows.len() as f64);
         self.rows.push(mean);
     }
 
@@ -41,8 +42,11 @@ impl Means {
         let rows = &self.rows;
         // Second divided difference over three blocks of unequal steps.
         let second = |k: usize| -> Option<[f64; 2]> {
-            let [a, b, c] = rows.get(k.checked_sub(1)?..k + 2)? else { return None };
-            let [before, after] = [(a, b), (b, c)].map(|(a, b)| (b.moved_mm - a.moved_mm).norm().max(1e-9));
+            let [a, b, c] = rows.get(k.checked_sub(1)?..k + 2)? else {
+                return None;
+            };
+            let [before, after] =
+                [(a, b), (b, c)].map(|(a, b)| (b.moved_mm - a.moved_mm).norm().max(1e-9));
             Some([0, 1].map(|i| {
                 let rates = (c.moment_nmm[i] - b.moment_nmm[i]) / after
                     - (b.moment_nmm[i] - a.moment_nmm[i]) / before;
@@ -53,9 +57,16 @@ impl Means {
         let middle = |(k, (row, spread)): (usize, (&MotionRow, &f64))| {
             let bend = second(k.clamp(1, last.max(1))).unwrap_or_default();
             let moment_nmm = [0, 1].map(|i| row.moment_nmm[i] - 0.5 * bend[i] * spread);
-            MotionRow { moment_nmm, ..row.clone() }
+            MotionRow {
+                moment_nmm,
+                ..row.clone()
+            }
         };
-        rows.iter().zip(&self.spreads_mm2).enumerate().map(middle).collect()
+        rows.iter()
+            .zip(&self.spreads_mm2)
+            .enumerate()
+            .map(middle)
+            .collect()
     }
 
     pub(super) fn extend(&mut self, other: Self) {
@@ -70,9 +81,14 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
     let mut from = 0;
     while from < rows.len() {
         let way = |k: usize| (rows[k].moved_mm - rows[from].moved_mm).norm();
-        let mut to = (from + 1..rows.len()).find(|k| way(*k) >= STEP_MM).unwrap_or(rows.len());
+        let mut to = (from + 1..rows.len())
+            .find(|k| way(*k) >= STEP_MM)
+            .unwrap_or(rows.len());
         // What is left at the end joins the last block.
-        if rows[to..].iter().all(|r| (r.moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM) {
+        if rows[to..]
+            .iter()
+            .all(|r| (r.moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM)
+        {
             to = rows.len();
         }
         all.push(&rows[from..to]);
@@ -80,8 +96,13 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
     }
     let means = &all.rows;
     let place = |row: &MotionRow| {
-        let Some(last) = means.len().checked_sub(2) else { return (0, 0.0) };
-        let k = means.partition_point(|b| b.t_s <= row.t_s).saturating_sub(1).min(last);
+        let Some(last) = means.len().checked_sub(2) else {
+            return (0, 0.0);
+        };
+        let k = means
+            .partition_point(|b| b.t_s <= row.t_s)
+            .saturating_sub(1)
+            .min(last);
         let share = (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s);
         (k, share.clamp(-PAST, 1.0 + PAST))
     };
@@ -103,8 +124,10 @@ pub struct Blocks {
 impl Blocks {
     /// Puts a reading into its block; whether one is complete by it.
     pub fn push(&mut self, row: &MotionRow) -> bool {
-        let complete =
-            self.open.first().is_some_and(|first| (row.moved_mm - first.moved_mm).norm() >= STEP_MM);
+        let complete = self
+            .open
+            .first()
+            .is_some_and(|first| (row.moved_mm - first.moved_mm).norm() >= STEP_MM);
         if complete {
             self.means.push(&self.open);
             self.open.clear();

@@ -86,9 +86,13 @@ impl ContactQuantities {
     pub(super) fn on_object(&self, turn: &Rotation3<f64>, moved_mm: &Vector3<f64>) -> Self {
         let mut seen = *self;
         let back = turn.inverse();
-        seen.0.fixed_rows_mut::<3>(2).copy_from(&(back * (self.point_mm() - moved_mm)));
+        seen.0
+            .fixed_rows_mut::<3>(2)
+            .copy_from(&(back * (self.point_mm() - moved_mm)));
         for at in [5, 8, 11, 14] {
-            seen.0.fixed_rows_mut::<3>(at).copy_from(&(back * self.vector(at)));
+            seen.0
+                .fixed_rows_mut::<3>(at)
+                .copy_from(&(back * self.vector(at)));
         }
         seen
     }
@@ -116,7 +120,13 @@ impl TouchedWire {
         let links = DiscreteRod::of_rod(rod, diameter_mm, LINKS)?;
         let rest = links.joints().iter().map(|j| j.0).collect();
         let (length_mm, ei_nmm2) = (rod.shape.length_mm, rod.section.ei_nmm2);
-        Ok(Self { rest, axes: axes.clone(), length_mm, ei_nmm2, rod: links })
+        Ok(Self {
+            rest,
+            axes: axes.clone(),
+            length_mm,
+            ei_nmm2,
+            rod: links,
+        })
     }
 
     /// What a contact shows.
@@ -133,10 +143,16 @@ impl TouchedWire {
         let link = s / self.rod.link_mm;
         let j = (link as usize).min(self.rod.links() - 1);
         let off = link - j as f64 - 0.5;
-        let joint = if off < 0.0 { j } else { (j + 1).min(self.rod.links() - 1) };
+        let joint = if off < 0.0 {
+            j
+        } else {
+            (j + 1).min(self.rod.links() - 1)
+        };
         let smooth = Rotation3::from_scaled_axis(self.rest[joint] * off);
         // Beyond the contact the wire is free: its equilibrium follows from the force inward.
-        let load = self.rod.under_point_load(s, &(smooth * ((n + u * a + b * c) * f)));
+        let load = self
+            .rod
+            .under_point_load(s, &(smooth * ((n + u * a + b * c) * f)));
         let frame = load.frame * smooth.matrix();
         let m = self.axes.components_nmm(&load.moment_nmm);
         let mut y = SVector::<f64, SHOWN>::zeros();
@@ -144,7 +160,13 @@ impl TouchedWire {
         y[1] = m[1];
         let n = frame * n;
         let point = load.axis_mm - n * self.rod.radius_mm;
-        for (at, v) in [(2, point), (5, n), (8, frame * u), (11, frame * b), (14, frame.column(0).into())] {
+        for (at, v) in [
+            (2, point),
+            (5, n),
+            (8, frame * u),
+            (11, frame * b),
+            (14, frame.column(0).into()),
+        ] {
             y.fixed_rows_mut::<3>(at).copy_from(&v);
         }
         y[17] = s;
@@ -157,7 +179,11 @@ impl TouchedWire {
         let mut rates = Rates::zeros();
         for (k, step) in STEPS.into_iter().enumerate() {
             // The force's own scale: moments of a tenth of a millinewton millimetre.
-            let h = if k == 1 { step * x[1].abs().max(1e-3) } else { step };
+            let h = if k == 1 {
+                step * x[1].abs().max(1e-3)
+            } else {
+                step
+            };
             let mut other = *x;
             other[k] += h;
             rates.set_column(k, &((self.show(&other).0 - y.0) / h));
@@ -193,7 +219,9 @@ impl TouchedWire {
             // Newton's step in force and azimuth, by forward differences.
             let j = Matrix2::from_columns(&[by(1, 1e-4 * x[1].abs().max(1e-4)), by(2, 1e-5)]);
             let step = j.try_inverse()? * off;
-            let cut = (step[0].abs() / (0.5 * x[1].abs().max(1e-4))).max(step[1].abs() / 0.5).max(1.0);
+            let cut = (step[0].abs() / (0.5 * x[1].abs().max(1e-4)))
+                .max(step[1].abs() / 0.5)
+                .max(1.0);
             x[1] -= step[0] / cut;
             x[2] -= step[1] / cut;
         }
@@ -213,7 +241,9 @@ impl TouchedWire {
         if size(&scaled(1.01)) > m * (1.0 + 0.01 * FOLD_NEAR) {
             return None;
         }
-        let from = (1..FOLD_STEPS).map(|k| FOLD_STEP.powi(k)).find(|by| size(&scaled(*by)) < m)?;
+        let from = (1..FOLD_STEPS)
+            .map(|k| FOLD_STEP.powi(k))
+            .find(|by| size(&scaled(*by)) < m)?;
         let found = self.frictionless(low[0], moment_nmm, Some(scaled(from)))?;
         (found[1] > 1.02 * low[1]).then_some(found)
     }
@@ -222,17 +252,26 @@ impl TouchedWire {
     /// so that `|a + f b| = f`, `a = M^-1 m`, `b = M^-1 z`.
     fn light(&self, q: f64, moment_nmm: &Vector2<f64>) -> State {
         const LIGHT_N: f64 = 1e-6;
-        let by = |phi: f64| self.show(&State::from([q, LIGHT_N, phi, 0.0, 0.0])).moment_nmm() / LIGHT_N;
+        let by = |phi: f64| {
+            self.show(&State::from([q, LIGHT_N, phi, 0.0, 0.0]))
+                .moment_nmm()
+                / LIGHT_N
+        };
         let (here, opposite) = (by(0.0), by(PI));
-        let across =
-            Matrix2::from_columns(&[(here - opposite) / 2.0, (by(FRAC_PI_2) - by(-FRAC_PI_2)) / 2.0]);
+        let across = Matrix2::from_columns(&[
+            (here - opposite) / 2.0,
+            (by(FRAC_PI_2) - by(-FRAC_PI_2)) / 2.0,
+        ]);
         let inverse = across.try_inverse().unwrap_or_else(Matrix2::zeros);
         let (a, b) = (inverse * moment_nmm, inverse * (here + opposite) / -2.0);
         // (1 - b^2) f^2 - 2 a.b f - a^2 = 0: the least positive root.
         let (square, half) = (1.0 - b.norm_squared(), a.dot(&b));
         let root = (half * half + square * a.norm_squared()).max(0.0).sqrt();
         let roots = [(half + root) / square, (half - root) / square];
-        let f = roots.into_iter().filter(|f| *f > 0.0 && f.is_finite()).fold(f64::INFINITY, f64::min);
+        let f = roots
+            .into_iter()
+            .filter(|f| *f > 0.0 && f.is_finite())
+            .fold(f64::INFINITY, f64::min);
         let f = if f.is_finite() { f } else { a.norm() }.max(1e-6);
         let along = a + b * f;
         State::from([q, f, along.y.atan2(along.x), 0.0, 0.0])
@@ -248,7 +287,12 @@ mod tests {
 
     fn wire() -> TouchedWire {
         let rod = Rod::new(&WhiskerSpec::nominal(), 0.25).unwrap();
-        TouchedWire::new(&rod, WhiskerSpec::nominal().diameter_mm, &MomentAxes::default()).unwrap()
+        TouchedWire::new(
+            &rod,
+            WhiskerSpec::nominal().diameter_mm,
+            &MomentAxes::default(),
+        )
+        .unwrap()
     }
 
     /// A point that holds the accepted wire is found again from its moments, and by the declared wire it is not.
@@ -257,7 +301,10 @@ mod tests {
         let declared = Rod::new(&WhiskerSpec::nominal(), 0.25).unwrap();
         let mut accepted = declared.clone();
         accepted.section.taper = -0.3;
-        accepted.section.softening = Some(Softening::Bilinear { onset_per_m: 8.0, ratio: 0.6 });
+        accepted.section.softening = Some(Softening::Bilinear {
+            onset_per_m: 8.0,
+            ratio: 0.6,
+        });
         accepted.compliance_rad_per_nmm = 0.01;
         let axes = MomentAxes::default();
         let field = MomentField::new(&accepted, &axes, Friction::NONE);
@@ -279,17 +326,27 @@ mod tests {
         let wire = wire();
         for q in [12.0, 33.3, 58.0, 64.0] {
             let x = State::from([q, 0.02, 0.7, 0.0, 0.0]);
-            let found = wire.frictionless(q, &wire.show(&x).moment_nmm(), None).unwrap();
+            let found = wire
+                .frictionless(q, &wire.show(&x).moment_nmm(), None)
+                .unwrap();
             assert!((found - x).amax() < 1e-3, "{q}: {found:?}");
             // Control: at another place the same moments take another force.
-            let other = wire.frictionless(q - 4.0, &wire.show(&x).moment_nmm(), None).unwrap();
+            let other = wire
+                .frictionless(q - 4.0, &wire.show(&x).moment_nmm(), None)
+                .unwrap();
             assert!((other[1] - 0.02).abs() > 1e-4, "{q}");
         }
         let normal = |q: f64| wire.show(&State::from([q, 0.02, 0.7, 0.0, 0.0])).normal();
         let steps: Vec<f64> = (0..200)
-            .map(|k| (normal(30.5 + 0.1 * f64::from(k + 1)) - normal(30.5 + 0.1 * f64::from(k))).norm())
+            .map(|k| {
+                (normal(30.5 + 0.1 * f64::from(k + 1)) - normal(30.5 + 0.1 * f64::from(k))).norm()
+            })
             .collect();
         let largest = steps.iter().copied().fold(0.0, f64::max);
-        assert!(largest < 3.0 * steps[100] + 1e-3, "{largest} {}", steps[100]);
+        assert!(
+            largest < 3.0 * steps[100] + 1e-3,
+            "{largest} {}",
+            steps[100]
+        );
     }
 }

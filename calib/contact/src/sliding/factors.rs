@@ -62,8 +62,15 @@ pub(super) enum Kind {
     Touch,
 }
 
-pub(super) const KINDS: [Kind; 7] =
-    [Kind::Moments, Kind::Surface, Kind::Friction, Kind::SlipRate, Kind::Press, Kind::End, Kind::Touch];
+pub(super) const KINDS: [Kind; 7] = [
+    Kind::Moments,
+    Kind::Surface,
+    Kind::Friction,
+    Kind::SlipRate,
+    Kind::Press,
+    Kind::End,
+    Kind::Touch,
+];
 
 /// A reading's state with what it shows on the object.
 #[derive(Debug, Clone, Copy)]
@@ -142,7 +149,10 @@ impl<'a> Chain<'a> {
             .iter()
             .map(|r| {
                 let covariance = r.noise_nmm2 + model_nmm2(r);
-                covariance.cholesky().and_then(|c| c.l().try_inverse()).unwrap_or_else(Matrix2::zeros)
+                covariance
+                    .cholesky()
+                    .and_then(|c| c.l().try_inverse())
+                    .unwrap_or_else(Matrix2::zeros)
             })
             .collect();
         let step = |k: usize| match k {
@@ -151,7 +161,12 @@ impl<'a> Chain<'a> {
         };
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
         let by_common = rows.iter().zip(&whiten).map(|(r, whiten)| {
-            [0, 1].map(|i| r.shared_nmm.iter().map(|h| -(whiten * Vector2::from(*h))[i]).collect())
+            [0, 1].map(|i| {
+                r.shared_nmm
+                    .iter()
+                    .map(|h| -(whiten * Vector2::from(*h))[i])
+                    .collect()
+            })
         });
         Self {
             wire,
@@ -170,7 +185,12 @@ impl<'a> Chain<'a> {
 
     /// With all residuals, under a coefficient of friction.
     pub fn under(&self, friction: f64) -> Self {
-        Self { friction, by_slip: true, heavy: true, ..self.clone() }
+        Self {
+            friction,
+            by_slip: true,
+            heavy: true,
+            ..self.clone()
+        }
     }
 
     /// The common unknowns before any reading.
@@ -203,7 +223,11 @@ impl<'a> Chain<'a> {
     }
 
     fn numbers(kind: Kind) -> usize {
-        if matches!(kind, Kind::Moments | Kind::Surface | Kind::Friction) { 2 } else { 1 }
+        if matches!(kind, Kind::Moments | Kind::Surface | Kind::Friction) {
+            2
+        } else {
+            1
+        }
     }
 
     /// Residuals of reading k; `all` are the readings that it ties together.
@@ -213,8 +237,12 @@ impl<'a> Chain<'a> {
         match kind {
             Kind::Moments => {
                 let row = &self.rows[k];
-                let shared: Vector2<f64> =
-                    row.shared_nmm.iter().zip(c.iter()).map(|(h, c)| Vector2::from(*h) * *c).sum();
+                let shared: Vector2<f64> = row
+                    .shared_nmm
+                    .iter()
+                    .zip(c.iter())
+                    .map(|(h, c)| Vector2::from(*h) * *c)
+                    .sum();
                 self.whiten[k] * (Vector2::from(row.moment_nmm) - shared - here.y.moment_nmm())
             }
             Kind::Surface => {
@@ -292,16 +320,24 @@ impl<'a> Chain<'a> {
     pub(super) fn locals(&self, x: &[State]) -> Vec<Local> {
         x.iter()
             .zip(self.rows)
-            .map(|(x, r)| Local { x: *x, y: self.wire.show(x).on_object(&r.turn, &r.moved_mm) })
+            .map(|(x, r)| Local {
+                x: *x,
+                y: self.wire.show(x).on_object(&r.turn, &r.moved_mm),
+            })
             .collect()
     }
 
     /// Sum of squares of the residuals of a kind, heavy tails included.
     fn sum(&self, kind: Kind, all: &[Local], c: &DVector<f64>) -> f64 {
         let one = |k: usize| {
-            let r2 = self.residual(kind, k, &all[self.readings(kind, k)?], c).norm_squared();
+            let r2 = self
+                .residual(kind, k, &all[self.readings(kind, k)?], c)
+                .norm_squared();
             // Student: minus twice the logarithm of the density.
-            Some(self.tails(kind).map_or(r2, |nu| (nu + 1.0) * (r2 / nu).ln_1p()))
+            Some(
+                self.tails(kind)
+                    .map_or(r2, |nu| (nu + 1.0) * (r2 / nu).ln_1p()),
+            )
         };
         (0..all.len()).filter_map(one).sum()
     }
@@ -314,19 +350,29 @@ impl<'a> Chain<'a> {
     /// Sum of squares of everything.
     pub fn cost(&self, x: &[State], c: &DVector<f64>) -> f64 {
         let all = self.locals(x);
-        c.norm_squared() + KINDS.iter().map(|kind| self.sum(*kind, &all, c)).sum::<f64>()
+        c.norm_squared()
+            + KINDS
+                .iter()
+                .map(|kind| self.sum(*kind, &all, c))
+                .sum::<f64>()
     }
 
     /// Logarithm of the moments' densities where they are as the states have them.
     pub fn ln_densities(&self) -> f64 {
-        self.whiten.iter().map(|w| w.determinant().abs().max(f64::MIN_POSITIVE).ln() - TAU.ln()).sum()
+        self.whiten
+            .iter()
+            .map(|w| w.determinant().abs().max(f64::MIN_POSITIVE).ln() - TAU.ln())
+            .sum()
     }
 
     /// Logarithm of the norms of all residuals with heavy tails over those of normal ones.
     pub fn ln_norms(&self) -> f64 {
         let of = |kind: &Kind| {
-            let count = (0..self.rows.len()).filter(|k| self.readings(*kind, *k).is_some()).count();
-            self.tails(*kind).map_or(0.0, |nu| count as f64 * ln_norm(nu))
+            let count = (0..self.rows.len())
+                .filter(|k| self.readings(*kind, *k).is_some())
+                .count();
+            self.tails(*kind)
+                .map_or(0.0, |nu| count as f64 * ln_norm(nu))
         };
         KINDS.iter().map(of).sum()
     }
@@ -336,24 +382,43 @@ impl<'a> Chain<'a> {
         let (y, mut rates) = self.wire.rates(x);
         for k in 0..STATE {
             // Differences turn with the object, but do not move with it.
-            let seen =
-                ContactQuantities(rates.column(k).into_owned()).on_object(&row.turn, &Vector3::zeros());
+            let seen = ContactQuantities(rates.column(k).into_owned())
+                .on_object(&row.turn, &Vector3::zeros());
             rates.set_column(k, &seen.0);
         }
-        (Local { x: *x, y: y.on_object(&row.turn, &row.moved_mm) }, rates)
+        (
+            Local {
+                x: *x,
+                y: y.on_object(&row.turn, &row.moved_mm),
+            },
+            rates,
+        )
     }
 
     /// The linearised problem; residuals with heavy tails by their weights.
-    pub fn linearise(&self, x: &[State], c: &DVector<f64>, common: Common, kinds: &[Kind]) -> Normal {
-        let (locals, rates): (Vec<Local>, Vec<Rates>) =
-            x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).unzip();
+    pub fn linearise(
+        &self,
+        x: &[State],
+        c: &DVector<f64>,
+        common: Common,
+        kinds: &[Kind],
+    ) -> Normal {
+        let (locals, rates): (Vec<Local>, Vec<Rates>) = x
+            .iter()
+            .zip(self.rows)
+            .map(|(x, r)| self.rates(x, r))
+            .unzip();
         let mut normal = Normal::new(STATE * x.len(), self.shared, TIED * STATE);
         for &kind in kinds {
             for k in 0..x.len() {
-                let Some(range) = self.readings(kind, k) else { continue };
+                let Some(range) = self.readings(kind, k) else {
+                    continue;
+                };
                 let all = &locals[range.clone()];
                 let r = self.residual(kind, k, all, c);
-                let weight = self.tails(kind).map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
+                let weight = self
+                    .tails(kind)
+                    .map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
                 let (mut near, mut by_state) = ([all[0]; TIED], [[0.0; TIED * STATE]; 2]);
                 near[..all.len()].copy_from_slice(all);
                 for (n, rates) in rates[range.clone()].iter().enumerate() {
@@ -366,7 +431,11 @@ impl<'a> Chain<'a> {
                     }
                 }
                 for i in 0..Self::numbers(kind) {
-                    let by_common = if kind == Kind::Moments { self.by_common[k][i].as_slice() } else { &[] };
+                    let by_common = if kind == Kind::Moments {
+                        self.by_common[k][i].as_slice()
+                    } else {
+                        &[]
+                    };
                     let by_state = &by_state[i][..STATE * all.len()];
                     normal.add(weight, r[i], STATE * range.start(), by_state, by_common);
                 }
@@ -388,9 +457,15 @@ mod tests {
     #[test]
     fn students_density_has_mass_one() {
         for nu in [3.0, 5.0, 30.0] {
-            let density = |u: f64| (1.0 + u * u / nu).powf(-0.5 * (nu + 1.0)) / std::f64::consts::TAU.sqrt();
-            let kernel: f64 = (-200_000..=200_000).map(|k| 1e-3 * density(1e-3 * f64::from(k))).sum();
-            assert!((kernel * ln_norm(nu).exp() - 1.0).abs() < 1e-4, "{nu}: {kernel}");
+            let density =
+                |u: f64| (1.0 + u * u / nu).powf(-0.5 * (nu + 1.0)) / std::f64::consts::TAU.sqrt();
+            let kernel: f64 = (-200_000..=200_000)
+                .map(|k| 1e-3 * density(1e-3 * f64::from(k)))
+                .sum();
+            assert!(
+                (kernel * ln_norm(nu).exp() - 1.0).abs() < 1e-4,
+                "{nu}: {kernel}"
+            );
             // Control: the normal density's norm has other mass.
             assert!((kernel - 1.0).abs() > 0.005, "{nu}: {kernel}");
         }

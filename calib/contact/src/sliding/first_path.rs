@@ -48,32 +48,54 @@ pub(super) fn first_paths(chain: &Chain<'_>, contacts: &[Vec<Candidate>]) -> Vec
         contacts.iter().map(|c| c.as_ref().map(of)).collect()
     };
     let solved: Vec<Vec<Candidate>> = chain.rows.iter().zip(contacts).map(seen).collect();
-    let Some(n) = solved.first().map(Vec::len) else { return Vec::new() };
+    let Some(n) = solved.first().map(Vec::len) else {
+        return Vec::new();
+    };
     let tip = chain.wire.length_mm;
-    let starts = [(0.0, tip), (tip, tip + AHEAD * TIP_MM), (tip + AHEAD * TIP_MM, f64::INFINITY)];
+    let starts = [
+        (0.0, tip),
+        (tip, tip + AHEAD * TIP_MM),
+        (tip + AHEAD * TIP_MM, f64::INFINITY),
+    ];
     let mut searches = starts.map(|(low, high)| {
         let begins = |x: &State| x[0] > low && x[0] <= high;
-        let costs = solved[0].iter().map(|c| start_cost(chain, c.as_ref().filter(|c| begins(&c.0))));
-        Search { costs: costs.collect(), from: Vec::new() }
+        let costs = solved[0]
+            .iter()
+            .map(|c| start_cost(chain, c.as_ref().filter(|c| begins(&c.0))));
+        Search {
+            costs: costs.collect(),
+            from: Vec::new(),
+        }
     });
     let mut before = spreads(chain, &solved, 0);
     for k in 1..solved.len() {
         let here = spreads(chain, &solved, k);
         let steps = steps(chain, &solved, k, [&before, &here]);
-        searches.iter_mut().for_each(|search| search.go_on(&steps, n));
+        searches
+            .iter_mut()
+            .for_each(|search| search.go_on(&steps, n));
         before = here;
     }
-    searches.into_iter().filter_map(|search| search.best_path(chain, &solved)).collect()
+    searches
+        .into_iter()
+        .filter_map(|search| search.best_path(chain, &solved))
+        .collect()
 }
 
 /// Cost of a contact as the first one.
 fn start_cost(chain: &Chain<'_>, contact: Option<&(State, ContactQuantities)>) -> f64 {
-    let Some((x, y)) = contact else { return f64::INFINITY };
+    let Some((x, y)) = contact else {
+        return f64::INFINITY;
+    };
     if !chain.ends.from_free {
         return 0.0;
     }
     let deflection = chain.deflection(0, x, y);
-    if deflection < MAX_DEFLECTION { deflection * deflection } else { f64::INFINITY }
+    if deflection < MAX_DEFLECTION {
+        deflection * deflection
+    } else {
+        f64::INFINITY
+    }
 }
 
 /// Standard deviation of each node of a reading across the surface: noise by compliance, and half the distance of two nodes along the normal.
@@ -81,13 +103,17 @@ fn spreads(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize) -> Vec<f64> {
     let n = solved[k].len();
     // Compliance of a cantilever, s^2 / (3 E I) of displacement for a moment.
     let of = |i: usize| -> f64 {
-        let Some((x, y)) = &solved[k][i] else { return f64::INFINITY };
+        let Some((x, y)) = &solved[k][i] else {
+            return f64::INFINITY;
+        };
         let noise = (chain.rows[k].noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
             / (3.0 * chain.wire.ei_nmm2);
-        let next = solved[k][(i + 1).min(n - 1)].as_ref().map_or(0.0, |(z, w)| match z[0] > x[0] {
-            true => (w.point_mm() - y.point_mm()).dot(&y.normal()) / 2.0,
-            false => 0.0,
-        });
+        let next = solved[k][(i + 1).min(n - 1)]
+            .as_ref()
+            .map_or(0.0, |(z, w)| match z[0] > x[0] {
+                true => (w.point_mm() - y.point_mm()).dot(&y.normal()) / 2.0,
+                false => 0.0,
+            });
         noise.hypot(next)
     };
     (0..n).map(of).collect()
@@ -101,7 +127,12 @@ struct Step {
 }
 
 /// All steps to a reading.
-fn steps(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize, spreads: [&[f64]; 2]) -> Vec<Step> {
+fn steps(
+    chain: &Chain<'_>,
+    solved: &[Vec<Candidate>],
+    k: usize,
+    spreads: [&[f64]; 2],
+) -> Vec<Step> {
     let n = solved[k].len();
     let reach = 4.0 * chain.step_mm[k] + 4.0;
     let slip = 2.0 * chain.step_mm[k] + 1.0;
@@ -114,7 +145,9 @@ fn steps(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize, spreads: [&[f64
         let at = i % branch;
         let near = at.saturating_sub(nodes)..(at + nodes + 1).min(branch);
         for j in near.clone().chain(near.start + branch..near.end + branch) {
-            let Some((x0, y0)) = &solved[k - 1][j] else { continue };
+            let Some((x0, y0)) = &solved[k - 1][j] else {
+                continue;
+            };
             let dq = x[0] - x0[0];
             // A jump of the force leads to another branch of equilibria.
             let jump = (x[1] - x0[1]).abs() > MAX_JUMP * (x[1] + x0[1]) + jump_n;
@@ -125,7 +158,11 @@ fn steps(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize, spreads: [&[f64
             // Errors of both places across the surface add.
             let variance = STEP_SD_MM.powi(2) + spreads[0][j].powi(2) + spreads[1][i].powi(2);
             let cost = 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
-            steps.push(Step { to: i, from: j, cost });
+            steps.push(Step {
+                to: i,
+                from: j,
+                cost,
+            });
         }
     }
     steps
@@ -156,7 +193,9 @@ impl Search {
         if chain.ends.slips_off {
             for (cost, contact) in self.costs.iter_mut().zip(last) {
                 if let Some((x, _)) = contact {
-                    *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0).powi(2).min(30.0);
+                    *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0)
+                        .powi(2)
+                        .min(30.0);
                 }
             }
         }
@@ -189,7 +228,9 @@ pub(super) fn candidates(wire: &TouchedWire, rows: &[MotionRow]) -> Vec<Vec<Cand
     for row in rows {
         let moment = Vector2::from(row.moment_nmm);
         for (state, q) in last.iter_mut().zip(&places) {
-            *state = wire.frictionless(*q, &moment, *state).or_else(|| wire.frictionless(*q, &moment, None));
+            *state = wire
+                .frictionless(*q, &moment, *state)
+                .or_else(|| wire.frictionless(*q, &moment, None));
         }
         for (state, low) in high.iter_mut().zip(&last) {
             *state = low.as_ref().and_then(|low| wire.past_fold(low, &moment));

@@ -156,12 +156,16 @@ impl SlidingContact {
 /// Whether a motion comes back toward where it was, along its main direction.
 fn turns_back(rows: &[MotionRow]) -> bool {
     let from = rows[0].moved_mm;
-    let Some(far) =
-        rows.iter().max_by(|a, b| (a.moved_mm - from).norm().total_cmp(&(b.moved_mm - from).norm()))
-    else {
+    let Some(far) = rows.iter().max_by(|a, b| {
+        (a.moved_mm - from)
+            .norm()
+            .total_cmp(&(b.moved_mm - from).norm())
+    }) else {
         return false;
     };
-    let Some(along) = (far.moved_mm - from).try_normalize(1e-9) else { return false };
+    let Some(along) = (far.moved_mm - from).try_normalize(1e-9) else {
+        return false;
+    };
     let mut reached = f64::NEG_INFINITY;
     rows.iter().any(|r| {
         let way = (r.moved_mm - from).dot(&along);
@@ -181,11 +185,21 @@ struct Hypothesis {
 
 impl Hypothesis {
     /// With the posterior at some blocks; none where the sum has no curvature.
-    fn new(chain: &Chain<'_>, (friction, found): (f64, Smoothed), blocks: Range<usize>) -> Option<Self> {
+    fn new(
+        chain: &Chain<'_>,
+        (friction, found): (f64, Smoothed),
+        blocks: Range<usize>,
+    ) -> Option<Self> {
         let chain = chain.under(friction);
         let blocks = posterior(&chain, &found, blocks)?;
         let ln_evidence = ln_evidence(&chain, &found)?;
-        Some(Self { friction, ln_evidence, gaps: chain.gaps(&found.x, &found.common), blocks, found })
+        Some(Self {
+            friction,
+            ln_evidence,
+            gaps: chain.gaps(&found.x, &found.common),
+            blocks,
+            found,
+        })
     }
 
     fn cost(&self) -> f64 {
@@ -196,7 +210,9 @@ impl Hypothesis {
 /// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that makes the answer sure: each part has a start of
 /// its own, which only moments that are right can find; else one surface from first touch to release tells more.
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
-    let Some([first, last]) = touching(rows) else { return SlidingContact::nothing(rows.len()) };
+    let Some([first, last]) = touching(rows) else {
+        return SlidingContact::nothing(rows.len());
+    };
     let held = &rows[first..=last];
     // Often two sizes of leap part the readings alike, or not at all.
     let mut known: Vec<(Vec<Range<usize>>, SlidingContact)> = Vec::new();
@@ -210,7 +226,12 @@ pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact 
         found
     };
     // A motion that turns back is sure in no way.
-    let sure = (!turns_back(held)).then(|| LEAPS.into_iter().map(&mut located).find(SlidingContact::sure));
+    let sure = (!turns_back(held)).then(|| {
+        LEAPS
+            .into_iter()
+            .map(&mut located)
+            .find(SlidingContact::sure)
+    });
     sure.flatten().unwrap_or_else(|| located(f64::INFINITY))
 }
 
@@ -224,11 +245,17 @@ fn locate_parts(
     let mut all = SlidingContact::nothing(rows.len());
     let held = &rows[first..=last];
     let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
-    let ends =
-        |r: &Range<usize>| Ends { from_free: r.start == 0, slips_off: lost_at_end && r.end == held.len() };
-    let found: Vec<Option<Part>> =
-        ranges.par_iter().map(|r| Part::find(wire, &held[r.clone()], ends(r))).collect();
-    ranges.iter().for_each(|r| all.means.extend(blocks(&held[r.clone()]).0));
+    let ends = |r: &Range<usize>| Ends {
+        from_free: r.start == 0,
+        slips_off: lost_at_end && r.end == held.len(),
+    };
+    let found: Vec<Option<Part>> = ranges
+        .par_iter()
+        .map(|r| Part::find(wire, &held[r.clone()], ends(r)))
+        .collect();
+    ranges
+        .iter()
+        .for_each(|r| all.means.extend(blocks(&held[r.clone()]).0));
     let each = || found.iter().flatten();
     if each().count() == 0 {
         return all;
@@ -282,27 +309,49 @@ impl Part {
         let chain = Chain::new(wire, &means, ends);
         let (hypotheses, control) = rayon::join(
             || hypotheses(&chain, &contacts, &FRICTIONS),
-            || hypotheses(&Chain::new(wire, &reversed(&means), ends), &contacts, &FRICTIONS[..1]),
+            || {
+                hypotheses(
+                    &Chain::new(wire, &reversed(&means), ends),
+                    &contacts,
+                    &FRICTIONS[..1],
+                )
+            },
         );
-        let reversed_cost = control.iter().map(Hypothesis::cost).fold(f64::INFINITY, f64::min);
+        let reversed_cost = control
+            .iter()
+            .map(Hypothesis::cost)
+            .fold(f64::INFINITY, f64::min);
         let hypotheses = of_one_surface(hypotheses, means.len());
         // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
         let most = MAX_COST * means.len() as f64;
         let explains = |h: &&Hypothesis| h.cost() <= most;
         let best = |all: &[Hypothesis]| {
-            all.iter().filter(explains).map(|h| h.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
+            all.iter()
+                .filter(explains)
+                .map(|h| h.ln_evidence)
+                .fold(f64::NEG_INFINITY, f64::max)
         };
         let ln_evidence = [best(&hypotheses), best(&control)];
         let count = means.len();
-        let mut own = Self { hypotheses, reversed_cost, ln_evidence, count, at, mm_by_gain: 0.0 };
+        let mut own = Self {
+            hypotheses,
+            reversed_cost,
+            ln_evidence,
+            count,
+            at,
+            mm_by_gain: 0.0,
+        };
         let best = (!own.hypotheses.is_empty()).then(|| own.best())?;
-        own.mm_by_gain = mm_by_gain(&chain.under(best.friction), &best.found).unwrap_or(f64::INFINITY);
+        own.mm_by_gain =
+            mm_by_gain(&chain.under(best.friction), &best.found).unwrap_or(f64::INFINITY);
         Some(own)
     }
 
     fn best(&self) -> &Hypothesis {
         let first = &self.hypotheses[0];
-        self.hypotheses.iter().fold(first, |a, b| if b.cost() < a.cost() { b } else { a })
+        self.hypotheses
+            .iter()
+            .fold(first, |a, b| if b.cost() < a.cost() { b } else { a })
     }
 
     fn cost(&self) -> f64 {
@@ -312,7 +361,10 @@ impl Part {
     /// What the hypotheses say a share of the way from a block to the next, with their weights.
     fn mixture(&self, (block, share): (usize, f64)) -> Vec<(f64, BlockPosterior)> {
         let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost() - self.cost())).exp();
-        self.hypotheses.iter().map(|h| (weight(h), between(&h.blocks, block, share))).collect()
+        self.hypotheses
+            .iter()
+            .map(|h| (weight(h), between(&h.blocks, block, share)))
+            .collect()
     }
 }
 
@@ -320,7 +372,10 @@ impl Part {
 /// buys one where the motion turns back.
 fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
     let whole = |h: &Hypothesis| h.gaps <= MAX_GAPS;
-    if all.iter().any(|h| whole(h) && h.cost() <= SURE_COST * blocks as f64) {
+    if all
+        .iter()
+        .any(|h| whole(h) && h.cost() <= SURE_COST * blocks as f64)
+    {
         all.retain(whole);
     }
     all
@@ -329,7 +384,9 @@ fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
 /// First and last of the readings that are loaded, each with a neighbour that is, too.
 fn touching(rows: &[MotionRow]) -> Option<[usize; 2]> {
     let first = (1..rows.len()).find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))? - 1;
-    let last = (1..rows.len()).rev().find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))?;
+    let last = (1..rows.len())
+        .rev()
+        .find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))?;
     Some([first, last])
 }
 
@@ -352,11 +409,20 @@ pub(crate) fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
 }
 
 /// All paths under all friction coefficients; those that explain the readings and have a curvature.
-fn hypotheses(chain: &Chain<'_>, contacts: &[Vec<Candidate>], frictions: &[f64]) -> Vec<Hypothesis> {
+fn hypotheses(
+    chain: &Chain<'_>,
+    contacts: &[Vec<Candidate>],
+    frictions: &[f64],
+) -> Vec<Hypothesis> {
     let firsts = first_paths(chain, contacts);
     let one = |path: Vec<_>| {
-        let found = frictions.iter().copied().zip(smooth(&mut chain.clone(), path, frictions));
-        found.filter_map(|each| Hypothesis::new(chain, each, 0..chain.rows.len())).collect::<Vec<_>>()
+        let found = frictions
+            .iter()
+            .copied()
+            .zip(smooth(&mut chain.clone(), path, frictions));
+        found
+            .filter_map(|each| Hypothesis::new(chain, each, 0..chain.rows.len()))
+            .collect::<Vec<_>>()
     };
     firsts.into_par_iter().flat_map_iter(one).collect()
 }
@@ -376,7 +442,8 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
 
 /// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may be lost.
 fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
-    let Some((mean, covariance)) = mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
+    let Some((mean, covariance)) =
+        mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
     else {
         return EpisodeContact::default();
     };

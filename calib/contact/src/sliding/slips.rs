@@ -21,7 +21,10 @@ const FROM_ENDS: usize = 3;
 pub(super) fn parts(rows: &[MotionRow], leap: f64) -> Vec<Range<usize>> {
     let step = |k: usize, c: usize| (rows[k].moment_nmm[c] - rows[k - 1].moment_nmm[c]).abs();
     let leaps = |k: usize| {
-        let (from, to) = (k.saturating_sub(AROUND).max(1), (k + AROUND + 1).min(rows.len()));
+        let (from, to) = (
+            k.saturating_sub(AROUND).max(1),
+            (k + AROUND + 1).min(rows.len()),
+        );
         let noise = rows[k].noise_nmm2.trace().sqrt();
         // A slip to the side leaps in one moment alone.
         (0..2).any(|c| {

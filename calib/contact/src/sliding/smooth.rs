@@ -38,10 +38,16 @@ pub(super) struct BlockPosterior {
 /// From a first path under all friction coefficients, in their order: each begins where its neighbour's descent ended, upward and then back,
 /// since a descent that begins far off ends in another minimum.
 pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Smoothed> {
-    let start = Smoothed { x: first, common: chain.prior(), cost: f64::INFINITY };
+    let start = Smoothed {
+        x: first,
+        common: chain.prior(),
+        cost: f64::INFINITY,
+    };
     let start = [(false, false), (false, true)]
         .into_iter()
-        .fold(start, |found, (by_slip, heavy)| descend(chain, found, frictions[0], by_slip, heavy));
+        .fold(start, |found, (by_slip, heavy)| {
+            descend(chain, found, frictions[0], by_slip, heavy)
+        });
     let mut found: Vec<Smoothed> = Vec::new();
     for mu in frictions {
         let from = found.last().unwrap_or(&start).clone();
@@ -108,7 +114,10 @@ const TURN_TAILS: f64 = 1.0;
 /// The prior at the fit is `|J' J|^1/2 prod_i c_i k(r_i)`, J its residuals' slope, c the norm of each: `1 / sqrt(2 pi)`, or that of Student's t,
 /// `Gamma((nu + 1) / 2) / (sqrt(pi nu) Gamma(nu / 2))`, whatever weight the residual has in the fit.
 pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
-    let turns = found.x.windows(2).map(|w| (w[1][2] - w[0][2] + PI).rem_euclid(TAU) - PI);
+    let turns = found
+        .x
+        .windows(2)
+        .map(|w| (w[1][2] - w[0][2] + PI).rem_euclid(TAU) - PI);
     let turns: Vec<f64> = turns.map(|turn| (turn / TURN_RAD).powi(2)).collect();
     // A Gaussian of precision w integrates to sqrt(2 pi / w): w = 1 / (2 pi) stands for a turn, 2 pi / L^2 for L.
     let factored = |chain: &Chain<'_>, kinds: &[Kind]| {
@@ -116,8 +125,18 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
         normal.add(1.0 / TAU, 0.0, 2, &[1.0], &[]);
         for (k, turn2) in turns.iter().enumerate() {
             // Student's t as a reweighted square, weight (nu + 1) / (nu + u^2), as in iteratively reweighted least squares.
-            let weight = if chain.heavy { (TURN_TAILS + 1.0) / (TURN_TAILS + turn2) } else { 1.0 };
-            normal.add(weight / TURN_RAD.powi(2), 0.0, STATE * k + 2, &[-1.0, 0.0, 0.0, 0.0, 0.0, 1.0], &[]);
+            let weight = if chain.heavy {
+                (TURN_TAILS + 1.0) / (TURN_TAILS + turn2)
+            } else {
+                1.0
+            };
+            normal.add(
+                weight / TURN_RAD.powi(2),
+                0.0,
+                STATE * k + 2,
+                &[-1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+                &[],
+            );
         }
         normal.add(TAU / chain.wire.length_mm.powi(2), 0.0, 0, &[1.0], &[]);
         if let Some(step) = chain.step_mm.get(1) {
@@ -132,7 +151,10 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let ((with, normal), (prior, _)) = (factored(chain, &KINDS)?, factored(&light, &KINDS[1..])?);
     // Laplace: the posterior's volume over the prior's, by their curvatures.
     let occam = 0.5 * (prior.ln_determinant() - with.ln_determinant());
-    let turning: f64 = turns.iter().map(|turn2| (TURN_TAILS + 1.0) * (turn2 / TURN_TAILS).ln_1p()).sum();
+    let turning: f64 = turns
+        .iter()
+        .map(|turn2| (TURN_TAILS + 1.0) * (turn2 / TURN_TAILS).ln_1p())
+        .sum();
     let norms = chain.ln_norms() + turns.len() as f64 * ln_norm(TURN_TAILS);
     Some(norms + chain.ln_densities() - 0.5 * (found.cost + turning - normal.gain(&with)) + occam)
 }
@@ -143,7 +165,9 @@ pub(super) fn posterior(
     found: &Smoothed,
     blocks: Range<usize>,
 ) -> Option<Vec<BlockPosterior>> {
-    let factored = chain.linearise(&found.x, &found.common, Common::Free, &KINDS).factor(0.0)?;
+    let factored = chain
+        .linearise(&found.x, &found.common, Common::Free, &KINDS)
+        .factor(0.0)?;
     let of = |k: usize| {
         let (y, by_state) = axis_by_state(chain, &found.x[k]);
         let own = factored.covariance(STATE * k, STATE);
@@ -165,12 +189,18 @@ fn axis_by_state(chain: &Chain<'_>, x: &State) -> (ContactQuantities, SMatrix<f6
     let (y, rates) = chain.wire.rates(x);
     let radius_mm = (chain.wire.axis_mm(&y) - y.point_mm()).norm();
     // Error propagation from the state to the axis: point and normal times the radius.
-    (y, rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm)
+    (
+        y,
+        rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm,
+    )
 }
 
 /// How far moments that are larger by 1 % move the contact, median over the blocks, mm; none where the sum has no curvature.
 pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
-    let larger = |r: &MotionRow| MotionRow { moment_nmm: r.moment_nmm.map(|m| m * PERCENT), ..r.clone() };
+    let larger = |r: &MotionRow| MotionRow {
+        moment_nmm: r.moment_nmm.map(|m| m * PERCENT),
+        ..r.clone()
+    };
     let larger: Vec<MotionRow> = chain.rows.iter().map(larger).collect();
     let mut chain = chain.clone();
     let here = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
@@ -179,7 +209,8 @@ pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     // At the least sum its gradient stays zero: the states move by the step that undoes what the gain adds to it.
     let factored = here.factor(0.0)?;
     let moved = there.step(&factored).0 - here.step(&factored).0;
-    let of =
-        |(k, x): (usize, &State)| (axis_by_state(&chain, x).1 * moved.fixed_rows::<STATE>(STATE * k)).norm();
+    let of = |(k, x): (usize, &State)| {
+        (axis_by_state(&chain, x).1 * moved.fixed_rows::<STATE>(STATE * k)).norm()
+    };
     median(found.x.iter().enumerate().map(of))
 }

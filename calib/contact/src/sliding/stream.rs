@@ -26,7 +26,10 @@ const MAX_PATHS: usize = 8;
 const MAX_BLOCKS: usize = 200;
 const MAX_SHARE: f64 = 2.7;
 /// Nothing slips off while it is followed.
-const GOING_ON: Ends = Ends { from_free: true, slips_off: false };
+const GOING_ON: Ends = Ends {
+    from_free: true,
+    slips_off: false,
+};
 
 /// Follows a contact from its first loaded reading on.
 pub struct SlidingStream {
@@ -40,7 +43,12 @@ pub struct SlidingStream {
 impl SlidingStream {
     /// Before any reading.
     pub fn new(wire: TouchedWire) -> Self {
-        Self { wire, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() }
+        Self {
+            wire,
+            solved: 0,
+            search_at: FIRST_SEARCH,
+            paths: Vec::new(),
+        }
     }
 
     /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the density along the wire, where some path
@@ -52,21 +60,35 @@ impl SlidingStream {
         if means.len() > self.solved && means.len() >= FIRST_SEARCH {
             self.follow(means);
         }
-        let [.., a, b] = &means.rows[..self.solved] else { return None };
+        let [.., a, b] = &means.rows[..self.solved] else {
+            return None;
+        };
         // As far as the object has gone on since.
         let step = b.moved_mm - a.moved_mm;
         // Projection on the last step of the motion.
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
-        let best = self.paths.iter().map(Hypothesis::cost).fold(f64::INFINITY, f64::min);
+        let best = self
+            .paths
+            .iter()
+            .map(Hypothesis::cost)
+            .fold(f64::INFINITY, f64::min);
         let weight = |p: &Hypothesis| (-DISCOUNT * (p.cost() - best)).exp();
-        let at = |p: &Hypothesis| (weight(p), between(&p.blocks, 0, share.clamp(0.0, MAX_SHARE)));
+        let at = |p: &Hypothesis| {
+            (
+                weight(p),
+                between(&p.blocks, 0, share.clamp(0.0, MAX_SHARE)),
+            )
+        };
         let each: Vec<(f64, BlockPosterior)> = self.paths.iter().map(at).collect();
         if each.is_empty() {
             return None;
         }
         // Nothing is sure before the end is seen.
         let lost = LOST * self.wire.length_mm.powi(2) / 12.0;
-        Some((place(&each, row, lost), arc(&each, self.wire.length_mm, LOST)))
+        Some((
+            place(&each, row, lost),
+            arc(&each, self.wire.length_mm, LOST),
+        ))
     }
 
     /// ln p(m) of so many blocks; none where no path could be made through them.
@@ -83,7 +105,10 @@ impl SlidingStream {
         let found: Vec<(f64, Smoothed)> = if searched || self.paths.is_empty() {
             search(&chain)
         } else {
-            self.paths.par_iter().map(|p| (p.friction, drawn_on(&chain, p, self.solved))).collect()
+            self.paths
+                .par_iter()
+                .map(|p| (p.friction, drawn_on(&chain, p, self.solved)))
+                .collect()
         };
         let path = |each| Hypothesis::new(&chain, each, blocks - 2..blocks);
         let mut paths: Vec<Hypothesis> = found.into_par_iter().filter_map(path).collect();
@@ -106,7 +131,10 @@ fn search(chain: &Chain<'_>) -> Vec<(f64, Smoothed)> {
         let found = smooth(&mut chain.clone(), path, &FRICTIONS);
         FRICTIONS.into_iter().zip(found).collect::<Vec<_>>()
     };
-    first_paths(chain, &contacts).into_par_iter().flat_map_iter(one).collect()
+    first_paths(chain, &contacts)
+        .into_par_iter()
+        .flat_map_iter(one)
+        .collect()
 }
 
 /// A path through the blocks that are new, too.
@@ -116,9 +144,16 @@ fn drawn_on(chain: &Chain<'_>, path: &Hypothesis, solved: usize) -> Smoothed {
         let last = x[x.len() - 1];
         let slid = x.len().checked_sub(2).map_or(0.0, |k| last[0] - x[k][0]);
         let moment = nalgebra::Vector2::from(row.moment_nmm);
-        let next = chain.wire.frictionless(last[0] + slid, &moment, Some(last)).unwrap_or(last);
+        let next = chain
+            .wire
+            .frictionless(last[0] + slid, &moment, Some(last))
+            .unwrap_or(last);
         x.push(next);
     }
-    let from = Smoothed { x, common: path.found.common.clone(), cost: f64::INFINITY };
+    let from = Smoothed {
+        x,
+        common: path.found.common.clone(),
+        cost: f64::INFINITY,
+    };
     descend(&mut chain.clone(), from, path.friction, true, true)
 }

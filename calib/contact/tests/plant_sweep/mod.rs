@@ -36,7 +36,11 @@ pub fn whisker(case: &SweepCase) -> WhiskerSpec {
 }
 
 /// Moments with white noise, and errors of the map that all share.
-pub fn moments(moment_nmm: [f64; 2], noise_nmm2: Matrix2<f64>, shared_nmm: Vec<[f64; 2]>) -> Moments {
+pub fn moments(
+    moment_nmm: [f64; 2],
+    noise_nmm2: Matrix2<f64>,
+    shared_nmm: Vec<[f64; 2]>,
+) -> Moments {
     Moments {
         moment_nmm,
         sd_nmm: [noise_nmm2[(0, 0)].sqrt(), noise_nmm2[(1, 1)].sqrt()],
@@ -62,9 +66,15 @@ pub fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
     let one = |k: usize| {
         let (m, at) = (moment(k) - zero, &case.readings[k]);
         let share = m * MAP_SHARE;
-        let shared = vec![[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]];
+        let shared = vec![
+            [share.x, 0.0],
+            [0.0, share.x],
+            [share.y, 0.0],
+            [0.0, share.y],
+        ];
         let moments = Moments {
-            zero_nmm2: noise_nmm2 / ZERO_READINGS as f64 + Matrix2::identity() * DRIFT_NMM * DRIFT_NMM,
+            zero_nmm2: noise_nmm2 / ZERO_READINGS as f64
+                + Matrix2::identity() * DRIFT_NMM * DRIFT_NMM,
             ..moments(m.into(), noise_nmm2, shared)
         };
         let motion = RowMotion {
@@ -74,7 +84,10 @@ pub fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
             piece: 0,
             push: None,
         };
-        Reading { motion: Ok(motion), ..Reading::alone(k as i64, at.t_s, Some(moments)) }
+        Reading {
+            motion: Ok(motion),
+            ..Reading::alone(k as i64, at.t_s, Some(moments))
+        }
     };
     (0..case.readings.len()).map(one).collect()
 }

@@ -1,12 +1,22 @@
 //! The stored map: same numbers after a round trip, refusal of what is unsound, refusal outside the region.
-#![allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
+#![allow(
+    clippy::needless_range_loop,
+    reason = "one index for both moments, as in the formulas"
+)]
 
 use crate::support::Plant;
 use wcal_map::{FitOptions, MapArtefact, MapError, MapKind, MapPredictor, MapTraining, fit_map};
 
 fn bent(candidate: MapKind) -> (MapTraining, wcal_map::MapFit) {
-    let training = Plant { bend: 0.3, noise_nmm: 0.02 }.draw(9, 21);
-    let options = FitOptions { candidates: vec![candidate], ..FitOptions::default() };
+    let training = Plant {
+        bend: 0.3,
+        noise_nmm: 0.02,
+    }
+    .draw(9, 21);
+    let options = FitOptions {
+        candidates: vec![candidate],
+        ..FitOptions::default()
+    };
     let fit = fit_map(&training, &options).unwrap();
     (training, fit)
 }
@@ -29,8 +39,14 @@ fn predictor_of_a_stored_map_equals_the_fit() {
                 // The artefact solves in double precision what the fit solved in another order: kernel plus affine part cancel.
                 assert!((p.moment_nmm[m] - expected).abs() < 1e-7, "{candidate:?}");
                 assert!((mean[m] - expected).abs() < 1e-7, "{candidate:?}");
-                assert!((p.sd_map_nmm[m].powi(2) - wider.powi(2) * map).abs() < 1e-7, "{candidate:?}");
-                assert!((p.sd_nmm[m].powi(2) - wider.powi(2) * noisy).abs() < 1e-7, "{candidate:?}");
+                assert!(
+                    (p.sd_map_nmm[m].powi(2) - wider.powi(2) * map).abs() < 1e-7,
+                    "{candidate:?}"
+                );
+                assert!(
+                    (p.sd_nmm[m].powi(2) - wider.powi(2) * noisy).abs() < 1e-7,
+                    "{candidate:?}"
+                );
                 assert!(p.sd_nmm[m] >= p.sd_map_nmm[m]);
             }
         }
@@ -41,7 +57,12 @@ fn predictor_of_a_stored_map_equals_the_fit() {
 fn a_reading_outside_the_region_is_not_valid() {
     let (training, fit) = bent(MapKind::ThinPlate);
     let mut predictor = MapPredictor::new(&fit.artefact).unwrap();
-    assert!(training.shifts_pm.iter().all(|s| predictor.predict(*s).is_valid()));
+    assert!(
+        training
+            .shifts_pm
+            .iter()
+            .all(|s| predictor.predict(*s).is_valid())
+    );
     let far = predictor.predict([1000.0, 0.0]);
     assert!(!far.is_valid() && far.outside_by_pm > 500.0, "{far:?}");
     assert!(!predictor.predict([f64::NAN, 0.0]).is_valid());
@@ -60,7 +81,9 @@ fn unsound_artefacts_are_refused() {
         ("scale", |a| a.scale_pm = 0.0),
         ("nugget", |a| a.outputs[0].nugget = -1.0),
         ("no readings", |a| a.training_pm.clear()),
-        ("radius", |a| a.outputs[0].kernel = wcal_map::Kernel::ThinPlate { radius: 0.5 }),
+        ("radius", |a| {
+            a.outputs[0].kernel = wcal_map::Kernel::ThinPlate { radius: 0.5 }
+        }),
     ];
     assert!(MapPredictor::new(&fit.artefact).is_ok());
     for (name, damage) in damages {
@@ -72,24 +95,55 @@ fn unsound_artefacts_are_refused() {
 
 #[test]
 fn unsound_training_sets_are_refused() {
-    let good = Plant { bend: 0.0, noise_nmm: 0.02 }.draw(4, 2);
+    let good = Plant {
+        bend: 0.0,
+        noise_nmm: 0.02,
+    }
+    .draw(4, 2);
     let fit = |t: &MapTraining| fit_map(t, &FitOptions::default()).map(|f| f.artefact.name);
     let mut nan = good.clone();
     nan.shifts_pm[3][1] = f64::NAN;
-    assert!(matches!(fit(&nan), Err(MapError::NotFinite { field: "shifts_pm", point: 3, .. })));
+    assert!(matches!(
+        fit(&nan),
+        Err(MapError::NotFinite {
+            field: "shifts_pm",
+            point: 3,
+            ..
+        })
+    ));
     let mut short = good.clone();
     short.moments_nmm.pop();
-    assert!(matches!(fit(&short), Err(MapError::Length { field: "moments_nmm", expected: 13, found: 12 })));
-    assert!(matches!(fit(&MapTraining::default()), Err(MapError::TooFew { found: 0, .. })));
+    assert!(matches!(
+        fit(&short),
+        Err(MapError::Length {
+            field: "moments_nmm",
+            expected: 13,
+            found: 12
+        })
+    ));
+    assert!(matches!(
+        fit(&MapTraining::default()),
+        Err(MapError::TooFew { found: 0, .. })
+    ));
     let mut line = good.clone();
     line.shifts_pm.iter_mut().for_each(|s| s[1] = 2.0 * s[0]);
-    let options = FitOptions { candidates: vec![MapKind::Affine], ..FitOptions::default() };
-    assert!(matches!(fit_map(&line, &options), Err(MapError::NoCandidate { .. })));
+    let options = FitOptions {
+        candidates: vec![MapKind::Affine],
+        ..FitOptions::default()
+    };
+    assert!(matches!(
+        fit_map(&line, &options),
+        Err(MapError::NoCandidate { .. })
+    ));
 }
 
 #[test]
 fn readings_of_one_pose_are_left_out_together() {
-    let mut training = Plant { bend: 0.0, noise_nmm: 0.1 }.draw(6, 8);
+    let mut training = Plant {
+        bend: 0.0,
+        noise_nmm: 0.1,
+    }
+    .draw(6, 8);
     let n = training.len();
     // Every reading twice: left out alone, each would be predicted from its own copy.
     training.pose = (0..n as u32).chain(0..n as u32).collect();
@@ -97,7 +151,10 @@ fn readings_of_one_pose_are_left_out_together() {
     training.moments_nmm.extend_from_within(..);
     training.trajectory.extend_from_within(..);
     training.point.extend(n as i64..2 * n as i64);
-    let options = FitOptions { candidates: vec![MapKind::Affine], ..FitOptions::default() };
+    let options = FitOptions {
+        candidates: vec![MapKind::Affine],
+        ..FitOptions::default()
+    };
     let together = fit_map(&training, &options).unwrap().candidates[0].loo[0].rmse_nmm;
     training.pose.clear();
     let separate = fit_map(&training, &options).unwrap().candidates[0].loo[0].rmse_nmm;

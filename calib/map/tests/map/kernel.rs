@@ -2,7 +2,9 @@
 
 use nalgebra::DMatrix;
 use proptest::prelude::*;
-use wcal_map::{Kernel, MapError, Process, ProcessModel, Trend, choose_hyperparameters, log_evidence};
+use wcal_map::{
+    Kernel, MapError, Process, ProcessModel, Trend, choose_hyperparameters, log_evidence,
+};
 
 fn smallest_eigenvalue(radius: f64, inputs: &[[f64; 2]]) -> f64 {
     let k: DMatrix<f64> = Kernel::ThinPlate { radius }.matrix(inputs);
@@ -10,7 +12,9 @@ fn smallest_eigenvalue(radius: f64, inputs: &[[f64; 2]]) -> f64 {
 }
 
 fn largest_distance(inputs: &[[f64; 2]]) -> f64 {
-    let pairs = inputs.iter().flat_map(|a| inputs.iter().map(move |b| (a[0] - b[0]).hypot(a[1] - b[1])));
+    let pairs = inputs
+        .iter()
+        .flat_map(|a| inputs.iter().map(move |b| (a[0] - b[0]).hypot(a[1] - b[1])));
     pairs.fold(0.0, f64::max)
 }
 
@@ -49,26 +53,42 @@ fn a_filled_disk_shows_that_a_small_radius_is_not_positive_definite() {
     };
     assert_eq!(
         Process::fit(model, &disk, &zero).unwrap_err(),
-        MapError::NotPositiveDefinite { readings: disk.len() }
+        MapError::NotPositiveDefinite {
+            readings: disk.len()
+        }
     );
 }
 
 #[test]
 fn with_an_affine_mean_the_radius_cancels() {
-    let training = crate::support::Plant { bend: 0.3, noise_nmm: 0.02 }.draw(9, 4);
-    let inputs: Vec<[f64; 2]> = training.shifts_pm.iter().map(|s| s.map(|v| v / 60.0)).collect();
+    let training = crate::support::Plant {
+        bend: 0.3,
+        noise_nmm: 0.02,
+    }
+    .draw(9, 4);
+    let inputs: Vec<[f64; 2]> = training
+        .shifts_pm
+        .iter()
+        .map(|s| s.map(|v| v / 60.0))
+        .collect();
     let y = training.moment_nmm(0);
     let fit = |radius: f64| {
         let kernel = Kernel::ThinPlate { radius };
         let model = choose_hyperparameters(Trend::Affine, kernel, None, &inputs, &y).unwrap();
-        (Process::fit(model, &inputs, &y).unwrap(), log_evidence(&model, &inputs, &y).unwrap())
+        (
+            Process::fit(model, &inputs, &y).unwrap(),
+            log_evidence(&model, &inputs, &y).unwrap(),
+        )
     };
     let ((a, ea), (b, eb)) = (fit(8.0), fit(24.0));
     // The noise ratio is searched to about 1e-4 of a decade, so agreement is to that, not to rounding.
     assert!((ea - eb).abs() < 1e-5, "{ea} {eb}");
     for z in [[0.0, 0.0], [0.7, -0.4], [-1.0, 1.2]] {
         let ((ma, sa, _), (mb, sb, _)) = (a.predict(z), b.predict(z));
-        assert!((ma - mb).abs() < 1e-4 && (sa - sb).abs() < 1e-4 * sa, "{z:?}: {ma} {mb} {sa} {sb}");
+        assert!(
+            (ma - mb).abs() < 1e-4 && (sa - sb).abs() < 1e-4 * sa,
+            "{z:?}: {ma} {mb} {sa} {sb}"
+        );
     }
     // Negative control: about a constant mean the radius matters.
     let constant = |radius: f64| {

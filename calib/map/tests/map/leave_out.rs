@@ -5,21 +5,51 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use wcal_map::{Kernel, Process, ProcessModel, Trend, log_evidence};
 
 fn cases() -> Vec<ProcessModel> {
-    let model =
-        |trend, kernel, nugget, fixed_variance| ProcessModel { trend, kernel, nugget, fixed_variance };
+    let model = |trend, kernel, nugget, fixed_variance| ProcessModel {
+        trend,
+        kernel,
+        nugget,
+        fixed_variance,
+    };
     vec![
         model(Trend::Affine, Kernel::None, 1.0, None),
         model(Trend::Quadratic, Kernel::None, 1.0, None),
         model(Trend::Affine, Kernel::ThinPlate { radius: 9.0 }, 1e-3, None),
-        model(Trend::Constant, Kernel::ThinPlate { radius: 9.0 }, 1e-3, None),
-        model(Trend::Constant, Kernel::Matern52 { length: 2.0 }, 1e-2, None),
-        model(Trend::Zero, Kernel::Matern52 { length: 2.0 }, 1e-2, Some(0.5)),
+        model(
+            Trend::Constant,
+            Kernel::ThinPlate { radius: 9.0 },
+            1e-3,
+            None,
+        ),
+        model(
+            Trend::Constant,
+            Kernel::Matern52 { length: 2.0 },
+            1e-2,
+            None,
+        ),
+        model(
+            Trend::Zero,
+            Kernel::Matern52 { length: 2.0 },
+            1e-2,
+            Some(0.5),
+        ),
     ]
 }
 
 fn data() -> (Vec<[f64; 2]>, Vec<f64>) {
-    let training = Plant { bend: 0.3, noise_nmm: 0.05 }.draw(7, 11);
-    (training.shifts_pm.iter().map(|s| s.map(|v| v / 60.0)).collect(), training.moment_nmm(0))
+    let training = Plant {
+        bend: 0.3,
+        noise_nmm: 0.05,
+    }
+    .draw(7, 11);
+    (
+        training
+            .shifts_pm
+            .iter()
+            .map(|s| s.map(|v| v / 60.0))
+            .collect(),
+        training.moment_nmm(0),
+    )
 }
 
 #[test]
@@ -37,8 +67,15 @@ fn closed_form_equals_refits_without_the_group() {
             let brute = Process::fit(model, &kept, &rest).unwrap();
             for e in left.iter().filter(|e| group.contains(&e.index)) {
                 let (mean, _, variance) = brute.predict(inputs[e.index]);
-                assert!((y[e.index] - mean - e.error).abs() < 1e-9, "{model:?}: {e:?}");
-                assert!((variance.sqrt() / e.sd - 1.0).abs() < 1e-7, "{model:?}: {e:?} {}", variance.sqrt());
+                assert!(
+                    (y[e.index] - mean - e.error).abs() < 1e-9,
+                    "{model:?}: {e:?}"
+                );
+                assert!(
+                    (variance.sqrt() / e.sd - 1.0).abs() < 1e-7,
+                    "{model:?}: {e:?} {}",
+                    variance.sqrt()
+                );
                 assert_eq!(e.dof, brute.dof);
             }
         }
@@ -49,7 +86,12 @@ fn closed_form_equals_refits_without_the_group() {
 fn a_shifted_label_changes_its_left_out_error_by_the_shift() {
     let (inputs, mut y) = data();
     let model = cases()[2];
-    let error = |y: &[f64]| Process::fit(model, &inputs, y).unwrap().leave_out(&[vec![5]])[0].error;
+    let error = |y: &[f64]| {
+        Process::fit(model, &inputs, y)
+            .unwrap()
+            .leave_out(&[vec![5]])[0]
+            .error
+    };
     let before = error(&y);
     y[5] += 0.1;
     assert!((error(&y) - before - 0.1).abs() < 1e-10);
@@ -77,6 +119,9 @@ fn tridiagonal_evidence_equals_its_definition() {
                 + log_det(&a)
                 - log_det(&(h.transpose() * &h)));
         let found = log_evidence(&model, &inputs, y.as_slice()).unwrap();
-        assert!((found - expected).abs() < 1e-7, "{model:?}: {found} {expected}");
+        assert!(
+            (found - expected).abs() < 1e-7,
+            "{model:?}: {found} {expected}"
+        );
     }
 }

@@ -13,14 +13,26 @@ pub fn whiskerfbg() -> MapTraining {
     let twin = table(&folder.join("twin.csv"));
     let mut out = MapTraining::default();
     for row in &points {
-        let number = |name: &str| row.iter().find(|(n, _)| n == name).unwrap().1.parse::<f64>();
+        let number = |name: &str| {
+            row.iter()
+                .find(|(n, _)| n == name)
+                .unwrap()
+                .1
+                .parse::<f64>()
+        };
         let point = number("point").unwrap() as i64;
-        let label = twin.iter().find(|t| t[0].1.parse::<i64>().unwrap() == point).unwrap();
+        let label = twin
+            .iter()
+            .find(|t| t[0].1.parse::<i64>().unwrap() == point)
+            .unwrap();
         out.point.push(point);
-        out.shifts_pm.push(["fbg_1_shift_nm", "fbg_2_shift_nm"].map(|name| 1e3 * number(name).unwrap()));
-        out.moments_nmm.push([1, 2].map(|c| label[c].1.parse().unwrap()));
+        out.shifts_pm
+            .push(["fbg_1_shift_nm", "fbg_2_shift_nm"].map(|name| 1e3 * number(name).unwrap()));
+        out.moments_nmm
+            .push([1, 2].map(|c| label[c].1.parse().unwrap()));
         let role = &row.iter().find(|(n, _)| n == "role").unwrap().1;
-        out.trajectory.push((role != "rest").then(|| number("trajectory").unwrap() as u32));
+        out.trajectory
+            .push((role != "rest").then(|| number("trajectory").unwrap() as u32));
     }
     out
 }
@@ -28,8 +40,21 @@ pub fn whiskerfbg() -> MapTraining {
 fn table(path: &Path) -> Vec<Vec<(String, String)>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
-    let header: Vec<String> = lines.next().unwrap().split(',').map(str::to_owned).collect();
-    lines.map(|l| header.iter().cloned().zip(l.split(',').map(str::to_owned)).collect()).collect()
+    let header: Vec<String> = lines
+        .next()
+        .unwrap()
+        .split(',')
+        .map(str::to_owned)
+        .collect();
+    lines
+        .map(|l| {
+            header
+                .iter()
+                .cloned()
+                .zip(l.split(',').map(str::to_owned))
+                .collect()
+        })
+        .collect()
 }
 
 /// Simulated sensor: K of the usual size, a bend of the law, and noise of the readings.
@@ -59,7 +84,8 @@ impl Plant {
         let mut push = |s: [f64; 2], trajectory: Option<u32>, rng: &mut ChaCha8Rng| {
             out.point.push(out.point.len() as i64);
             out.shifts_pm.push(s);
-            out.moments_nmm.push(self.moment_nmm(s).map(|m| m + noise.sample(rng)));
+            out.moments_nmm
+                .push(self.moment_nmm(s).map(|m| m + noise.sample(rng)));
             out.trajectory.push(trajectory);
         };
         for t in 1..=trajectories {

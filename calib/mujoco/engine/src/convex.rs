@@ -58,7 +58,12 @@ pub fn parts(surface: &Decompose) -> Reply {
 
 fn run(surface: &Decompose) -> Result<Vec<Part>, String> {
     let corners = surface.points.len();
-    if surface.triangles.iter().flatten().any(|k| *k < 0 || *k as usize >= corners) {
+    if surface
+        .triangles
+        .iter()
+        .flatten()
+        .any(|k| *k < 0 || *k as usize >= corners)
+    {
         return Err("expected triangles between known corners".to_owned());
     }
     let of_coacd = |why| format!("CoACD: {why}");
@@ -124,14 +129,18 @@ unsafe fn copied(found: MeshArray) -> Result<Vec<Part>, String> {
         // SAFETY: `k` is below the count of an array that is there.
         let mesh = unsafe { &*found.meshes.add(k) };
         if mesh.point_count > MAX_CORNERS || (mesh.points.is_null() && mesh.point_count > 0) {
-            return Err(wrong(&format!("a part of at most {MAX_CORNERS} corners"), mesh.point_count));
+            return Err(wrong(
+                &format!("a part of at most {MAX_CORNERS} corners"),
+                mesh.point_count,
+            ));
         }
         if mesh.points.is_null() {
             return Ok(Vec::new());
         }
         // SAFETY: three numbers a corner, as many corners as the part says.
-        let corners =
-            unsafe { std::slice::from_raw_parts(mesh.points.cast::<[f64; 3]>(), mesh.point_count as usize) };
+        let corners = unsafe {
+            std::slice::from_raw_parts(mesh.points.cast::<[f64; 3]>(), mesh.point_count as usize)
+        };
         if corners.iter().flatten().any(|x| !x.is_finite()) {
             return Err("CoACD: expected finite corners, found others".to_owned());
         }
@@ -153,15 +162,41 @@ mod tests {
             triangles: std::ptr::null(),
             triangle_count: 0,
         };
-        let take = |mesh: &Mesh, count: u64| unsafe { copied(MeshArray { meshes: mesh, count }) };
+        let take = |mesh: &Mesh, count: u64| unsafe {
+            copied(MeshArray {
+                meshes: mesh,
+                count,
+            })
+        };
         let at = corners.as_ptr().cast();
-        assert_eq!(take(&mesh(at, 2), 1).unwrap(), [corners[..2].to_vec()], "negative control");
-        assert_eq!(take(&mesh(std::ptr::null(), 0), 1).unwrap(), [Vec::<[f64; 3]>::new()]);
+        assert_eq!(
+            take(&mesh(at, 2), 1).unwrap(),
+            [corners[..2].to_vec()],
+            "negative control"
+        );
+        assert_eq!(
+            take(&mesh(std::ptr::null(), 0), 1).unwrap(),
+            [Vec::<[f64; 3]>::new()]
+        );
         assert!(take(&mesh(at, 3), 1).is_err(), "a corner that is no number");
-        assert!(take(&mesh(std::ptr::null(), 2), 1).is_err(), "corners at a null pointer");
-        assert!(take(&mesh(at, u64::MAX), 1).is_err(), "more corners than there is memory");
-        assert!(take(&mesh(at, 2), u64::MAX).is_err(), "more parts than there is memory");
-        let none = |count| unsafe { copied(MeshArray { meshes: std::ptr::null(), count }) };
+        assert!(
+            take(&mesh(std::ptr::null(), 2), 1).is_err(),
+            "corners at a null pointer"
+        );
+        assert!(
+            take(&mesh(at, u64::MAX), 1).is_err(),
+            "more corners than there is memory"
+        );
+        assert!(
+            take(&mesh(at, 2), u64::MAX).is_err(),
+            "more parts than there is memory"
+        );
+        let none = |count| unsafe {
+            copied(MeshArray {
+                meshes: std::ptr::null(),
+                count,
+            })
+        };
         assert!(none(1).is_err() && none(0).unwrap().is_empty());
     }
 }

@@ -21,10 +21,14 @@ fn main() -> std::io::Result<()> {
     for line in std::io::stdin().lock().lines() {
         let request = serde_json::from_str::<Request>(&line?);
         let reply = match request {
-            _ if refused.is_some() => Reply::Refused { why: refused.clone().unwrap_or_default() },
+            _ if refused.is_some() => Reply::Refused {
+                why: refused.clone().unwrap_or_default(),
+            },
             Ok(Request::Decompose(surface)) => convex::parts(&surface),
             Ok(request) => world.answer(&request),
-            Err(e) => Reply::Refused { why: format!("expected a request, found {e}") },
+            Err(e) => Reply::Refused {
+                why: format!("expected a request, found {e}"),
+            },
         };
         serde_json::to_writer(&mut out, &reply)?;
         out.write_all(b"\n")?;

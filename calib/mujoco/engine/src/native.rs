@@ -19,7 +19,8 @@ const LIST: &str = include_str!("../fetch.sh");
 
 /// Folder that `make setup` fills.
 fn folder() -> PathBuf {
-    std::env::var_os(VARIABLE).map_or_else(|| PathBuf::from(env!("WCAL_NATIVE_BUILT")), PathBuf::from)
+    std::env::var_os(VARIABLE)
+        .map_or_else(|| PathBuf::from(env!("WCAL_NATIVE_BUILT")), PathBuf::from)
 }
 
 /// A library of the folder whose content is the listed one; nothing else of that folder is loaded.
@@ -29,7 +30,10 @@ fn folder() -> PathBuf {
 pub fn checked(name: &str) -> Result<PathBuf, String> {
     let path = folder().join(name);
     if !path.is_file() {
-        return Err(format!("expected {}, found none (`make setup` fetches it)", path.display()));
+        return Err(format!(
+            "expected {}, found none (`make setup` fetches it)",
+            path.display()
+        ));
     }
     compare(&path, name)?;
     Ok(path)
@@ -40,9 +44,13 @@ fn compare(path: &Path, name: &str) -> Result<(), String> {
         let (sum, listed) = line.split_once("  native/")?;
         (sum.len() == 64 && listed == name).then_some(sum)
     });
-    let expected = listed.ok_or_else(|| format!("{name}: expected a library of fetch.sh, found another"))?;
+    let expected =
+        listed.ok_or_else(|| format!("{name}: expected a library of fetch.sh, found another"))?;
     let bytes = std::fs::read(path).map_err(|e| format!("reading {}: {e}", path.display()))?;
-    let found: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
+    let found: String = Sha256::digest(&bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect();
     if found == expected {
         return Ok(());
     }
@@ -59,12 +67,19 @@ fn compare(path: &Path, name: &str) -> Result<(), String> {
 /// Where it is another one, or cannot be told.
 #[cfg(mujoco)]
 pub fn loaded() -> Result<(), String> {
-    let maps =
-        std::fs::read_to_string("/proc/self/maps").map_err(|e| format!("reading /proc/self/maps: {e}"))?;
-    let paths = maps.lines().filter_map(|line| Some(Path::new(&line[line.find('/')?..])));
-    let own = |path: &&Path| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libmujoco"));
-    let path =
-        paths.into_iter().find(own).ok_or("expected libmujoco among the loaded libraries, found none")?;
+    let maps = std::fs::read_to_string("/proc/self/maps")
+        .map_err(|e| format!("reading /proc/self/maps: {e}"))?;
+    let paths = maps
+        .lines()
+        .filter_map(|line| Some(Path::new(&line[line.find('/')?..])));
+    let own = |path: &&Path| {
+        path.file_name()
+            .is_some_and(|n| n.to_string_lossy().starts_with("libmujoco"))
+    };
+    let path = paths
+        .into_iter()
+        .find(own)
+        .ok_or("expected libmujoco among the loaded libraries, found none")?;
     compare(path, MUJOCO)
 }
 

@@ -51,21 +51,29 @@ type Answer = Result<Reply, String>;
 
 impl World {
     pub fn answer(&mut self, request: &Request) -> Reply {
-        self.try_answer(request).unwrap_or_else(|why| Reply::Refused { why })
+        self.try_answer(request)
+            .unwrap_or_else(|why| Reply::Refused { why })
     }
 
     fn try_answer(&mut self, request: &Request) -> Answer {
         if let Request::Hello = request {
-            return Ok(Reply::Hello { mujoco: mujoco_rs::mujoco_version().to_owned() });
+            return Ok(Reply::Hello {
+                mujoco: mujoco_rs::mujoco_version().to_owned(),
+            });
         }
         if let Request::Load { xml, cable_plugin } = request {
             let model = Model::load(xml, *cable_plugin)?;
-            let loaded =
-                LoadedModel { freedoms: model.data.qvel().len(), step_s: model.data.model_opt().timestep };
+            let loaded = LoadedModel {
+                freedoms: model.data.qvel().len(),
+                step_s: model.data.model_opt().timestep,
+            };
             self.loaded = Some(model);
             return Ok(Reply::LoadedModel(loaded));
         }
-        let model = self.loaded.as_mut().ok_or("expected a model to be loaded first")?;
+        let model = self
+            .loaded
+            .as_mut()
+            .ok_or("expected a model to be loaded first")?;
         model.answer(request)
     }
 }
@@ -75,15 +83,25 @@ impl Model {
         if cable_plugin {
             load_cable_plugin()?;
         }
-        let model = MjModel::from_xml_string(xml).map_err(|e| format!("MuJoCo refuses the model: {e}"))?;
+        let model =
+            MjModel::from_xml_string(xml).map_err(|e| format!("MuJoCo refuses the model: {e}"))?;
         let id = |kind, name: &str| model.name_to_id(kind, name);
         // Our own layout names its links; MuJoCo's composite cable names them so.
-        let own: Vec<usize> = (0..).map_while(|j| id(MjtObjBase::mjOBJ_BODY, &format!("link{j}"))).collect();
-        let links = if own.is_empty() { cable_links(&model) } else { own };
+        let own: Vec<usize> = (0..)
+            .map_while(|j| id(MjtObjBase::mjOBJ_BODY, &format!("link{j}")))
+            .collect();
+        let links = if own.is_empty() {
+            cable_links(&model)
+        } else {
+            own
+        };
         let geoms = (0..model.geom_bodyid().len())
             .map(|g| {
                 let body = model.geom_bodyid()[g] as usize;
-                let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, g).unwrap_or_default().to_owned();
+                let name = model
+                    .id_to_name(MjtObjBase::mjOBJ_GEOM, g)
+                    .unwrap_or_default()
+                    .to_owned();
                 (links.iter().position(|b| *b == body), name)
             })
             .collect();
@@ -92,9 +110,17 @@ impl Model {
             (Some(x), Some(y), Some(z)) => Some([x, y, z]),
             _ => None,
         };
-        let base = joint("base").map(|j| [model.jnt_qposadr()[j] as usize, model.jnt_dofadr()[j] as usize]);
-        let sensor_site = id(MjtObjBase::mjOBJ_SENSOR, "torque").map(|s| model.sensor_objid()[s] as usize);
-        let tip = ["tip", "wS_last"].iter().find_map(|name| id(MjtObjBase::mjOBJ_SITE, name));
+        let base = joint("base").map(|j| {
+            [
+                model.jnt_qposadr()[j] as usize,
+                model.jnt_dofadr()[j] as usize,
+            ]
+        });
+        let sensor_site =
+            id(MjtObjBase::mjOBJ_SENSOR, "torque").map(|s| model.sensor_objid()[s] as usize);
+        let tip = ["tip", "wS_last"]
+            .iter()
+            .find_map(|name| id(MjtObjBase::mjOBJ_SITE, name));
         let mut data = MjData::new(Box::new(model));
         data.forward();
         Ok(Self {
@@ -114,22 +140,35 @@ impl Model {
 
     fn answer(&mut self, request: &Request) -> Answer {
         match request {
-            Request::Lead { speed_m_s, acceleration_m_s2, steps } => {
+            Request::Lead {
+                speed_m_s,
+                acceleration_m_s2,
+                steps,
+            } => {
                 let [position, speed] = self.base.ok_or("expected a slide named base")?;
                 let dt = self.data.model_opt().timestep;
                 let start = self.data.qpos()[position];
                 for k in 0..*steps {
                     let t = k as f64 * dt;
                     // Both are set: the solver sees the speed, and what the contact does to the slide is undone.
-                    self.data.qpos_mut()[position] = start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
+                    self.data.qpos_mut()[position] =
+                        start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
                     self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
                     self.step();
                 }
                 let t = *steps as f64 * dt;
-                self.data.qpos_mut()[position] = start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
+                self.data.qpos_mut()[position] =
+                    start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
                 self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
             }
-            Request::Control { control, retreat, goes_on, body, moved_m, steps } => {
+            Request::Control {
+                control,
+                retreat,
+                goes_on,
+                body,
+                moved_m,
+                steps,
+            } => {
                 let body = self.body(body)?;
                 if !*goes_on {
                     self.recent.clear();
@@ -145,14 +184,23 @@ impl Model {
                     if self.recent.len() > RECENT {
                         self.recent.pop_front();
                     }
-                    let way = self.recent.front().zip(self.recent.back()).map(|(a, b)| (b - a).norm());
+                    let way = self
+                        .recent
+                        .front()
+                        .zip(self.recent.back())
+                        .map(|(a, b)| (b - a).norm());
                     if self.recent.len() == RECENT && way.is_some_and(|way| way < *moved_m) {
                         break;
                     }
                 }
             }
             Request::Run { steps } => (0..*steps).for_each(|_| self.step()),
-            Request::Push { body, along_m, force_n, steps } => {
+            Request::Push {
+                body,
+                along_m,
+                force_n,
+                steps,
+            } => {
                 let body = self.body(body)?;
                 let force = Vector3::from(*force_n);
                 for k in 0..*steps {
@@ -161,7 +209,13 @@ impl Model {
                     let point = Vector3::from(self.data.xpos()[body]) + turn.column(0) * *along_m;
                     let mut applied = vec![0.0; self.data.qvel().len()];
                     self.data
-                        .apply_ft(&(force * share).into(), &[0.0; 3], &point.into(), body, &mut applied)
+                        .apply_ft(
+                            &(force * share).into(),
+                            &[0.0; 3],
+                            &point.into(),
+                            body,
+                            &mut applied,
+                        )
                         .map_err(|e| e.to_string())?;
                     self.data.qfrc_applied_mut().copy_from_slice(&applied);
                     self.step();
@@ -199,7 +253,11 @@ impl Model {
     fn control(&mut self, values: &[f64]) -> Result<(), String> {
         let at = self.data.ctrl_mut();
         if at.len() != values.len() {
-            return Err(format!("expected {} control values, found {}", at.len(), values.len()));
+            return Err(format!(
+                "expected {} control values, found {}",
+                at.len(),
+                values.len()
+            ));
         }
         at.copy_from_slice(values);
         Ok(())
@@ -225,13 +283,18 @@ impl Model {
         }
         self.since.toggles += u64::from(touching != self.since.touching);
         self.since.touching = touching;
-        self.bad |= WARNINGS.iter().any(|w| self.data.warning()[*w as usize].number > 0);
+        self.bad |= WARNINGS
+            .iter()
+            .any(|w| self.data.warning()[*w as usize].number > 0);
     }
 
     /// Middles of the links, m.
     fn middles(&self) -> Vec<Vector3<f64>> {
-        let mut ends: Vec<Vector3<f64>> =
-            self.links.iter().map(|b| Vector3::from(self.data.xpos()[*b])).collect();
+        let mut ends: Vec<Vector3<f64>> = self
+            .links
+            .iter()
+            .map(|b| Vector3::from(self.data.xpos()[*b]))
+            .collect();
         ends.push(self.tip());
         ends.windows(2).map(|w| (w[0] + w[1]) / 2.0).collect()
     }
@@ -241,7 +304,9 @@ impl Model {
         let dt = self.data.model_opt().timestep;
         for (&link, (was, is)) in self.links.iter().zip(before.iter().zip(now)) {
             let start = Vector3::from(self.data.xpos()[link]);
-            let tangent = Matrix3::from_row_slice(&self.data.xmat()[link]).column(0).into_owned();
+            let tangent = Matrix3::from_row_slice(&self.data.xmat()[link])
+                .column(0)
+                .into_owned();
             let length_mm = 2e3 * (is - start).norm();
             let force = medium.load_n_per_mm(&tangent, &((is - was) * (1e3 / dt))) * length_mm;
             self.data.xfrc_applied_mut()[link][..3].copy_from_slice(force.as_slice());
@@ -257,7 +322,9 @@ impl Model {
             let tip = self.tip();
             if k % every == 0 {
                 series.time_s.push(self.data.time());
-                series.base_elastic_nm.push(self.base_moment().map_or([0.0; 3], |m| m.1.into()));
+                series
+                    .base_elastic_nm
+                    .push(self.base_moment().map_or([0.0; 3], |m| m.1.into()));
                 series.tip_speed_m_s.push((tip - before).norm() / dt);
                 series.touching.push(self.since.touching);
             }
@@ -268,14 +335,17 @@ impl Model {
     }
 
     fn tip(&self) -> Vector3<f64> {
-        self.tip.map_or_else(Vector3::zeros, |site| Vector3::from(self.data.site_xpos()[site]))
+        self.tip.map_or_else(Vector3::zeros, |site| {
+            Vector3::from(self.data.site_xpos()[site])
+        })
     }
 
     /// Moment that the first joint's springs and dampers carry: its components along the hinges' axes are their torques.
     fn base_moment(&self) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let joints = self.root?;
         let dof = joints.map(|j| self.data.model().jnt_dofadr()[j] as usize);
-        let axes = Matrix3::from_rows(&joints.map(|j| Vector3::from(self.data.xaxis()[j]).transpose()));
+        let axes =
+            Matrix3::from_rows(&joints.map(|j| Vector3::from(self.data.xaxis()[j]).transpose()));
         let inverse = axes.try_inverse()?;
         let spring = Vector3::from(dof.map(|d| self.data.qfrc_spring()[d]));
         let damper = Vector3::from(dof.map(|d| self.data.qfrc_damper()[d]));
@@ -338,14 +408,21 @@ impl Model {
 }
 
 /// MuJoCo's own signs of a step gone wrong.
-const WARNINGS: [MjtWarning; 3] =
-    [MjtWarning::mjWARN_BADQPOS, MjtWarning::mjWARN_BADQVEL, MjtWarning::mjWARN_BADQACC];
+const WARNINGS: [MjtWarning; 3] = [
+    MjtWarning::mjWARN_BADQPOS,
+    MjtWarning::mjWARN_BADQVEL,
+    MjtWarning::mjWARN_BADQACC,
+];
 
 /// Bodies of MuJoCo's composite cable, root first.
 fn cable_links(model: &MjModel) -> Vec<usize> {
     let id = |name: String| model.name_to_id(MjtObjBase::mjOBJ_BODY, &name);
     let middle = (1..).map_while(|j| id(format!("wB_{j}")));
-    id("wB_first".to_owned()).into_iter().chain(middle).chain(id("wB_last".to_owned())).collect()
+    id("wB_first".to_owned())
+        .into_iter()
+        .chain(middle)
+        .chain(id("wB_last".to_owned()))
+        .collect()
 }
 
 /// A plugin that does not load ends the process: its file is searched first.

@@ -25,11 +25,14 @@ impl Place {
     fn new(expected: impl Fn(&str) -> Vec<u8>) -> Self {
         let place = tempfile::tempdir().unwrap();
         let at = |name: &str| place.path().join(name);
-        let script = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fetch.sh")).unwrap();
+        let script =
+            fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fetch.sh")).unwrap();
         let lines: Vec<String> = script
             .lines()
             .map(|line| match line.split_once("  native/") {
-                Some((sum, path)) if sum.len() == 64 => format!("{}  native/{path}", sha256(&expected(path))),
+                Some((sum, path)) if sum.len() == 64 => {
+                    format!("{}  native/{path}", sha256(&expected(path)))
+                }
                 _ => line.to_owned(),
             })
             .collect();
@@ -37,10 +40,20 @@ impl Place {
         fs::write(at("calib/mujoco/engine/fetch.sh"), lines.join("\n") + "\n").unwrap();
         fs::create_dir_all(at("bin")).unwrap();
         fs::create_dir_all(at("wheels")).unwrap();
-        let real = Command::new("sh").args(["-c", "command -v python3"]).output().unwrap();
+        let real = Command::new("sh")
+            .args(["-c", "command -v python3"])
+            .output()
+            .unwrap();
         let python = PYTHON.replace("REAL", String::from_utf8_lossy(&real.stdout).trim());
         fs::write(at("bin/python3"), python).unwrap();
-        assert!(Command::new("chmod").arg("+x").arg(at("bin/python3")).status().unwrap().success());
+        assert!(
+            Command::new("chmod")
+                .arg("+x")
+                .arg(at("bin/python3"))
+                .status()
+                .unwrap()
+                .success()
+        );
         Self(place)
     }
 
@@ -57,7 +70,11 @@ impl Place {
             fs::create_dir_all(&folder).unwrap();
             for (path, content) in libraries.iter().filter(|(path, _)| path.starts_with(part)) {
                 // What unpacks into native/coacd lies at the top of its wheel.
-                let inside = if wheel == "coacd" { path.strip_prefix("coacd/").unwrap() } else { path };
+                let inside = if wheel == "coacd" {
+                    path.strip_prefix("coacd/").unwrap()
+                } else {
+                    path
+                };
                 let file = folder.join(inside);
                 fs::create_dir_all(file.parent().unwrap()).unwrap();
                 fs::write(file, content).unwrap();
@@ -65,15 +82,28 @@ impl Place {
             let to = self.path(&format!("wheels/{wheel}-1.whl"));
             let _ = fs::remove_file(&to);
             let zip = "import shutil,sys; shutil.move(shutil.make_archive(sys.argv[1], 'zip', sys.argv[2]), sys.argv[1])";
-            let made = Command::new("python3").args(["-c", zip]).args([&to, &folder]).status().unwrap();
+            let made = Command::new("python3")
+                .args(["-c", zip])
+                .args([&to, &folder])
+                .status()
+                .unwrap();
             assert!(made.success());
         }
     }
 
     fn run(&self) -> Output {
-        let path = format!("{}:{}", self.path("bin").display(), std::env::var("PATH").unwrap());
+        let path = format!(
+            "{}:{}",
+            self.path("bin").display(),
+            std::env::var("PATH").unwrap()
+        );
         let script = self.path("calib/mujoco/engine/fetch.sh");
-        Command::new("sh").arg(script).current_dir(self.0.path()).env("PATH", path).output().unwrap()
+        Command::new("sh")
+            .arg(script)
+            .current_dir(self.0.path())
+            .env("PATH", path)
+            .output()
+            .unwrap()
     }
 
     fn asked(&self) -> bool {
@@ -87,9 +117,13 @@ fn sha256(content: &[u8]) -> String {
 
 /// Paths below native/ that the script lists.
 fn listed() -> Vec<String> {
-    let script = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fetch.sh")).unwrap();
-    let path =
-        |line: &str| line.split_once("  native/").filter(|(s, _)| s.len() == 64).map(|l| l.1.to_owned());
+    let script =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fetch.sh")).unwrap();
+    let path = |line: &str| {
+        line.split_once("  native/")
+            .filter(|(s, _)| s.len() == 64)
+            .map(|l| l.1.to_owned())
+    };
     script.lines().filter_map(path).collect()
 }
 
@@ -99,13 +133,24 @@ fn content(path: &str) -> Vec<u8> {
 
 #[test]
 fn libraries_stay_where_every_one_is_as_listed_and_nowhere_else() {
-    let good: Vec<(String, Vec<u8>)> = listed().into_iter().map(|p| (p.clone(), content(&p))).collect();
+    let good: Vec<(String, Vec<u8>)> = listed()
+        .into_iter()
+        .map(|p| (p.clone(), content(&p)))
+        .collect();
     assert!(good.len() >= 7, "{good:?}");
     let place = Place::new(content);
     place.wheels(&good);
     let run = place.run();
-    assert!(run.status.success() && place.asked(), "{}", String::from_utf8_lossy(&run.stderr));
-    let there = |place: &Place| good.iter().filter(|(p, _)| place.path("native").join(p).is_file()).count();
+    assert!(
+        run.status.success() && place.asked(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    let there = |place: &Place| {
+        good.iter()
+            .filter(|(p, _)| place.path("native").join(p).is_file())
+            .count()
+    };
     assert_eq!(there(&place), good.len());
     // A second run asks for nothing.
     assert!(place.run().status.success() && !place.asked());
@@ -113,7 +158,10 @@ fn libraries_stay_where_every_one_is_as_listed_and_nowhere_else() {
     for (path, _) in &good {
         fs::write(place.path("native").join(path), "changed").unwrap();
         assert!(place.run().status.success() && place.asked(), "{path}");
-        assert_eq!(fs::read(place.path("native").join(path)).unwrap(), content(path));
+        assert_eq!(
+            fs::read(place.path("native").join(path)).unwrap(),
+            content(path)
+        );
     }
     // A library that is not listed makes the folder one to fetch anew, too.
     fs::write(place.path("native/mujoco/plugin/libmore.so"), "more").unwrap();
@@ -124,16 +172,32 @@ fn libraries_stay_where_every_one_is_as_listed_and_nowhere_else() {
     for (path, _) in &good {
         let wrong: Vec<_> = good
             .iter()
-            .map(|(p, c)| (p.clone(), if p == path { b"other".to_vec() } else { c.clone() }))
+            .map(|(p, c)| {
+                (
+                    p.clone(),
+                    if p == path {
+                        b"other".to_vec()
+                    } else {
+                        c.clone()
+                    },
+                )
+            })
             .collect();
         place.wheels(&wrong);
         fs::remove_dir_all(place.path("native")).unwrap_or_default();
         let run = place.run();
         let said = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert!(run.status.code() == Some(1) && said.contains(path.as_str()), "{path}: {said}");
+        assert!(
+            run.status.code() == Some(1) && said.contains(path.as_str()),
+            "{path}: {said}"
+        );
         assert!(!place.path("native").exists(), "{path}: nothing stays");
     }
-    let more = [&good[..], &[("mujoco/plugin/libmore.so".to_owned(), content("more"))]].concat();
+    let more = [
+        &good[..],
+        &[("mujoco/plugin/libmore.so".to_owned(), content("more"))],
+    ]
+    .concat();
     place.wheels(&more);
     assert_eq!(place.run().status.code(), Some(1));
     assert!(!place.path("native").exists());

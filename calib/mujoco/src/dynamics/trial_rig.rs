@@ -64,7 +64,9 @@ pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
     let rest = moment[moment.len() - tail..].iter().sum::<f64>() / tail as f64;
     let size = |k: usize| (moment[k] - rest).abs();
     let start = size(0);
-    let last = (0..moment.len()).rev().find(|k| size(*k) > start / std::f64::consts::E)?;
+    let last = (0..moment.len())
+        .rev()
+        .find(|k| size(*k) > start / std::f64::consts::E)?;
     Some(time_s[last] - time_s[0])
 }
 
@@ -122,11 +124,14 @@ pub(super) struct TrialRig {
 
 impl TrialRig {
     pub(super) fn new(whisker: &WhiskerSpec, targets: Targets) -> Result<Self, TwinError> {
-        let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
+        let section =
+            wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
         let (length_mm, straight_mm) = match &whisker.rest_shape {
-            RestShape::StraightArc { straight_mm, length_mm, .. } => {
-                (*length_mm, straight_mm.max(length_mm / 3.0))
-            }
+            RestShape::StraightArc {
+                straight_mm,
+                length_mm,
+                ..
+            } => (*length_mm, straight_mm.max(length_mm / 3.0)),
             RestShape::Polyline(points) => {
                 let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
                 (length, length / 3.0)
@@ -135,7 +140,9 @@ impl TrialRig {
         let shape = wcal_rod::Shape::new(&whisker.rest_shape, 0.25)
             .map_err(|e| TwinError::value("whisker", "a wire that can be bent", e.to_string()))?;
         let along = (0..=REACH_POINTS).map(|k| f64::from(k) / f64::from(REACH_POINTS) * length_mm);
-        let reach_mm = along.map(|s_mm| shape.rest_point(s_mm).x).fold(0.0, f64::max);
+        let reach_mm = along
+            .map(|s_mm| shape.rest_point(s_mm).x)
+            .fold(0.0, f64::max);
         let mut bench = Self {
             whisker: whisker.clone(),
             targets,
@@ -153,26 +160,45 @@ impl TrialRig {
             d0: hard.impedance[0],
             dmax: hard.impedance[1],
         };
-        bench.bare_bounce = bounce(&bench.released(&bare, true)?).unwrap_or(1.0).max(1e-3);
+        bench.bare_bounce = bounce(&bench.released(&bare, true)?)
+            .unwrap_or(1.0)
+            .max(1e-3);
         Ok(bench)
     }
 
     pub(super) fn options(&self, p: &Parameters) -> MjcfOptions {
         // N mm s/rad over the stiffness of a joint of the paper's length.
-        let damping_s = (p.damping_nms_rad * 1e3 * (self.length_mm / PAPER_LINKS) / self.ei_nmm2).max(BARE_S);
+        let damping_s =
+            (p.damping_nms_rad * 1e3 * (self.length_mm / PAPER_LINKS) / self.ei_nmm2).max(BARE_S);
         let within = |d: f64| d.clamp(IMPEDANCES[0], IMPEDANCES[1]);
-        let touch =
-            Touch { impedance: [within(p.d0), within(p.dmax)], width_mm: p.width_mm, ..Touch::default() };
-        MjcfOptions { links: TRIED_LINKS, damping_s, touch, ..MjcfOptions::default() }
+        let touch = Touch {
+            impedance: [within(p.d0), within(p.dmax)],
+            width_mm: p.width_mm,
+            ..Touch::default()
+        };
+        MjcfOptions {
+            links: TRIED_LINKS,
+            damping_s,
+            touch,
+            ..MjcfOptions::default()
+        }
     }
 
     pub(super) fn score(&mut self, p: &Parameters, full: bool) -> Result<Score, TwinError> {
         let free = self.released(p, false)?;
         let moments: Vec<f64> = free.base_elastic_nm.iter().map(|m| m[2]).collect();
-        let ring_down_s = ring_down_s(&free.time_s, &moments).filter(|_| !free.bad).unwrap_or(f64::NAN);
+        let ring_down_s = ring_down_s(&free.time_s, &moments)
+            .filter(|_| !free.bad)
+            .unwrap_or(f64::NAN);
         let bounce_ratio = bounce(&self.released(p, true)?).unwrap_or(f64::NAN) / self.bare_bounce;
-        let mut score =
-            Score { ring_down_s, bounce_ratio, ripple_nmm: None, bias: None, overlap_mm: None, total: 0.0 };
+        let mut score = Score {
+            ring_down_s,
+            bounce_ratio,
+            ripple_nmm: None,
+            bias: None,
+            overlap_mm: None,
+            total: 0.0,
+        };
         if full {
             // Without an answer at both speeds there is neither ripple nor bias.
             let [ripple, bias, overlap] = match SPEEDS_MM_S.map(|speed| self.swept(p, speed)) {
@@ -197,7 +223,9 @@ impl TrialRig {
         if let Some(wanted) = self.targets.ring_down_s {
             demands.push((score.ring_down_s.max(1e-4) / wanted).ln() / UNITS[0]);
         }
-        if let (Some(ripple), Some(bias), Some(overlap)) = (score.ripple_nmm, score.bias, score.overlap_mm) {
+        if let (Some(ripple), Some(bias), Some(overlap)) =
+            (score.ripple_nmm, score.bias, score.overlap_mm)
+        {
             demands.push((ripple - self.targets.ripple_nmm) / UNITS[2]);
             demands.push((bias - self.targets.bias) / UNITS[3]);
             demands.push(overlap / (self.whisker.diameter_mm / 2.0));
@@ -212,7 +240,11 @@ impl TrialRig {
         // In the wire's plane the ball is a circle; along the way of the base its lowest point within the wire's reach is touched first.
         let circle_mm = leg(BALL_MM, ASIDE_MM);
         let beyond_mm = (GAP_MM + circle_mm - self.reach_mm).max(0.0);
-        let middle = Vector3::new(GAP_MM + circle_mm, ASIDE_MM, LEAD_MM + leg(circle_mm, beyond_mm)) * 1e-3;
+        let middle = Vector3::new(
+            GAP_MM + circle_mm,
+            ASIDE_MM,
+            LEAD_MM + leg(circle_mm, beyond_mm),
+        ) * 1e-3;
         let around = WorldParts {
             bodies: format!(
                 "<geom name=\"ball\" type=\"sphere\" pos=\"{} {} {}\" size=\"{}\" contype=\"2\" conaffinity=\"1\" {}/>",
@@ -230,9 +262,18 @@ impl TrialRig {
             ],
             ..WorldParts::default()
         };
-        let step_s = self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?.step_s;
-        let (mut swept, mut taken, mut chatter) =
-            (Swept { moments_nmm: Vec::new(), overlap_mm: 0.0 }, 0, 0.0);
+        let step_s = self
+            .engine
+            .load(&mjcf_among(&self.whisker, &options, &around)?, false)?
+            .step_s;
+        let (mut swept, mut taken, mut chatter) = (
+            Swept {
+                moments_nmm: Vec::new(),
+                overlap_mm: 0.0,
+            },
+            0,
+            0.0,
+        );
         for place in 1..=(SWEEP_MM / SAMPLE_MM) as u32 {
             let end = (f64::from(place) * SAMPLE_MM / speed_mm_s / step_s).round() as u64;
             let steps = end - taken;
@@ -242,16 +283,24 @@ impl TrialRig {
                 steps,
             })?;
             taken = end;
-            let moment = frame.base_moment_nm.filter(|m| !frame.bad && m.iter().all(|x| x.is_finite()));
-            let Some(moment) = moment.filter(|_| frame.deepest_m * 1e3 <= self.whisker.diameter_mm / 2.0)
+            let moment = frame
+                .base_moment_nm
+                .filter(|m| !frame.bad && m.iter().all(|x| x.is_finite()));
+            let Some(moment) =
+                moment.filter(|_| frame.deepest_m * 1e3 <= self.whisker.diameter_mm / 2.0)
             else {
                 return Ok(None);
             };
             chatter += f64::from(u8::from(frame.toggles as f64 > CHATTER * steps as f64));
-            let pushed = frame.contacts.iter().filter(|c| Vector3::from(c.force_n).norm() > 0.0);
+            let pushed = frame
+                .contacts
+                .iter()
+                .filter(|c| Vector3::from(c.force_n).norm() > 0.0);
             let overlaps: Vec<f64> = pushed.map(|c| -c.gap_m * 1e3).collect();
             swept.overlap_mm = overlaps.iter().copied().fold(swept.overlap_mm, f64::max);
-            swept.moments_nmm.push((!overlaps.is_empty()).then(|| Vector3::from(moment) * 1e3));
+            swept
+                .moments_nmm
+                .push((!overlaps.is_empty()).then(|| Vector3::from(moment) * 1e3));
         }
         Ok(Some(swept).filter(|s| chatter <= MAX_CHATTER * s.moments_nmm.len() as f64))
     }
@@ -271,7 +320,8 @@ impl TrialRig {
                 half = PLATE_MM * 1e-3
             );
         }
-        self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?;
+        self.engine
+            .load(&mjcf_among(&self.whisker, &options, &around)?, false)?;
         let deflection = DEFLECTION * self.straight_mm;
         // The force that bends a cantilever by the deflection.
         let force_n = 3.0 * self.ei_nmm2 * deflection / self.straight_mm.powi(3);
@@ -283,7 +333,8 @@ impl TrialRig {
             force_n: [0.0, force_n, 0.0],
             steps: BEND_STEPS,
         })?;
-        self.engine.series(if plate { PLATE_STEPS } else { FREE_STEPS }, 1)
+        self.engine
+            .series(if plate { PLATE_STEPS } else { FREE_STEPS }, 1)
     }
 }
 
@@ -305,13 +356,23 @@ fn leg(long: f64, short: f64) -> f64 {
 /// Ripple: RMS of m_i - (m_(i-1) + m_i + m_(i+1)) / 3; bias: sum |m_i| of the fast sweep over that of the slow one where both touch, less 1.
 fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
     let ripple = |s: &Swept| {
-        let off = |w: &[Option<Vector3<f64>>]| Some((w[1]? - (w[0]? + w[1]? + w[2]?) / 3.0).norm_squared());
+        let off = |w: &[Option<Vector3<f64>>]| {
+            Some((w[1]? - (w[0]? + w[1]? + w[2]?) / 3.0).norm_squared())
+        };
         let squares: Vec<f64> = s.moments_nmm.windows(3).filter_map(off).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
-    let both = slow.moments_nmm.iter().zip(&fast.moments_nmm).filter_map(|(s, f)| Some(((*s)?, (*f)?)));
+    let both = slow
+        .moments_nmm
+        .iter()
+        .zip(&fast.moments_nmm)
+        .filter_map(|(s, f)| Some(((*s)?, (*f)?)));
     let sums = both.fold([0.0; 2], |[a, b], (s, f)| [a + s.norm(), b + f.norm()]);
-    [ripple(slow).max(ripple(fast)), sums[1] / sums[0] - 1.0, slow.overlap_mm.max(fast.overlap_mm)]
+    [
+        ripple(slow).max(ripple(fast)),
+        sums[1] / sums[0] - 1.0,
+        slow.overlap_mm.max(fast.overlap_mm),
+    ]
 }
 
 /// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on the plate, none where a step went
@@ -321,12 +382,23 @@ fn bounce(series: &Series) -> Option<f64> {
         return None;
     }
     let touch = series.touching.iter().position(|t| *t)?;
-    let fastest =
-        |range: std::ops::Range<usize>| series.tip_speed_m_s[range].iter().copied().fold(0.0, f64::max);
+    let fastest = |range: std::ops::Range<usize>| {
+        series.tip_speed_m_s[range]
+            .iter()
+            .copied()
+            .fold(0.0, f64::max)
+    };
     let before = fastest(0..touch.max(1));
-    let Some(free) = series.touching[touch..].iter().position(|t| !*t).map(|k| touch + k) else {
+    let Some(free) = series.touching[touch..]
+        .iter()
+        .position(|t| !*t)
+        .map(|k| touch + k)
+    else {
         return Some(0.0);
     };
-    let again = series.touching[free..].iter().position(|t| *t).map_or(series.touching.len(), |k| free + k);
+    let again = series.touching[free..]
+        .iter()
+        .position(|t| *t)
+        .map_or(series.touching.len(), |k| free + k);
     (before > 0.0).then(|| fastest(free..again) / before)
 }

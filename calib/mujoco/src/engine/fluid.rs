@@ -25,7 +25,11 @@ impl FluidLoads {
     /// Drag across a wire along `tangent` that moves at `velocity_mm_s`, N/mm. That along the wire and the added mass are left out.
     ///
     /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous Fluid Flow, 1991).
-    pub fn drag_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
+    pub fn drag_n_per_mm(
+        &self,
+        tangent: &Vector3<f64>,
+        velocity_mm_s: &Vector3<f64>,
+    ) -> Vector3<f64> {
         // Slender body: only the flow across the wire drags it.
         let past = (velocity_mm_s - self.current_mm_s) * 1e-3;
         let across = past - tangent * tangent.dot(&past);
@@ -40,7 +44,11 @@ impl FluidLoads {
     }
 
     /// Weight and drag along a wire, N/mm.
-    pub fn load_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
+    pub fn load_n_per_mm(
+        &self,
+        tangent: &Vector3<f64>,
+        velocity_mm_s: &Vector3<f64>,
+    ) -> Vector3<f64> {
         self.weight_n_per_mm + self.drag_n_per_mm(tangent, velocity_mm_s)
     }
 }

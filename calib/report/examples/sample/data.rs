@@ -23,7 +23,10 @@ pub struct Noise(u64);
 
 impl Noise {
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
@@ -42,11 +45,15 @@ pub fn transducer() -> ReportInput {
         class: vec!["nonlinearity-quadratic".into()],
         p_value: 1e-9,
         parameters: vec![parameter("b2", -3.16e-15, "1/kN^2", [-3.26e-15, -3.06e-15])],
-        sentence: "The response falls below a straight line by a part in a thousand at full load.".into(),
+        sentence: "The response falls below a straight line by a part in a thousand at full load."
+            .into(),
     }];
     verify.alternatives = vec![vec!["nonlinearity-quadratic".into()]];
-    verify.noise_floor =
-        NoiseFloor { response: Some(2.15e-4), source: "replicates".into(), ..NoiseFloor::default() };
+    verify.noise_floor = NoiseFloor {
+        response: Some(2.15e-4),
+        source: "replicates".into(),
+        ..NoiseFloor::default()
+    };
     let error = |value: f64| HeldOutError {
         split: "loo".into(),
         rmse: BTreeMap::from([("response_rmse".into(), value)]),
@@ -77,7 +84,10 @@ pub fn transducer() -> ReportInput {
                 predicted_after: line + curve,
                 noise_sd: 2.15e-4,
                 rejected: None,
-                covariates: vec![("stimulus".into(), load), ("replicate".into(), f64::from(k / 20 + 1))],
+                covariates: vec![
+                    ("stimulus".into(), load),
+                    ("replicate".into(), f64::from(k / 20 + 1)),
+                ],
             }
         })
         .collect();
@@ -88,14 +98,18 @@ pub fn transducer() -> ReportInput {
 pub fn axis() -> ReportInput {
     let mut verify = document("sample-axis", "axis", Verdict::UnknownEffect);
     verify.reason =
-        "Something that follows the temperature is left, and nothing in the catalogue explains it.".into();
+        "Something that follows the temperature is left, and nothing in the catalogue explains it."
+            .into();
     verify.unknown = Some(UnknownEffect {
         driver: "temperature_degc".into(),
         shape: "sinusoid".into(),
         drivers_ranked: vec!["temperature_degc".into(), "t_s".into(), "order".into()],
         period: Some(0.83),
     });
-    verify.noise_floor = NoiseFloor { source: "none".into(), ..NoiseFloor::default() };
+    verify.noise_floor = NoiseFloor {
+        source: "none".into(),
+        ..NoiseFloor::default()
+    };
     let error = HeldOutError {
         split: "loto".into(),
         rmse: BTreeMap::from([("error_rmse_um".into(), 14.2)]),
@@ -173,7 +187,14 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
 }
 
 fn whisker_error(pm: f64, pm95: [f64; 2], nmm: f64, nmm95: [f64; 2]) -> HeldOutError {
-    let pair = |a, b| ("wavelength_rmse_pm".to_owned(), a, "moment_rmse_nmm".to_owned(), b);
+    let pair = |a, b| {
+        (
+            "wavelength_rmse_pm".to_owned(),
+            a,
+            "moment_rmse_nmm".to_owned(),
+            b,
+        )
+    };
     let (pm_key, pm, nmm_key, nmm_value) = pair(pm, nmm);
     HeldOutError {
         split: "holdout".into(),
@@ -185,12 +206,24 @@ fn whisker_error(pm: f64, pm95: [f64; 2], nmm: f64, nmm95: [f64; 2]) -> HeldOutE
 }
 
 fn parameter(name: &str, value: f64, unit: &str, interval95: [f64; 2]) -> EffectParameter {
-    EffectParameter { name: name.into(), value, unit: unit.into(), interval95 }
+    EffectParameter {
+        name: name.into(),
+        value,
+        unit: unit.into(),
+        interval95,
+    }
 }
 
 fn detectable(id: &str, smallest: Option<f64>, unit: &str, status: &str, why: &str) -> Detectable {
     let (id, unit, status, why) = (id.into(), unit.into(), status.into(), why.into());
-    Detectable { id, smallest, smallest_without_pictures: None, unit, status, why }
+    Detectable {
+        id,
+        smallest,
+        smallest_without_pictures: None,
+        unit,
+        status,
+        why,
+    }
 }
 
 fn provenance(session: &str) -> Provenance {
@@ -201,10 +234,14 @@ fn provenance(session: &str) -> Provenance {
     };
     Provenance {
         program: "wcal 0.1.0".into(),
-        command: ["wcal", "verify", session, "--out", "result"].map(str::to_owned).to_vec(),
+        command: ["wcal", "verify", session, "--out", "result"]
+            .map(str::to_owned)
+            .to_vec(),
         created: "2026-01-01T00:00:00Z".into(),
         seed: 1,
-        inputs: ["session.toml", "points.csv", "holdout.csv", "twin.csv"].map(file).to_vec(),
+        inputs: ["session.toml", "points.csv", "holdout.csv", "twin.csv"]
+            .map(file)
+            .to_vec(),
         simulated: true,
     }
 }

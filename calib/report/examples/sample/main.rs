@@ -18,7 +18,10 @@ fn main() -> io::Result<()> {
         entries.push(IndexEntry::of(input, name));
     }
     let introduction = ["Invented sessions that show what a report looks like."];
-    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;
+    fs::write(
+        folder.join("index.html"),
+        render_index("Sample reports", &introduction, &entries),
+    )?;
     println!("{}", folder.join("index.html").display());
     Ok(())
 }

@@ -29,7 +29,10 @@ pub fn whisker() -> ReportInput {
         ],
         sentence: "The wire sticks and slips in the groove: the contact force leans against the sliding by about a fifth of its normal part.".into(),
     }];
-    verify.alternatives = vec![vec!["groove-friction".into()], vec!["stage-backlash".into(), "creep".into()]];
+    verify.alternatives = vec![
+        vec!["groove-friction".into()],
+        vec!["stage-backlash".into(), "creep".into()],
+    ];
     verify.noise_floor = NoiseFloor {
         wavelength_pm: Some(0.62),
         moment_nmm: Some(0.0081),
@@ -37,7 +40,12 @@ pub fn whisker() -> ReportInput {
         ..NoiseFloor::default()
     };
     verify.before = Some(whisker_error(3.15, [2.81, 3.52], 0.0507, [0.041, 0.0588]));
-    verify.after = Some(whisker_error(0.648, [0.581, 0.724], 0.00893, [0.0074, 0.0102]));
+    verify.after = Some(whisker_error(
+        0.648,
+        [0.581, 0.724],
+        0.00893,
+        [0.0074, 0.0102],
+    ));
     verify.coverage95 = Some(0.938);
     verify.next_measurement = Some(NextMeasurement {
         separates: vec!["groove-friction".into(), "stage-backlash".into()],
@@ -56,9 +64,27 @@ pub fn whisker() -> ReportInput {
     verify.detectable = vec![
         detectable("groove-friction", Some(0.031), "1", "testable", ""),
         detectable("stage-backlash", Some(3.7), "um", "testable", ""),
-        detectable("stage-scale", None, "1", "absorbed", "K takes 99.6 % of its signature"),
-        detectable("gravity", None, "N mm", "not-observable", "the session gives no gravity direction"),
-        detectable("fluid-drag", None, "N mm", "not-observable", "the base does not move in a fluid"),
+        detectable(
+            "stage-scale",
+            None,
+            "1",
+            "absorbed",
+            "K takes 99.6 % of its signature",
+        ),
+        detectable(
+            "gravity",
+            None,
+            "N mm",
+            "not-observable",
+            "the session gives no gravity direction",
+        ),
+        detectable(
+            "fluid-drag",
+            None,
+            "N mm",
+            "not-observable",
+            "the base does not move in a fluid",
+        ),
     ];
     verify.notes = vec![
         "holdout.csv was opened once, after the model had been chosen".into(),
@@ -109,7 +135,13 @@ fn tracing(input: &mut ReportInput) {
         survives: p_value > 0.05,
     };
     input.evidence = vec![
-        row(&["groove-friction"], "|F·t| ≤ µ N against sliding", 812.0, 0.0, 1.0),
+        row(
+            &["groove-friction"],
+            "|F·t| ≤ µ N against sliding",
+            812.0,
+            0.0,
+            1.0,
+        ),
         row(
             &["stage-backlash", "creep"],
             "position lags by b after a reversal + m + a · relaxed(m, τ)",
@@ -117,7 +149,13 @@ fn tracing(input: &mut ReportInput) {
             -1.9,
             0.17,
         ),
-        row(&["stage-backlash"], "position lags by b after a reversal", 804.4, -3.8, 0.012),
+        row(
+            &["stage-backlash"],
+            "position lags by b after a reversal",
+            804.4,
+            -3.8,
+            0.012,
+        ),
         row(&["hysteresis"], "play operators", 789.6, -11.2, 0.0005),
         row(&[], "", 0.0, -406.0, 0.0005),
     ];
@@ -126,8 +164,12 @@ fn tracing(input: &mut ReportInput) {
 
 fn twin(id: u32) -> TwinTrajectory {
     let lean = f64::from(id) * 0.7;
-    let moment =
-        |s: f64| [-0.21 * s * (1.0 + 0.06 * s) * lean.cos(), 0.17 * s * (1.0 + 0.03 * s) * lean.sin()];
+    let moment = |s: f64| {
+        [
+            -0.21 * s * (1.0 + 0.06 * s) * lean.cos(),
+            0.17 * s * (1.0 + 0.03 * s) * lean.sin(),
+        ]
+    };
     let stages: Vec<f64> = (0..=40).map(|k| 0.1 * f64::from(k)).collect();
     let labels = (0..3)
         .map(|k| {
@@ -138,11 +180,20 @@ fn twin(id: u32) -> TwinTrajectory {
                 25 => 1.25,
                 _ => 1.002,
             };
-            TwinMark { point, stage_mm, moment_nmm: moment(stage_mm).map(|m| factor * m) }
+            TwinMark {
+                point,
+                stage_mm,
+                moment_nmm: moment(stage_mm).map(|m| factor * m),
+            }
         })
         .collect();
     let moment_nmm = stages.iter().map(|s| moment(*s)).collect();
-    TwinTrajectory { id, stage_mm: stages, moment_nmm, labels }
+    TwinTrajectory {
+        id,
+        stage_mm: stages,
+        moment_nmm,
+        labels,
+    }
 }
 
 fn whisker_residuals() -> Vec<ResidualRecord> {
@@ -151,7 +202,11 @@ fn whisker_residuals() -> Vec<ResidualRecord> {
     for row in 0..156usize {
         let (trajectory, k) = (1 + row as u32 / 12 % 9, row % 12);
         let direction = if k < 6 { 1.0 } else { -1.0 };
-        let stage = if k < 6 { 0.7 * (k + 1) as f64 } else { 0.7 * (12 - k) as f64 };
+        let stage = if k < 6 {
+            0.7 * (k + 1) as f64
+        } else {
+            0.7 * (12 - k) as f64
+        };
         let lean = f64::from(trajectory) * 0.7;
         let moment = [-0.21 * stage * lean.cos(), 0.17 * stage * lean.sin()];
         for (channel, m) in moment.iter().enumerate() {
@@ -159,7 +214,12 @@ fn whisker_residuals() -> Vec<ResidualRecord> {
             let left = 4.4 * m * direction + 0.4;
             let slip = row == 40 || row == 101;
             out.push(ResidualRecord {
-                source: if row < 108 { "points.csv" } else { "holdout.csv" }.into(),
+                source: if row < 108 {
+                    "points.csv"
+                } else {
+                    "holdout.csv"
+                }
+                .into(),
                 line: 2 + if row < 108 { row } else { row - 108 },
                 point: row as i64 + 1,
                 role: if row < 108 { "calibration" } else { "holdout" }.into(),
@@ -174,14 +234,24 @@ fn whisker_residuals() -> Vec<ResidualRecord> {
                 covariates: [
                     ("stage_mm", stage),
                     ("direction", direction),
-                    ("speed_mm_s", if row % 4 == 3 { 4.0 + (row % 3) as f64 } else { 0.0 }),
+                    (
+                        "speed_mm_s",
+                        if row % 4 == 3 {
+                            4.0 + (row % 3) as f64
+                        } else {
+                            0.0
+                        },
+                    ),
                     ("t_s", 31.0 * row as f64),
                     ("dwell_s", 12.0),
                     ("temperature_degc", 22.4 + 0.3 * (row as f64 / 40.0).sin()),
                     ("moment_1_nmm", moment[0]),
                     ("moment_2_nmm", moment[1]),
                     ("order", row as f64 + 1.0),
-                    ("contact_arclength_mm", 34.0 + 2.0 * lean.sin() - 0.4 * stage),
+                    (
+                        "contact_arclength_mm",
+                        34.0 + 2.0 * lean.sin() - 0.4 * stage,
+                    ),
                 ]
                 .map(|(name, value)| (name.to_owned(), value))
                 .to_vec(),

@@ -49,17 +49,34 @@ impl Axis {
 
     /// Covers every positive finite value in equal ratios.
     pub fn log_covering(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
-        let (low, high) = extent(values.into_iter().filter(|v| (1e-290..1e290).contains(v)).map(f64::log10));
+        let (low, high) = extent(
+            values
+                .into_iter()
+                .filter(|v| (1e-290..1e290).contains(v))
+                .map(f64::log10),
+        );
         // Less than a factor of three shows no round ticks.
         let margin = (0.06 * (high - low)).max(0.25 - 0.5 * (high - low));
-        let (low, high) = (10f64.powf((low - margin).max(-300.0)), 10f64.powf((high + margin).min(300.0)));
-        Self { scale: Scale::Log, ..Self::fixed(label, low, high) }
+        let (low, high) = (
+            10f64.powf((low - margin).max(-300.0)),
+            10f64.powf((high + margin).min(300.0)),
+        );
+        Self {
+            scale: Scale::Log,
+            ..Self::fixed(label, low, high)
+        }
     }
 
     /// A linear axis of given ends.
     pub fn fixed(label: impl Into<String>, low: f64, high: f64) -> Self {
         let high = if high > low { high } else { low + 1.0 };
-        Self { label: label.into(), low, high, scale: Scale::Linear, ticks: None }
+        Self {
+            label: label.into(),
+            low,
+            high,
+            scale: Scale::Linear,
+            ticks: None,
+        }
     }
 
     /// Replaces the round ticks by named ones.
@@ -79,7 +96,11 @@ impl Axis {
 
     /// The nearest value that lies on the axis; NaN stays NaN.
     pub fn clamp(&self, value: f64) -> f64 {
-        if value.is_nan() { value } else { value.clamp(self.low, self.high) }
+        if value.is_nan() {
+            value
+        } else {
+            value.clamp(self.low, self.high)
+        }
     }
 
     /// Ticks with their texts, about `wanted` of them, and the label, which carries a common power of ten.
@@ -98,17 +119,26 @@ impl Axis {
         let largest = self.low.abs().max(self.high.abs());
         let power = largest.log10().floor() as i32;
         let shift = if (-2..5).contains(&power) { 0 } else { power };
-        let decimals = shift.saturating_sub(step.log10().floor() as i32).clamp(0, 9) as usize;
+        let decimals = shift
+            .saturating_sub(step.log10().floor() as i32)
+            .clamp(0, 9) as usize;
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
         // A span below the resolution of the numbers gives no sensible ticks.
         let last = last.min(first.saturating_add(50));
         let text = |v: f64| {
             let scaled = v / 10f64.powi(shift);
-            let scaled = if scaled.abs() < 0.5 * 10f64.powi(-(decimals as i32)) { 0.0 } else { scaled };
+            let scaled = if scaled.abs() < 0.5 * 10f64.powi(-(decimals as i32)) {
+                0.0
+            } else {
+                scaled
+            };
             format!("{scaled:.decimals$}").replace('-', "\u{2212}")
         };
-        let ticks = (first..=last).map(|k| k as f64 * step).map(|v| (v, text(v))).collect();
+        let ticks = (first..=last)
+            .map(|k| k as f64 * step)
+            .map(|v| (v, text(v)))
+            .collect();
         let label = match shift {
             0 => self.label.clone(),
             _ => format!("{} ×10{}", self.label, superscript(shift)),
@@ -119,11 +149,21 @@ impl Axis {
     fn log_ticks(&self, wanted: usize) -> Vec<(f64, String)> {
         let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
         let all = |leads: &[f64]| -> Vec<f64> {
-            let values = decades.clone().flat_map(|d| leads.iter().map(move |l| l * 10f64.powi(d)));
+            let values = decades
+                .clone()
+                .flat_map(|d| leads.iter().map(move |l| l * 10f64.powi(d)));
             values.filter(|v| self.position(*v).is_some()).collect()
         };
-        let fine = [&[1.0][..], &[1.0, 3.0], &[1.0, 2.0, 5.0], &[1.0, 2.0, 3.0, 5.0, 7.0]];
-        let chosen = fine.iter().map(|leads| all(leads)).rfind(|t| t.len() <= wanted.max(2));
+        let fine = [
+            &[1.0][..],
+            &[1.0, 3.0],
+            &[1.0, 2.0, 5.0],
+            &[1.0, 2.0, 3.0, 5.0, 7.0],
+        ];
+        let chosen = fine
+            .iter()
+            .map(|leads| all(leads))
+            .rfind(|t| t.len() <= wanted.max(2));
         let mut values = chosen.unwrap_or_else(|| all(&[1.0]));
         let every = values.len().div_ceil(wanted.max(2)).max(1);
         values = values.into_iter().step_by(every).collect();
@@ -134,8 +174,9 @@ impl Axis {
 /// Smallest and largest finite value; (0, 1) where there is none. Sizes near the end of the number range cannot be drawn.
 fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     let finite = values.into_iter().filter(|v| v.abs() < 1e290);
-    let (low, high) =
-        finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
@@ -167,7 +208,10 @@ mod tests {
     fn small_numbers_move_their_power_into_the_label() {
         let (ticks, label) = Axis::fixed("y", -4e-4, 4e-4).ticks(4);
         assert_eq!(label, "y ×10⁻⁴");
-        assert_eq!(ticks.iter().map(|t| t.1.as_str()).collect::<Vec<_>>(), ["−4", "−2", "0", "2", "4"]);
+        assert_eq!(
+            ticks.iter().map(|t| t.1.as_str()).collect::<Vec<_>>(),
+            ["−4", "−2", "0", "2", "4"]
+        );
     }
 
     #[test]
@@ -188,7 +232,10 @@ mod tests {
             ] {
                 assert!(axis.low < axis.high, "{values:?} {axis:?}");
                 let ticks = axis.ticks(5).0;
-                assert!(ticks.len() <= 60 && ticks.iter().all(|t| t.0.is_finite()), "{values:?} {ticks:?}");
+                assert!(
+                    ticks.len() <= 60 && ticks.iter().all(|t| t.0.is_finite()),
+                    "{values:?} {ticks:?}"
+                );
             }
         }
     }

@@ -30,11 +30,19 @@ impl Frame<'_> {
 /// The chart as an `<svg>` element.
 pub fn svg(plot: &Plot) -> String {
     let (y_ticks, y_label) = plot.y.ticks(((plot.height / 36.0) as usize).max(3));
-    let widest = y_ticks.iter().map(|t| text_width(&t.1)).fold(18.0, f64::max);
+    let widest = y_ticks
+        .iter()
+        .map(|t| text_width(&t.1))
+        .fold(18.0, f64::max);
     let left = widest + 28.0;
     let title = if plot.title.is_empty() { 10.0 } else { 24.0 };
-    let frame =
-        Frame { plot, left, top: title, width: plot.width - left - 12.0, height: plot.height - title - 38.0 };
+    let frame = Frame {
+        plot,
+        left,
+        top: title,
+        width: plot.width - left - 12.0,
+        height: plot.height - title - 38.0,
+    };
     let mut out = format!(
         "<svg class=\"chart\" viewBox=\"0 0 {:.0} {:.0}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\"><title>{}</title><desc>{}</desc>",
         plot.width,
@@ -44,7 +52,10 @@ pub fn svg(plot: &Plot) -> String {
     );
     if !plot.title.is_empty() {
         let (x, title) = (px(frame.left), escape(&plot.title));
-        let _ = write!(out, "<text class=\"head\" x=\"{x}\" y=\"14\">{title}</text>");
+        let _ = write!(
+            out,
+            "<text class=\"head\" x=\"{x}\" y=\"14\">{title}</text>"
+        );
     }
     bands(&mut out, &frame);
     axes(&mut out, &frame, &y_ticks, &y_label);
@@ -58,9 +69,14 @@ pub fn svg(plot: &Plot) -> String {
 /// Bands lie below the grid, so that it stays visible.
 fn bands(out: &mut String, frame: &Frame<'_>) {
     for layer in &frame.plot.layers {
-        let Layer::Band { between } = layer else { continue };
+        let Layer::Band { between } = layer else {
+            continue;
+        };
         let axis = &frame.plot.y;
-        let edges = (frame.y(axis.clamp(between[0])), frame.y(axis.clamp(between[1])));
+        let edges = (
+            frame.y(axis.clamp(between[0])),
+            frame.y(axis.clamp(between[1])),
+        );
         if let (Some(low), Some(high)) = edges {
             let (y, height) = (px(high), px((low - high).max(0.0)));
             let (x, width) = (px(frame.left), px(frame.width));
@@ -131,7 +147,10 @@ fn x_ticks_that_fit(frame: &Frame<'_>) -> (Vec<(f64, String)>, String) {
         }
     }
     let (ticks, label) = frame.plot.x.ticks(2);
-    let widest = ticks.iter().map(|t| text_width(&t.1) + 10.0).fold(1.0, f64::max);
+    let widest = ticks
+        .iter()
+        .map(|t| text_width(&t.1) + 10.0)
+        .fold(1.0, f64::max);
     let every = super::stride(ticks.len(), (frame.width / widest) as usize);
     (ticks.into_iter().step_by(every).collect(), label)
 }
@@ -140,14 +159,25 @@ fn draw_layer(out: &mut String, frame: &Frame<'_>, layer: &Layer) {
     let (left, right) = (px(frame.left), px(frame.left + frame.width));
     match layer {
         Layer::Band { .. } => {}
-        Layer::Points { class, marker, at, titles } => points(out, frame, class, *marker, at, titles),
+        Layer::Points {
+            class,
+            marker,
+            at,
+            titles,
+        } => points(out, frame, class, *marker, at, titles),
         Layer::Line { class, at } => {
             let mut path = String::new();
             let mut pen_up = true;
             for point in at {
                 match frame.point(*point) {
                     Some((x, y)) => {
-                        let _ = write!(path, "{}{} {}", if pen_up { 'M' } else { 'L' }, px(x), px(y));
+                        let _ = write!(
+                            path,
+                            "{}{} {}",
+                            if pen_up { 'M' } else { 'L' },
+                            px(x),
+                            px(y)
+                        );
                         pen_up = false;
                     }
                     None => pen_up = true,
@@ -159,7 +189,11 @@ fn draw_layer(out: &mut String, frame: &Frame<'_>, layer: &Layer) {
         }
         Layer::HorizontalRule { at } => {
             if let Some(y) = frame.y(*at) {
-                let _ = write!(out, "<path class=\"rule\" d=\"M{left} {}H{right}\"/>", px(y));
+                let _ = write!(
+                    out,
+                    "<path class=\"rule\" d=\"M{left} {}H{right}\"/>",
+                    px(y)
+                );
             }
         }
         Layer::VerticalRule { at, label } => {
@@ -187,7 +221,9 @@ fn points(
     let name = marker_class(marker);
     let mut path = String::new();
     for (k, point) in at.iter().enumerate() {
-        let Some((x, y)) = frame.point(*point) else { continue };
+        let Some((x, y)) = frame.point(*point) else {
+            continue;
+        };
         let shape = marker_path(marker, x, y);
         match titles.get(k) {
             Some(title) => {
@@ -235,17 +271,38 @@ mod tests {
         let x = Axis::covering("x", at.iter().map(|p| p[0]));
         let y = Axis::covering("y <mm>", at.iter().map(|p| p[1]));
         let layers = vec![
-            Layer::Points { class: "s1", marker: Marker::Circle, at: at.clone(), titles },
+            Layer::Points {
+                class: "s1",
+                marker: Marker::Circle,
+                at: at.clone(),
+                titles,
+            },
             Layer::Line { class: "s1", at },
-            Layer::Band { between: [-1.0, 1.0] },
+            Layer::Band {
+                between: [-1.0, 1.0],
+            },
         ];
-        svg(&Plot { title: "t".into(), description: "d".into(), width: 280.0, height: 190.0, x, y, layers })
+        svg(&Plot {
+            title: "t".into(),
+            description: "d".into(),
+            width: 280.0,
+            height: 190.0,
+            x,
+            y,
+            layers,
+        })
     }
 
     #[test]
     fn values_that_are_not_finite_never_reach_the_drawing() {
         let svg = chart(
-            vec![[0.0, f64::NAN], [1.0, f64::INFINITY], [2.0, 1.0], [f64::NEG_INFINITY, 0.0], [3.0, 2.0]],
+            vec![
+                [0.0, f64::NAN],
+                [1.0, f64::INFINITY],
+                [2.0, 1.0],
+                [f64::NEG_INFINITY, 0.0],
+                [3.0, 2.0],
+            ],
             vec![],
         );
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
@@ -254,7 +311,10 @@ mod tests {
 
     #[test]
     fn hover_texts_and_labels_are_escaped() {
-        let svg = chart(vec![[0.0, 0.0], [1.0, 1.0]], vec!["<b>".into(), "ok".into()]);
+        let svg = chart(
+            vec![[0.0, 0.0], [1.0, 1.0]],
+            vec!["<b>".into(), "ok".into()],
+        );
         assert!(svg.contains("<title>&lt;b&gt;</title>"));
         assert!(svg.contains("y &lt;mm&gt;"));
     }

@@ -28,7 +28,10 @@ impl Quantity {
     fn of(&self, error: &HeldOutError) -> (Option<f64>, Option<[f64; 2]>) {
         match self.each {
             Some(k) => (error.moment_rmse_nmm_each.map(|pair| pair[k]), None),
-            None => (error.rmse.get(&self.key).copied(), error.interval95.get(&self.key).copied()),
+            None => (
+                error.rmse.get(&self.key).copied(),
+                error.interval95.get(&self.key).copied(),
+            ),
         }
     }
 }
@@ -42,11 +45,22 @@ struct Model<'a> {
 
 /// Every model with an error, the declared one first.
 fn models(input: &ReportInput) -> Vec<Model<'_>> {
-    let model = |name: &str, class, error| Model { name: name.to_owned(), class, error };
-    let before = input.verify.before.iter().map(|e| model("before: declared model", "s2", e));
+    let model = |name: &str, class, error| Model {
+        name: name.to_owned(),
+        class,
+        error,
+    };
+    let before = input
+        .verify
+        .before
+        .iter()
+        .map(|e| model("before: declared model", "s2", e));
     let name = format!("after: {}", input.model_after());
     let after = input.verify.after.iter().map(|e| model(&name, "s1", e));
-    let further = input.further_errors.iter().map(|e| model(&e.name, "s3", &e.error));
+    let further = input
+        .further_errors
+        .iter()
+        .map(|e| model(&e.name, "s3", &e.error));
     before.chain(after).chain(further).collect()
 }
 
@@ -61,7 +75,13 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
         .into_iter()
         .map(|key| {
             let (name, unit, floor) = describe(key, floor, response_unit);
-            Quantity { key: key.clone(), name, unit, floor, each: None }
+            Quantity {
+                key: key.clone(),
+                name,
+                unit,
+                floor,
+                each: None,
+            }
         })
         .collect();
     if errors.iter().any(|e| e.moment_rmse_nmm_each.is_some()) {
@@ -79,9 +99,17 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
 fn describe(key: &str, floor: &NoiseFloor, response_unit: &str) -> (String, String, Option<f64>) {
     match key {
         "wavelength_rmse_pm" => ("wavelength".into(), "pm".into(), floor.wavelength_pm),
-        "moment_rmse_nmm" => ("moments, pooled".into(), "N\u{a0}mm".into(), floor.moment_nmm),
+        "moment_rmse_nmm" => (
+            "moments, pooled".into(),
+            "N\u{a0}mm".into(),
+            floor.moment_nmm,
+        ),
         "contact_rmse_mm" => ("contact".into(), "mm".into(), floor.contact_mm),
-        "response_rmse" => ("response".into(), crate::number::unit_text(response_unit), floor.response),
+        "response_rmse" => (
+            "response".into(),
+            crate::number::unit_text(response_unit),
+            floor.response,
+        ),
         "error_rmse_um" => ("position error".into(), "µm".into(), floor.error_um),
         other => (other.replace('_', " "), String::new(), None),
     }
@@ -101,12 +129,18 @@ fn value_text(value: f64, interval: Option<[f64; 2]>) -> (String, Option<String>
 fn ratio_text(value: f64, floor: Option<f64>) -> Option<String> {
     let ratio = value / floor.filter(|f| *f > 0.0)?;
     let decimals = if ratio < 10.0 { 2 } else { 1 };
-    ratio.is_finite().then(|| format!("{ratio:.decimals$} × floor"))
+    ratio
+        .is_finite()
+        .then(|| format!("{ratio:.decimals$} × floor"))
 }
 
 /// The tracker on the groove: error, bound and coverage in a sentence.
 fn groove(t: &GrooveTracking) -> String {
-    let of = if t.split == "holdout" { "held-out readings" } else { "readings of the fit" };
+    let of = if t.split == "holdout" {
+        "held-out readings"
+    } else {
+        "readings of the fit"
+    };
     let doubted = if t.doubted > 0 {
         format!(
             " On {} of {} trajectories moments and motion do not belong together.",
@@ -127,11 +161,26 @@ fn groove(t: &GrooveTracking) -> String {
         ],
     );
     for u in &t.uncertainty {
-        let values = [u.moment_nmm, u.moment_u_nmm, u.contact_u_by_map_mm, u.contact_u_mm];
+        let values = [
+            u.moment_nmm,
+            u.moment_u_nmm,
+            u.contact_u_by_map_mm,
+            u.contact_u_mm,
+        ];
         let counts = [number(u.arclength_mm), u.trajectories.to_string()];
-        table.row(counts.into_iter().chain(values.map(number)).map(TableCell::Number).collect());
+        table.row(
+            counts
+                .into_iter()
+                .chain(values.map(number))
+                .map(TableCell::Number)
+                .collect(),
+        );
     }
-    let table = if t.uncertainty.is_empty() { String::new() } else { table.html() };
+    let table = if t.uncertainty.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    };
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
          ({} {of}); by its covariance {} mm are expected there. Its 95 % regions hold the groove on {} of \
@@ -148,12 +197,18 @@ fn groove(t: &GrooveTracking) -> String {
 fn contact_figure(simulated: bool, c: &ContactComparison) -> String {
     let by = |of: fn(&TrajectoryContact) -> f64| {
         let places = c.trajectories.iter().map(move |t| [t.arclength_mm, of(t)]);
-        places.filter(|[_, error]| *error > 0.0).collect::<Vec<[f64; 2]>>()
+        places
+            .filter(|[_, error]| *error > 0.0)
+            .collect::<Vec<[f64; 2]>>()
     };
     let (before, after) = (by(|t| t.before_mm), by(|t| t.after_mm));
     let all = || before.iter().chain(&after);
-    let points =
-        |class, marker, at: &[[f64; 2]]| Layer::Points { class, marker, at: at.to_vec(), titles: Vec::new() };
+    let points = |class, marker, at: &[[f64; 2]]| Layer::Points {
+        class,
+        marker,
+        at: at.to_vec(),
+        titles: Vec::new(),
+    };
     let chart = svg(&Plot {
         title: "Contact beside the groove".into(),
         description: "Distance of the tracked contact from where the groove is, by trajectory, declared and accepted model".into(),
@@ -202,7 +257,10 @@ pub(super) fn body(input: &ReportInput) -> String {
     if !input.verify.tests.is_empty() {
         out += &witnesses(&input.verify.tests);
     }
-    let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
+    let charts: String = quantities
+        .iter()
+        .filter_map(|q| chart(q, &models))
+        .collect();
     if !charts.is_empty() {
         out += &super::parts::figure(
             input.verify.simulated,
@@ -222,7 +280,10 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
     let heads: Vec<String> = quantities.iter().map(with_unit).collect();
     let mut columns = vec!["model", "split", "#points"];
     columns.extend(heads.iter().map(String::as_str));
-    let mut table = Table::new("Held-out error (root mean square) with 95 % intervals", &columns);
+    let mut table = Table::new(
+        "Held-out error (root mean square) with 95 % intervals",
+        &columns,
+    );
     for Model { name, error, .. } in models {
         let mut cells = vec![
             TableCell::Text(name.clone()),
@@ -241,8 +302,16 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
         table.row(cells);
     }
     let source = input.verify.noise_floor.source.as_str();
-    let name = if source.is_empty() { "noise floor".into() } else { format!("noise floor ({source})") };
-    let mut cells = vec![TableCell::Text(name), TableCell::Text("–".into()), TableCell::Number("–".into())];
+    let name = if source.is_empty() {
+        "noise floor".into()
+    } else {
+        format!("noise floor ({source})")
+    };
+    let mut cells = vec![
+        TableCell::Text(name),
+        TableCell::Text("–".into()),
+        TableCell::Number("–".into()),
+    ];
     let floor = |q: &Quantity| q.floor.map_or("unknown".into(), number);
     cells.extend(quantities.iter().map(|q| TableCell::Number(floor(q))));
     table.marked_row("floor", cells);
@@ -254,10 +323,22 @@ fn witnesses(tests: &[WitnessTest]) -> String {
     let mut table = Table::new(
         "Further measurements of the same instrument (size: of a sweep the median distance of the nearest possible contact from the object, of \
          replicates the standard deviation within a setting)",
-        &["witness", "explanation", "#size", "#statistic", "#degrees of freedom", "#p", "verdict"],
+        &[
+            "witness",
+            "explanation",
+            "#size",
+            "#statistic",
+            "#degrees of freedom",
+            "#p",
+            "verdict",
+        ],
     );
     for t in tests {
-        let name = if t.effects.is_empty() { "declared model".into() } else { t.effects.join(" with ") };
+        let name = if t.effects.is_empty() {
+            "declared model".into()
+        } else {
+            t.effects.join(" with ")
+        };
         table.row(vec![
             TableCell::Text(t.witness.clone()),
             TableCell::Text(name),
@@ -273,11 +354,14 @@ fn witnesses(tests: &[WitnessTest]) -> String {
 
 /// What the sealed readings say of what was decided without them.
 fn holdout(judged: &HoldoutJudgement) -> String {
-    let p =
-        judged.p.map_or_else(String::new, |p| format!(" (prediction F test, p {})", with_sign(&p_value(p))));
+    let p = judged.p.map_or_else(String::new, |p| {
+        format!(" (prediction F test, p {})", with_sign(&p_value(p)))
+    });
     let later = match judged.look {
         0 | 1 => String::new(),
-        n => format!(" It is look {n} at these files: its level is smaller than that of the first."),
+        n => {
+            format!(" It is look {n} at these files: its level is smaller than that of the first.")
+        }
     };
     format!("<p>{}{p}{later}</p>", escape(&judged.why))
 }
@@ -303,24 +387,53 @@ struct Row {
 }
 
 /// Items below one another over a common logarithmic axis; a vertical line at `rule`.
-fn rows_chart(title: &str, description: &str, label: &str, rows: &[Row], rule: Option<f64>) -> String {
-    let values = rows.iter().flat_map(|r| r.interval.into_iter().flatten().chain(r.other).chain([r.value]));
+fn rows_chart(
+    title: &str,
+    description: &str,
+    label: &str,
+    rows: &[Row],
+    rule: Option<f64>,
+) -> String {
+    let values = rows.iter().flat_map(|r| {
+        r.interval
+            .into_iter()
+            .flatten()
+            .chain(r.other)
+            .chain([r.value])
+    });
     let x = Axis::log_covering(label, values.chain(rule));
     let count = rows.len() as f64;
     let place = |k: usize| count - k as f64 - 0.5;
-    let names = rows.iter().enumerate().map(|(k, row)| (place(k), row.name.clone())).collect();
+    let names = rows
+        .iter()
+        .enumerate()
+        .map(|(k, row)| (place(k), row.name.clone()))
+        .collect();
     let word = String::new();
-    let mut layers: Vec<Layer> = rule.map(|at| Layer::VerticalRule { at, label: word }).into_iter().collect();
+    let mut layers: Vec<Layer> = rule
+        .map(|at| Layer::VerticalRule { at, label: word })
+        .into_iter()
+        .collect();
     for (k, row) in rows.iter().enumerate() {
         let mut points = |class, marker, at: f64| {
-            layers.push(Layer::Points { class, marker, at: vec![[at, place(k)]], titles: Vec::new() });
+            layers.push(Layer::Points {
+                class,
+                marker,
+                at: vec![[at, place(k)]],
+                titles: Vec::new(),
+            });
         };
         points(row.class, Marker::Diamond, row.value);
         if let Some(other) = row.other {
             points("quiet", Marker::Cross, other);
         }
-        let ends = row.interval.map(|ends| ends.map(|v| [x.clamp(v), place(k)]));
-        layers.push(Layer::Line { class: row.class, at: ends.into_iter().flatten().collect() });
+        let ends = row
+            .interval
+            .map(|ends| ends.map(|v| [x.clamp(v), place(k)]));
+        layers.push(Layer::Line {
+            class: row.class,
+            at: ends.into_iter().flatten().collect(),
+        });
     }
     svg(&Plot {
         title: title.into(),
@@ -338,22 +451,43 @@ fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
     let row = |model: &Model<'_>| {
         let (value, interval) = quantity.of(model.error);
         let value = value.filter(|v| *v > 0.0 && v.is_finite())?;
-        Some(Row { name: model.name.clone(), class: model.class, value, interval, other: None })
+        Some(Row {
+            name: model.name.clone(),
+            class: model.class,
+            value,
+            interval,
+            other: None,
+        })
     };
     let rows: Vec<Row> = models.iter().filter_map(row).collect();
     if rows.is_empty() {
         return None;
     }
-    let label = if quantity.unit.is_empty() { "error".into() } else { format!("error ({})", quantity.unit) };
-    let description = format!("Held-out error of the {} for every model, and the noise floor", quantity.name);
+    let label = if quantity.unit.is_empty() {
+        "error".into()
+    } else {
+        format!("error ({})", quantity.unit)
+    };
+    let description = format!(
+        "Held-out error of the {} for every model, and the noise floor",
+        quantity.name
+    );
     let floor = quantity.floor.filter(|f| *f > 0.0);
-    Some(rows_chart(&capitalised(&quantity.name), &description, &label, &rows, floor))
+    Some(rows_chart(
+        &capitalised(&quantity.name),
+        &description,
+        &label,
+        &rows,
+        floor,
+    ))
 }
 
 /// First letter in upper case.
 fn capitalised(name: &str) -> String {
     let mut letters = name.chars();
-    letters.next().map_or(String::new(), |c| c.to_uppercase().chain(letters).collect())
+    letters
+        .next()
+        .map_or(String::new(), |c| c.to_uppercase().chain(letters).collect())
 }
 
 /// Characters of a session's name that leave the picture its room; the table has all.
@@ -368,9 +502,16 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
         let within = |share: &f64| *share > 0.0 && share.is_finite();
         let value = Some(after / before).filter(within)?;
         let floor = describe(key, &entry.verify.noise_floor, &entry.response_unit).2;
-        let (mark, class) = if entry.verify.simulated { (" (SIMULATED)", "s4") } else { ("", "s1") };
+        let (mark, class) = if entry.verify.simulated {
+            (" (SIMULATED)", "s4")
+        } else {
+            ("", "s1")
+        };
         Some(Row {
-            name: format!("{}{mark}", entry.title.chars().take(NAME).collect::<String>()),
+            name: format!(
+                "{}{mark}",
+                entry.title.chars().take(NAME).collect::<String>()
+            ),
             class,
             value,
             interval: Some([value, 1.0]),
@@ -381,18 +522,28 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let description =
-        "Ratio of the held-out error of the model after to that of the declared model, for every session";
+    let description = "Ratio of the held-out error of the model after to that of the declared model, for every session";
     format!(
         "<figure class=\"forest\"><div class=\"charts\">{}</div><figcaption>{}</figcaption></figure>\n",
-        rows_chart("After over before", description, "error ÷ the declared model's error", &rows, Some(1.0)),
+        rows_chart(
+            "After over before",
+            description,
+            "error ÷ the declared model's error",
+            &rows,
+            Some(1.0)
+        ),
         "Diamond: the model after, as a share of the declared model's held-out error (vertical line). Cross: the noise floor, where it is known."
     )
 }
 
 /// The quantity that stands for a session: its wavelengths where it has any.
 fn summary_key(verify: &VerifyDocument) -> Option<&String> {
-    verify.before.as_ref()?.rmse.keys().max_by_key(|key| key.starts_with("wavelength"))
+    verify
+        .before
+        .as_ref()?
+        .rmse
+        .keys()
+        .max_by_key(|key| key.starts_with("wavelength"))
 }
 
 /// One line for the overview: quantity, before, after and floor with their unit.

@@ -6,12 +6,28 @@ use wcal_core::verify_document::CalibrationJudgement;
 
 /// The section.
 pub(super) fn body(judged: &CalibrationJudgement) -> String {
-    let verdict = if judged.holds { "It holds" } else { "It does not hold" };
-    let mut table = Table::new("Errors of the given calibration", &["quantity", "#error", "#95 % interval"]);
+    let verdict = if judged.holds {
+        "It holds"
+    } else {
+        "It does not hold"
+    };
+    let mut table = Table::new(
+        "Errors of the given calibration",
+        &["quantity", "#error", "#95 % interval"],
+    );
     for (name, value) in &judged.error.rmse {
-        let interval = judged.error.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
+        let interval = judged
+            .error
+            .interval95
+            .get(name)
+            .copied()
+            .unwrap_or([f64::NAN; 2]);
         let (value, interval) = with_interval(*value, interval);
-        table.row(vec![TableCell::Text(name.clone()), TableCell::Number(value), TableCell::Number(interval)]);
+        table.row(vec![
+            TableCell::Text(name.clone()),
+            TableCell::Number(value),
+            TableCell::Number(interval),
+        ]);
     }
     format!(
         "<p><strong>{verdict}</strong> on {} readings that were not in its fit: {}.</p>{}<p><code>{}</code>; coverage of its 95 % intervals {}; \

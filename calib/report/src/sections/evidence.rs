@@ -16,8 +16,10 @@ pub(super) fn body(input: &ReportInput) -> String {
 }
 
 fn gate(input: &ReportInput) -> String {
-    let mut table =
-        Table::new("Is anything left beyond the noise?", &["test", "#statistic", "#p-value", "remark"]);
+    let mut table = Table::new(
+        "Is anything left beyond the noise?",
+        &["test", "#statistic", "#p-value", "remark"],
+    );
     for test in &input.gate {
         table.row(vec![
             TableCell::Text(test.name.clone()),
@@ -26,13 +28,24 @@ fn gate(input: &ReportInput) -> String {
             TableCell::Text(test.detail.clone()),
         ]);
     }
-    if table.is_empty() { String::new() } else { table.html() }
+    if table.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    }
 }
 
 fn explanations(rows: &[EvidenceRow]) -> String {
     let mut table = Table::new(
         "Explanations, best first",
-        &["effects", "status", "law", "#chi-square gain", "#ln L − ln L best", "#p, bootstrap"],
+        &[
+            "effects",
+            "status",
+            "law",
+            "#chi-square gain",
+            "#ln L − ln L best",
+            "#p, bootstrap",
+        ],
     );
     for row in rows {
         let status = match (row.log_likelihood_ratio >= 0.0, row.survives) {
@@ -64,21 +77,34 @@ pub(super) fn detectable(input: &ReportInput) -> String {
     }
     let with_pictures = input.verify.tests.iter().any(|t| t.witness == "pictures");
     let columns: &[&str] = if with_pictures {
-        &["effect", "status", "#smallest size", "#without pictures", "why"]
+        &[
+            "effect",
+            "status",
+            "#smallest size",
+            "#without pictures",
+            "why",
+        ]
     } else {
         &["effect", "status", "#smallest size", "why"]
     };
     let mut table = Table::new("Smallest size found with 90 % probability", columns);
     for d in rows {
-        let class = if d.status == "testable" { "good" } else { "plain" };
+        let class = if d.status == "testable" {
+            "good"
+        } else {
+            "plain"
+        };
         let size = |size: Option<f64>| {
             TableCell::Number(size.map_or("–".into(), |v| match unit_text(&d.unit) {
                 u if u.is_empty() => number(v),
                 _ => quantity(v, &d.unit),
             }))
         };
-        let mut cells =
-            vec![TableCell::Code(d.id.clone()), TableCell::Badge(class, d.status.clone()), size(d.smallest)];
+        let mut cells = vec![
+            TableCell::Code(d.id.clone()),
+            TableCell::Badge(class, d.status.clone()),
+            size(d.smallest),
+        ];
         if with_pictures {
             cells.push(size(d.smallest_without_pictures));
         }

@@ -4,16 +4,20 @@ use super::parts::{absent, joined};
 use super::residuals;
 use crate::input::ReportInput;
 use crate::markup::{Table, TableCell, escape, paragraph, with_sign};
-use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
+use crate::number::{
+    join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval,
+};
 use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 
 /// The section.
 pub(super) fn body(input: &ReportInput) -> String {
     let verify = &input.verify;
     let mut out = String::new();
-    if verify.verdict == Verdict::Ambiguous && !input.accepted_on_request && !verify.effects.is_empty() {
-        out +=
-            "<p>Best of the explanations that survive; not accepted, since the data leave others open:</p>";
+    if verify.verdict == Verdict::Ambiguous
+        && !input.accepted_on_request
+        && !verify.effects.is_empty()
+    {
+        out += "<p>Best of the explanations that survive; not accepted, since the data leave others open:</p>";
     }
     for effect in &verify.effects {
         out += &one_effect(effect);
@@ -26,7 +30,10 @@ pub(super) fn body(input: &ReportInput) -> String {
     if let Some(unknown) = &verify.unknown {
         let period = match unknown.period {
             Some(period) => {
-                format!(" with period {}", quantity(period, &residuals::unit_of(&unknown.driver)))
+                format!(
+                    " with period {}",
+                    quantity(period, &residuals::unit_of(&unknown.driver))
+                )
             }
             None => String::new(),
         };
@@ -36,7 +43,12 @@ pub(super) fn body(input: &ReportInput) -> String {
             escape(&unknown.shape),
             escape(&period),
             escape(
-                &unknown.drivers_ranked.iter().map(|d| residuals::label_of(d)).collect::<Vec<_>>().join(", ")
+                &unknown
+                    .drivers_ranked
+                    .iter()
+                    .map(|d| residuals::label_of(d))
+                    .collect::<Vec<_>>()
+                    .join(", ")
             ),
             residuals::driver_figure(input, &unknown.driver)
         );
@@ -51,7 +63,10 @@ pub(super) fn body(input: &ReportInput) -> String {
 }
 
 fn one_effect(effect: &NamedEffect) -> String {
-    let mut out = format!("<div class=\"card\"><h3><code>{}</code></h3>", escape(&effect.id));
+    let mut out = format!(
+        "<div class=\"card\"><h3><code>{}</code></h3>",
+        escape(&effect.id)
+    );
     if !effect.sentence.is_empty() {
         out += &paragraph(&effect.sentence);
     }
@@ -65,14 +80,26 @@ fn one_effect(effect: &NamedEffect) -> String {
             TableCell::Text(split_unit(&p.name).0),
             TableCell::Number(value),
             TableCell::Number(interval),
-            TableCell::Text(if p.unit == "1" { "dimensionless".into() } else { unit_text(&p.unit) }),
+            TableCell::Text(if p.unit == "1" {
+                "dimensionless".into()
+            } else {
+                unit_text(&p.unit)
+            }),
         ]);
     }
     if !table.is_empty() {
         out += &table.html();
     }
-    out += &format!("<p>Adjusted for the whole catalogue: p {}.", with_sign(&p_value(effect.p_value)));
-    let others: Vec<String> = effect.class.iter().filter(|id| **id != effect.id).cloned().collect();
+    out += &format!(
+        "<p>Adjusted for the whole catalogue: p {}.",
+        with_sign(&p_value(effect.p_value))
+    );
+    let others: Vec<String> = effect
+        .class
+        .iter()
+        .filter(|id| **id != effect.id)
+        .cloned()
+        .collect();
     if !others.is_empty() {
         out += &format!(
             " This data cannot distinguish it from {}, even in principle.",
@@ -86,7 +113,13 @@ fn one_effect(effect: &NamedEffect) -> String {
 fn left_out(input: &ReportInput) -> String {
     let mut table = Table::new(
         "Each effect left out, the others refitted",
-        &["effect", "#misfit grows by", "#p", "#left-out error with", "#without"],
+        &[
+            "effect",
+            "#misfit grows by",
+            "#p",
+            "#left-out error with",
+            "#without",
+        ],
     );
     for e in &input.verify.leave_one_effect_out {
         let error = |e: Option<f64>| TableCell::Number(e.map_or_else(|| "-".to_owned(), number));
@@ -98,7 +131,11 @@ fn left_out(input: &ReportInput) -> String {
             error(e.left_out_without),
         ]);
     }
-    if table.is_empty() { String::new() } else { table.html() }
+    if table.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    }
 }
 
 fn ambiguity(input: &ReportInput) -> String {
@@ -110,8 +147,10 @@ fn ambiguity(input: &ReportInput) -> String {
         [] => "declared model alone".to_owned(),
         some => some.join(" + "),
     };
-    let rows: String =
-        sets.iter().map(|set| format!("<li><code>{}</code></li>", escape(&name(set)))).collect();
+    let rows: String = sets
+        .iter()
+        .map(|set| format!("<li><code>{}</code></li>", escape(&name(set))))
+        .collect();
     let lead = match (input.verify.verdict, sets.len()) {
         (_, 1) => "Only one survives:",
         (Verdict::Ambiguous, _) => "Competing explanations, best first:",
@@ -121,7 +160,10 @@ fn ambiguity(input: &ReportInput) -> String {
 }
 
 fn next_measurement(next: &NextMeasurement) -> String {
-    let mut out = format!("<div class=\"card\"><h3>Next measurement</h3>{}", paragraph(&next.instruction));
+    let mut out = format!(
+        "<div class=\"card\"><h3>Next measurement</h3>{}",
+        paragraph(&next.instruction)
+    );
     if !next.separates.is_empty() {
         out += &format!(
             "<p>Separates <code>{}</code>; expected to decide with probability <strong>{}</strong>.</p>",
@@ -131,10 +173,21 @@ fn next_measurement(next: &NextMeasurement) -> String {
     }
     let mut table = Table::new(
         "Poses of the next measurement, in order",
-        &["#step", "#trajectory", "#stage (mm)", "direction", "#speed", "#dwell (s)"],
+        &[
+            "#step",
+            "#trajectory",
+            "#stage (mm)",
+            "direction",
+            "#speed",
+            "#dwell (s)",
+        ],
     );
     for (k, pose) in next.poses.iter().enumerate() {
-        let direction = if pose.direction < 0.0 { "unloading" } else { "loading" };
+        let direction = if pose.direction < 0.0 {
+            "unloading"
+        } else {
+            "loading"
+        };
         let speed = match pose.speed_mm_s {
             0.0 => "settled".to_owned(),
             v => join_unit(&number(v), "mm/s"),

@@ -14,7 +14,10 @@ pub(super) fn body(input: &ReportInput) -> String {
         ("response", floor.response, unit),
         ("position error", floor.error_um, "um"),
     ];
-    let mut table = Table::new("Noise floor", &["quantity", "#standard deviation", "unit", "source"]);
+    let mut table = Table::new(
+        "Noise floor",
+        &["quantity", "#standard deviation", "unit", "source"],
+    );
     for (name, value, unit) in rows {
         if let Some(value) = value {
             table.row(vec![
@@ -34,13 +37,22 @@ pub(super) fn body(input: &ReportInput) -> String {
         "none" | "" => "Unknown: this session cannot separate noise from error.",
         _ => "",
     };
-    let mut out = if table.is_empty() { String::new() } else { table.html() };
+    let mut out = if table.is_empty() {
+        String::new()
+    } else {
+        table.html()
+    };
     if !source.is_empty() {
         out += &format!("<p>{source}</p>");
     }
     match input.verify.notes.as_slice() {
         [] => out += &super::parts::absent("No remarks."),
-        notes => out += &format!("<div class=\"card warn\"><h3>Remarks</h3>{}</div>", list(notes)),
+        notes => {
+            out += &format!(
+                "<div class=\"card warn\"><h3>Remarks</h3>{}</div>",
+                list(notes)
+            )
+        }
     }
     out
 }

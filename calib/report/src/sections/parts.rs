@@ -5,7 +5,11 @@ use crate::plot::Marker;
 
 /// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
 pub(crate) fn figure(simulated: bool, class: &str, charts: &str, caption: &str) -> String {
-    let tag = if simulated { "<span class=\"pill sim\">SIMULATED</span> " } else { "" };
+    let tag = if simulated {
+        "<span class=\"pill sim\">SIMULATED</span> "
+    } else {
+        ""
+    };
     format!(
         "<figure class=\"{class}\"><div class=\"charts\">{charts}</div><figcaption>{tag}{}</figcaption></figure>\n",
         escape(caption)
@@ -20,7 +24,10 @@ pub(super) fn absent(what: &str) -> String {
 /// Class and marker of the n-th channel; past the fourth, colours come back with another shape.
 pub fn series(n: usize) -> (&'static str, Marker) {
     use Marker::{Circle, Diamond, Square, Triangle};
-    (["s1", "s2", "s3", "s4"][n % 4], [Circle, Square, Diamond, Triangle][(n + n / 4) % 4])
+    (
+        ["s1", "s2", "s3", "s4"][n % 4],
+        [Circle, Square, Diamond, Triangle][(n + n / 4) % 4],
+    )
 }
 
 /// Key of colours and shapes.

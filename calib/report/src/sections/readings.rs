@@ -19,12 +19,20 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     let rejected: Vec<_> = records.iter().filter(|r| r.rejected.is_some()).collect();
     let mut out = match rejected.len() {
-        0 => format!("<p>All {} values were used; none was rejected.</p>", records.len()),
-        n => format!("<p>{n} of {} values were rejected and stay marked in every chart.</p>", records.len()),
+        0 => format!(
+            "<p>All {} values were used; none was rejected.</p>",
+            records.len()
+        ),
+        n => format!(
+            "<p>{n} of {} values were rejected and stay marked in every chart.</p>",
+            records.len()
+        ),
     };
     if !rejected.is_empty() {
-        let mut table =
-            Table::new("Rejected readings", &["#point", "file, line", "channel", "#measured", "why"]);
+        let mut table = Table::new(
+            "Rejected readings",
+            &["#point", "file, line", "channel", "#measured", "why"],
+        );
         for r in rejected.iter().take(MAX_REJECTED) {
             table.row(vec![
                 TableCell::Number(r.point.to_string()),
@@ -36,7 +44,10 @@ pub(super) fn body(input: &ReportInput) -> String {
         }
         out += &table.html();
         if rejected.len() > MAX_REJECTED {
-            out += &absent(&format!("{} more are not listed here.", rejected.len() - MAX_REJECTED));
+            out += &absent(&format!(
+                "{} more are not listed here.",
+                rejected.len() - MAX_REJECTED
+            ));
         }
     }
     let whole = records.len() <= MAX_ROWS;
@@ -48,9 +59,15 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     let summary = match whole {
         true => format!("All {} values with their predictions", rows.len()),
-        false => format!("The {} largest residuals after, in units of their noise", rows.len()),
+        false => format!(
+            "The {} largest residuals after, in units of their noise",
+            rows.len()
+        ),
     };
-    out + &format!("<details><summary>{summary}</summary>{}</details>", listing(&summary, &rows))
+    out + &format!(
+        "<details><summary>{summary}</summary>{}</details>",
+        listing(&summary, &rows)
+    )
 }
 
 fn listing(caption: &str, rows: &[&ResidualRecord]) -> String {

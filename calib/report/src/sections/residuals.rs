@@ -29,7 +29,10 @@ pub(super) const UNCHANGED: &str = "before and after alike: nothing was added";
 
 /// True where the accepted model predicts exactly what the declared one does.
 pub(super) fn unchanged(input: &ReportInput) -> bool {
-    input.residuals.iter().all(|r| r.predicted_before == r.predicted_after)
+    input
+        .residuals
+        .iter()
+        .all(|r| r.predicted_before == r.predicted_after)
 }
 
 /// Readable name of a covariate with its unit.
@@ -50,7 +53,11 @@ pub(super) fn unit_of(column: &str) -> String {
 
 /// Value of a covariate in one record; trajectory and order are there even when not named.
 fn value_of(record: &ResidualRecord, column: &str) -> Option<f64> {
-    let named = record.covariates.iter().find(|(name, _)| name == column).map(|(_, v)| *v);
+    let named = record
+        .covariates
+        .iter()
+        .find(|(name, _)| name == column)
+        .map(|(_, v)| *v);
     match column {
         "trajectory" => named.or((record.group > 0).then_some(f64::from(record.group))),
         "order" => named.or(Some(record.line as f64)),
@@ -67,7 +74,11 @@ pub(super) fn body(input: &ReportInput) -> String {
     let mut out = String::from(
         "<p>Residual = measured − predicted, for every covariate that varies. Before and after share one vertical scale; the band is twice the noise floor to either side. Crosses mark rejected readings; those beyond the scale lie on its edge.</p>",
     );
-    let unfit = input.residuals.iter().filter(|r| !before(r).is_finite() || !after(r).is_finite()).count();
+    let unfit = input
+        .residuals
+        .iter()
+        .filter(|r| !before(r).is_finite() || !after(r).is_finite())
+        .count();
     if unfit > 0 {
         out += &format!("<p>{unfit} readings without a finite residual are not drawn.</p>");
     }
@@ -85,10 +96,14 @@ pub(super) fn body(input: &ReportInput) -> String {
         }
         out += "</div>\n";
         if !constant.is_empty() {
-            out += &absent(&format!("The same for all readings, hence not drawn: {}.", constant.join(", ")));
+            out += &absent(&format!(
+                "The same for all readings, hence not drawn: {}.",
+                constant.join(", ")
+            ));
         }
         if view.records.len() > MAX_POINTS {
-            out += &absent("Charts of this many readings show every n-th one and all rejected ones.");
+            out +=
+                &absent("Charts of this many readings show every n-th one and all rejected ones.");
         }
     }
     out
@@ -96,15 +111,23 @@ pub(super) fn body(input: &ReportInput) -> String {
 
 /// The panel of one covariate, for the place where an unknown effect is described.
 pub(super) fn driver_figure(input: &ReportInput, driver: &str) -> String {
-    let carriers: Vec<_> = input.residuals.iter().filter(|r| value_of(r, driver).is_some()).collect();
-    let Some(first) = carriers.first() else { return String::new() };
+    let carriers: Vec<_> = input
+        .residuals
+        .iter()
+        .filter(|r| value_of(r, driver).is_some())
+        .collect();
+    let Some(first) = carriers.first() else {
+        return String::new();
+    };
     let unit = first.unit.clone();
     let records = input.residuals.iter().filter(|r| r.unit == unit).collect();
     View::new(input, records, &unit).figure(input, driver)
 }
 
 fn columns(records: &[&ResidualRecord]) -> Vec<String> {
-    let named = records.iter().flat_map(|r| r.covariates.iter().map(|(name, _)| name.as_str()));
+    let named = records
+        .iter()
+        .flat_map(|r| r.covariates.iter().map(|(name, _)| name.as_str()));
     let mut out = distinct(ORDER.iter().map(|(name, _)| *name).chain(named));
     out.retain(|column| records.iter().any(|r| value_of(r, column).is_some()));
     out
@@ -134,7 +157,11 @@ impl<'a> View<'a> {
     fn new(input: &ReportInput, records: Vec<&'a ResidualRecord>, unit: &str) -> Self {
         let channels = distinct(records.iter().map(|r| r.channel.as_str()));
         let unit = crate::number::unit_text(unit);
-        let label = if unit.is_empty() { "residual".into() } else { format!("residual ({unit})") };
+        let label = if unit.is_empty() {
+            "residual".into()
+        } else {
+            format!("residual ({unit})")
+        };
         let kept = || records.iter().filter(|r| r.rejected.is_none());
         let floor = &input.verify.noise_floor;
         let band = match input.verify.kind.as_str() {
@@ -146,15 +173,27 @@ impl<'a> View<'a> {
         .filter(|f| f.is_finite() && *f > 0.0)
         .map(|f| 2.0 * f);
         let edge = band.unwrap_or(0.0) * 1.3;
-        let common = Axis::symmetric(label.clone(), kept().flat_map(|r| [before(r), after(r)]).chain([edge]));
+        let common = Axis::symmetric(
+            label.clone(),
+            kept().flat_map(|r| [before(r), after(r)]).chain([edge]),
+        );
         let own = Axis::symmetric(label, kept().map(|r| after(r)).chain([edge]));
         let close = (own.high < 0.4 * common.high).then_some(own);
-        Self { records, channels, unit, common, close, band }
+        Self {
+            records,
+            channels,
+            unit,
+            common,
+            close,
+            band,
+        }
     }
 
     fn varies(&self, column: &str) -> bool {
         let mut values = self.records.iter().filter_map(|r| value_of(r, column));
-        let Some(first) = values.next() else { return false };
+        let Some(first) = values.next() else {
+            return false;
+        };
         values.any(|v| v != first)
     }
 
@@ -170,29 +209,60 @@ impl<'a> View<'a> {
             }
             charts
         };
-        let class = if self.close.is_some() { "three" } else { "pair" };
-        figure(input.verify.simulated, class, &charts, &format!("Residuals against {label}."))
+        let class = if self.close.is_some() {
+            "three"
+        } else {
+            "pair"
+        };
+        figure(
+            input.verify.simulated,
+            class,
+            &charts,
+            &format!("Residuals against {label}."),
+        )
     }
 
-    fn chart(&self, column: &str, title: &str, y: &Axis, residual: fn(&ResidualRecord) -> f64) -> String {
-        let mut values: Vec<f64> = self.records.iter().filter_map(|r| value_of(r, column)).collect();
+    fn chart(
+        &self,
+        column: &str,
+        title: &str,
+        y: &Axis,
+        residual: fn(&ResidualRecord) -> f64,
+    ) -> String {
+        let mut values: Vec<f64> = self
+            .records
+            .iter()
+            .filter_map(|r| value_of(r, column))
+            .collect();
         values.sort_by(f64::total_cmp);
         values.dedup();
         let classes = values.len() <= 12 && values.iter().all(|v| v.fract() == 0.0);
         let mut x = match (classes, values.first(), values.last()) {
             (true, Some(low), Some(high)) => Axis::fixed(label_of(column), low - 0.5, high + 0.5)
-                .with_ticks(values.iter().map(|v| (*v, class_name(column, *v))).collect()),
+                .with_ticks(
+                    values
+                        .iter()
+                        .map(|v| (*v, class_name(column, *v)))
+                        .collect(),
+                ),
             _ => Axis::covering(label_of(column), values.iter().copied()),
         };
         if classes && column != "direction" && x.high - x.low > 24.0 {
             x.ticks = None;
         }
-        let mut layers: Vec<Layer> =
-            self.band.map(|b| Layer::Band { between: [-b, b] }).into_iter().collect();
+        let mut layers: Vec<Layer> = self
+            .band
+            .map(|b| Layer::Band { between: [-b, b] })
+            .into_iter()
+            .collect();
         layers.push(Layer::HorizontalRule { at: 0.0 });
         for (k, channel) in self.channels.iter().enumerate() {
             let (class, marker) = series(k);
-            let of: Vec<_> = self.records.iter().filter(|r| r.channel == *channel).collect();
+            let of: Vec<_> = self
+                .records
+                .iter()
+                .filter(|r| r.channel == *channel)
+                .collect();
             // Readings of one class would lie on one another: spread them by a golden-ratio sequence.
             let spread = |i: usize| match classes {
                 true => {
@@ -207,18 +277,41 @@ impl<'a> View<'a> {
             };
             let kept: Vec<_> = of.iter().filter(|r| r.rejected.is_none()).collect();
             let step = stride(kept.len(), MAX_POINTS);
-            let at = kept.iter().enumerate().step_by(step).filter_map(|(i, r)| place((i, r))).collect();
-            layers.push(Layer::Points { class, marker, at, titles: Vec::new() });
+            let at = kept
+                .iter()
+                .enumerate()
+                .step_by(step)
+                .filter_map(|(i, r)| place((i, r)))
+                .collect();
+            layers.push(Layer::Points {
+                class,
+                marker,
+                at,
+                titles: Vec::new(),
+            });
             let rejected: Vec<_> = of.iter().filter(|r| r.rejected.is_some()).collect();
             let titles = rejected
                 .iter()
                 .filter(|r| value_of(r, column).is_some())
                 .map(|r| {
-                    format!("point {}, rejected: {}", r.point, r.rejected.as_deref().unwrap_or_default())
+                    format!(
+                        "point {}, rejected: {}",
+                        r.point,
+                        r.rejected.as_deref().unwrap_or_default()
+                    )
                 })
                 .collect();
-            let at = rejected.iter().enumerate().filter_map(|(i, r)| place((i, r))).collect();
-            layers.push(Layer::Points { class: "bad", marker: Marker::Cross, at, titles });
+            let at = rejected
+                .iter()
+                .enumerate()
+                .filter_map(|(i, r)| place((i, r)))
+                .collect();
+            layers.push(Layer::Points {
+                class: "bad",
+                marker: Marker::Cross,
+                at,
+                titles,
+            });
         }
         svg(&Plot {
             title: title.into(),

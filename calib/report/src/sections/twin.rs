@@ -18,7 +18,10 @@ pub(super) fn body(input: &ReportInput) -> String {
     if faults.is_empty() {
         out += "<p>No fault was found in the twin's labels.</p>";
     } else {
-        let mut table = Table::new("Faulty labels of the twin", &["kind", "points", "what is wrong"]);
+        let mut table = Table::new(
+            "Faulty labels of the twin",
+            &["kind", "points", "what is wrong"],
+        );
         for fault in faults {
             let points: Vec<String> = fault.points.iter().map(i64::to_string).collect();
             table.row(vec![
@@ -42,30 +45,62 @@ pub(super) fn body(input: &ReportInput) -> String {
 fn fault<'a>(input: &'a ReportInput, label: &TwinMark) -> Option<&'a str> {
     let single = |kind: &str| !matches!(kind, "unit" | "discretisation");
     let mut faults = input.verify.twin.faults.iter().filter(|f| single(&f.kind));
-    faults.find(|f| f.points.contains(&label.point)).map(|f| f.kind.as_str())
+    faults
+        .find(|f| f.points.contains(&label.point))
+        .map(|f| f.kind.as_str())
 }
 
 fn chart(input: &ReportInput, trajectory: &TwinTrajectory) -> String {
-    let stages = trajectory.stage_mm.iter().copied().chain(trajectory.labels.iter().map(|l| l.stage_mm));
+    let stages = trajectory
+        .stage_mm
+        .iter()
+        .copied()
+        .chain(trajectory.labels.iter().map(|l| l.stage_mm));
     let moments = trajectory.moment_nmm.iter().flatten().copied();
     let moments = moments.chain(trajectory.labels.iter().flat_map(|l| l.moment_nmm));
     let mut layers = vec![Layer::HorizontalRule { at: 0.0 }];
     for (k, name) in MOMENT_NAMES.iter().enumerate() {
         let (class, marker) = series(k);
-        let at = trajectory.stage_mm.iter().zip(&trajectory.moment_nmm).map(|(s, m)| [*s, m[k]]).collect();
+        let at = trajectory
+            .stage_mm
+            .iter()
+            .zip(&trajectory.moment_nmm)
+            .map(|(s, m)| [*s, m[k]])
+            .collect();
         layers.push(Layer::Line { class, at });
-        let at: Vec<_> = trajectory.labels.iter().map(|l| [l.stage_mm, l.moment_nmm[k]]).collect();
+        let at: Vec<_> = trajectory
+            .labels
+            .iter()
+            .map(|l| [l.stage_mm, l.moment_nmm[k]])
+            .collect();
         let hover = |l: &TwinMark| {
             let [value, stage] = [number(l.moment_nmm[k]), number(l.stage_mm)];
             let word = fault(input, l).map_or(String::new(), |kind| format!(", {kind}"));
             format!("point {}: {name} {value} N mm at {stage} mm{word}", l.point)
         };
         let titles = trajectory.labels.iter().map(hover).collect();
-        layers.push(Layer::Points { class, marker, at, titles });
+        layers.push(Layer::Points {
+            class,
+            marker,
+            at,
+            titles,
+        });
     }
-    let bad: Vec<_> = trajectory.labels.iter().filter_map(|l| Some((l, fault(input, l)?))).collect();
-    let rings = bad.iter().flat_map(|(l, _)| l.moment_nmm.map(|m| [l.stage_mm, m])).collect();
-    layers.push(Layer::Points { class: "bad", marker: Marker::Ring, at: rings, titles: Vec::new() });
+    let bad: Vec<_> = trajectory
+        .labels
+        .iter()
+        .filter_map(|l| Some((l, fault(input, l)?)))
+        .collect();
+    let rings = bad
+        .iter()
+        .flat_map(|(l, _)| l.moment_nmm.map(|m| [l.stage_mm, m]))
+        .collect();
+    layers.push(Layer::Points {
+        class: "bad",
+        marker: Marker::Ring,
+        at: rings,
+        titles: Vec::new(),
+    });
     let mut words: Vec<&str> = bad.iter().map(|b| b.1).collect();
     words.sort_unstable();
     words.dedup();

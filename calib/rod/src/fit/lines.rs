@@ -49,8 +49,16 @@ pub(super) fn loaded_nodes(
     let (turn, offset) = model.root(v);
     let Some((point, arclength_mm)) = &held.shape.groove else {
         let (positions, frames) = (&rod.shape.nodes_mm, &rod.shape.frames);
-        let ends = rod.shape.intervals.iter().map(|i| i.start_mm).chain([rod.shape.length_mm]);
-        let nodes = ends.zip(positions).zip(frames).map(|((s, p), f)| (s, turn * p + offset, turn * f));
+        let ends = rod
+            .shape
+            .intervals
+            .iter()
+            .map(|i| i.start_mm)
+            .chain([rod.shape.length_mm]);
+        let nodes = ends
+            .zip(positions)
+            .zip(frames)
+            .map(|((s, p), f)| (s, turn * p + offset, turn * f));
         return Ok((nodes.collect(), None));
     };
     // In the wire's frame the clamp is straight and the groove moves instead.
@@ -62,7 +70,10 @@ pub(super) fn loaded_nodes(
         None => {
             // Continuation from the free wire, leg by leg, where no equilibrium near is known.
             let from = rod.shape.rest_point(*arclength_mm);
-            let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: *arclength_mm };
+            let mut guess = Guess {
+                force_n: Vector3::zeros(),
+                arclength_mm: *arclength_mm,
+            };
             for leg in 1..LEGS {
                 let at = from + (point - from) * (leg as f64 / LEGS as f64);
                 guess = Guess::from(&solve(&at, &guess).map_err(unreached)?);
@@ -70,7 +81,10 @@ pub(super) fn loaded_nodes(
             solve(&point, &guess).map_err(unreached)?
         }
     };
-    let nodes = rod.loaded_shape(&found).into_iter().map(|(s, p, f)| (s, turn * p + offset, turn * f));
+    let nodes = rod
+        .loaded_shape(&found)
+        .into_iter()
+        .map(|(s, p, f)| (s, turn * p + offset, turn * f));
     Ok((nodes.collect(), Some(Guess::from(&found))))
 }
 
@@ -106,8 +120,13 @@ pub(super) fn distances(
 }
 
 /// Place and frame at an arc length: a cubic through two nodes and their tangents, straight on beyond the ends.
-fn on_curve(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> (Vector3<f64>, Matrix3<f64>) {
-    let after = nodes.partition_point(|n| n.0 < s_mm).clamp(1, nodes.len() - 1);
+fn on_curve(
+    nodes: &[(f64, Vector3<f64>, Matrix3<f64>)],
+    s_mm: f64,
+) -> (Vector3<f64>, Matrix3<f64>) {
+    let after = nodes
+        .partition_point(|n| n.0 < s_mm)
+        .clamp(1, nodes.len() - 1);
     let ((s0, p0, f0), (s1, p1, f1)) = (&nodes[after - 1], &nodes[after]);
     let h = s1 - s0;
     // Straight on beyond the ends: a measured point past the tip has a distance, too.

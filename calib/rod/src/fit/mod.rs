@@ -104,9 +104,13 @@ impl RestFit {
                 .iter()
                 .filter(|s| self.shapes.iter().any(|used| used.name == s.name))
                 .map(|shape| {
-                    let (_, guess) =
-                        loaded_nodes(nominal, self.model, &self.values, &GuessedShape { shape, guess: None })
-                            .map_err(|why| RodError::RestFit(format!("{}: {why}", shape.name)))?;
+                    let (_, guess) = loaded_nodes(
+                        nominal,
+                        self.model,
+                        &self.values,
+                        &GuessedShape { shape, guess: None },
+                    )
+                    .map_err(|why| RodError::RestFit(format!("{}: {why}", shape.name)))?;
                     Ok(GuessedShape { shape, guess })
                 })
                 .collect::<Result<_, RodError>>()?;
@@ -131,10 +135,26 @@ pub fn fit_rest(
     shapes: &[MeasuredShape],
     choice: RestChoice,
 ) -> Result<RestFit, RodError> {
-    let RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } = nominal.rest_shape else {
-        return Err(RodError::RestFit("expected a straight part with an arc, found a polyline".to_owned()));
+    let RestShape::StraightArc {
+        straight_mm,
+        arc_radius_mm,
+        length_mm,
+    } = nominal.rest_shape
+    else {
+        return Err(RodError::RestFit(
+            "expected a straight part with an arc, found a polyline".to_owned(),
+        ));
     };
-    let start = DVector::from_vec(vec![straight_mm, arc_radius_mm, length_mm, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let start = DVector::from_vec(vec![
+        straight_mm,
+        arc_radius_mm,
+        length_mm,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    ]);
     let mut excluded = Vec::new();
     let mut used = Vec::new();
     for shape in shapes {
@@ -154,7 +174,12 @@ pub fn fit_rest(
             reasons.join("; ")
         )));
     }
-    let Selection { model, values, candidates, independent } = select_model(nominal, &start, &used, choice)?;
+    let Selection {
+        model,
+        values,
+        candidates,
+        independent,
+    } = select_model(nominal, &start, &used, choice)?;
     let covariance = jackknife(nominal, model, &values, &used)?;
     let (mut residuals, mut squares, mut count, mut scaled) = (Vec::new(), 0.0, 0, 0.0);
     for held in &used {
@@ -163,9 +188,15 @@ pub fn fit_rest(
         let sum: f64 = norms.iter().map(|d| d * d).sum();
         squares += sum;
         // Two distances across a point: half the sum is that of an axis.
-        scaled += norms.iter().zip(&held.shape.sd_mm).map(|(d, sd)| 0.5 * (d / sd).powi(2)).sum::<f64>();
+        scaled += norms
+            .iter()
+            .zip(&held.shape.sd_mm)
+            .map(|(d, sd)| 0.5 * (d / sd).powi(2))
+            .sum::<f64>();
         count += norms.len();
-        let largest = (0..norms.len()).max_by(|&a, &b| norms[a].total_cmp(&norms[b])).unwrap_or(0);
+        let largest = (0..norms.len())
+            .max_by(|&a, &b| norms[a].total_cmp(&norms[b]))
+            .unwrap_or(0);
         residuals.push(ShapeResidual {
             name: held.shape.name.clone(),
             rms_mm: (sum / norms.len() as f64).sqrt(),
@@ -205,18 +236,27 @@ fn select_model(
     let first = solve(nominal, arc, start, used);
     if choice == RestChoice::StraightArc {
         let (values, _) = first?;
-        return Ok(Selection { model: arc, values, candidates: Vec::new(), independent: 0.0 });
+        return Ok(Selection {
+            model: arc,
+            values,
+            candidates: Vec::new(),
+            independent: 0.0,
+        });
     }
     // A wire that is far from any arc may have no best one: the free curvature then starts from the nominal one.
-    let from = first.as_ref().map_or_else(|_| start.clone(), |(values, _)| values.clone());
+    let from = first
+        .as_ref()
+        .map_or_else(|_| start.clone(), |(values, _)| values.clone());
     let mut tried = vec![(arc, first)];
     for places in PLACES {
         let model = RestModel::FreeCurvature(places);
         tried.push((model, solve(nominal, model, &model.from_arc(&from), used)));
     }
     // The most flexible model leaves the noise: how long it is correlated tells how much was observed.
-    let found: Vec<(RestModel, &DVector<f64>, f64)> =
-        tried.iter().filter_map(|(m, r)| r.as_ref().ok().map(|(v, squares)| (*m, v, *squares))).collect();
+    let found: Vec<(RestModel, &DVector<f64>, f64)> = tried
+        .iter()
+        .filter_map(|(m, r)| r.as_ref().ok().map(|(v, squares)| (*m, v, *squares)))
+        .collect();
     let Some((flexible, values, _)) = found.last() else {
         return Err(tried
             .into_iter()
@@ -232,7 +272,9 @@ fn select_model(
         .iter()
         .map(|(model, r)| ModelScore {
             model: *model,
-            bic: r.as_ref().map_or(f64::INFINITY, |(_, squares)| bic(*model, *squares)),
+            bic: r
+                .as_ref()
+                .map_or(f64::INFINITY, |(_, squares)| bic(*model, *squares)),
         })
         .collect();
     let may_be = |m: RestModel| choice == RestChoice::Best || m != arc;
@@ -240,8 +282,15 @@ fn select_model(
         .into_iter()
         .filter(|f| may_be(f.0))
         .min_by(|a, b| bic(a.0, a.2).total_cmp(&bic(b.0, b.2)))
-        .ok_or_else(|| RodError::RestFit("expected a free curvature that fits, found none".to_owned()))?;
-    Ok(Selection { model: best.0, values: best.1.clone(), candidates, independent })
+        .ok_or_else(|| {
+            RodError::RestFit("expected a free curvature that fits, found none".to_owned())
+        })?;
+    Ok(Selection {
+        model: best.0,
+        values: best.1.clone(),
+        candidates,
+        independent,
+    })
 }
 
 /// Independent observations in all lines: points over the length, in points, within which residuals are correlated.
@@ -254,20 +303,32 @@ fn independent(
     let mut lines: Vec<Vec<f64>> = Vec::new();
     for held in used {
         let across = distances(nominal, model, values, held).map_err(RodError::RestFit)?;
-        let scaled =
-            |axis: usize| across.iter().zip(&held.shape.sd_mm).map(|(a, sd)| a.1[axis] / sd).collect();
+        let scaled = |axis: usize| {
+            across
+                .iter()
+                .zip(&held.shape.sd_mm)
+                .map(|(a, sd)| a.1[axis] / sd)
+                .collect()
+        };
         lines.extend([0, 1].map(scaled));
     }
     let points: usize = lines.iter().map(Vec::len).sum();
     // Autocovariance at a lag, over both axes of all lines.
     let product = |lag: usize| -> f64 {
-        let of = |line: &Vec<f64>| line.iter().zip(line.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
+        let of = |line: &Vec<f64>| {
+            line.iter()
+                .zip(line.iter().skip(lag))
+                .map(|(a, b)| a * b)
+                .sum::<f64>()
+        };
         lines.iter().map(of).sum()
     };
     let all = product(0);
     let longest = lines.iter().map(Vec::len).max().unwrap_or(0);
     // Cut at the first lag of little correlation: estimates at long lags are noise that would add up.
-    let correlations = (1..longest).map(|lag| product(lag) / all).take_while(|c| *c > UNCORRELATED);
+    let correlations = (1..longest)
+        .map(|lag| product(lag) / all)
+        .take_while(|c| *c > UNCORRELATED);
     // Integrated correlation: so many neighbours count as one observation.
     let span = 1.0 + 2.0 * correlations.sum::<f64>();
     Ok(points as f64 / span)
@@ -286,8 +347,12 @@ fn jackknife(
     let n = used.len() as f64;
     let mut deleted: Vec<DVector<f64>> = Vec::with_capacity(used.len());
     for skip in 0..used.len() {
-        let rest: Vec<GuessedShape<'_>> =
-            used.iter().enumerate().filter(|(k, _)| *k != skip).map(|(_, s)| *s).collect();
+        let rest: Vec<GuessedShape<'_>> = used
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| *k != skip)
+            .map(|(_, s)| *s)
+            .collect();
         deleted.push(solve(nominal, model, values, &rest)?.0);
     }
     let mean = deleted.iter().sum::<DVector<f64>>() / n;

@@ -44,12 +44,19 @@ impl RestModel {
     /// Names and units of the unknowns, in order.
     pub fn names(self) -> Vec<String> {
         let owned = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
-        let root =
-            ["root_turn_x_rad", "root_turn_y_rad", "root_turn_z_rad", "root_offset_y_mm", "root_offset_z_mm"];
+        let root = [
+            "root_turn_x_rad",
+            "root_turn_y_rad",
+            "root_turn_z_rad",
+            "root_offset_y_mm",
+            "root_offset_z_mm",
+        ];
         match self {
-            Self::StraightArc => {
-                [owned(&["straight_mm", "arc_radius_mm", "length_mm"]), owned(&root)].concat()
-            }
+            Self::StraightArc => [
+                owned(&["straight_mm", "arc_radius_mm", "length_mm"]),
+                owned(&root),
+            ]
+            .concat(),
             Self::FreeCurvature(places) => {
                 let bends = ["y", "z"]
                     .iter()
@@ -79,7 +86,9 @@ impl RestModel {
     pub fn places_mm(self, v: &DVector<f64>) -> Vec<f64> {
         match self {
             Self::StraightArc => Vec::new(),
-            Self::FreeCurvature(n) => (0..n).map(|k| v[2 * n] * k as f64 / (n - 1) as f64).collect(),
+            Self::FreeCurvature(n) => (0..n)
+                .map(|k| v[2 * n] * k as f64 / (n - 1) as f64)
+                .collect(),
         }
     }
 
@@ -106,7 +115,11 @@ impl RestModel {
         let steps = (shape.length_mm / POINTS_MM).ceil();
         let places = (1..=steps as usize).map(|k| shape.length_mm * k as f64 / steps);
         Ok(RestShape::Polyline(
-            [0.0, FIRST_MM].into_iter().chain(places).map(|s| shape.rest_point(s)).collect(),
+            [0.0, FIRST_MM]
+                .into_iter()
+                .chain(places)
+                .map(|s| shape.rest_point(s))
+                .collect(),
         ))
     }
 
@@ -116,27 +129,46 @@ impl RestModel {
         let (turns, offsets) = root.split_at(root.len() - 2);
         let about_x = if let [x, _, _] = turns { *x } else { 0.0 };
         let turn = Vector3::new(about_x, turns[turns.len() - 2], turns[turns.len() - 1]);
-        (Rotation3::new(turn), Vector3::new(0.0, offsets[0], offsets[1]))
+        (
+            Rotation3::new(turn),
+            Vector3::new(0.0, offsets[0], offsets[1]),
+        )
     }
 
     /// A straight part with an arc, in this model's unknowns.
-    #[allow(clippy::wrong_self_convention, reason = "parameters of this model from a shape")]
+    #[allow(
+        clippy::wrong_self_convention,
+        reason = "parameters of this model from a shape"
+    )]
     pub(super) fn from_arc(self, v: &DVector<f64>) -> DVector<f64> {
-        let Self::FreeCurvature(n) = self else { return v.clone() };
+        let Self::FreeCurvature(n) = self else {
+            return v.clone();
+        };
         let (straight_mm, bend, length_mm, roll) = (v[0], 1.0 / v[1], v[2], v[3]);
         let cell_mm = length_mm / (n - 1) as f64;
         // Each place takes what lies nearest to it.
         let share = |k: usize| {
             let at = k as f64 * cell_mm;
-            let (from, to) = ((at - cell_mm / 2.0).max(0.0), (at + cell_mm / 2.0).min(length_mm));
+            let (from, to) = (
+                (at - cell_mm / 2.0).max(0.0),
+                (at + cell_mm / 2.0).min(length_mm),
+            );
             ((to - straight_mm) / (to - from)).clamp(0.0, 1.0)
         };
-        let bends =
-            [roll.cos(), roll.sin()].into_iter().flat_map(|part| (0..n).map(move |k| bend * part * share(k)));
-        DVector::from_iterator(2 * n + 5, bends.chain([length_mm]).chain(v.iter().skip(4).copied()))
+        let bends = [roll.cos(), roll.sin()]
+            .into_iter()
+            .flat_map(|part| (0..n).map(move |k| bend * part * share(k)));
+        DVector::from_iterator(
+            2 * n + 5,
+            bends.chain([length_mm]).chain(v.iter().skip(4).copied()),
+        )
     }
 }
 
 fn arc(v: &DVector<f64>) -> RestShape {
-    RestShape::StraightArc { straight_mm: v[0], arc_radius_mm: v[1], length_mm: v[2] }
+    RestShape::StraightArc {
+        straight_mm: v[0],
+        arc_radius_mm: v[1],
+        length_mm: v[2],
+    }
 }

@@ -30,12 +30,19 @@ impl<'a> Problem<'a> {
         }
         let mut all = Vec::new();
         for held in self.shapes {
-            let (shape, across) = (held.shape, distances(self.nominal, self.model, v, held).ok()?);
+            let (shape, across) = (
+                held.shape,
+                distances(self.nominal, self.model, v, held).ok()?,
+            );
             // In standard deviations: a point counts by how well it was seen.
             for ((_, d), sd) in across.iter().zip(&shape.sd_mm) {
                 all.extend(d.map(|d| d / sd));
             }
-            let sd = if shape.length_mm[1] > 0.0 { shape.length_mm[1] } else { LENGTH_SD_MM };
+            let sd = if shape.length_mm[1] > 0.0 {
+                shape.length_mm[1]
+            } else {
+                LENGTH_SD_MM
+            };
             all.push((shape.length_mm[0] - v[self.model.shape_unknowns() - 1]) / sd);
         }
         Some(DVector::from_vec(all))
@@ -47,15 +54,26 @@ impl<'a> Problem<'a> {
             moved[k] += step;
             self.residuals(&moved)
         };
-        let column = |(k, step): (usize, f64)| Some((moved(k, step)? - moved(k, -step)?) / (2.0 * step));
-        let columns: Option<Vec<DVector<f64>>> =
-            self.model.difference_steps().into_iter().enumerate().map(column).collect();
+        let column =
+            |(k, step): (usize, f64)| Some((moved(k, step)? - moved(k, -step)?) / (2.0 * step));
+        let columns: Option<Vec<DVector<f64>>> = self
+            .model
+            .difference_steps()
+            .into_iter()
+            .enumerate()
+            .map(column)
+            .collect();
         Some(DMatrix::from_columns(&columns?))
     }
 
     fn at(self, v: &DVector<f64>) -> Option<FitPoint<'a>> {
         let residuals = self.residuals(v)?;
-        Some(FitPoint { problem: self, values: v.clone(), residuals, normal: OnceCell::new() })
+        Some(FitPoint {
+            problem: self,
+            values: v.clone(),
+            residuals,
+            normal: OnceCell::new(),
+        })
     }
 }
 
@@ -77,8 +95,15 @@ impl Linearised for FitPoint<'_> {
     fn step(&self, damping: f64) -> Option<DVector<f64>> {
         let normal = || {
             let jacobian = self.problem.jacobian(&self.values)?;
-            let (matrix, descent) = (jacobian.tr_mul(&jacobian), -jacobian.tr_mul(&self.residuals));
-            Some(NormalEquations { cost: self.cost(), matrix, descent })
+            let (matrix, descent) = (
+                jacobian.tr_mul(&jacobian),
+                -jacobian.tr_mul(&self.residuals),
+            );
+            Some(NormalEquations {
+                cost: self.cost(),
+                matrix,
+                descent,
+            })
         };
         self.normal.get_or_init(normal).as_ref()?.step(damping)
     }
@@ -91,13 +116,33 @@ pub(super) fn solve(
     start: &DVector<f64>,
     shapes: &[GuessedShape<'_>],
 ) -> Result<(DVector<f64>, f64), RodError> {
-    let problem = Problem { nominal, model, shapes };
-    let failed =
-        |why: &str| RodError::RestFit(format!("the fit of a {} did not converge: {why}", model.name()));
-    let first = problem.at(start).ok_or_else(|| failed("the rod has no solution at its start"))?;
-    let small = |_: &DVector<f64>, [before, after]: [f64; 2]| before - after <= LEAST_DECREASE * before;
-    let damping = Damping { max_steps: 100, ..Damping::default() };
-    let found = minimise((start.clone(), first), &damping, |v| problem.at(v), |v, _, step| v + step, small);
+    let problem = Problem {
+        nominal,
+        model,
+        shapes,
+    };
+    let failed = |why: &str| {
+        RodError::RestFit(format!(
+            "the fit of a {} did not converge: {why}",
+            model.name()
+        ))
+    };
+    let first = problem
+        .at(start)
+        .ok_or_else(|| failed("the rod has no solution at its start"))?;
+    let small =
+        |_: &DVector<f64>, [before, after]: [f64; 2]| before - after <= LEAST_DECREASE * before;
+    let damping = Damping {
+        max_steps: 100,
+        ..Damping::default()
+    };
+    let found = minimise(
+        (start.clone(), first),
+        &damping,
+        |v| problem.at(v),
+        |v, _, step| v + step,
+        small,
+    );
     match found.ending {
         Ending::Converged | Ending::Stalled => Ok((found.place, found.at.cost())),
         Ending::Singular => Err(failed("the lines do not determine its unknowns")),

@@ -41,7 +41,11 @@ impl Rod {
             None,
             force_scale_n,
         );
-        Some(Anchor { equilibrium: *equilibrium, force_scale_n, inverse: jacobian.try_inverse()? })
+        Some(Anchor {
+            equilibrium: *equilibrium,
+            force_scale_n,
+            inverse: jacobian.try_inverse()?,
+        })
     }
 
     /// Frictionless equilibrium at `point_mm` next to `anchor`, which may belong to a slightly different wire or point.
@@ -55,8 +59,19 @@ impl Rod {
         let mut before: Option<(Vector4<f64>, Vector4<f64>)> = None;
         for iteration in 1..=MAX_ITERATIONS {
             // One integration without derivatives an iteration: that is what the update saves.
-            let load = Load { point: (*point_mm).into(), force: force.into(), distributed: None };
-            let end = to_arclength(&self.section, &self.shape, self.root(&load), &load, s, |_, _| {});
+            let load = Load {
+                point: (*point_mm).into(),
+                force: force.into(),
+                distributed: None,
+            };
+            let end = to_arclength(
+                &self.section,
+                &self.shape,
+                self.root(&load),
+                &load,
+                s,
+                |_, _| {},
+            );
             let offset = Vector3::from(end.position) - point_mm;
             let tangent = Vector3::new(end.frame[0][0], end.frame[1][0], end.frame[2][0]);
             // Frictionless contact: the force has no component along the wire.
@@ -121,7 +136,10 @@ mod tests {
     #[test]
     fn a_neighbour_equals_what_following_gives() {
         let nominal = rod();
-        let line = Line { origin_mm: nominal.shape.rest_point(31.0), direction: Vector3::new(0.0, 0.6, 0.8) };
+        let line = Line {
+            origin_mm: nominal.shape.rest_point(31.0),
+            direction: Vector3::new(0.0, 0.6, 0.8),
+        };
         let anchor = nominal.anchor(&held(&nominal, &line, 6.0)).unwrap();
         let mut other = rod();
         other.compliance_rad_per_nmm = 2e-3;
@@ -130,13 +148,19 @@ mod tests {
         let followed = held(&other, &line, 6.2);
         assert!((near.moment_nmm - followed.moment_nmm).norm() < 1e-7);
         let unchanged = anchor.equilibrium.moment_nmm;
-        assert!((near.moment_nmm - unchanged).norm() > 1e-3, "the other wire went unseen");
+        assert!(
+            (near.moment_nmm - unchanged).norm() > 1e-3,
+            "the other wire went unseen"
+        );
     }
 
     #[test]
     fn a_far_wire_is_refused() {
         let nominal = rod();
-        let line = Line { origin_mm: nominal.shape.rest_point(31.0), direction: Vector3::new(0.0, 0.6, 0.8) };
+        let line = Line {
+            origin_mm: nominal.shape.rest_point(31.0),
+            direction: Vector3::new(0.0, 0.6, 0.8),
+        };
         let anchor = nominal.anchor(&held(&nominal, &line, 2.0)).unwrap();
         assert_eq!(nominal.solve_near(&line.point(14.0), &anchor), None);
     }

@@ -71,15 +71,25 @@ const MOUTH_MM: f64 = 2.0;
 
 /// Golden-section search for the smallest gap around a sample.
 fn golden_section(at: impl Fn(f64) -> Touch, sample: Touch, grid_mm: f64, length_mm: f64) -> Touch {
-    let (mut a, mut b) =
-        ((sample.arclength_mm - grid_mm).max(0.0), (sample.arclength_mm + grid_mm).min(length_mm));
+    let (mut a, mut b) = (
+        (sample.arclength_mm - grid_mm).max(0.0),
+        (sample.arclength_mm + grid_mm).min(length_mm),
+    );
     // 0.618^60 is 3e-13: the bracket shrinks to rounding.
     for _ in 0..60 {
         let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
-        if at(c).gap_mm < at(d).gap_mm { b = d } else { a = c }
+        if at(c).gap_mm < at(d).gap_mm {
+            b = d
+        } else {
+            a = c
+        }
     }
     let found = at(0.5 * (a + b));
-    if found.gap_mm <= sample.gap_mm { found } else { sample }
+    if found.gap_mm <= sample.gap_mm {
+        found
+    } else {
+        sample
+    }
 }
 
 const FIRST_STEP_MM: f64 = 0.5;
@@ -97,8 +107,14 @@ impl Rod {
         let at = |s: f64| {
             let wire = self.shape.rest_point(s);
             // The groove is nearest to a place of the wire at the foot of the perpendicular on its path.
-            let x_mm = (wire - line.origin_mm).dot(&line.direction).clamp(-back_mm, reach_mm);
-            Touch { x_mm, arclength_mm: s, gap_mm: (line.point(x_mm) - wire).norm() }
+            let x_mm = (wire - line.origin_mm)
+                .dot(&line.direction)
+                .clamp(-back_mm, reach_mm);
+            Touch {
+                x_mm,
+                arclength_mm: s,
+                gap_mm: (line.point(x_mm) - wire).norm(),
+            }
         };
         let sampled: Vec<Touch> = (1..=samples).map(|k| at(grid_mm * k as f64)).collect();
         let gap = |k: usize| sampled.get(k).map_or(f64::INFINITY, |t| t.gap_mm);
@@ -107,7 +123,10 @@ impl Rod {
             .filter(|&k| (k == 0 || gap(k) <= gap(k - 1)) && gap(k) < gap(k + 1))
             .map(|k| golden_section(at, sampled[k], grid_mm, self.shape.length_mm))
             .collect();
-        let closest = minima.iter().map(|t| t.gap_mm).fold(f64::INFINITY, f64::min);
+        let closest = minima
+            .iter()
+            .map(|t| t.gap_mm)
+            .fold(f64::INFINITY, f64::min);
         minima
             .into_iter()
             .filter(|t| t.gap_mm <= closest + MOUTH_MM)
@@ -127,10 +146,16 @@ impl Rod {
         let mut order: Vec<usize> = (0..xs_mm.len()).collect();
         order.sort_by(|&a, &b| xs_mm[a].total_cmp(&xs_mm[b]));
         let mut out = vec![Outcome::NotTouched; xs_mm.len()];
-        let Some(mut tracker) = BranchTracker::start(self, line, &touch) else { return out };
+        let Some(mut tracker) = BranchTracker::start(self, line, &touch) else {
+            return out;
+        };
         for index in order {
             let x = xs_mm[index];
-            out[index] = if x < touch.x_mm - 1e-9 { Outcome::NotTouched } else { tracker.advance_to(x) };
+            out[index] = if x < touch.x_mm - 1e-9 {
+                Outcome::NotTouched
+            } else {
+                tracker.advance_to(x)
+            };
         }
         out
     }
@@ -151,7 +176,10 @@ impl<'a> BranchTracker<'a> {
     pub fn start(rod: &'a Rod, line: &Line, touch: &Touch) -> Option<Self> {
         let wire = rod.shape.rest_point(touch.arclength_mm);
         let target = line.point(touch.x_mm);
-        let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: touch.arclength_mm };
+        let mut guess = Guess {
+            force_n: Vector3::zeros(),
+            arclength_mm: touch.arclength_mm,
+        };
         // The unloaded wire is pulled across the gap in steps that Newton can follow.
         let pulls = (touch.gap_mm / FIRST_STEP_MM).ceil().max(1.0) as usize;
         let mut found = None;
@@ -188,7 +216,11 @@ impl<'a> BranchTracker<'a> {
         }
         while self.last.0 < x_mm {
             let room = x_mm - self.last.0;
-            let target = if self.step_mm >= room { x_mm } else { self.last.0 + self.step_mm };
+            let target = if self.step_mm >= room {
+                x_mm
+            } else {
+                self.last.0 + self.step_mm
+            };
             match self.try_step(target) {
                 Ok(next) => {
                     let taken = target - self.last.0;
@@ -231,7 +263,9 @@ impl<'a> BranchTracker<'a> {
             }
             _ => Guess::from(last),
         };
-        let found = self.rod.solve(&self.line.point(target), &guess, Tangential::Frictionless)?;
+        let found = self
+            .rod
+            .solve(&self.line.point(target), &guess, Tangential::Frictionless)?;
         // Another branch: the contact jumps along the wire, or the determinant changes its sign.
         let travelled = target - self.last.0;
         let jump = (found.arclength_mm - last.arclength_mm).abs();

@@ -32,15 +32,21 @@ impl Rod {
         let unit_n = self.section.ei_nmm2 / length_mm.powi(2);
         let mut found: Vec<StableEquilibrium> = Vec::new();
         for place in 0..PLACES {
-            let arclength_mm = nearest_mm + (length_mm - nearest_mm) * (place as f64 + 0.5) / PLACES as f64;
+            let arclength_mm =
+                nearest_mm + (length_mm - nearest_mm) * (place as f64 + 0.5) / PLACES as f64;
             for turn in 0..TURNS {
                 let (sin, cos) = (std::f64::consts::TAU * turn as f64 / TURNS as f64).sin_cos();
                 for tilt in TILTS {
                     let across = f64::sqrt(1.0 - tilt * tilt);
                     let direction = Vector3::new(across * cos, across * sin, tilt);
                     for size in SIZES {
-                        let guess = Guess { force_n: direction * (size * unit_n), arclength_mm };
-                        let Ok(e) = self.solve(point_mm, &guess, Tangential::Frictionless) else { continue };
+                        let guess = Guess {
+                            force_n: direction * (size * unit_n),
+                            arclength_mm,
+                        };
+                        let Ok(e) = self.solve(point_mm, &guess, Tangential::Frictionless) else {
+                            continue;
+                        };
                         let same = |(k, _): &StableEquilibrium| {
                             (k.arclength_mm - e.arclength_mm).abs() < SAME_MM
                                 && (k.moment_nmm - e.moment_nmm).norm()

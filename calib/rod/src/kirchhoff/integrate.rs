@@ -57,7 +57,8 @@ fn twist_at<T: Scalar>(
     // Constitutive law in body axes; the inextensible wire goes along e1.
     let body = mat_t_vec(&g.frame, &moment);
     let du = section.curvature_change(&body, section.taper_factor(s / length_mm));
-    let u = [0, 1, 2].map(|i| du[i] + T::constant(interval.u_start[i] + interval.u_slope[i] * offset_mm));
+    let u = [0, 1, 2]
+        .map(|i| du[i] + T::constant(interval.u_start[i] + interval.u_slope[i] * offset_mm));
     (u, [T::constant(1.0), T::constant(0.0), T::constant(0.0)])
 }
 
@@ -79,9 +80,14 @@ pub fn to_arclength<T: Scalar>(
             break;
         }
         // Past the tip the last interval goes on with its curvature law, so that Newton sees a smooth function there.
-        let h = if last { room } else { room.min(interval.length_mm) };
-        let twist =
-            |offset_mm: f64, g: &Pose<T>| twist_at(section, shape.length_mm, interval, offset_mm, g, load);
+        let h = if last {
+            room
+        } else {
+            room.min(interval.length_mm)
+        };
+        let twist = |offset_mm: f64, g: &Pose<T>| {
+            twist_at(section, shape.length_mm, interval, offset_mm, g, load)
+        };
         g = step(h, &g, twist);
         visit(interval.start_mm + h, &g);
     }

@@ -28,7 +28,9 @@ pub const WORKING_STEP_MM: f64 = 2.0;
 /// p(s) = p_j (2x^3 - 3x^2 + 1) + h t_j (x^3 - 2x^2 + x) + p_j+1 (3x^2 - 2x^3) + h t_j+1 (x^3 - x^2)
 /// ```
 pub fn interpolated_point(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> Vector3<f64> {
-    let j = nodes.partition_point(|n| n.0 <= s_mm).clamp(1, nodes.len() - 1);
+    let j = nodes
+        .partition_point(|n| n.0 <= s_mm)
+        .clamp(1, nodes.len() - 1);
     let (a, b) = (&nodes[j - 1], &nodes[j]);
     let h = b.0 - a.0;
     if h <= 0.0 {
@@ -109,7 +111,10 @@ pub struct Guess {
 
 impl From<&Equilibrium> for Guess {
     fn from(e: &Equilibrium) -> Self {
-        Self { force_n: e.force_n, arclength_mm: e.arclength_mm }
+        Self {
+            force_n: e.force_n,
+            arclength_mm: e.arclength_mm,
+        }
     }
 }
 
@@ -137,7 +142,8 @@ impl Rod {
         if let (Some(direction), Some(density)) = (spec.gravity_direction, spec.density_kg_m3) {
             // kg/m^3 m^2 m/s^2 is N/m.
             let area_m2 = std::f64::consts::PI * (spec.diameter_mm * 1e-3).powi(2) / 4.0;
-            self.weight_n_per_mm = direction * ((density - fluid_kg_m3) * area_m2 * GRAVITY_M_S2 * 1e-3);
+            self.weight_n_per_mm =
+                direction * ((density - fluid_kg_m3) * area_m2 * GRAVITY_M_S2 * 1e-3);
         }
         self
     }
@@ -146,7 +152,11 @@ impl Rod {
     pub fn turned(&self, turn: &Rotation3<f64>) -> Option<Self> {
         let shape = self.shape.turned(turn);
         let weight_n_per_mm = turn * self.weight_n_per_mm;
-        (self.compliance_rad_per_nmm == 0.0).then(|| Self { shape, weight_n_per_mm, ..self.clone() })
+        (self.compliance_rad_per_nmm == 0.0).then(|| Self {
+            shape,
+            weight_n_per_mm,
+            ..self.clone()
+        })
     }
 
     /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on as it is.
@@ -175,7 +185,10 @@ impl Rod {
         let turn: V3<T> =
             [0, 1, 2].map(|i| m[i].scale(self.compliance_rad_per_nmm * self.compliance_axes[i]));
         let turned = se3::turn(&turn, &frame);
-        Pose { frame: turned, position }
+        Pose {
+            frame: turned,
+            position,
+        }
     }
 
     /// Equilibrium with the wire's centre at `point_mm`, from a nearby guess.
@@ -192,7 +205,14 @@ impl Rod {
             return self.newton(point_mm, guess, tangential, None);
         }
         // The weight bends the wire by little: its moment is frozen, the wire solved, and the moment taken anew.
-        let mut table = self.weight_moments(point_mm, &Guess { force_n: Vector3::zeros(), ..*guess }, None);
+        let mut table = self.weight_moments(
+            point_mm,
+            &Guess {
+                force_n: Vector3::zeros(),
+                ..*guess
+            },
+            None,
+        );
         let mut current = *guess;
         for _ in 0..12 {
             let found = self.newton(point_mm, &current, tangential, Some(&table))?;
@@ -224,7 +244,9 @@ impl Rod {
         for iteration in 1..=MAX_ITERATIONS {
             let (residual, jacobian, tangent) =
                 self.equations(point_mm, &force, s, tangential, distributed, force_scale);
-            let Some(step) = jacobian.lu().solve(&residual) else { return Err(Failure::Singular) };
+            let Some(step) = jacobian.lu().solve(&residual) else {
+                return Err(Failure::Singular);
+            };
             // A longer step leaves the basin of the nearby equilibrium.
             let limit = (0.3 * self.shape.length_mm / step.norm()).min(1.0);
             force -= step.fixed_rows::<3>(0) * (limit * force_scale);
@@ -266,7 +288,14 @@ impl Rod {
             force: [0, 1, 2].map(|i| Dual3::variable(force[i], i)),
             distributed,
         };
-        let end = to_arclength(&self.section, &self.shape, self.root(&load), &load, s, |_, _| {});
+        let end = to_arclength(
+            &self.section,
+            &self.shape,
+            self.root(&load),
+            &load,
+            s,
+            |_, _| {},
+        );
         let position = Vector3::from(end.position.map(Scalar::value));
         let tangent_dual = [0, 1, 2].map(|i| end.frame[i][0]);
         let tangent = Vector3::from(tangent_dual.map(Scalar::value));
@@ -291,7 +320,11 @@ impl Rod {
                 // F.t = ratio |F_perp| is F.t = ratio/sqrt(1 + ratio^2) |F|, smooth away from F = 0.
                 let c = ratio / (1.0 + ratio * ratio).sqrt();
                 let norm = force.norm().max(1e-300);
-                (along - c * norm, d_along_force - force * (c / norm), d_along_s)
+                (
+                    along - c * norm,
+                    d_along_force - force * (c / norm),
+                    d_along_s,
+                )
             }
         };
         for j in 0..3 {
@@ -299,7 +332,11 @@ impl Rod {
         }
         jacobian[(3, 3)] = by_s / force_scale;
         let offset = position - point_mm;
-        (Vector4::new(offset.x, offset.y, offset.z, fourth / force_scale), jacobian, tangent)
+        (
+            Vector4::new(offset.x, offset.y, offset.z, fourth / force_scale),
+            jacobian,
+            tangent,
+        )
     }
 
     /// dt/ds at the contact.
@@ -319,15 +356,22 @@ impl Rod {
             moment += table.at(s);
         }
         let body: [f64; 3] = (frame.transpose() * moment).into();
-        let du = self.section.curvature_change(&body, self.section.taper_factor(s / self.shape.length_mm));
+        let du = self
+            .section
+            .curvature_change(&body, self.section.taper_factor(s / self.shape.length_mm));
         let interval = &self.shape.intervals[self.shape.interval_at(s)];
         let offset = s - interval.start_mm;
-        let u = Vector3::from([0, 1, 2].map(|i| du[i] + interval.u_start[i] + interval.u_slope[i] * offset));
+        let u = Vector3::from(
+            [0, 1, 2].map(|i| du[i] + interval.u_start[i] + interval.u_slope[i] * offset),
+        );
         frame * u.cross(&Vector3::x())
     }
 
     /// Nodes of the loaded wire from root to tip: (arc length, position, frame).
-    pub fn loaded_shape(&self, equilibrium: &Equilibrium) -> Vec<(f64, Vector3<f64>, Matrix3<f64>)> {
+    pub fn loaded_shape(
+        &self,
+        equilibrium: &Equilibrium,
+    ) -> Vec<(f64, Vector3<f64>, Matrix3<f64>)> {
         let guess = Guess::from(equilibrium);
         let table = self.settled_weight(&equilibrium.point_mm, &guess);
         self.nodes(&equilibrium.point_mm, &guess, table.as_ref())
@@ -352,7 +396,11 @@ impl Rod {
         held: &Guess,
         distributed: Option<&MomentTable>,
     ) -> Vec<(f64, Vector3<f64>, Matrix3<f64>)> {
-        let loaded = Load { point: (*point).into(), force: held.force_n.into(), distributed };
+        let loaded = Load {
+            point: (*point).into(),
+            force: held.force_n.into(),
+            distributed,
+        };
         let mut nodes = Vec::with_capacity(self.shape.intervals.len() + 2);
         let mut push =
             |s: f64, g: &Pose<f64>| nodes.push((s, Vector3::from(g.position), matrix_of(&g.frame)));
@@ -365,16 +413,27 @@ impl Rod {
             &mut push,
         );
         // Past the contact the wire carries only its own weight: its rest curvature goes on from there.
-        let free = Load { point: [0.0; 3], force: [0.0; 3], distributed };
+        let free = Load {
+            point: [0.0; 3],
+            force: [0.0; 3],
+            distributed,
+        };
         let rest = Shape {
             intervals: crate::shape::from_arclength(&self.shape, held.arclength_mm),
             ..Shape::clone(&self.shape)
         };
-        to_arclength(&self.section, &rest, contact, &free, self.shape.length_mm, |s, g| {
-            if s > held.arclength_mm {
-                push(s, g);
-            }
-        });
+        to_arclength(
+            &self.section,
+            &rest,
+            contact,
+            &free,
+            self.shape.length_mm,
+            |s, g| {
+                if s > held.arclength_mm {
+                    push(s, g);
+                }
+            },
+        );
         nodes
     }
 
@@ -401,7 +460,10 @@ impl Rod {
             moments_nmm[j] = (integral - here * beyond).cross(&self.weight_n_per_mm);
             later = here;
         }
-        MomentTable { step_mm, moments_nmm }
+        MomentTable {
+            step_mm,
+            moments_nmm,
+        }
     }
 
     /// Base moment of the free wire's weight, N mm.
@@ -409,7 +471,10 @@ impl Rod {
         if self.weight_n_per_mm.norm() == 0.0 {
             return Vector3::zeros();
         }
-        let free = Guess { force_n: Vector3::zeros(), arclength_mm: self.shape.length_mm };
+        let free = Guess {
+            force_n: Vector3::zeros(),
+            arclength_mm: self.shape.length_mm,
+        };
         let mut table = self.weight_moments(&Vector3::zeros(), &free, None);
         for _ in 0..6 {
             table = self.weight_moments(&Vector3::zeros(), &free, Some(&table));

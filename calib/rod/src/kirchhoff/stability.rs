@@ -72,7 +72,11 @@ impl Rod {
         match hold {
             Hold::Held => constraints.extend((0..3).map(|i| reach.row(i).transpose())),
             Hold::Sliding => {
-                let helper = if tangent.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+                let helper = if tangent.x.abs() < 0.7 {
+                    Vector3::x()
+                } else {
+                    Vector3::y()
+                };
                 // Across the wire the contact is held, along it free: two constraints.
                 let side = tangent.cross(&helper).normalize();
                 for normal in [side, tangent.cross(&side)] {
@@ -106,7 +110,10 @@ impl Rod {
             let length_mm = room.min(interval.length_mm);
             match pieces.last_mut() {
                 Some(last) if room < SLIVER * interval.length_mm => last.length_mm += room,
-                _ => pieces.push(Interval { length_mm, ..*interval }),
+                _ => pieces.push(Interval {
+                    length_mm,
+                    ..*interval
+                }),
             }
         }
         // The integrator stops at the middles, too: every node of an element has its state.
@@ -115,10 +122,18 @@ impl Rod {
             let middle = [0, 1, 2].map(|i| p.u_start[i] + p.u_slope[i] * h);
             [
                 Interval { length_mm: h, ..*p },
-                Interval { start_mm: p.start_mm + h, length_mm: h, u_start: middle, ..*p },
+                Interval {
+                    start_mm: p.start_mm + h,
+                    length_mm: h,
+                    u_start: middle,
+                    ..*p
+                },
             ]
         });
-        let mesh = Shape { intervals: halves.collect(), ..self.shape.clone() };
+        let mesh = Shape {
+            intervals: halves.collect(),
+            ..self.shape.clone()
+        };
         let guess = Guess::from(equilibrium);
         let table = self.settled_weight(&equilibrium.point_mm, &guess);
         let load = Load {
@@ -127,9 +142,16 @@ impl Rod {
             distributed: table.as_ref(),
         };
         let mut states = Vec::with_capacity(mesh.intervals.len() + 1);
-        to_arclength(&self.section, &mesh, self.root(&load), &load, s_c, |s, g| {
-            states.push((s, Vector3::from(g.position), matrix_of(&g.frame)));
-        });
+        to_arclength(
+            &self.section,
+            &mesh,
+            self.root(&load),
+            &load,
+            s_c,
+            |s, g| {
+                states.push((s, Vector3::from(g.position), matrix_of(&g.frame)));
+            },
+        );
         let node = |state: &(f64, Vector3<f64>, Matrix3<f64>), piece: &Interval| {
             let (s, position, frame) = state;
             let mut moment = (equilibrium.point_mm - position).cross(&equilibrium.force_n);
@@ -138,8 +160,9 @@ impl Rod {
             }
             let moment = frame.transpose() * moment;
             let factor = self.section.taper_factor(s / self.shape.length_mm);
-            let change =
-                self.section.curvature_change(&[0, 1, 2].map(|i| Dual3::variable(moment[i], i)), factor);
+            let change = self
+                .section
+                .curvature_change(&[0, 1, 2].map(|i| Dual3::variable(moment[i], i)), factor);
             // d(du)/dm at this moment: a softened section yields more.
             let compliance = Matrix3::from_fn(|i, j| change[i].partial(j));
             let rest = |i: usize| piece.u_start[i] + piece.u_slope[i] * (s - piece.start_mm);
@@ -169,8 +192,10 @@ impl Rod {
         constraints: &mut Vec<DVector<f64>>,
     ) {
         // The base's axes as the root sees them: about these it gives way.
-        let frame =
-            elements.first().map_or_else(|| self.root_frame(&equilibrium.moment_nmm), |e| e.1[0].frame);
+        let frame = elements.first().map_or_else(
+            || self.root_frame(&equilibrium.moment_nmm),
+            |e| e.1[0].frame,
+        );
         for i in 0..3 {
             let axis = frame.row(i).transpose();
             let compliance = self.compliance_rad_per_nmm * self.compliance_axes[i];
@@ -193,12 +218,15 @@ impl Rod {
         reach: &DMatrix<f64>,
         energy: &mut DMatrix<f64>,
     ) {
-        let Some((_, [.., end])) = elements.last() else { return };
+        let Some((_, [.., end])) = elements.last() else {
+            return;
+        };
         let sigma = -reach.tr_mul(&DVector::from_column_slice(equilibrium.tangent.as_slice()));
         let tangent_rate = end.frame * end.u.cross(&Vector3::x());
         let mut turn = DVector::zeros(energy.nrows());
         let body_force = end.frame.transpose() * equilibrium.force_n;
-        turn.fixed_rows_mut::<3>(energy.nrows() - 3).copy_from(&Vector3::x().cross(&body_force));
+        turn.fixed_rows_mut::<3>(energy.nrows() - 3)
+            .copy_from(&Vector3::x().cross(&body_force));
         // -F . (sigma^2 t' / 2 + sigma R (eta x e1)), twice, as a symmetric form.
         energy.ger(-equilibrium.force_n.dot(&tangent_rate), &sigma, &sigma, 1.0);
         energy.ger(-1.0, &sigma, &turn, 1.0);
@@ -219,14 +247,18 @@ fn element_energy(h: f64, nodes: &[Node; 3]) -> SMatrix<f64, 9, 9> {
         let mut change = SMatrix::<f64, 3, 9>::zeros();
         let mut here = SMatrix::<f64, 3, 9>::zeros();
         for (k, slope) in SLOPES[q].iter().enumerate() {
-            change.fixed_view_mut::<3, 3>(0, 3 * k).copy_from(&(Matrix3::identity() * (slope / h)));
+            change
+                .fixed_view_mut::<3, 3>(0, 3 * k)
+                .copy_from(&(Matrix3::identity() * (slope / h)));
         }
-        here.fixed_view_mut::<3, 3>(0, 3 * q).copy_from(&Matrix3::identity());
+        here.fixed_view_mut::<3, 3>(0, 3 * q)
+            .copy_from(&Matrix3::identity());
         change += node.u.cross_matrix() * here;
         let elastic = change.transpose() * node.stiffness * change;
         let coupling = -(change.transpose() * node.moment.cross_matrix() * here);
         let e1_force = Vector3::x() * node.force.transpose();
-        let geometric = Matrix3::identity() * node.force.x - (e1_force + e1_force.transpose()) * 0.5;
+        let geometric =
+            Matrix3::identity() * node.force.x - (e1_force + e1_force.transpose()) * 0.5;
         let load = here.transpose() * geometric * here;
         energy += (elastic + (coupling + coupling.transpose()) * 0.5 + load) * (LOBATTO[q] * h);
     }

@@ -7,7 +7,10 @@ use wcal_rod::{Equilibrium, Guess, Line, Rod, Tangential};
 const MU: f64 = 0.2;
 
 fn line() -> Line {
-    Line { origin_mm: bent(0.5).shape.rest_point(31.0), direction: Vector3::new(0.0, 0.6, 0.8) }
+    Line {
+        origin_mm: bent(0.5).shape.rest_point(31.0),
+        direction: Vector3::new(0.0, 0.6, 0.8),
+    }
 }
 
 fn stations() -> Vec<f64> {
@@ -15,7 +18,12 @@ fn stations() -> Vec<f64> {
 }
 
 /// Solves along `xs` from `start`, each from its neighbour.
-fn walk(rod: &Rod, xs: &[f64], start: &Guess, law: impl Fn(&Guess) -> Tangential) -> Vec<Equilibrium> {
+fn walk(
+    rod: &Rod,
+    xs: &[f64],
+    start: &Guess,
+    law: impl Fn(&Guess) -> Tangential,
+) -> Vec<Equilibrium> {
     let mut guess = *start;
     let mut out = Vec::new();
     for &x in xs {
@@ -27,20 +35,31 @@ fn walk(rod: &Rod, xs: &[f64], start: &Guess, law: impl Fn(&Guess) -> Tangential
 }
 
 fn first_guess() -> Guess {
-    Guess { force_n: Vector3::zeros(), arclength_mm: 31.0 }
+    Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: 31.0,
+    }
 }
 
 #[test]
 fn base_moment_is_position_times_force() {
     let rod = bent(2.0);
-    for e in walk(&rod, &stations(), &first_guess(), |_| Tangential::Frictionless) {
+    for e in walk(&rod, &stations(), &first_guess(), |_| {
+        Tangential::Frictionless
+    }) {
         let nodes = rod.loaded_shape(&e);
-        let j = nodes.iter().position(|n| (n.0 - e.arclength_mm).abs() < 1e-9).expect("contact is a node");
+        let j = nodes
+            .iter()
+            .position(|n| (n.0 - e.arclength_mm).abs() < 1e-9)
+            .expect("contact is a node");
         let (position, frame) = (nodes[j].1, nodes[j].2);
         assert!((e.moment_nmm - position.cross(&e.force_n)).norm() < 1e-10);
         assert!(e.force_n.dot(&frame.column(0)).abs() < 1e-10 * e.force_n.norm().max(1e-3));
         let shifted = position + Vector3::new(0.0, 1e-6, 0.0);
-        assert!((e.moment_nmm - shifted.cross(&e.force_n)).norm() > 1e-10, "a point off by 1 nm went unseen");
+        assert!(
+            (e.moment_nmm - shifted.cross(&e.force_n)).norm() > 1e-10,
+            "a point off by 1 nm went unseen"
+        );
     }
 }
 
@@ -50,7 +69,9 @@ fn loading_equals_unloading_without_friction() {
     let up = stations();
     let down: Vec<f64> = up.iter().rev().copied().collect();
     let loading = walk(&rod, &up, &first_guess(), |_| Tangential::Frictionless);
-    let unloading = walk(&rod, &down, &Guess::from(loading.last().unwrap()), |_| Tangential::Frictionless);
+    let unloading = walk(&rod, &down, &Guess::from(loading.last().unwrap()), |_| {
+        Tangential::Frictionless
+    });
     let worst = loading
         .iter()
         .zip(unloading.iter().rev())
@@ -74,25 +95,47 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     let free = walk(&rod, &up, &first_guess(), |_| Tangential::Frictionless);
     let sign = (free[1].arclength_mm - free[0].arclength_mm).signum();
     let loading = walk(&rod, &up, &first_guess(), |_| Tangential::Ratio(sign * MU));
-    let worst = loading.iter().map(|e| (ratio(e) - sign * MU).abs()).fold(0.0, f64::max);
+    let worst = loading
+        .iter()
+        .map(|e| (ratio(e) - sign * MU).abs())
+        .fold(0.0, f64::max);
     println!("friction ratio off by at most {worst:.1e}");
     assert!(worst < 1e-9);
-    assert!(ratio(&free[10]).abs() < 1e-10, "frictionless contact carried a tangential force");
+    assert!(
+        ratio(&free[10]).abs() < 1e-10,
+        "frictionless contact carried a tangential force"
+    );
     // The stick zone of this wire is about 0.01 mm of travel. A small way back the wire sticks: inside the cone, the contact where it was, the moment not the loading one.
     let top = loading.last().unwrap();
     let back_mm = up[up.len() - 1] - 0.005;
-    let stuck =
-        rod.solve(&line().point(back_mm), &Guess::from(top), Tangential::Stick(top.arclength_mm)).unwrap();
-    let same_place =
-        rod.solve(&line().point(back_mm), &Guess::from(top), Tangential::Ratio(sign * MU)).unwrap();
+    let stuck = rod
+        .solve(
+            &line().point(back_mm),
+            &Guess::from(top),
+            Tangential::Stick(top.arclength_mm),
+        )
+        .unwrap();
+    let same_place = rod
+        .solve(
+            &line().point(back_mm),
+            &Guess::from(top),
+            Tangential::Ratio(sign * MU),
+        )
+        .unwrap();
     assert_eq!(stuck.arclength_mm, top.arclength_mm);
-    assert!(ratio(&stuck).abs() < MU, "stick left the cone: {}", ratio(&stuck));
+    assert!(
+        ratio(&stuck).abs() < MU,
+        "stick left the cone: {}",
+        ratio(&stuck)
+    );
     let split = (stuck.moment_nmm - same_place.moment_nmm).norm();
     println!("0.005 mm back from the top: stick and slip differ by {split:.1e} N mm");
     assert!(split > 1e-5);
     // Unloading with the friction reversed: the loop takes work, and none is taken without friction.
     let down: Vec<f64> = up.iter().rev().copied().collect();
-    let unloading = walk(&rod, &down, &Guess::from(top), |_| Tangential::Ratio(-sign * MU));
+    let unloading = walk(&rod, &down, &Guess::from(top), |_| {
+        Tangential::Ratio(-sign * MU)
+    });
     let work = |path: &[Equilibrium]| -> f64 {
         path.windows(2)
             .map(|w| 0.5 * (w[0].force_n + w[1].force_n).dot(&(w[1].point_mm - w[0].point_mm)))
@@ -100,7 +143,12 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     };
     let lost = work(&loading) + work(&unloading);
     let kept = work(&free)
-        + work(&walk(&rod, &down, &Guess::from(free.last().unwrap()), |_| Tangential::Frictionless));
+        + work(&walk(
+            &rod,
+            &down,
+            &Guess::from(free.last().unwrap()),
+            |_| Tangential::Frictionless,
+        ));
     println!("work lost in the loop {lost:.3e} N mm with friction, {kept:.1e} without");
     assert!(lost > 1e-3 && kept.abs() < 1e-9);
 }
@@ -108,8 +156,11 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
 const COMPLIANCE: f64 = 0.02;
 
 fn held(rod: &Rod, point: &Vector3<f64>) -> Equilibrium {
-    let guess = walk(&bent(2.0), &[1.0, 2.0, 3.0, 4.0], &first_guess(), |_| Tangential::Frictionless)[3];
-    rod.solve(point, &Guess::from(&guess), Tangential::Frictionless).unwrap()
+    let guess = walk(&bent(2.0), &[1.0, 2.0, 3.0, 4.0], &first_guess(), |_| {
+        Tangential::Frictionless
+    })[3];
+    rod.solve(point, &Guess::from(&guess), Tangential::Frictionless)
+        .unwrap()
 }
 
 #[test]
@@ -123,7 +174,10 @@ fn giving_root_equals_a_turned_root() {
     turned.shape.root = rod.root_frame(&soft.moment_nmm);
     let same = held(&turned, &point);
     assert!((same.moment_nmm - soft.moment_nmm).norm() < 1e-10);
-    assert!((rigid.moment_nmm - soft.moment_nmm).norm() > 1e-3, "compliance went unseen");
+    assert!(
+        (rigid.moment_nmm - soft.moment_nmm).norm() > 1e-3,
+        "compliance went unseen"
+    );
 }
 
 #[test]
@@ -134,7 +188,8 @@ fn small_compliance_acts_as_the_derivative_says() {
     // Turning the root by theta is turning the groove back by theta, seen in turned axes.
     let h = 1e-4;
     let stiffness = |direction: Vector3<f64>| {
-        (held(&rod, &(point + direction * h)).moment_nmm - held(&rod, &(point - direction * h)).moment_nmm)
+        (held(&rod, &(point + direction * h)).moment_nmm
+            - held(&rod, &(point - direction * h)).moment_nmm)
             / (2.0 * h)
     };
     let theta = rigid.moment_nmm.component_mul(&rod.compliance_axes);
@@ -151,13 +206,19 @@ fn small_compliance_acts_as_the_derivative_says() {
     println!("dm/dC: relative difference from the turned groove {error:.1e}");
     assert!(error < 1e-6);
     let one_axis = Vector3::new(0.0, rigid.moment_nmm.y, 0.0);
-    assert!((one_axis - theta).norm() > 1e-2, "the check would not see an axis left out");
+    assert!(
+        (one_axis - theta).norm() > 1e-2,
+        "the check would not see an axis left out"
+    );
 }
 
 #[test]
 fn turning_the_problem_about_a_straight_wire_turns_the_answer() {
     let rod = straight(2.0);
-    let guess = Guess { force_n: Vector3::zeros(), arclength_mm: 40.0 };
+    let guess = Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: 40.0,
+    };
     let solve = |angle: f64| {
         let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), angle);
         let mut guess = guess;
@@ -170,17 +231,31 @@ fn turning_the_problem_about_a_straight_wire_turns_the_answer() {
     let (force, s) = solve(0.0);
     for angle in [0.3, 1.2, 2.9, -2.0] {
         let (f, t) = solve(angle);
-        assert!((f - force).norm() < 1e-10 * force.norm() && (s - t).abs() < 1e-9, "{angle}");
+        assert!(
+            (f - force).norm() < 1e-10 * force.norm() && (s - t).abs() < 1e-9,
+            "{angle}"
+        );
     }
     assert!(force.z.abs() < 1e-10 && force.y > 1e-2);
     // A wire bent in one plane has no such symmetry.
     let arc = bent(2.0);
     let push = |d: Vector3<f64>| {
         let p = arc.shape.rest_point(40.0) + d;
-        let g = Guess { force_n: Vector3::zeros(), arclength_mm: 40.0 };
-        arc.solve(&p, &g, Tangential::Frictionless).unwrap().moment_nmm
+        let g = Guess {
+            force_n: Vector3::zeros(),
+            arclength_mm: 40.0,
+        };
+        arc.solve(&p, &g, Tangential::Frictionless)
+            .unwrap()
+            .moment_nmm
     };
     let (a, b, c) = (push(Vector3::y()), push(-Vector3::y()), push(Vector3::z()));
-    assert!((a - Vector3::new(-b.x, b.y, -b.z)).norm() < 1e-10, "mirror symmetry in y lost");
-    assert!((a.norm() - c.norm()).abs() > 1e-3, "the negative control is blind");
+    assert!(
+        (a - Vector3::new(-b.x, b.y, -b.z)).norm() < 1e-10,
+        "mirror symmetry in y lost"
+    );
+    assert!(
+        (a.norm() - c.norm()).abs() > 1e-3,
+        "the negative control is blind"
+    );
 }

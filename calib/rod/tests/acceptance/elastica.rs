@@ -25,16 +25,27 @@ pub fn elastica_errors(rod: &Rod, angle: f64, plane: f64) -> (f64, f64) {
     let point = (Vector3::x() * along + up * across) * LENGTH_MM;
     let exact = up * (load * rod.section.ei_nmm2 / LENGTH_MM.powi(2));
     // Walk from the small-deflection answer: Newton from far away may find another elastica.
-    let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: LENGTH_MM };
+    let mut guess = Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: LENGTH_MM,
+    };
     for k in 1..=40 {
         let (a, c, l) = end_loaded(angle * f64::from(k) / 40.0);
         let on_way = (Vector3::x() * a + up * c) * LENGTH_MM;
         guess.force_n = up * (l * rod.section.ei_nmm2 / LENGTH_MM.powi(2));
-        guess = Guess::from(&rod.solve(&on_way, &guess, Tangential::Stick(LENGTH_MM)).unwrap());
+        guess = Guess::from(
+            &rod.solve(&on_way, &guess, Tangential::Stick(LENGTH_MM))
+                .unwrap(),
+        );
     }
-    let found = rod.solve(&point, &guess, Tangential::Stick(LENGTH_MM)).unwrap();
+    let found = rod
+        .solve(&point, &guess, Tangential::Stick(LENGTH_MM))
+        .unwrap();
     let moment = point.cross(&exact);
-    ((found.force_n - exact).norm() / exact.norm(), (found.moment_nmm - moment).norm() / moment.norm())
+    (
+        (found.force_n - exact).norm() / exact.norm(),
+        (found.moment_nmm - moment).norm() / moment.norm(),
+    )
 }
 
 const ANGLES_DEG: [f64; 4] = [5.0, 30.0, 60.0, 80.0];
@@ -43,8 +54,11 @@ const ANGLES_DEG: [f64; 4] = [5.0, 30.0, 60.0, 80.0];
 fn end_loaded_cantilever_to_1e_8_under_refinement_and_1e_5_at_the_working_mesh() {
     for degrees in ANGLES_DEG {
         for (step_mm, bound) in [(WORKING_STEP_MM, 1e-5), (0.25, 1e-8)] {
-            let (force, moment) = elastica_errors(&straight(step_mm), f64::to_radians(degrees), 0.4);
-            println!("tip slope {degrees} deg, step {step_mm} mm: force {force:.1e}, moment {moment:.1e}");
+            let (force, moment) =
+                elastica_errors(&straight(step_mm), f64::to_radians(degrees), 0.4);
+            println!(
+                "tip slope {degrees} deg, step {step_mm} mm: force {force:.1e}, moment {moment:.1e}"
+            );
             // An inextensible wire at 5 deg is 0.3 % shorter along its chord: the force follows that small difference.
             let force_bound = if degrees < 10.0 { 10.0 * bound } else { bound };
             assert!(
@@ -61,7 +75,10 @@ fn elastica_check_sees_a_stiffness_off_by_1e_6_and_a_point_off_by_10_um() {
     let (along, across, load) = end_loaded(0.8);
     let point = Vector3::new(along, across, 0.0) * LENGTH_MM;
     let exact = Vector3::y() * (load * rod.section.ei_nmm2 / LENGTH_MM.powi(2));
-    let guess = Guess { force_n: exact, arclength_mm: LENGTH_MM };
+    let guess = Guess {
+        force_n: exact,
+        arclength_mm: LENGTH_MM,
+    };
     let error = |rod: &Rod, p: &Vector3<f64>| {
         let e = rod.solve(p, &guess, Tangential::Stick(LENGTH_MM)).unwrap();
         (e.force_n - exact).norm() / exact.norm()
@@ -77,10 +94,19 @@ fn pure_moment_gives_a_circle_to_rounding() {
     let rod = straight(2.0);
     let curvature = 0.05;
     let circle_error = |moment_nmm: f64| {
-        let table =
-            MomentTable { step_mm: LENGTH_MM, moments_nmm: vec![Vector3::new(0.0, 0.0, moment_nmm); 2] };
-        let load = Load { point: [0.0; 3], force: [0.0; 3], distributed: Some(&table) };
-        let root = Pose { frame: rows_of(&rod.shape.root), position: [0.0; 3] };
+        let table = MomentTable {
+            step_mm: LENGTH_MM,
+            moments_nmm: vec![Vector3::new(0.0, 0.0, moment_nmm); 2],
+        };
+        let load = Load {
+            point: [0.0; 3],
+            force: [0.0; 3],
+            distributed: Some(&table),
+        };
+        let root = Pose {
+            frame: rows_of(&rod.shape.root),
+            position: [0.0; 3],
+        };
         let mut worst: f64 = 0.0;
         to_arclength(&rod.section, &rod.shape, root, &load, LENGTH_MM, |s, g| {
             let (sin, cos) = (curvature * s).sin_cos();
@@ -91,7 +117,10 @@ fn pure_moment_gives_a_circle_to_rounding() {
     };
     let exact_moment = rod.section.ei_nmm2 * curvature;
     let error = circle_error(exact_moment);
-    println!("circle of {:.2} rad: largest position error / L {error:.1e}", curvature * LENGTH_MM);
+    println!(
+        "circle of {:.2} rad: largest position error / L {error:.1e}",
+        curvature * LENGTH_MM
+    );
     assert!(error < 1e-12);
     assert!(circle_error(exact_moment * (1.0 + 1e-9)) > 1e-10);
 }

@@ -27,7 +27,10 @@ fn tip_force_n(rod: &Rod, deflection_mm: f64) -> f64 {
     guess.arclength_mm -= 0.6 * deflection_mm.powi(2) / LENGTH_MM;
     // Frictionless contact at constant x: the arc length moves by a part in 1e6 only.
     let point = Vector3::new(guess.arclength_mm, deflection_mm, 0.0);
-    rod.solve(&point, &guess, Tangential::Frictionless).unwrap().force_n.y
+    rod.solve(&point, &guess, Tangential::Frictionless)
+        .unwrap()
+        .force_n
+        .y
 }
 
 #[test]
@@ -38,13 +41,18 @@ fn taper_follows_the_fourth_power_of_the_diameter() {
         rod.section.taper = taper;
         let ei = rod.section.ei_nmm2;
         let end = (1.0_f64 + taper).powf(0.25);
-        let exact = deflection_mm(force, |s, m| m / (ei * (1.0 + (end - 1.0) * s / LENGTH_MM).powi(4)));
+        let exact = deflection_mm(force, |s, m| {
+            m / (ei * (1.0 + (end - 1.0) * s / LENGTH_MM).powi(4))
+        });
         // Contact 1 um short of the tip: that alone changes the force by 5e-5.
         let error = tip_force_n(&rod, exact) / force - 1.0;
         println!("taper {taper}: tip force off by {error:.1e}");
         assert!(error.abs() < 1e-4);
         rod.section.taper = 1.05 * taper;
-        assert!((tip_force_n(&rod, exact) / force - 1.0).abs() > 1e-3, "a taper off by 5 % went unseen");
+        assert!(
+            (tip_force_n(&rod, exact) / force - 1.0).abs() > 1e-3,
+            "a taper off by 5 % went unseen"
+        );
     }
 }
 
@@ -81,7 +89,9 @@ fn softening_laws_match_fibre_sums_and_quadrature() {
         0.5 * (low + high)
     };
     // The fibre sum is slow: tabulated and interpolated.
-    let knots: Vec<f64> = (0..=80).map(|k| invert(1.0 + 0.4 * f64::from(k) / 80.0)).collect();
+    let knots: Vec<f64> = (0..=80)
+        .map(|k| invert(1.0 + 0.4 * f64::from(k) / 80.0))
+        .collect();
     let section_curvature = |_s: f64, m: f64| {
         let y = m / (ei * onset);
         if y <= 1.0 {
@@ -102,14 +112,27 @@ fn softening_laws_match_fibre_sums_and_quadrature() {
         println!("{name}: tip force off by {error:.1e}");
         assert!(error.abs() < 2e-4, "{name}: {error:e}");
         rod.section.softening = None;
-        assert!((tip_force_n(&rod, exact_mm) / force - 1.0).abs() > 0.02, "{name}: softening went unseen");
+        assert!(
+            (tip_force_n(&rod, exact_mm) / force - 1.0).abs() > 0.02,
+            "{name}: softening went unseen"
+        );
     };
     check(
         "bilinear",
-        Softening::Bilinear { onset_per_m, ratio: 0.3 },
+        Softening::Bilinear {
+            onset_per_m,
+            ratio: 0.3,
+        },
         deflection_mm(force, bilinear_curvature),
     );
-    check("section", Softening::Section { onset_per_m, hardening }, deflection_mm(force, section_curvature));
+    check(
+        "section",
+        Softening::Section {
+            onset_per_m,
+            hardening,
+        },
+        deflection_mm(force, section_curvature),
+    );
 }
 
 /// The free wire in the form that `loaded_shape` takes.
@@ -136,13 +159,25 @@ fn own_weight_bends_the_cantilever_as_known() {
     let exact_moment = Vector3::y() * (0.5 * w * LENGTH_MM.powi(2));
     let sag = rod.loaded_shape(&free_wire()).last().unwrap().1.z;
     let exact_sag = -w * LENGTH_MM.powi(4) / (8.0 * rod.section.ei_nmm2);
-    let (m, d) = ((moment - exact_moment).norm() / exact_moment.norm(), sag / exact_sag - 1.0);
-    println!("weight: root moment {:.6} N mm off by {m:.1e}, sag {sag:.6} mm off by {d:.1e}", moment.y);
+    let (m, d) = (
+        (moment - exact_moment).norm() / exact_moment.norm(),
+        sag / exact_sag - 1.0,
+    );
+    println!(
+        "weight: root moment {:.6} N mm off by {m:.1e}, sag {sag:.6} mm off by {d:.1e}",
+        moment.y
+    );
     assert!(m < 1e-5 && d.abs() < 1e-4);
     // The sag shortens the lever by 6.6e-6, and with the weight squared: the ratio is linear only to that.
-    let in_water = Rod::new(&spec, 1.0).unwrap().with_weight(&spec, 998.0).rest_moment_nmm();
+    let in_water = Rod::new(&spec, 1.0)
+        .unwrap()
+        .with_weight(&spec, 998.0)
+        .rest_moment_nmm();
     assert!(((in_water.y / moment.y) - (6450.0 - 998.0) / (6450.0 - 1.2)).abs() < 1e-5);
-    assert!((in_water - exact_moment).norm() / exact_moment.norm() > 0.1, "buoyancy went unseen");
+    assert!(
+        (in_water - exact_moment).norm() / exact_moment.norm() > 0.1,
+        "buoyancy went unseen"
+    );
 }
 
 #[test]
@@ -151,7 +186,10 @@ fn weight_and_contact_balance_at_the_base() {
     let rod = Rod::new(&spec, 1.0).unwrap().with_weight(&spec, 1.2);
     let bare = crate::bent(1.0);
     let point = rod.shape.rest_point(35.0) + Vector3::new(0.0, 1.0, 2.0);
-    let guess = Guess { force_n: Vector3::zeros(), arclength_mm: 35.0 };
+    let guess = Guess {
+        force_n: Vector3::zeros(),
+        arclength_mm: 35.0,
+    };
     let held = rod.solve(&point, &guess, Tangential::Frictionless).unwrap();
     // Base moment = P x F + integral of r x w over the whole wire, by the trapezoid on the loaded nodes.
     let nodes = rod.loaded_shape(&held);
@@ -160,12 +198,19 @@ fn weight_and_contact_balance_at_the_base() {
         .map(|n| (n[0].1 + n[1].1).cross(&rod.weight_n_per_mm) * (0.5 * (n[1].0 - n[0].0)))
         .sum();
     let error = (held.moment_nmm - point.cross(&held.force_n) - weight).norm();
-    let contact = nodes
-        .iter()
-        .min_by(|a, b| (a.0 - held.arclength_mm).abs().total_cmp(&(b.0 - held.arclength_mm).abs()));
+    let contact = nodes.iter().min_by(|a, b| {
+        (a.0 - held.arclength_mm)
+            .abs()
+            .total_cmp(&(b.0 - held.arclength_mm).abs())
+    });
     let gap = (contact.unwrap().1 - point).norm();
     println!("weight with contact: balance {error:.1e} N mm, contact off by {gap:.1e} mm");
     assert!(error < 1e-5 && gap < 1e-8);
-    let without = bare.solve(&point, &guess, Tangential::Frictionless).unwrap();
-    assert!((without.moment_nmm - held.moment_nmm).norm() > 1e-4, "weight went unseen");
+    let without = bare
+        .solve(&point, &guess, Tangential::Frictionless)
+        .unwrap();
+    assert!(
+        (without.moment_nmm - held.moment_nmm).norm() > 1e-4,
+        "weight went unseen"
+    );
 }

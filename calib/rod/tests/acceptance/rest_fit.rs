@@ -10,7 +10,11 @@ use wcal_rod::{Guess, MeasuredShape, RestChoice, RestModel, Rod, Shape, Tangenti
 const TRUE_MM: [f64; 3] = [29.3, 21.1, 59.6];
 
 fn arc([straight_mm, arc_radius_mm, length_mm]: [f64; 3]) -> RestShape {
-    RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm }
+    RestShape::StraightArc {
+        straight_mm,
+        arc_radius_mm,
+        length_mm,
+    }
 }
 
 const ARC: RestChoice = RestChoice::StraightArc;
@@ -35,13 +39,23 @@ fn shapes_of(rod: &Rod, noise_mm: f64, rng: &mut ChaCha8Rng) -> Vec<MeasuredShap
     for k in 0..9 {
         let s = 18.0 + 2.5 * f64::from(k);
         let from = rod.shape.rest_point(s);
-        let push =
-            Vector3::new(0.0, if k % 2 == 0 { 2.5 } else { -2.0 }, if k % 3 == 0 { 3.0 } else { -1.5 });
-        let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: s };
+        let push = Vector3::new(
+            0.0,
+            if k % 2 == 0 { 2.5 } else { -2.0 },
+            if k % 3 == 0 { 3.0 } else { -1.5 },
+        );
+        let mut guess = Guess {
+            force_n: Vector3::zeros(),
+            arclength_mm: s,
+        };
         let mut held = None;
         for leg in 1..=10 {
             let found = rod
-                .solve(&(from + push * (f64::from(leg) / 10.0)), &guess, Tangential::Frictionless)
+                .solve(
+                    &(from + push * (f64::from(leg) / 10.0)),
+                    &guess,
+                    Tangential::Frictionless,
+                )
                 .unwrap();
             guess = Guess::from(&found);
             held = Some(found);
@@ -98,7 +112,11 @@ fn exact_lines_give_the_geometry_back() {
             fit.values[k]
         );
     }
-    assert!(fit.rms_mm < 1e-3 && fit.excluded.is_empty(), "{}", fit.rms_mm);
+    assert!(
+        fit.rms_mm < 1e-3 && fit.excluded.is_empty(),
+        "{}",
+        fit.rms_mm
+    );
 }
 
 #[test]
@@ -107,7 +125,9 @@ fn stated_sds_cover_the_truth() {
     let (mut inside, mut all) = (0, 0);
     for _ in 0..12 {
         let fit = fit_rest(&nominal(), &shapes(0.01, &mut rng), ARC).unwrap();
-        assert!((fit.values[1] - TRUE_MM[1]).abs() < 0.1 && (fit.values[2] - TRUE_MM[2]).abs() < 0.2);
+        assert!(
+            (fit.values[1] - TRUE_MM[1]).abs() < 0.1 && (fit.values[2] - TRUE_MM[2]).abs() < 0.2
+        );
         for (k, t) in truth().into_iter().enumerate() {
             // Student's t with eight degrees of freedom: 95 %.
             inside += usize::from((fit.values[k] - t).abs() < 2.306 * fit.sd(k).unwrap());
@@ -129,9 +149,17 @@ fn a_wrong_groove_and_a_wrong_model_show_in_the_residual() {
         }
     }
     let bad = fit_rest(&nominal(), &made, ARC).unwrap();
-    assert!(bad.rms_over_sd > 5.0 * good.rms_over_sd, "{} against {}", bad.rms_over_sd, good.rms_over_sd);
+    assert!(
+        bad.rms_over_sd > 5.0 * good.rms_over_sd,
+        "{} against {}",
+        bad.rms_over_sd,
+        good.rms_over_sd
+    );
     let none = fit_rest(&nominal(), &[], ARC).unwrap_err();
-    assert!(none.to_string().contains("at least one usable shape"), "{none}");
+    assert!(
+        none.to_string().contains("at least one usable shape"),
+        "{none}"
+    );
 }
 
 /// A scale error of all shapes is not in the jackknife; as a common error it is, and the lengths' share is their own size times it.
@@ -152,7 +180,8 @@ fn an_error_common_to_all_shapes_enters_by_its_own_way() {
     // What was measured is a thousandth too large.
     let mut fit = fit_rest(&nominal(), &scaled(1.0 + scale), ARC).unwrap();
     let alone: Vec<f64> = (0..3).map(|k| fit.sd(k).unwrap()).collect();
-    fit.add_common_errors(&nominal(), &[scaled(1.0 + 2.0 * scale)]).unwrap();
+    fit.add_common_errors(&nominal(), &[scaled(1.0 + 2.0 * scale)])
+        .unwrap();
     let (common, names) = (fit.common.clone().unwrap(), fit.model.names());
     for k in 0..3 {
         let (off, sd) = (fit.values[k] - TRUE_MM[k], fit.sd(k).unwrap());
@@ -161,13 +190,18 @@ fn an_error_common_to_all_shapes_enters_by_its_own_way() {
         assert!(off.abs() < 3.0 * sd, "{}: {off} of {sd}", names[k]);
     }
     // Negative control: the jackknife alone would be many standard deviations off.
-    let worst = (0..3).map(|k| (fit.values[k] - TRUE_MM[k]).abs() / alone[k]).fold(0.0, f64::max);
+    let worst = (0..3)
+        .map(|k| (fit.values[k] - TRUE_MM[k]).abs() / alone[k])
+        .fold(0.0, f64::max);
     assert!(worst > 6.0, "{worst}");
 }
 
 /// Curvatures of a wire that no straight part with an arc describes, 1/mm, at a share of its length.
 fn bends(x: f64) -> [f64; 2] {
-    [0.01 + 0.045 * x * x, 0.006 * (std::f64::consts::PI * x).sin()]
+    [
+        0.01 + 0.045 * x * x,
+        0.006 * (std::f64::consts::PI * x).sin(),
+    ]
 }
 
 /// A wire that bends all the way and out of its plane: BIC asks for a free curvature, which is the true one; of an arc it asks for none.
@@ -180,17 +214,33 @@ fn a_free_curvature_is_found_where_there_is_one() {
     let made = shapes_of(&rod, 0.003, &mut rng);
     let fit = fit_rest(&nominal(), &made, RestChoice::Best).unwrap();
     let n = 5;
-    assert_eq!(fit.model, RestModel::FreeCurvature(n), "{:?}", fit.candidates);
-    assert!(fit.excluded.is_empty() && fit.rms_over_sd < 1.5, "{:?} {}", fit.candidates, fit.rms_over_sd);
+    assert_eq!(
+        fit.model,
+        RestModel::FreeCurvature(n),
+        "{:?}",
+        fit.candidates
+    );
+    assert!(
+        fit.excluded.is_empty() && fit.rms_over_sd < 1.5,
+        "{:?} {}",
+        fit.candidates,
+        fit.rms_over_sd
+    );
     // The clamp of the true wire is turned about the wire too: the curvatures carry that.
     let roll = turn().scaled_axis().x;
     let (mut inside, mut all) = (0, 0);
     for k in 0..n {
         let [y, z] = bends(k as f64 / (n - 1) as f64);
-        let truth = [y * roll.cos() - z * roll.sin(), y * roll.sin() + z * roll.cos()];
+        let truth = [
+            y * roll.cos() - z * roll.sin(),
+            y * roll.sin() + z * roll.cos(),
+        ];
         for (axis, truth) in truth.into_iter().enumerate() {
             let (value, sd) = (fit.values[axis * n + k], fit.sd(axis * n + k).unwrap());
-            assert!((value - truth).abs() < 4.0 * sd + 1e-5, "place {k}: {value} for {truth}, sd {sd}");
+            assert!(
+                (value - truth).abs() < 4.0 * sd + 1e-5,
+                "place {k}: {value} for {truth}, sd {sd}"
+            );
             // Student's t with eight degrees of freedom: 95 %.
             inside += usize::from((value - truth).abs() < 2.306 * sd + 1e-5);
             all += 1;
@@ -208,7 +258,12 @@ fn a_free_curvature_is_found_where_there_is_one() {
         assert!(off < 0.02, "{s} mm: {off}");
     }
     let forced = fit_rest(&nominal(), &made, ARC).unwrap();
-    assert!(forced.rms_over_sd > 5.0 * fit.rms_over_sd, "{} {}", forced.rms_over_sd, fit.rms_over_sd);
+    assert!(
+        forced.rms_over_sd > 5.0 * fit.rms_over_sd,
+        "{} {}",
+        forced.rms_over_sd,
+        fit.rms_over_sd
+    );
     // Negative control: lines of an arc.
     let arcs = fit_rest(&nominal(), &shapes(0.003, &mut rng), RestChoice::Best).unwrap();
     assert_eq!(arcs.model, RestModel::StraightArc, "{:?}", arcs.candidates);

@@ -43,7 +43,10 @@ fn clamped_pinned_strut_buckles_at_eulers_load() {
     soft.section.ei_nmm2 *= 0.99;
     // In units of the nominal EI: one per cent less.
     let softer = critical_load(&soft) * 0.99;
-    assert!((softer / exact - 1.0).abs() > 5e-3, "a stiffness off by 1 % went unseen");
+    assert!(
+        (softer / exact - 1.0).abs() > 5e-3,
+        "a stiffness off by 1 % went unseen"
+    );
 }
 
 #[test]
@@ -65,26 +68,41 @@ fn a_giving_root_buckles_earlier() {
     let (mut low, mut high) = (3.2_f64, 4.49_f64);
     for _ in 0..60 {
         let x = 0.5 * (low + high);
-        if f(x) * f(low) > 0.0 { low = x } else { high = x }
+        if f(x) * f(low) > 0.0 {
+            low = x
+        } else {
+            high = x
+        }
     }
-    println!("root spring: critical load {soft:.6}, exact {:.6}", low * low);
+    println!(
+        "root spring: critical load {soft:.6}, exact {:.6}",
+        low * low
+    );
     assert!((soft / (low * low) - 1.0).abs() < 1e-5);
 }
 
 #[test]
 fn ordinary_poses_are_stable_on_every_mesh() {
-    for (touch_mm, direction) in
-        [(31.0, Vector3::new(0.0, 0.6, 0.8)), (36.0, Vector3::y()), (42.0, Vector3::new(0.0, -0.6, 0.8))]
-    {
+    for (touch_mm, direction) in [
+        (31.0, Vector3::new(0.0, 0.6, 0.8)),
+        (36.0, Vector3::y()),
+        (42.0, Vector3::new(0.0, -0.6, 0.8)),
+    ] {
         let xs: Vec<f64> = (1..=8).map(f64::from).collect();
         let scan = |h: f64| {
             let rod = bent(h);
-            let line = Line { origin_mm: bent(0.5).shape.rest_point(touch_mm), direction };
+            let line = Line {
+                origin_mm: bent(0.5).shape.rest_point(touch_mm),
+                direction,
+            };
             let held = |outcome: &Outcome| match outcome {
                 Outcome::Held(e) => Some(rod.smallest_eigenvalue(e)),
                 _ => None,
             };
-            rod.follow(&line, &xs).iter().filter_map(held).collect::<Vec<f64>>()
+            rod.follow(&line, &xs)
+                .iter()
+                .filter_map(held)
+                .collect::<Vec<f64>>()
         };
         let (coarse, fine) = (scan(3.0), scan(1.5));
         assert_eq!((coarse.len(), fine.len()), (8, 8));

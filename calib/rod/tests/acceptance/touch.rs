@@ -6,7 +6,10 @@ use wcal_core::observation::RestShape;
 use wcal_rod::{Line, Outcome, Rod};
 
 fn fixture(name: &str) -> String {
-    let path = format!("{}/../../fixtures/whiskerfbg/{name}", env!("CARGO_MANIFEST_DIR"));
+    let path = format!(
+        "{}/../../fixtures/whiskerfbg/{name}",
+        env!("CARGO_MANIFEST_DIR")
+    );
     std::fs::read_to_string(path).unwrap()
 }
 
@@ -16,7 +19,11 @@ fn triple(text: &str) -> Vector3<f64> {
 }
 
 fn measured_wire() -> Rod {
-    let points = fixture("rest_shape.csv").lines().skip(1).map(triple).collect();
+    let points = fixture("rest_shape.csv")
+        .lines()
+        .skip(1)
+        .map(triple)
+        .collect();
     let mut wire = spec(RestShape::Polyline(points));
     wire.diameter_mm = 0.3048;
     Rod::new(&wire, 2.0).unwrap()
@@ -27,7 +34,13 @@ fn measured_paths() -> Vec<Line> {
     let text = fixture("session.toml");
     let values = |key: &str| -> Vec<Vector3<f64>> {
         text.lines()
-            .filter_map(|l| l.strip_prefix(key)?.split_once('[')?.1.split_once(']').map(|v| triple(v.0)))
+            .filter_map(|l| {
+                l.strip_prefix(key)?
+                    .split_once('[')?
+                    .1
+                    .split_once(']')
+                    .map(|v| triple(v.0))
+            })
             .collect()
     };
     let (origins, directions) = (values("origin_mm"), values("direction"));
@@ -35,7 +48,10 @@ fn measured_paths() -> Vec<Line> {
     origins
         .into_iter()
         .zip(directions)
-        .map(|(origin_mm, d)| Line { origin_mm, direction: d.normalize() })
+        .map(|(origin_mm, d)| Line {
+            origin_mm,
+            direction: d.normalize(),
+        })
         .collect()
 }
 
@@ -64,17 +80,31 @@ fn the_first_of_two_crossings_counts() {
             touch.arclength_mm,
             touch.gap_mm
         );
-        assert!(touch.x_mm < 5.0 && touch.gap_mm < 1.0, "path {}: {touch:?}", j + 1);
+        assert!(
+            touch.x_mm < 5.0 && touch.gap_mm < 1.0,
+            "path {}: {touch:?}",
+            j + 1
+        );
         assert!(touch.arclength_mm < 16.0);
         crossed_twice += usize::from(later < 0.1);
         // A groove that starts behind the first crossing meets the second one: the search does not prefer the root.
-        let behind = Line { origin_mm: line.point(touch.x_mm + 6.0), ..*line };
+        let behind = Line {
+            origin_mm: line.point(touch.x_mm + 6.0),
+            ..*line
+        };
         let second = rod.first_touch(&behind, 0.0, 40.0);
         if later < 0.1 {
-            assert!(second.arclength_mm > touch.arclength_mm + 12.0, "path {}: {second:?}", j + 1);
+            assert!(
+                second.arclength_mm > touch.arclength_mm + 12.0,
+                "path {}: {second:?}",
+                j + 1
+            );
         }
     }
-    assert!(crossed_twice >= 1, "the set has a planar path that crosses the bent wire twice");
+    assert!(
+        crossed_twice >= 1,
+        "the set has a planar path that crosses the bent wire twice"
+    );
 }
 
 #[test]
@@ -89,9 +119,16 @@ fn the_measured_paths_can_be_followed_from_first_touch() {
             j + 1,
             out.last().map(|o| o.equilibrium().is_some())
         );
-        let arcs: Vec<f64> = out.iter().filter_map(|o| Some(o.equilibrium()?.arclength_mm)).collect();
+        let arcs: Vec<f64> = out
+            .iter()
+            .filter_map(|o| Some(o.equilibrium()?.arclength_mm))
+            .collect();
         assert!(arcs.len() >= 8, "path {}: {out:?}", j + 1);
-        assert!(arcs.windows(2).all(|w| (w[1] - w[0]).abs() < 6.0), "path {}: contact jumps {arcs:?}", j + 1);
+        assert!(
+            arcs.windows(2).all(|w| (w[1] - w[0]).abs() < 6.0),
+            "path {}: contact jumps {arcs:?}",
+            j + 1
+        );
     }
 }
 
@@ -99,11 +136,20 @@ fn the_measured_paths_can_be_followed_from_first_touch() {
 fn an_offset_groove_still_touches_where_it_starts() {
     let rod = bent(2.0);
     let at = rod.shape.rest_point(34.0);
-    let line = Line { origin_mm: at + Vector3::new(0.0, 0.4, 0.0), direction: Vector3::y() };
+    let line = Line {
+        origin_mm: at + Vector3::new(0.0, 0.4, 0.0),
+        direction: Vector3::y(),
+    };
     // The stage may not go back: the wire is already 0.4 mm behind the groove and is pulled there.
     let touch = rod.first_touch(&line, 0.0, 10.0);
     assert_eq!(touch.x_mm, 0.0);
-    assert!((touch.gap_mm - 0.4).abs() < 1e-6 && (touch.arclength_mm - 34.0).abs() < 0.1, "{touch:?}");
+    assert!(
+        (touch.gap_mm - 0.4).abs() < 1e-6 && (touch.arclength_mm - 34.0).abs() < 0.1,
+        "{touch:?}"
+    );
     let free = rod.first_touch(&line, 1.0, 10.0);
-    assert!((free.x_mm + 0.4).abs() < 1e-6 && free.gap_mm < 1e-9, "{free:?}");
+    assert!(
+        (free.x_mm + 0.4).abs() < 1e-6 && free.gap_mm < 1e-9,
+        "{free:?}"
+    );
 }

@@ -105,7 +105,12 @@ impl Broken {
             Change::Whole(bytes) => fs::write(path, bytes).unwrap(),
             Change::Text(from, to) => {
                 let text = fs::read_to_string(&path).unwrap();
-                assert!(text.contains(from), "{}: {from:?} is not in {}", self.name, self.file);
+                assert!(
+                    text.contains(from),
+                    "{}: {from:?} is not in {}",
+                    self.name,
+                    self.file
+                );
                 fs::write(path, text.replacen(from, to, 1)).unwrap();
             }
         }
@@ -118,7 +123,13 @@ const fn whisker(
     change: Change,
     says: &'static [&'static str],
 ) -> Broken {
-    Broken { name, base: Base::Whisker, file, change, says }
+    Broken {
+        name,
+        base: Base::Whisker,
+        file,
+        change,
+        says,
+    }
 }
 
 const fn points(
@@ -146,7 +157,13 @@ const fn other(
     to: &'static str,
     says: &'static [&'static str],
 ) -> Broken {
-    Broken { name, base, file: "points.csv", change: Change::Text(from, to), says }
+    Broken {
+        name,
+        base,
+        file: "points.csv",
+        change: Change::Text(from, to),
+        says,
+    }
 }
 
 /// Every broken session.

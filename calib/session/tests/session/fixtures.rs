@@ -35,7 +35,11 @@ fn mismatches(folder: &Path) -> Vec<String> {
         }
         present.remove(&path);
     }
-    wrong.extend(present.iter().map(|path| format!("{} has no hash", path.display())));
+    wrong.extend(
+        present
+            .iter()
+            .map(|path| format!("{} has no hash", path.display())),
+    );
     wrong
 }
 
@@ -49,7 +53,9 @@ fn every_fixture_is_hashed_has_a_source_and_is_unchanged() {
             continue;
         }
         folders += 1;
-        let source = ["SOURCE.md", "SOURCE.txt", "README.md"].iter().any(|name| folder.join(name).is_file());
+        let source = ["SOURCE.md", "SOURCE.txt", "README.md"]
+            .iter()
+            .any(|name| folder.join(name).is_file());
         assert!(source, "{} names no source", folder.display());
         assert_eq!(mismatches(&folder), Vec::<String>::new());
     }
@@ -60,7 +66,11 @@ fn every_fixture_is_hashed_has_a_source_and_is_unchanged() {
 fn a_changed_or_added_file_is_noticed() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.csv"), "1").unwrap();
-    fs::write(folder.path().join("SHA256SUMS"), format!("{}  ./a.csv\n", sha256_hex(b"1"))).unwrap();
+    fs::write(
+        folder.path().join("SHA256SUMS"),
+        format!("{}  ./a.csv\n", sha256_hex(b"1")),
+    )
+    .unwrap();
     assert!(mismatches(folder.path()).is_empty());
     fs::write(folder.path().join("a.csv"), "2").unwrap();
     fs::write(folder.path().join("b.csv"), "3").unwrap();

@@ -19,7 +19,11 @@ fn opened<R: Clone>(sealed: Sealed<R>) -> Vec<R> {
             serde_json::Value::Null
         }
     }
-    sealed.unseal(Undecided, &Ledger::default()).unwrap().assess(|_, rows, _| rows.to_vec()).1
+    sealed
+        .unseal(Undecided, &Ledger::default())
+        .unwrap()
+        .assess(|_, rows, _| rows.to_vec())
+        .1
 }
 
 mod bad_input;

@@ -39,10 +39,19 @@ fn loaded(text: &str) -> Result<(Vec<i64>, Vec<String>), String> {
     fs::write(folder.path().join("session.toml"), toml).unwrap();
     fs::write(folder.path().join("shapes.json"), text).unwrap();
     let session = load(folder.path()).map_err(|e| e.to_string())?;
-    let SessionData::Whisker(WhiskerData { rows, shapes, .. }) = &session.data else { panic!("kind") };
+    let SessionData::Whisker(WhiskerData { rows, shapes, .. }) = &session.data else {
+        panic!("kind")
+    };
     assert!(shapes.is_some() && session.inputs.iter().any(|i| i.path == "shapes.json"));
-    let counted = rows.iter().filter(|r| r.pair.is_some()).map(|r| r.point).collect();
-    Ok((counted, session.warnings.iter().map(ToString::to_string).collect()))
+    let counted = rows
+        .iter()
+        .filter(|r| r.pair.is_some())
+        .map(|r| r.point)
+        .collect();
+    Ok((
+        counted,
+        session.warnings.iter().map(ToString::to_string).collect(),
+    ))
 }
 
 fn with(edit: impl Fn(&mut Value)) -> Result<(Vec<i64>, Vec<String>), String> {
@@ -55,10 +64,16 @@ fn with(edit: impl Fn(&mut Value)) -> Result<(Vec<i64>, Vec<String>), String> {
 fn good_shapes_stand_with_their_rows() {
     assert_eq!(with(|_| ()), Ok((vec![1, 2], vec![])));
     // A pair at rest says nothing of a contact; nothing is wrong with it.
-    assert_eq!(with(|v| v["pairs"][0]["point"] = json!(0)), Ok((vec![2], vec![])));
+    assert_eq!(
+        with(|v| v["pairs"][0]["point"] = json!(0)),
+        Ok((vec![2], vec![]))
+    );
     // The first pair of a point counts.
     let (counted, warnings) = with(|v| v["pairs"][1]["point"] = json!(1)).unwrap();
-    assert!(counted == [1] && warnings[0].contains("another pair has its point already"), "{warnings:?}");
+    assert!(
+        counted == [1] && warnings[0].contains("another pair has its point already"),
+        "{warnings:?}"
+    );
     // What a pair does not state is not asked for.
     let bare = with(|v| {
         for pair in v["pairs"].as_array_mut().unwrap() {
@@ -75,12 +90,13 @@ fn sealed_pairs_stand_with_sealed_rows() {
     Base::Whisker.write(folder.path());
     let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     let toml = fs::read_to_string(folder.path().join("session.toml")).unwrap();
-    let files =
-        "[files]\nshapes = \"shapes.json\"\nholdout = \"holdout.csv\"\nholdout_shapes = \"sealed.json\"\n";
+    let files = "[files]\nshapes = \"shapes.json\"\nholdout = \"holdout.csv\"\nholdout_shapes = \"sealed.json\"\n";
     put("session.toml", &toml.replace("[files]\n", files));
     put(
         "holdout.csv",
-        &fs::read_to_string(folder.path().join("points.csv")).unwrap().replace("calibration", "holdout"),
+        &fs::read_to_string(folder.path().join("points.csv"))
+            .unwrap()
+            .replace("calibration", "holdout"),
     );
     put("shapes.json", &shapes().to_string());
     let mut sealed = shapes();
@@ -88,12 +104,23 @@ fn sealed_pairs_stand_with_sealed_rows() {
     put("sealed.json", &sealed.to_string());
     let session = load(folder.path()).unwrap();
     let said: Vec<String> = session.warnings.iter().map(ToString::to_string).collect();
-    assert!(said.len() == 1 && said[0].contains("sealed.json") && said[0].contains("point 9"), "{said:?}");
-    let SessionData::Whisker(data) = &session.data else { panic!("kind") };
+    assert!(
+        said.len() == 1 && said[0].contains("sealed.json") && said[0].contains("point 9"),
+        "{said:?}"
+    );
+    let SessionData::Whisker(data) = &session.data else {
+        panic!("kind")
+    };
     assert_eq!(data.rows.iter().filter(|r| r.pair.is_some()).count(), 2);
     assert_eq!(data.rows.iter().filter(|r| r.pair.is_some()).count(), 2);
     let rows = crate::opened(session.sealed.whisker());
-    assert_eq!(rows.iter().filter(|r| r.pair.is_some()).map(|r| r.point).collect::<Vec<_>>(), [1]);
+    assert_eq!(
+        rows.iter()
+            .filter(|r| r.pair.is_some())
+            .map(|r| r.point)
+            .collect::<Vec<_>>(),
+        [1]
+    );
 }
 
 #[test]
@@ -104,22 +131,46 @@ fn a_pair_that_cannot_be_used_is_left_out_by_name() {
             p["status"] = json!("rejected");
             p["why"] = json!("line not seen");
         }),
-        ("point 77 is not in the points table", |p| p["point"] = json!(77)),
+        ("point 77 is not in the points table", |p| {
+            p["point"] = json!(77)
+        }),
         ("names no point", |p| p["point"] = Value::Null),
         ("rig tag is not seen", |p| p["groove"] = Value::Null),
-        ("does not touch the groove", |p| p["groove"]["contact"] = json!("none")),
-        ("not in the groove's vertex", |p| p["groove"]["contact"] = json!("out-of-vertex")),
+        ("does not touch the groove", |p| {
+            p["groove"]["contact"] = json!("none")
+        }),
+        ("not in the groove's vertex", |p| {
+            p["groove"]["contact"] = json!("out-of-vertex")
+        }),
         // What is no number (NaN) is written as null.
-        ("cannot be read", |p| p["groove"]["position_mm"][0] = Value::Null),
+        ("cannot be read", |p| {
+            p["groove"]["position_mm"][0] = Value::Null
+        }),
         ("cannot be read", |p| p["groove"]["sd_mm"] = json!("small")),
-        ("its groove is no place", |p| p["groove"]["position_mm"][0] = json!(1e30)),
-        ("standard deviation of its groove is not positive", |p| p["groove"]["sd_mm"][1] = json!(0.0)),
-        ("covariance of its groove is not positive", |p| p["groove"]["covariance_mm2"][0][0] = json!(-1e-4)),
-        ("covariance of its groove is not positive", |p| p["groove"]["covariance_mm2"][0][1] = json!(1e-3)),
-        ("station 9 is not on a centre line of 3 points", |p| p["errors"]["stations"] = json!([9])),
-        ("2 arc lengths for 1 stations", |p| p["errors"]["stations_mm"] = json!([9.0, 10.0])),
-        ("0 derivatives for 1 shared", |p| p["errors"]["shared"] = json!([])),
-        ("501 own errors", |p| p["errors"]["own"] = json!(vec![json!({}); 501])),
+        ("its groove is no place", |p| {
+            p["groove"]["position_mm"][0] = json!(1e30)
+        }),
+        ("standard deviation of its groove is not positive", |p| {
+            p["groove"]["sd_mm"][1] = json!(0.0)
+        }),
+        ("covariance of its groove is not positive", |p| {
+            p["groove"]["covariance_mm2"][0][0] = json!(-1e-4)
+        }),
+        ("covariance of its groove is not positive", |p| {
+            p["groove"]["covariance_mm2"][0][1] = json!(1e-3)
+        }),
+        ("station 9 is not on a centre line of 3 points", |p| {
+            p["errors"]["stations"] = json!([9])
+        }),
+        ("2 arc lengths for 1 stations", |p| {
+            p["errors"]["stations_mm"] = json!([9.0, 10.0])
+        }),
+        ("0 derivatives for 1 shared", |p| {
+            p["errors"]["shared"] = json!([])
+        }),
+        ("501 own errors", |p| {
+            p["errors"]["own"] = json!(vec![json!({}); 501])
+        }),
         ("does not cover the stations", |p| {
             p["errors"]["own"][0]["centreline_mm"] = json!([[0, 0, 0], [0, 0, 0]])
         }),
@@ -128,7 +179,10 @@ fn a_pair_that_cannot_be_used_is_left_out_by_name() {
         let (counted, warnings) = with(|v| edit(&mut v["pairs"][0])).unwrap();
         let text = warnings.join("\n");
         assert_eq!(counted, [2], "{says}: {text}");
-        assert!(text.contains("1 pair(s) of pictures left out") && text.contains(says), "{says}: {text}");
+        assert!(
+            text.contains("1 pair(s) of pictures left out") && text.contains(says),
+            "{says}: {text}"
+        );
     }
 }
 
@@ -136,12 +190,22 @@ fn a_pair_that_cannot_be_used_is_left_out_by_name() {
 fn shapes_of_another_session_or_of_other_cameras_are_left_out_whole() {
     type Edit = fn(&mut Value);
     let cases: [(&str, Edit); 7] = [
-        ("those of session \"other\"", |v| v["source"]["session"] = json!("other")),
-        ("another calibration of the cameras", |v| v["source"]["cameras_sha256"] = json!("c1")),
+        ("those of session \"other\"", |v| {
+            v["source"]["session"] = json!("other")
+        }),
+        ("another calibration of the cameras", |v| {
+            v["source"]["cameras_sha256"] = json!("c1")
+        }),
         ("another rig", |v| v["source"]["rig_sha256"] = json!("r1")),
-        ("is no covariance", |v| v["shared_covariance"] = json!([[-1.0]])),
-        ("is no covariance", |v| v["shared_covariance"] = json!([[Value::Null]])),
-        ("2 rows for 1 parameters", |v| v["shared_covariance"] = json!([[1e-4, 0.0], [0.0, 1e-4]])),
+        ("is no covariance", |v| {
+            v["shared_covariance"] = json!([[-1.0]])
+        }),
+        ("is no covariance", |v| {
+            v["shared_covariance"] = json!([[Value::Null]])
+        }),
+        ("2 rows for 1 parameters", |v| {
+            v["shared_covariance"] = json!([[1e-4, 0.0], [0.0, 1e-4]])
+        }),
         ("0 rows for 201 parameters", |v| {
             let one = v["shared_parameters"][0].clone();
             v["shared_parameters"] = json!(vec![one; 201]);

@@ -17,8 +17,11 @@ fn session(points: &str) -> SessionFiles {
 fn a_session_that_does_not_load_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("s");
-    let error =
-        write_session(&out, &session("point,role,stimulus,response\n1,calibration,1,x\n")).unwrap_err();
+    let error = write_session(
+        &out,
+        &session("point,role,stimulus,response\n1,calibration,1,x\n"),
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("response"), "{error}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     let good = session("point,role,stimulus,response\n1,calibration,1,2\n");
@@ -40,17 +43,28 @@ fn foreign_tables_are_read_by_their_layout() {
         ..TextTableLayout::default()
     };
     let table = read_text_table(&path, &blanks).unwrap();
-    assert_eq!((table.number(0, 0).unwrap(), table.number(1, 0).unwrap()), (Some(0.5), Some(-10.0)));
+    assert_eq!(
+        (table.number(0, 0).unwrap(), table.number(1, 0).unwrap()),
+        (Some(0.5), Some(-10.0))
+    );
     assert_eq!(table.rows[1].0, 5);
     assert!(table.column("z").unwrap_err().to_string().contains("y, x"));
 
     fs::write(&path, "a;b\n1,5;2\n3;x\n").unwrap();
-    let layout =
-        TextTableLayout { separator: Some(Separator::Semicolon), decimal_comma: true, ..Default::default() };
+    let layout = TextTableLayout {
+        separator: Some(Separator::Semicolon),
+        decimal_comma: true,
+        ..Default::default()
+    };
     let table = read_text_table(&path, &layout).unwrap();
     assert_eq!(table.number(0, 0).unwrap(), Some(1.5));
     let error = table.number(1, 1).unwrap_err().to_string();
-    assert!(error.contains("line 3") && error.contains("field b"), "{error}");
-    let error = read_text_table(&path, &TextTableLayout::default()).unwrap_err().to_string();
+    assert!(
+        error.contains("line 3") && error.contains("field b"),
+        "{error}"
+    );
+    let error = read_text_table(&path, &TextTableLayout::default())
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("fields"), "{error}");
 }

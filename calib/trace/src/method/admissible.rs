@@ -18,7 +18,11 @@ impl Hypothesis {
     pub fn key(&self, system: &dyn MeasurementModel, outliers: Option<usize>) -> Vec<TermKey> {
         let mut key = keys(&self.fit.terms, system.catalogue());
         if let (Some(effect), false) = (outliers, self.flagged.is_empty()) {
-            key.push(TermKey { effect, law: 0, instance: 0 });
+            key.push(TermKey {
+                effect,
+                law: 0,
+                instance: 0,
+            });
             key.sort_unstable();
         }
         key
@@ -33,7 +37,8 @@ impl Hypothesis {
                 let at_bound = self.fit.at_bound[slot];
                 slot += 1;
                 // A share of one is complete, not out of range.
-                let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
+                let complete =
+                    matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
                 // Far below the usual size the effect is a correction to something else, not an explanation.
                 let negligible = match p.role {
                     Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
@@ -45,7 +50,11 @@ impl Hypothesis {
             }
         }
         let terms = &self.fit.terms;
-        let apart = |k: usize| terms[..k].iter().all(|t| t.beside(&terms[k], system.catalogue()));
+        let apart = |k: usize| {
+            terms[..k]
+                .iter()
+                .all(|t| t.beside(&terms[k], system.catalogue()))
+        };
         (1..terms.len()).all(apart)
             && self.fit.status != Status::RankDeficient
             && range_check(system, &self.fit)
@@ -59,7 +68,12 @@ impl Hypothesis {
         steps: usize,
     ) -> Option<Self> {
         let fit = fit(system, terms, weights, steps)?;
-        Some(Self { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
+        Some(Self {
+            fit,
+            weights: weights.clone(),
+            flagged: Vec::new(),
+            flag_p: 1.0,
+        })
     }
 
     /// The same without the terms that `leaves`, everything else refitted; none where that has no fit.
@@ -68,9 +82,17 @@ impl Hypothesis {
         system: &dyn MeasurementModel,
         leaves: impl Fn(usize, &EffectTerm) -> bool,
     ) -> Option<Self> {
-        let kept = self.fit.terms.iter().enumerate().filter(|(k, t)| !leaves(*k, t));
+        let kept = self
+            .fit
+            .terms
+            .iter()
+            .enumerate()
+            .filter(|(k, t)| !leaves(*k, t));
         let terms: Vec<EffectTerm> = kept.map(|(_, t)| t.clone()).collect();
-        Some(Self { fit: fit(system, &terms, &self.weights, REFIT_STEPS)?, ..self.clone() })
+        Some(Self {
+            fit: fit(system, &terms, &self.weights, REFIT_STEPS)?,
+            ..self.clone()
+        })
     }
 
     /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where nothing is left to test it by.

@@ -27,12 +27,26 @@ fn tangent_space(h: &Hypothesis) -> Basis {
 
 /// Coordinates of the vectors of `part` in `whole`, one row each.
 fn project_onto(part: &Basis, whole: &Basis) -> DMatrix<f64> {
-    let rows: Vec<_> = part.vectors().iter().map(|v| whole.coordinates(v).transpose()).collect();
-    if rows.is_empty() { DMatrix::zeros(0, whole.rank()) } else { DMatrix::from_rows(&rows) }
+    let rows: Vec<_> = part
+        .vectors()
+        .iter()
+        .map(|v| whole.coordinates(v).transpose())
+        .collect();
+    if rows.is_empty() {
+        DMatrix::zeros(0, whole.rank())
+    } else {
+        DMatrix::from_rows(&rows)
+    }
 }
 
 /// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is the best one's.
-pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, seed: u64) -> f64 {
+pub fn cox_test(
+    best: &Hypothesis,
+    rival: &Hypothesis,
+    variance: f64,
+    draws: usize,
+    seed: u64,
+) -> f64 {
     if !(variance > 0.0) || draws == 0 {
         return 1.0;
     }
@@ -45,17 +59,24 @@ pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usi
         whole.push(v);
     }
     whole.push(&seen);
-    let (best_rows, rival_rows) = (project_onto(&of_best, &whole), project_onto(&of_rival, &whole));
+    let (best_rows, rival_rows) = (
+        project_onto(&of_best, &whole),
+        project_onto(&of_rival, &whole),
+    );
     let direction = whole.coordinates(&seen);
     let lambda = seen.norm_squared();
     let behind = (rival.fit.ssr - best.fit.ssr) / variance;
     let dof = best.fit.dof.max(1.0);
-    let Ok(spread) = ChiSquared::new(dof) else { return 1.0 };
+    let Ok(spread) = ChiSquared::new(dof) else {
+        return 1.0;
+    };
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let mut noise = DVector::zeros(whole.rank());
     let mut reached = 0usize;
     for _ in 0..draws {
-        noise.iter_mut().for_each(|z| *z = StandardNormal.sample(&mut rng));
+        noise
+            .iter_mut()
+            .for_each(|z| *z = StandardNormal.sample(&mut rng));
         let taken = (&rival_rows * &noise).norm_squared() - (&best_rows * &noise).norm_squared();
         let fall = -(lambda + 2.0 * direction.dot(&noise) + taken) * dof / spread.sample(&mut rng);
         reached += usize::from(fall >= behind);
@@ -77,12 +98,17 @@ pub fn cox_p_values(
 ) -> Vec<f64> {
     let (variance, count) = (best.fit.variance(), level.len() as f64);
     let one = |(k, h): (usize, &mut Hypothesis)| {
-        options.progress.at("comparing explanations", k as f64 / count);
-        let p = |h: &Hypothesis| cox_test(best, h, variance, options.draws, options.seed + k as u64);
+        options
+            .progress
+            .at("comparing explanations", k as f64 / count);
+        let p =
+            |h: &Hypothesis| cox_test(best, h, variance, options.draws, options.seed + k as u64);
         match p(h) {
             _ if k == 0 => 1.0,
             rejected if rejected < RIVAL && k <= REFITTED => {
-                let Some(nearer) = from_shared_values(system, h, best) else { return rejected };
+                let Some(nearer) = from_shared_values(system, h, best) else {
+                    return rejected;
+                };
                 *h = nearer;
                 p(h)
             }
@@ -99,10 +125,21 @@ fn from_shared_values(
     h: &Hypothesis,
     best: &Hypothesis,
 ) -> Option<Hypothesis> {
-    let shared = |t: &EffectTerm| best.fit.terms.iter().find(|b| (b.effect, b.law) == (t.effect, t.law));
-    let terms: Vec<EffectTerm> = h.fit.terms.iter().map(|t| shared(t).unwrap_or(t).clone()).collect();
+    let shared = |t: &EffectTerm| {
+        best.fit
+            .terms
+            .iter()
+            .find(|b| (b.effect, b.law) == (t.effect, t.law))
+    };
+    let terms: Vec<EffectTerm> = h
+        .fit
+        .terms
+        .iter()
+        .map(|t| shared(t).unwrap_or(t).clone())
+        .collect();
     let start = (terms != h.fit.terms).then_some(terms)?;
-    refit(system, &[start], h).filter(|nearer| nearer.is_admissible(system) && nearer.fit.ssr < h.fit.ssr)
+    refit(system, &[start], h)
+        .filter(|nearer| nearer.is_admissible(system) && nearer.fit.ssr < h.fit.ssr)
 }
 
 /// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject the wrong one, the other true.
@@ -126,7 +163,11 @@ mod tests {
     /// The model `y = columns b` with every b fitted.
     fn hypothesis(columns: &DMatrix<f64>, y: &DVector<f64>) -> Hypothesis {
         let (n, p) = columns.shape();
-        let b = columns.clone().svd(true, true).solve(y, 1e-12).expect("full rank");
+        let b = columns
+            .clone()
+            .svd(true, true)
+            .solve(y, 1e-12)
+            .expect("full rank");
         let residual = y - columns * &b;
         let fit = Fit {
             terms: Vec::new(),
@@ -145,14 +186,21 @@ mod tests {
             at_bound: Vec::new(),
             status: Status::Converged,
         };
-        Hypothesis { fit, weights: Weights::equal(n), flagged: Vec::new(), flag_p: 1.0 }
+        Hypothesis {
+            fit,
+            weights: Weights::equal(n),
+            flagged: Vec::new(),
+            flag_p: 1.0,
+        }
     }
 
     const TRIALS: usize = 1500;
 
     /// Sinusoids of rising frequency: `phase` sets two families apart.
     fn columns(count: usize, phase: f64) -> DMatrix<f64> {
-        DMatrix::from_fn(60, count, |i, k| (i as f64 * 0.37 * (1.0 + 0.31 * k as f64) + phase).sin())
+        DMatrix::from_fn(60, count, |i, k| {
+            (i as f64 * 0.37 * (1.0 + 0.31 * k as f64) + phase).sin()
+        })
     }
 
     /// Share of draws in which a true rival with `of_rival` parameters, at `distance` noises from the other model with `of_best`, loses and
@@ -171,7 +219,11 @@ mod tests {
                 t + z
             });
             let (wrong, right) = (hypothesis(&wrong, &y), hypothesis(&right, &y));
-            let (best, rival) = if true_is_rival { (&wrong, &right) } else { (&right, &wrong) };
+            let (best, rival) = if true_is_rival {
+                (&wrong, &right)
+            } else {
+                (&right, &wrong)
+            };
             if best.fit.ssr > rival.fit.ssr {
                 continue;
             }
@@ -188,7 +240,10 @@ mod tests {
                 let rate = rejected(distance, parameters, true);
                 // Three standard deviations above the level.
                 let limit = RIVAL + 3.0 * (RIVAL / TRIALS as f64).sqrt();
-                assert!(rate <= limit, "{parameters:?} at {distance}: {rate} > {limit}");
+                assert!(
+                    rate <= limit,
+                    "{parameters:?} at {distance}: {rate} > {limit}"
+                );
             }
         }
     }
@@ -196,8 +251,14 @@ mod tests {
     #[test]
     fn a_false_explanation_is_rejected_as_often_as_the_power_says() {
         for distance in [3.0_f64, 4.0, 5.0] {
-            let (rate, expected) = (rejected(distance, [1, 1], false), power(distance * distance));
-            assert!((rate - expected).abs() < 0.05, "{distance}: {rate} against {expected}");
+            let (rate, expected) = (
+                rejected(distance, [1, 1], false),
+                power(distance * distance),
+            );
+            assert!(
+                (rate - expected).abs() < 0.05,
+                "{distance}: {rate} against {expected}"
+            );
         }
     }
 }

@@ -18,14 +18,27 @@ impl ColumnsSystem {
     pub fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let n = clean.len();
-        let single = Effect::new("outliers", "Single readings stand out.", vec![law("single-readings")]);
-        let single = Effect { is_outlier_process: true, ..single };
+        let single = Effect::new(
+            "outliers",
+            "Single readings stand out.",
+            vec![law("single-readings")],
+        );
+        let single = Effect {
+            is_outlier_process: true,
+            ..single
+        };
         let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
         Self {
             measured: DMatrix::from_fn(n, 1, |i, _| clean[i] + noise()),
             catalogue: columns
                 .iter()
-                .map(|_| Effect::new("column", "A column acts.", vec![law("linear").column("size", "1")]))
+                .map(|_| {
+                    Effect::new(
+                        "column",
+                        "A column acts.",
+                        vec![law("linear").column("size", "1")],
+                    )
+                })
                 .chain([single])
                 .collect(),
             columns,
@@ -35,7 +48,11 @@ impl ColumnsSystem {
 
     /// Term of a column.
     pub fn term(effect: usize) -> EffectTerm {
-        EffectTerm { effect, law: 0, values: Vec::new() }
+        EffectTerm {
+            effect,
+            law: 0,
+            values: Vec::new(),
+        }
     }
 }
 
@@ -45,9 +62,12 @@ impl MeasurementModel for ColumnsSystem {
     }
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let one = vec![1.0; self.measured.nrows()];
-        let columns: Vec<&Vec<f64>> =
-            std::iter::once(&one).chain(terms.iter().map(|t| &self.columns[t.effect])).collect();
-        Some(DMatrix::from_fn(one.len(), columns.len(), |i, j| columns[j][i]))
+        let columns: Vec<&Vec<f64>> = std::iter::once(&one)
+            .chain(terms.iter().map(|t| &self.columns[t.effect]))
+            .collect();
+        Some(DMatrix::from_fn(one.len(), columns.len(), |i, j| {
+            columns[j][i]
+        }))
     }
     fn catalogue(&self) -> &[Effect] {
         &self.catalogue

@@ -60,7 +60,13 @@ impl CovariateBuilder<'_> {
     }
 
     /// `columns` free in every channel.
-    fn add(&mut self, covariate: &str, shape: &'static str, period: Option<f64>, columns: &[Vec<f64>]) {
+    fn add(
+        &mut self,
+        covariate: &str,
+        shape: &'static str,
+        period: Option<f64>,
+        columns: &[Vec<f64>],
+    ) {
         let mut raw: Vec<DVector<f64>> = Vec::new();
         for column in columns {
             let weighted = self.weights.apply_to(column);
@@ -71,14 +77,23 @@ impl CovariateBuilder<'_> {
 
     /// Waves of one period over each wavelength, each in its own alone: an interferometer's error repeats with what it reads. `to_channels` makes
     /// channels of the fit of wavelengths.
-    fn add_ripple(&mut self, wavelengths_pm: &[Vec<f64>], period_pm: f64, to_channels: &DMatrix<f64>) {
+    fn add_ripple(
+        &mut self,
+        wavelengths_pm: &[Vec<f64>],
+        period_pm: f64,
+        to_channels: &DMatrix<f64>,
+    ) {
         let spans: Vec<f64> = wavelengths_pm.iter().map(|v| range(v)[1]).collect();
         let (mut raw, mut of_widest) = (Vec::new(), Vec::new());
-        let widest = (0..spans.len()).max_by(|&a, &b| spans[a].total_cmp(&spans[b])).unwrap_or(0);
+        let widest = (0..spans.len())
+            .max_by(|&a, &b| spans[a].total_cmp(&spans[b]))
+            .unwrap_or(0);
         for (k, wavelength) in wavelengths_pm.iter().enumerate() {
             for wave in [f64::sin as fn(f64) -> f64, f64::cos] {
-                let column: Vec<f64> =
-                    wavelength.iter().map(|v| wave(std::f64::consts::TAU * v / period_pm)).collect();
+                let column: Vec<f64> = wavelength
+                    .iter()
+                    .map(|v| wave(std::f64::consts::TAU * v / period_pm))
+                    .collect();
                 let weighted = self.weights.apply_to(&column);
                 let part = |c: usize| self.fit.in_channel(&weighted, c) * to_channels[(k, c)];
                 raw.push((1..self.channels).fold(part(0), |sum, c| sum + part(c)));
@@ -87,7 +102,13 @@ impl CovariateBuilder<'_> {
                 }
             }
         }
-        self.add_raw(&format!("fbg_{}_pm", widest + 1), "sinusoid", Some(period_pm), &of_widest, &raw);
+        self.add_raw(
+            &format!("fbg_{}_pm", widest + 1),
+            "sinusoid",
+            Some(period_pm),
+            &of_widest,
+            &raw,
+        );
     }
 
     fn add_raw(
@@ -98,7 +119,11 @@ impl CovariateBuilder<'_> {
         columns: &[Vec<f64>],
         raw: &[DVector<f64>],
     ) {
-        let term = EffectTerm { effect: GENERIC, law: 0, values: Vec::new() };
+        let term = EffectTerm {
+            effect: GENERIC,
+            law: 0,
+            values: Vec::new(),
+        };
         if let Some(signature) = build(term, Vec::new(), false, raw, self.nuisance) {
             let columns = columns.to_vec();
             self.out.push(CovariateSignature {
@@ -114,8 +139,11 @@ impl CovariateBuilder<'_> {
 
 /// Lowest value and span.
 fn range(values: &[f64]) -> [f64; 2] {
-    let (low, high) =
-        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    let (low, high) = values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+            (a.min(*v), b.max(*v))
+        });
     [low, high - low]
 }
 
@@ -126,14 +154,19 @@ fn quantiles(values: &[f64], count: usize) -> Vec<f64> {
     if sorted.len() < 4 {
         return Vec::new();
     }
-    let mut out: Vec<f64> = (1..count).map(|k| sorted[k * (sorted.len() - 1) / count] + 1e-9).collect();
+    let mut out: Vec<f64> = (1..count)
+        .map(|k| sorted[k * (sorted.len() - 1) / count] + 1e-9)
+        .collect();
     out.dedup();
     out
 }
 
 /// Covariates whose plain dependence a clock or a thermometer shows: additive shapes are tried on them.
 fn is_clock(name: &str) -> bool {
-    matches!(name, "t_s" | "order" | "temperature_degc" | "stimulus" | "commanded_mm")
+    matches!(
+        name,
+        "t_s" | "order" | "temperature_degc" | "stimulus" | "commanded_mm"
+    )
 }
 
 /// Most half cycles of a ripple over the wider wavelength's range.
@@ -150,8 +183,14 @@ const MIN_PLACES: usize = 12;
 /// from its aliases by the unevenness alone.
 fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
     let last = settings(unit).into_iter().max().unwrap_or(0);
-    let limit = if last + 1 < MIN_PLACES { 0.0 } else { MAX_CYCLES.min(0.5 * last as f64) };
-    (3..).map(|half| 0.5 * f64::from(half)).take_while(move |cycles| *cycles <= limit)
+    let limit = if last + 1 < MIN_PLACES {
+        0.0
+    } else {
+        MAX_CYCLES.min(0.5 * last as f64)
+    };
+    (3..)
+        .map(|half| 0.5 * f64::from(half))
+        .take_while(move |cycles| *cycles <= limit)
 }
 
 /// Generic signatures of every covariate of `system`, projected off `nuisance`.
@@ -162,20 +201,30 @@ pub fn signatures_of_covariates(
     nuisance: &Basis,
 ) -> Vec<CovariateSignature> {
     let channels = fit.residual.ncols();
-    let mut maker = CovariateBuilder { channels, fit, weights, nuisance, out: Vec::new() };
+    let mut maker = CovariateBuilder {
+        channels,
+        fit,
+        weights,
+        nuisance,
+        out: Vec::new(),
+    };
     let covariates = system.covariates();
     if let Some(to_channels) = system.channels_pm().try_inverse().filter(|_| channels > 1) {
         // Wavelengths as the model has them: measured ones carry the very noise that is tested.
         let fitted = (system.measured() - &fit.raw_residual) * system.channels_pm();
-        let wavelengths: Vec<Vec<f64>> = fitted.column_iter().map(|c| c.iter().copied().collect()).collect();
+        let wavelengths: Vec<Vec<f64>> = fitted
+            .column_iter()
+            .map(|c| c.iter().copied().collect())
+            .collect();
         let widest = wavelengths.iter().map(|v| range(v)[1]).fold(0.0, f64::max);
         for half in (3..=RIPPLE_HALF_CYCLES).filter(|_| widest > 0.0) {
             maker.add_ripple(&wavelengths, widest / (0.5 * f64::from(half)), &to_channels);
         }
     }
     // Columns after the constant carry the signal; gains act on them.
-    let signal: Vec<Vec<f64>> =
-        (1..fit.design.ncols().min(3)).map(|j| fit.raw_design.column(j).iter().copied().collect()).collect();
+    let signal: Vec<Vec<f64>> = (1..fit.design.ncols().min(3))
+        .map(|j| fit.raw_design.column(j).iter().copied().collect())
+        .collect();
     let has_time = covariates.iter().any(|(n, _)| n == "t_s");
     for (name, values) in &covariates {
         let [lo, span] = range(values);
@@ -185,15 +234,22 @@ pub fn signatures_of_covariates(
         let unit: Vec<f64> = values.iter().map(|v| (v - lo) / span).collect();
         let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
         let gain = |g: &[f64]| -> Vec<Vec<f64>> {
-            signal.iter().map(|s| s.iter().zip(g).map(|(s, g)| s * g).collect()).collect()
+            signal
+                .iter()
+                .map(|s| s.iter().zip(g).map(|(s, g)| s * g).collect())
+                .collect()
         };
         match name.as_str() {
             "trajectory" => {
                 let mut groups: Vec<f64> = values.clone();
                 groups.sort_by(f64::total_cmp);
                 groups.dedup();
-                let member =
-                    |g: f64| values.iter().map(|v| f64::from(u8::from(*v == g))).collect::<Vec<f64>>();
+                let member = |g: f64| {
+                    values
+                        .iter()
+                        .map(|v| f64::from(u8::from(*v == g)))
+                        .collect::<Vec<f64>>()
+                };
                 let dummies: Vec<Vec<f64>> = groups.iter().skip(1).map(|g| member(*g)).collect();
                 maker.add(name, "irregular", None, &dummies);
                 let gains: Vec<Vec<f64>> = dummies.iter().flat_map(|d| gain(d)).collect();
@@ -205,11 +261,21 @@ pub fn signatures_of_covariates(
             }
             "speed_mm_s" => {
                 maker.add(name, "linear", None, &[map(&|u| u)]);
-                maker.add(name, "sign", None, &[values.iter().map(|v| v.abs()).collect()]);
+                maker.add(
+                    name,
+                    "sign",
+                    None,
+                    &[values.iter().map(|v| v.abs()).collect()],
+                );
             }
             "dwell_s" => {
                 maker.add(name, "linear", None, &[map(&|u| u)]);
-                maker.add(name, "exponential", None, &[values.iter().map(|v| (1.0 + v).ln()).collect()]);
+                maker.add(
+                    name,
+                    "exponential",
+                    None,
+                    &[values.iter().map(|v| (1.0 + v).ln()).collect()],
+                );
             }
             _ if is_clock(name) || system.further_columns().contains(name) => {
                 maker.add_clock_shapes(name, &unit, span);
@@ -236,7 +302,10 @@ pub fn signatures_of_covariates(
                     name,
                     "sign",
                     None,
-                    &[values.iter().map(|v| v.signum() * f64::from(u8::from(v.abs() > 1e-9))).collect()],
+                    &[values
+                        .iter()
+                        .map(|v| v.signum() * f64::from(u8::from(v.abs() > 1e-9)))
+                        .collect()],
                 );
             }
             "contact_arclength_mm" => maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5))),

@@ -35,11 +35,22 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
         + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
     let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (i, group) in system.groups().iter().enumerate() {
-        members.entry(*group).or_default().extend((0..channels).map(|c| c * n + i));
+        members
+            .entry(*group)
+            .or_default()
+            .extend((0..channels).map(|c| c * n + i));
     }
     // What a second witness saw belongs to the group of its reading.
-    for (k, i) in system.auxiliary_readings().iter().enumerate().take(residual.len() - n * channels) {
-        members.entry(system.groups()[*i]).or_default().push(n * channels + k);
+    for (k, i) in system
+        .auxiliary_readings()
+        .iter()
+        .enumerate()
+        .take(residual.len() - n * channels)
+    {
+        members
+            .entry(system.groups()[*i])
+            .or_default()
+            .push(n * channels + k);
     }
     let of_group = |(group, rows): (&u32, &Vec<usize>)| {
         let (own, r) = (jacobian.select_rows(rows), residual.select_rows(rows));
@@ -53,11 +64,18 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
 
 /// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation; none where it cannot be told.
 fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64, f64)> {
-    let (a, b) = (left_out_squares(system, without)?, left_out_squares(system, with)?);
+    let (a, b) = (
+        left_out_squares(system, without)?,
+        left_out_squares(system, with)?,
+    );
     if a.len() < MIN_GROUPS {
         return None;
     }
-    let each: Vec<f64> = a.iter().zip(&b).map(|(x, y)| (x.1 - y.1) / with.variance()).collect();
+    let each: Vec<f64> = a
+        .iter()
+        .zip(&b)
+        .map(|(x, y)| (x.1 - y.1) / with.variance())
+        .collect();
     let (count, sum) = (each.len() as f64, each.iter().sum::<f64>());
     // Groups count as independent: the variance of their sum is their number times the sample variance.
     let spread = each.iter().map(|g| (g - sum / count).powi(2)).sum::<f64>() / (count - 1.0);
@@ -65,7 +83,10 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 }
 
 /// The effects of `h` that earn their names, and those that do not.
-pub fn retain_cross_validated(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
+pub fn retain_cross_validated(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+) -> (Hypothesis, Vec<usize>) {
     h.eliminate(system, |kept, dropped| {
         let ratio = |without: &Hypothesis| {
             let (sum, sd) = gain(system, &kept.fit, &without.fit)?;
@@ -73,7 +94,10 @@ pub fn retain_cross_validated(system: &dyn MeasurementModel, h: &Hypothesis) -> 
         };
         let judged = dropped.into_iter().filter_map(|d| Some((ratio(&d.1)?, d)));
         // Less than one standard error of the gain between groups (Breiman et al. 1984).
-        judged.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(ratio, _)| *ratio < 1.0).map(|(_, d)| d)
+        judged
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .filter(|(ratio, _)| *ratio < 1.0)
+            .map(|(_, d)| d)
     })
 }
 
@@ -86,9 +110,14 @@ mod tests {
     /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten readings.
     fn judged(seed: u64, slope: impl Fn(usize) -> f64) -> (usize, Vec<usize>) {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
-        let clean: Vec<f64> = x.iter().enumerate().map(|(i, x)| slope(i / 10) * x).collect();
+        let clean: Vec<f64> = x
+            .iter()
+            .enumerate()
+            .map(|(i, x)| slope(i / 10) * x)
+            .collect();
         let system = ColumnsSystem::new(seed, vec![x], &clean);
-        let h = Hypothesis::fitted(&system, &[ColumnsSystem::term(0)], &Weights::equal(100), 5).unwrap();
+        let h = Hypothesis::fitted(&system, &[ColumnsSystem::term(0)], &Weights::equal(100), 5)
+            .unwrap();
         let (kept, within) = retain_cross_validated(&system, &h);
         (kept.fit.terms.len(), within)
     }
@@ -98,7 +127,11 @@ mod tests {
         for seed in 0..10 {
             assert_eq!(judged(seed, |_| 1.0), (1, Vec::new()), "{seed}");
             // The same sum of squares from one group alone: the others are predicted worse with it.
-            assert_eq!(judged(seed, |group| if group == 3 { 5.0 } else { 0.0 }), (0, vec![0]), "{seed}");
+            assert_eq!(
+                judged(seed, |group| if group == 3 { 5.0 } else { 0.0 }),
+                (0, vec![0]),
+                "{seed}"
+            );
         }
     }
 }

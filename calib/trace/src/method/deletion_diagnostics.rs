@@ -34,14 +34,21 @@ struct DeletionDiagnostics {
 impl DeletionDiagnostics {
     fn of(fit: &Fit) -> Self {
         let (readings, channels) = fit.residual.shape();
-        Self { residual: fit.stacked(), basis: nuisance_basis(fit), readings, channels }
+        Self {
+            residual: fit.stacked(),
+            basis: nuisance_basis(fit),
+            readings,
+            channels,
+        }
     }
 
     fn without(&self, set: &[usize]) -> DeletedFit {
-        let own: Vec<usize> =
-            (0..self.channels).flat_map(|c| set.iter().map(move |i| c * self.readings + i)).collect();
-        let q =
-            nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| self.basis.vectors()[j][own[k]]);
+        let own: Vec<usize> = (0..self.channels)
+            .flat_map(|c| set.iter().map(move |i| c * self.readings + i))
+            .collect();
+        let q = nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| {
+            self.basis.vectors()[j][own[k]]
+        });
         let e = DVector::from_iterator(own.len(), own.iter().map(|&k| self.residual[k]));
         // In the eigenbasis of Q_L' Q_L the inverse of the module's head is diagonal, and its singular directions show.
         let eigen = (q.transpose() * &q).symmetric_eigen();
@@ -53,13 +60,19 @@ impl DeletionDiagnostics {
                 rank += 1.0;
             }
         }
-        DeletedFit { ssr: (self.residual.norm_squared() - fall).max(0.0), rank }
+        DeletedFit {
+            ssr: (self.residual.norm_squared() - fall).max(0.0),
+            rank,
+        }
     }
 }
 
 /// The first of `sets` without which a term is no longer supported: `with` it and `without` it fitted on all readings.
 pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
-    let (rich, plain) = (DeletionDiagnostics::of(with), DeletionDiagnostics::of(without));
+    let (rich, plain) = (
+        DeletionDiagnostics::of(with),
+        DeletionDiagnostics::of(without),
+    );
     let values = with.dof + rich.basis.rank() as f64;
     sets.iter().position(|set| {
         let (a, b) = (rich.without(set), plain.without(set));

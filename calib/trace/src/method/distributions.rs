@@ -21,7 +21,12 @@ pub fn chi_squared_tail(statistic: f64, dof: f64) -> Option<f64> {
 
 /// Chi-squared with `dof` degrees of freedom that is undercut with probability `level`; none where they are none.
 pub fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
-    Some(ChiSquared::new(dof).ok().filter(|_| dof >= 0.5)?.inverse_cdf(level))
+    Some(
+        ChiSquared::new(dof)
+            .ok()
+            .filter(|_| dof >= 0.5)?
+            .inverse_cdf(level),
+    )
 }
 
 /// 95 % interval of a standard deviation that is `sd` by `dof` degrees of freedom, in its unit; none where they are none.
@@ -60,7 +65,11 @@ mod tests {
     #[test]
     fn what_has_no_degrees_of_freedom_is_not_judged() {
         for dof in [0.0, -1.0, f64::NAN] {
-            assert_eq!((f_tail(3.0, [2.0, dof]), f_tail(3.0, [dof, 9.0])), (None, None), "{dof}");
+            assert_eq!(
+                (f_tail(3.0, [2.0, dof]), f_tail(3.0, [dof, 9.0])),
+                (None, None),
+                "{dof}"
+            );
             assert_eq!(chi_squared_tail(3.0, dof), None, "{dof}");
         }
         // Control: textbook values.

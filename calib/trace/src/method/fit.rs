@@ -20,11 +20,18 @@ use wcal_core::least_squares::{
 };
 
 /// Coefficients and residual of `y` on `design` by Householder QR on scaled columns.
-pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {
+pub(crate) fn linear(
+    design: &DMatrix<f64>,
+    y: &DMatrix<f64>,
+) -> (DMatrix<f64>, DMatrix<f64>, bool) {
     // Columns in units of their norm: one threshold on R's diagonal then judges rank, whatever the parameters' units.
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     let scaled = DMatrix::from_fn(design.nrows(), design.ncols(), |i, j| {
-        if scale[j] > 0.0 { design[(i, j)] / scale[j] } else { 0.0 }
+        if scale[j] > 0.0 {
+            design[(i, j)] / scale[j]
+        } else {
+            0.0
+        }
     });
     // QR, not the normal equations, which would square the condition number.
     let qr = scaled.clone().qr();
@@ -93,7 +100,11 @@ fn evaluate(
 
 /// (term, value) of every nonlinear parameter in order.
 fn slots(terms: &[EffectTerm]) -> Vec<(usize, usize)> {
-    terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k))).collect()
+    terms
+        .iter()
+        .enumerate()
+        .flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)))
+        .collect()
 }
 
 fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 {
@@ -117,11 +128,18 @@ fn tangents(
     weights: &Weights,
     here: &Evaluation,
 ) -> Option<Vec<Tangent>> {
-    let at = |terms: &[EffectTerm]| Some((system.design(terms)?, system.auxiliary_residual(terms, weights)?));
+    let at = |terms: &[EffectTerm]| {
+        Some((
+            system.design(terms)?,
+            system.auxiliary_residual(terms, weights)?,
+        ))
+    };
     slots(terms)
         .iter()
         .map(|&(t, k)| {
-            let p = system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k];
+            let p = system.catalogue()[terms[t].effect]
+                .law(terms[t].law)
+                .parameters[k];
             // One-sided difference, backwards at the upper bound: a law holds only within its bounds.
             let mut h = step_size(system, &terms[t], k);
             if terms[t].values[k] + h > p.range[1] {
@@ -148,7 +166,10 @@ fn tangents(
 
 /// Bounds of a nonlinear parameter.
 fn range(system: &dyn MeasurementModel, terms: &[EffectTerm], (t, k): (usize, usize)) -> [f64; 2] {
-    system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
+    system.catalogue()[terms[t].effect]
+        .law(terms[t].law)
+        .parameters[k]
+        .range
 }
 
 /// The problem at given nonlinear values.
@@ -166,7 +187,9 @@ impl FitPoint<'_> {
         let make = || {
             let tangents = tangents(self.system, &self.terms, self.weights, &self.here)?;
             // What the coefficients cannot take up.
-            let off = |(t, w): &Tangent| stack_with(&linear(&self.here.design, &self.weights.apply(t)).1, w);
+            let off = |(t, w): &Tangent| {
+                stack_with(&linear(&self.here.design, &self.weights.apply(t)).1, w)
+            };
             let columns: Vec<DVector<f64>> = tangents.iter().map(off).collect();
             let r = stack_with(&self.here.residual, &self.here.auxiliary_residual);
             let m = columns.len();
@@ -182,7 +205,10 @@ impl FitPoint<'_> {
             let may = slots(&self.terms)
                 .into_iter()
                 .map(|(t, k)| {
-                    let ([low, high], v) = (range(self.system, &self.terms, (t, k)), self.terms[t].values[k]);
+                    let ([low, high], v) = (
+                        range(self.system, &self.terms, (t, k)),
+                        self.terms[t].values[k],
+                    );
                     [v > low, v < high]
                 })
                 .collect();
@@ -211,12 +237,16 @@ const HALVINGS: i32 = 7;
 /// place within its grid's spacing leaves less.
 fn nearer_place(point: &FitPoint<'_>, y: &DMatrix<f64>) -> Option<Vec<EffectTerm>> {
     let tangents = &point.linearised()?.0;
-    let still =
-        slots(&point.terms).into_iter().zip(tangents).filter(|(_, (readings, _))| readings.norm() == 0.0);
+    let still = slots(&point.terms)
+        .into_iter()
+        .zip(tangents)
+        .filter(|(_, (readings, _))| readings.norm() == 0.0);
     let beside = still.flat_map(|((t, k), _)| {
         let value = point.terms[t].values[k];
-        let Role::Shape { grid } =
-            point.system.catalogue()[point.terms[t].effect].law(point.terms[t].law).parameters[k].role
+        let Role::Shape { grid } = point.system.catalogue()[point.terms[t].effect]
+            .law(point.terms[t].law)
+            .parameters[k]
+            .role
         else {
             return Vec::new();
         };
@@ -227,11 +257,17 @@ fn nearer_place(point: &FitPoint<'_>, y: &DMatrix<f64>) -> Option<Vec<EffectTerm
                 (value + way * grid_spacing(grid, value) * 0.5f64.powi(halvings)).clamp(low, high);
             terms
         };
-        (0..HALVINGS).flat_map(|h| [at(1.0, h), at(-1.0, h)]).collect()
+        (0..HALVINGS)
+            .flat_map(|h| [at(1.0, h), at(-1.0, h)])
+            .collect()
     });
-    let left = |terms: Vec<EffectTerm>| Some((evaluate(point.system, &terms, point.weights, y)?.ssr, terms));
+    let left = |terms: Vec<EffectTerm>| {
+        Some((evaluate(point.system, &terms, point.weights, y)?.ssr, terms))
+    };
     let least = beside.filter_map(left).min_by(|a, b| a.0.total_cmp(&b.0));
-    least.filter(|(ssr, _)| *ssr < (1.0 - SETTLED) * point.here.ssr).map(|(_, terms)| terms)
+    least
+        .filter(|(ssr, _)| *ssr < (1.0 - SETTLED) * point.here.ssr)
+        .map(|(_, terms)| terms)
 }
 
 /// Share of the sum of squares below which a fall is none.
@@ -252,7 +288,13 @@ pub fn fit(
     let index = slots(terms);
     let linearise = |terms: &Vec<EffectTerm>| {
         let here = evaluate(system, terms, weights, &y)?;
-        Some(FitPoint { system, weights, terms: terms.clone(), here, linearised: OnceCell::new() })
+        Some(FitPoint {
+            system,
+            weights,
+            terms: terms.clone(),
+            here,
+            linearised: OnceCell::new(),
+        })
     };
     let moved = |terms: &Vec<EffectTerm>, _: &FitPoint<'_>, step: &DVector<f64>| {
         let mut moved = terms.clone();
@@ -270,14 +312,29 @@ pub fn fit(
         settled.set(before - after < SETTLED * after.max(1e-300));
         settled.get() || taken.get() >= iterations
     };
-    let max_steps = if index.is_empty() { 0 } else { iterations * TRIES };
-    let damping = Damping { max: MAX_DAMPING, max_steps, ..Damping::default() };
+    let max_steps = if index.is_empty() {
+        0
+    } else {
+        iterations * TRIES
+    };
+    let damping = Damping {
+        max: MAX_DAMPING,
+        max_steps,
+        ..Damping::default()
+    };
     let first = (terms.to_vec(), linearise(&terms.to_vec())?);
     let found = minimise(first, &damping, linearise, moved, enough);
-    if let Some(nearer) = Some(&found.at).filter(|_| iterations > 0).and_then(|at| nearer_place(at, &y)) {
+    if let Some(nearer) = Some(&found.at)
+        .filter(|_| iterations > 0)
+        .and_then(|at| nearer_place(at, &y))
+    {
         return fit(system, &nearer, weights, iterations);
     }
-    let tangents = if index.is_empty() { Vec::new() } else { found.at.linearised()?.0.clone() };
+    let tangents = if index.is_empty() {
+        Vec::new()
+    } else {
+        found.at.linearised()?.0.clone()
+    };
     let (terms, here) = (found.place, found.at.here);
     let status = match found.ending {
         _ if !here.full_rank => Status::RankDeficient,
@@ -306,7 +363,10 @@ pub fn fit(
         residual: here.residual,
         design: here.design,
         ssr: here.ssr,
-        tangents: tangents.iter().map(|(t, w)| stack_with(&weights.apply(t), w)).collect(),
+        tangents: tangents
+            .iter()
+            .map(|(t, w)| stack_with(&weights.apply(t), w))
+            .collect(),
         auxiliary_residual: here.auxiliary_residual,
         auxiliary_readings: seen,
         raw_tangents: tangents.into_iter().map(|(t, _)| t).collect(),

@@ -63,11 +63,18 @@ pub struct TermSlots {
 impl Fit {
     /// Where each term stands: columns follow the declared model's, values each other, both in the order of the terms.
     pub fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
-        let laws: Vec<&EffectModel> = self.terms.iter().map(|t| catalogue[t.effect].law(t.law)).collect();
+        let laws: Vec<&EffectModel> = self
+            .terms
+            .iter()
+            .map(|t| catalogue[t.effect].law(t.law))
+            .collect();
         let own: usize = laws.iter().map(|l| l.linear.len()).sum();
         let (mut column, mut value) = (self.design.ncols().saturating_sub(own), 0);
         let of = |law: &EffectModel| {
-            let (columns, values) = (column..column + law.linear.len(), value..value + law.parameters.len());
+            let (columns, values) = (
+                column..column + law.linear.len(),
+                value..value + law.parameters.len(),
+            );
             (column, value) = (columns.end, values.end);
             TermSlots { columns, values }
         };
@@ -96,11 +103,17 @@ impl Fit {
 
     /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
     pub fn jacobian(&self) -> DMatrix<f64> {
-        let ((n, q), channels, m) = (self.design.shape(), self.residual.ncols(), self.tangents.len());
+        let ((n, q), channels, m) = (
+            self.design.shape(),
+            self.residual.ncols(),
+            self.tangents.len(),
+        );
         let rows = self.residual.len() + self.auxiliary_residual.len();
         let mut jacobian = DMatrix::zeros(rows, q * channels + m);
         for c in 0..channels {
-            jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&self.design);
+            jacobian
+                .view_mut((c * n, c * q), (n, q))
+                .copy_from(&self.design);
         }
         for (j, t) in self.tangents.iter().enumerate() {
             jacobian.set_column(q * channels + j, t);
@@ -117,7 +130,8 @@ impl Fit {
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
     pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
         let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
-        v.rows_mut(channel * column.len(), column.len()).copy_from_slice(column);
+        v.rows_mut(channel * column.len(), column.len())
+            .copy_from_slice(column);
         v
     }
 
@@ -125,8 +139,9 @@ impl Fit {
     pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
         let (n, size) = (self.residual.nrows(), self.residual.len());
         let own = (0..self.residual.ncols()).map(|c| c * n + i);
-        let seen =
-            (0..self.auxiliary_residual.len()).filter(|k| self.auxiliary_readings[*k] == i).map(|k| size + k);
+        let seen = (0..self.auxiliary_residual.len())
+            .filter(|k| self.auxiliary_readings[*k] == i)
+            .map(|k| size + k);
         let one = |at: usize| {
             let mut v = DVector::zeros(size + self.auxiliary_residual.len());
             v[at] = 1.0;

@@ -38,7 +38,11 @@ impl Hypothesis {
 
     /// Identifiers of its terms.
     pub fn term_ids(&self, catalogue: &Catalogue) -> Vec<String> {
-        self.fit.terms.iter().map(|t| catalogue[t.effect].id.to_owned()).collect()
+        self.fit
+            .terms
+            .iter()
+            .map(|t| catalogue[t.effect].id.to_owned())
+            .collect()
     }
 
     /// Parameters that the explanation spends beyond the declared model.

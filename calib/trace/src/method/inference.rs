@@ -16,14 +16,25 @@ use wcal_map::half95;
 pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let jacobian = fit.jacobian();
     let size = jacobian.ncols();
-    let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
-    let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / scale[j]);
+    let scale: Vec<f64> = jacobian
+        .column_iter()
+        .map(|v| v.norm().max(1e-300))
+        .collect();
+    let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| {
+        jacobian[(i, j)] / scale[j]
+    });
     let gram = scaled.transpose() * &scaled;
-    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(size, size));
+    let inverse = gram
+        .pseudo_inverse(1e-12)
+        .unwrap_or_else(|_| DMatrix::zeros(size, size));
     // What moves no prediction (the place of a step between two readings) has no covariance: 0, never an infinity.
     let dead: Vec<bool> = jacobian.column_iter().map(|v| v.norm() < 1e-150).collect();
     DMatrix::from_fn(size, size, |i, j| {
-        if dead[i] || dead[j] { 0.0 } else { inverse[(i, j)] * variance / (scale[i] * scale[j]) }
+        if dead[i] || dead[j] {
+            0.0
+        } else {
+            inverse[(i, j)] * variance / (scale[i] * scale[j])
+        }
     })
 }
 
@@ -33,7 +44,11 @@ pub fn t95(dof: f64) -> f64 {
 }
 
 /// Parameters of one effect of an explanation with 95 % intervals.
-pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+pub fn parameters(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+    effect: usize,
+) -> Vec<EffectParameter> {
     let fit = &h.fit;
     let covariance = covariance(fit, fit.variance());
     let pm = system.channels_pm();
@@ -47,7 +62,11 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
             let shared = NORMAL_95 * system.systematic_sd(effect, p.name);
             let half = (t * covariance[(q * c + k, q * c + k)].max(0.0).sqrt()).hypot(shared);
             let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
-            let low = if one_sided { (v - half).max(0.0) } else { v - half };
+            let low = if one_sided {
+                (v - half).max(0.0)
+            } else {
+                v - half
+            };
             out.push(EffectParameter {
                 name: p.name.to_owned(),
                 value: *v,
@@ -58,14 +77,21 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
         for ((name, unit), column) in law.linear.iter().zip(slots.columns) {
             for channel in 0..c {
                 let shares = pm.column(channel);
-                let of =
-                    |a: usize, b: usize| shares[a] * shares[b] * covariance[(a * q + column, b * q + column)];
-                let variance: f64 =
-                    (0..c).flat_map(|a| (0..c).map(move |b| (a, b))).map(|(a, b)| of(a, b)).sum();
+                let of = |a: usize, b: usize| {
+                    shares[a] * shares[b] * covariance[(a * q + column, b * q + column)]
+                };
+                let variance: f64 = (0..c)
+                    .flat_map(|a| (0..c).map(move |b| (a, b)))
+                    .map(|(a, b)| of(a, b))
+                    .sum();
                 let half = t * variance.max(0.0).sqrt();
                 let v = (fit.coefficients.row(column) * shares)[0];
                 out.push(EffectParameter {
-                    name: if c > 1 { format!("{name}_{}", channel + 1) } else { (*name).to_owned() },
+                    name: if c > 1 {
+                        format!("{name}_{}", channel + 1)
+                    } else {
+                        (*name).to_owned()
+                    },
                     value: v,
                     unit: (*unit).to_owned(),
                     interval95: [v - half, v + half],
@@ -105,15 +131,26 @@ pub fn signature_cosine(
 ) -> f64 {
     let whole = explained_part(base, best);
     let common = common_effects(system, base, best, h);
-    let (a, b) = (common.project_off(&whole), common.project_off(&explained_part(base, h)));
+    let (a, b) = (
+        common.project_off(&whole),
+        common.project_off(&explained_part(base, h)),
+    );
     let own = a.norm().max(b.norm());
-    if own <= 1e-9 * whole.norm() { 1.0 } else { cosine(&a, &b).abs() }
+    if own <= 1e-9 * whole.norm() {
+        1.0
+    } else {
+        cosine(&a, &b).abs()
+    }
 }
 
 /// For every survivor: is it of the best one's class?
 pub fn equivalence_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
     let like = |h| signature_cosine(system, &found.base, &found.best, h);
-    found.survivors.iter().map(|h| like(h) > CLASS_COSINE).collect()
+    found
+        .survivors
+        .iter()
+        .map(|h| like(h) > CLASS_COSINE)
+        .collect()
 }
 
 /// Cosine and lag in the criterion up to which a law of a measured column and one of another are not distinguished by their misfit.
@@ -131,7 +168,10 @@ pub fn indistinguishable(
 ) -> bool {
     let measured = |h: &Hypothesis| {
         let needs = |t: &EffectTerm| &system.catalogue()[t.effect].law(t.law).needs;
-        h.fit.terms.iter().any(|t| needs(t).contains(&LawRequirement::Temperature))
+        h.fit
+            .terms
+            .iter()
+            .any(|t| needs(t).contains(&LawRequirement::Temperature))
     };
     measured(best) != measured(h)
         && behind < MEASURED_BEHIND
@@ -140,7 +180,12 @@ pub fn indistinguishable(
 
 /// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s
 /// terms that `b` has, too.
-fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
+fn common_effects(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    a: &Hypothesis,
+    b: &Hypothesis,
+) -> Basis {
     let declared = nuisance_basis(&base.fit);
     let key = |t: &EffectTerm| t.key(system.catalogue());
     let all = a.fit.terms.iter().zip(a.fit.slots(system.catalogue()));

@@ -38,9 +38,18 @@ impl LackOfFit {
             return None;
         }
         let pure_variance = within.ss / within.dof;
-        let (f, dof) = ((between.ss / between.dof.max(1.0)) / pure_variance, between.dof);
+        let (f, dof) = (
+            (between.ss / between.dof.max(1.0)) / pure_variance,
+            between.dof,
+        );
         let p_value = f_tail(f, [dof, within.dof]);
-        Some(Self { pure_sd: pure_variance.sqrt(), pure_dof: within.dof, f, dof, p_value })
+        Some(Self {
+            pure_sd: pure_variance.sqrt(),
+            pure_dof: within.dof,
+            f,
+            dof,
+            p_value,
+        })
     }
 
     /// Repeats contradict the model.
@@ -71,7 +80,9 @@ pub struct Split {
 pub fn members(cells: &[u64], weights: &[f64]) -> Vec<Vec<usize>> {
     let mut rows: Vec<usize> = (0..cells.len()).filter(|&i| weights[i] > 0.0).collect();
     rows.sort_by_key(|&i| cells[i]);
-    rows.chunk_by(|&a, &b| cells[a] == cells[b]).map(<[usize]>::to_vec).collect()
+    rows.chunk_by(|&a, &b| cells[a] == cells[b])
+        .map(<[usize]>::to_vec)
+        .collect()
 }
 
 /// `values` weighted, less the weighted mean of each cell where `within`.
@@ -79,7 +90,11 @@ fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool)
     let mut out = DVector::from_fn(values.len(), |i, _| weights[i] * values[i]);
     for cell in cells.iter().filter(|_| within) {
         let square: f64 = cell.iter().map(|&i| weights[i].powi(2)).sum();
-        let mean = cell.iter().map(|&i| weights[i].powi(2) * values[i]).sum::<f64>() / square;
+        let mean = cell
+            .iter()
+            .map(|&i| weights[i].powi(2) * values[i])
+            .sum::<f64>()
+            / square;
         cell.iter().for_each(|&i| out[i] -= weights[i] * mean);
     }
     out
@@ -93,27 +108,51 @@ const OF_STIMULUS: f64 = 100.0;
 pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
     let w = weights.relative();
     let cells = members(cells, w);
-    let norms = |column: &[f64]| [true, false].map(|within| weighted(column, w, &cells, within).norm());
+    let norms =
+        |column: &[f64]| [true, false].map(|within| weighted(column, w, &cells, within).norm());
     let [scatter, size] = norms(x);
     let negligible = OF_STIMULUS * scatter / size.max(1e-300);
     // Whitened, so that a part of the noise that neighbours share is no lack of fit.
-    let left: Vec<f64> =
-        (0..w.len()).map(|i| if w[i] > 0.0 { fit.residual[(i, 0)] / w[i] } else { 0.0 }).collect();
+    let left: Vec<f64> = (0..w.len())
+        .map(|i| {
+            if w[i] > 0.0 {
+                fit.residual[(i, 0)] / w[i]
+            } else {
+                0.0
+            }
+        })
+        .collect();
     let of = |within: bool| {
         let mut basis = Basis::default();
         let tangents = fit.raw_tangents.iter().map(|t| t.column(0).clone_owned());
-        for column in fit.raw_design.column_iter().map(|c| c.clone_owned()).chain(tangents) {
+        for column in fit
+            .raw_design
+            .column_iter()
+            .map(|c| c.clone_owned())
+            .chain(tangents)
+        {
             let [inside, whole] = norms(column.as_slice());
             if !within || inside > negligible * whole {
                 basis.push_beside(&weighted(column.as_slice(), w, &cells, within), whole);
             }
         }
-        (basis.project_off(&weighted(&left, w, &cells, within)).norm_squared(), basis.rank() as f64)
+        (
+            basis
+                .project_off(&weighted(&left, w, &cells, within))
+                .norm_squared(),
+            basis.rank() as f64,
+        )
     };
     let readings = cells.iter().map(Vec::len).sum::<usize>() as f64;
     let ((whole, rank), (inside, rank_inside)) = (of(false), of(true));
-    let within = Part { ss: inside, dof: readings - cells.len() as f64 - rank_inside };
-    let between = Part { ss: (whole - inside).max(0.0), dof: readings - rank - within.dof };
+    let within = Part {
+        ss: inside,
+        dof: readings - cells.len() as f64 - rank_inside,
+    };
+    let between = Part {
+        ss: (whole - inside).max(0.0),
+        dof: readings - rank - within.dof,
+    };
     Split { between, within }
 }
 

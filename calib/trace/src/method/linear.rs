@@ -119,7 +119,9 @@ impl JointSpan {
             }
             // Of pivots that only rounding tells apart the first: what is drawn along them must not depend on rounding.
             let near = (1.0 - SAME_PIVOT) * diagonal.max();
-            let Some(k) = diagonal.iter().position(|left| *left >= near) else { break };
+            let Some(k) = diagonal.iter().position(|left| *left >= near) else {
+                break;
+            };
             let pivot = diagonal[k];
             if !(pivot > NEW_SQUARE) {
                 break;
@@ -131,9 +133,16 @@ impl JointSpan {
             rows.push(row);
             independent.push(k);
         }
-        let factor =
-            if rows.is_empty() { DMatrix::zeros(0, columns.len()) } else { DMatrix::from_rows(&rows) };
-        Self { directions: matrix, independent, factor }
+        let factor = if rows.is_empty() {
+            DMatrix::zeros(0, columns.len())
+        } else {
+            DMatrix::from_rows(&rows)
+        };
+        Self {
+            directions: matrix,
+            independent,
+            factor,
+        }
     }
 
     /// Independent directions.
@@ -156,7 +165,10 @@ impl JointSpan {
         // With D = Q R on the pivots, Q' v = R^-T D' v: Q itself is never formed.
         let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
         let triangle = self.factor.select_columns(&self.independent);
-        triangle.transpose().solve_lower_triangular(&along).unwrap_or(along)
+        triangle
+            .transpose()
+            .solve_lower_triangular(&along)
+            .unwrap_or(along)
     }
 }
 
@@ -193,7 +205,11 @@ mod tests {
         let rebuilt = transposed_product(&span.factor, &span.factor);
         for (a, v) in directions.iter().enumerate() {
             for (b, w) in directions.iter().enumerate() {
-                assert!((rebuilt[(a, b)] - v.dot(w)).abs() < 1e-8, "{a} {b}: {}", rebuilt[(a, b)]);
+                assert!(
+                    (rebuilt[(a, b)] - v.dot(w)).abs() < 1e-8,
+                    "{a} {b}: {}",
+                    rebuilt[(a, b)]
+                );
             }
         }
         // What lies in the span comes back from its coordinates.
@@ -203,6 +219,11 @@ mod tests {
         // Control: a span cut short does not hold them.
         let short = JointSpan::of(directions.iter(), 3);
         let rebuilt = transposed_product(&short.factor, &short.factor);
-        assert!(directions.iter().enumerate().any(|(a, v)| rebuilt[(a, a)] < 0.9 * v.norm_squared()));
+        assert!(
+            directions
+                .iter()
+                .enumerate()
+                .any(|(a, v)| rebuilt[(a, a)] < 0.9 * v.norm_squared())
+        );
     }
 }

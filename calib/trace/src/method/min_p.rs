@@ -44,7 +44,10 @@ pub fn strongest<'a>(
     fit: &Fit,
 ) -> Option<(f64, &'a Signature)> {
     let tested = |s: &'a Signature| Some((signature_p(s, s.gain(residual), fit.ssr, fit.dof)?, s));
-    signatures.into_iter().filter_map(tested).min_by(|a, b| a.0.total_cmp(&b.0))
+    signatures
+        .into_iter()
+        .filter_map(tested)
+        .min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// Distribution of the smallest p over a family of signatures under the null.
@@ -57,18 +60,24 @@ pub struct MinPDistribution {
 impl MinPDistribution {
     /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span and the norm of the rest matter.
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
-        let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), dof.max(0.0) as usize);
+        let span = JointSpan::of(
+            signatures.iter().flat_map(|a| &a.directions),
+            dof.max(0.0) as usize,
+        );
         let rank = span.rank();
         // Of signatures of one kind the largest gain has the smallest p: the tail, which is dear to compute, is computed for that one.
         let mut kinds: Vec<&Signature> = Vec::new();
         let mut places: Vec<(usize, usize, usize)> = Vec::with_capacity(signatures.len());
         for &s in signatures {
-            let same = |k: &&Signature| (k.dimension(), k.one_sided) == (s.dimension(), s.one_sided);
+            let same =
+                |k: &&Signature| (k.dimension(), k.one_sided) == (s.dimension(), s.one_sided);
             let kind = kinds.iter().position(same).unwrap_or(kinds.len());
             if kind == kinds.len() {
                 kinds.push(s);
             }
-            let from = places.last().map_or(0, |(from, dimension, _)| from + dimension);
+            let from = places
+                .last()
+                .map_or(0, |(from, dimension, _)| from + dimension);
             places.push((from, s.dimension(), kind));
         }
         // Signatures may span everything that a few readings leave.
@@ -87,7 +96,9 @@ impl MinPDistribution {
                     let mut z = DMatrix::zeros(rank, count);
                     let mut ssr = Vec::with_capacity(count);
                     for mut column in z.column_iter_mut() {
-                        column.iter_mut().for_each(|v| *v = StandardNormal.sample(&mut rng));
+                        column
+                            .iter_mut()
+                            .for_each(|v| *v = StandardNormal.sample(&mut rng));
                         ssr.push(column.norm_squared() + chi.map_or(0.0, |c| c.sample(&mut rng)));
                     }
                     (span.along(&z), ssr)
@@ -121,7 +132,8 @@ impl MinPDistribution {
                 for (signature, gain) in kinds.iter().zip(gains) {
                     // What cannot be small (chi-squared below its mean and two deviations) is skipped, where there are readings enough to say so.
                     let d = signature.dimension() as f64;
-                    let cannot = dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt());
+                    let cannot =
+                        dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt());
                     if gain >= 0.0 && !cannot {
                         best = best.min(signature_p(signature, gain, ssr, dof).unwrap_or(1.0));
                     }
@@ -135,7 +147,8 @@ impl MinPDistribution {
 
     /// Single p-value that the family's smallest undercuts with probability `level` under the null.
     pub fn critical_p(&self, level: f64) -> f64 {
-        let k = ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
+        let k =
+            ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
         self.minima.get(k).copied().unwrap_or(level).min(level)
     }
 

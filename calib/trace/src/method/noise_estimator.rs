@@ -14,8 +14,8 @@ use super::fit::Weights;
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{
-    CORRELATED_PRICE, MeanModel, Noise, NoiseInputs, RestrictedLikelihood, best_misfit, correlated_gain,
-    estimate,
+    CORRELATED_PRICE, MeanModel, Noise, NoiseInputs, RestrictedLikelihood, best_misfit,
+    correlated_gain, estimate,
 };
 use super::omnibus::{CovariateScore, OmnibusTest};
 use crate::levels::{GENERIC, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
@@ -29,7 +29,11 @@ const MAX_LEAD: f64 = 300.0;
 
 /// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
 /// only where a verdict could rest on it.
-pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
+pub fn noise_for_predictions(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+    seed: u64,
+) -> Option<Noise> {
     let judge = NoiseEstimator::new(system, seed).with_correlated_gain(CORRELATED_PRICE);
     judge.noise(h, &[])
 }
@@ -45,13 +49,20 @@ pub struct NoiseEstimator<'a> {
 impl<'a> NoiseEstimator<'a> {
     /// For a session.
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
-        Self { system, inputs: system.noise_inputs(), correlated_gain: correlated_gain(), seed }
+        Self {
+            system,
+            inputs: system.noise_inputs(),
+            correlated_gain: correlated_gain(),
+            seed,
+        }
     }
 
     /// The same by the readings that are not `left_out`: these can never count.
     pub(crate) fn without(mut self, left_out: impl Fn(usize) -> bool) -> Self {
         let known = self.inputs.known.iter_mut().enumerate();
-        known.filter(|(i, _)| left_out(*i)).for_each(|(_, known)| *known = 0.0);
+        known
+            .filter(|(i, _)| left_out(*i))
+            .for_each(|(_, known)| *known = 0.0);
         self
     }
 
@@ -62,13 +73,22 @@ impl<'a> NoiseEstimator<'a> {
 
     /// The same where a part that is correlated in time is taken up from this gain on.
     pub(crate) fn with_correlated_gain(self, correlated_gain: f64) -> Self {
-        Self { correlated_gain, ..self }
+        Self {
+            correlated_gain,
+            ..self
+        }
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some.
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<Noise> {
         let model = MeanModel::of(&h.fit).with(columns);
-        estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)
+        estimate(
+            &model,
+            &self.inputs,
+            &h.weights,
+            self.correlated_gain,
+            self.seed,
+        )
     }
 
     /// The same, and how well the model can do under any noise.
@@ -105,25 +125,48 @@ impl<'a> NoiseEstimator<'a> {
 
     /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`. A model that is degenerate under
     /// another noise is judged under the one that it was found with.
-    pub(crate) fn backward_eliminate(&self, best: &Hypothesis, family: &MinPDistribution) -> Hypothesis {
+    pub(crate) fn backward_eliminate(
+        &self,
+        best: &Hypothesis,
+        family: &MinPDistribution,
+    ) -> Hypothesis {
         let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
             let with = self.noise_and_misfit(kept, &[])?;
-            let level = if with.0.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RETAIN };
-            let judged = dropped
-                .into_iter()
-                .filter_map(|d| Some((self.p_value(&self.noise_and_misfit(&d.1, &[])?, &with, family), d)));
-            judged.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(p, _)| *p > level).map(|(_, d)| d)
+            let level = if with.0.correlated.is_some() {
+                RETAIN_BESIDE_CORRELATED
+            } else {
+                RETAIN
+            };
+            let judged = dropped.into_iter().filter_map(|d| {
+                Some((
+                    self.p_value(&self.noise_and_misfit(&d.1, &[])?, &with, family),
+                    d,
+                ))
+            });
+            judged
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+                .filter(|(p, _)| *p > level)
+                .map(|(_, d)| d)
         };
         best.eliminate(self.system, weakest).0
     }
 
     /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.
-    pub(crate) fn covariate_scores(&self, h: &Hypothesis, test: &OmnibusTest) -> Option<Vec<CovariateScore>> {
+    pub(crate) fn covariate_scores(
+        &self,
+        h: &Hypothesis,
+        test: &OmnibusTest,
+    ) -> Option<Vec<CovariateScore>> {
         let without = self.noise_and_misfit(h, &[])?;
         let mut judged: Vec<(f64, CovariateScore)> = Vec::new();
         for score in test.covariates.iter().take(COVARIATES_JUDGED) {
-            let Some(with) = self.noise_and_misfit(h, &score.columns) else { continue };
-            judged.push((self.p_value(&without, &with, &test.covariate_family), score.clone()));
+            let Some(with) = self.noise_and_misfit(h, &score.columns) else {
+                continue;
+            };
+            judged.push((
+                self.p_value(&without, &with, &test.covariate_family),
+                score.clone(),
+            ));
         }
         judged.sort_by(|a, b| a.0.total_cmp(&b.0));
         let holds = judged.first().is_some_and(|d| d.0 < GENERIC);
@@ -147,5 +190,9 @@ pub(crate) fn same_whitening(a: &Weights, b: &Weights) -> bool {
         _ => false,
     };
     let (a, b) = (a.unmasked(), b.unmasked());
-    shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
+    shared
+        && a.relative()
+            .iter()
+            .zip(b.relative())
+            .all(|(x, y)| near(*x, *y))
 }

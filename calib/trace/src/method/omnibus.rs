@@ -83,16 +83,24 @@ impl OmnibusTest {
     /// Judges the catalogue without `effects`, which were tried on `fit` and taken back.
     pub fn leave_out(&mut self, fit: &Fit, effects: &[usize]) {
         let residual = fit.stacked();
-        let others = self.signatures.iter().filter(|s| !effects.contains(&s.term.effect));
+        let others = self
+            .signatures
+            .iter()
+            .filter(|s| !effects.contains(&s.term.effect));
         self.p_catalogue = family_wise(&self.family, strongest(others, &residual, fit));
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
     pub fn is_small(&self, fit: &Fit) -> bool {
         let residual = fit.stacked();
-        let catalogue = self.signatures.iter().map(|s| s.gain(&residual)).fold(0.0, f64::max);
+        let catalogue = self
+            .signatures
+            .iter()
+            .map(|s| s.gain(&residual))
+            .fold(0.0, f64::max);
         let generic = self.covariates.iter().map(|s| s.gain).fold(0.0, f64::max);
-        catalogue.max(generic) < MODEL_ERROR * fit.ssr && self.serial_correlation < MODEL_CORRELATION
+        catalogue.max(generic) < MODEL_ERROR * fit.ssr
+            && self.serial_correlation < MODEL_CORRELATION
     }
 
     /// Family-wise p-values: catalogue, generic signatures, serial correlation.
@@ -136,9 +144,13 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
         return (1.0, 0.0);
     }
     // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
-    let mean_square = fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
+    let mean_square =
+        fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
     let correlation = product / count / mean_square;
-    (Normal::standard().sf(correlation * count.sqrt()), correlation)
+    (
+        Normal::standard().sf(correlation * count.sqrt()),
+        correlation,
+    )
 }
 
 /// Share of a label's gain from which a continuous covariate does as well.
@@ -147,9 +159,13 @@ const AS_WELL: f64 = 0.6;
 /// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where no continuous covariate does as well.
 fn rank_steps_after_continuous(scores: &mut [CovariateScore]) {
     let is_label = |s: &CovariateScore| s.covariate == "trajectory";
-    let Some(label) = scores.iter().position(is_label) else { return };
+    let Some(label) = scores.iter().position(is_label) else {
+        return;
+    };
     let gain = scores[label].gain;
-    let last = scores.iter().rposition(|s| !is_label(s) && s.gain >= AS_WELL * gain);
+    let last = scores
+        .iter()
+        .rposition(|s| !is_label(s) && s.gain >= AS_WELL * gain);
     if let Some(last) = last.filter(|l| *l > label) {
         scores[label..=last].rotate_left(1);
     }
@@ -163,20 +179,26 @@ fn generic(
     options: &Options,
 ) -> (f64, Vec<CovariateScore>, MinPDistribution) {
     let basis = nuisance_basis(fit);
-    let signatures: Vec<CovariateSignature> = signatures_of_covariates(system, fit, weights, &basis)
-        .into_iter()
-        .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
-        .collect();
+    let signatures: Vec<CovariateSignature> =
+        signatures_of_covariates(system, fit, weights, &basis)
+            .into_iter()
+            .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
+            .collect();
     let plain: Vec<&Signature> = signatures.iter().map(|a| &a.signature).collect();
     let family = MinPDistribution::simulate(
         &plain,
         fit.dof,
-        &Options { seed: options.seed ^ 0x5eed, ..options.clone() },
+        &Options {
+            seed: options.seed ^ 0x5eed,
+            ..options.clone()
+        },
     );
     let mut scores: Vec<CovariateScore> = Vec::new();
     for a in &signatures {
         let gain = a.signature.gain(residual);
-        let Some(p_single) = signature_p(&a.signature, gain, fit.ssr, fit.dof) else { continue };
+        let Some(p_single) = signature_p(&a.signature, gain, fit.ssr, fit.dof) else {
+            continue;
+        };
         let score = CovariateScore {
             covariate: a.covariate.clone(),
             shape: a.shape,
@@ -193,9 +215,17 @@ fn generic(
         }
     }
     // Where two p-values underflow, the larger gain decides.
-    scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
+    scores.sort_by(|a, b| {
+        a.p_single
+            .total_cmp(&b.p_single)
+            .then(b.gain.total_cmp(&a.gain))
+    });
     rank_steps_after_continuous(&mut scores);
-    let p = scores.iter().map(|s| s.p_single).min_by(f64::total_cmp).map_or(1.0, |p| family.family_wise_p(p));
+    let p = scores
+        .iter()
+        .map(|s| s.p_single)
+        .min_by(f64::total_cmp)
+        .map_or(1.0, |p| family.family_wise_p(p));
     (p, scores, family)
 }
 
@@ -212,7 +242,8 @@ pub fn omnibus_test(
     let refs: Vec<&Signature> = signatures.iter().collect();
     let family = MinPDistribution::simulate(&refs, fit.dof, options);
     let p_catalogue = family_wise(&family, strongest(&signatures, &residual, fit));
-    let (p_covariates, covariates, covariate_family) = generic(system, fit, weights, &residual, options);
+    let (p_covariates, covariates, covariate_family) =
+        generic(system, fit, weights, &residual, options);
     let (p_serial, serial_correlation) = serial(system, fit, weights);
     OmnibusTest {
         p_catalogue,

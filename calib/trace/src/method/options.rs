@@ -39,6 +39,12 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None, progress: ProgressListener::default() }
+        Self {
+            seed: 1,
+            draws: 2000,
+            largest: 3,
+            tails_dof: None,
+            progress: ProgressListener::default(),
+        }
     }
 }

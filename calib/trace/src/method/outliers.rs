@@ -41,7 +41,9 @@ pub fn studentised_residuals(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
 /// agree.
 fn quantisation_step(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
     let steps = system.noise_inputs().step;
-    (0..channels).map(|c| steps.get(c).copied().flatten().unwrap_or(0.0)).collect()
+    (0..channels)
+        .map(|c| steps.get(c).copied().flatten().unwrap_or(0.0))
+        .collect()
 }
 
 /// How far a reading of the digit beside the nearest one may lie from a model that passes between two, in digits.
@@ -62,7 +64,9 @@ pub fn reject_outliers(
     let all = weights.unmasked();
     let mut current = start.clone();
     let mut weights = weights.clone();
-    let mut flagged: Vec<usize> = (0..n).filter(|&i| all.counts(i) && !weights.counts(i)).collect();
+    let mut flagged: Vec<usize> = (0..n)
+        .filter(|&i| all.counts(i) && !weights.counts(i))
+        .collect();
     let (mut p_value, digit) = (1.0, quantisation_step(system, channels));
     for _ in 0..ROUNDS {
         let z = studentised_residuals(&current, &weights);
@@ -73,9 +77,12 @@ pub fn reject_outliers(
         let found = extreme_values(&judged, most * channels, SINGLE_READINGS);
         let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
             let beyond = |i: usize, c: usize| {
-                z[(i, c)].abs() >= f.beyond && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]
+                z[(i, c)].abs() >= f.beyond
+                    && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]
             };
-            (0..n).filter(|&i| all.counts(i) && (0..channels).any(|c| beyond(i, c))).collect()
+            (0..n)
+                .filter(|&i| all.counts(i) && (0..channels).any(|c| beyond(i, c)))
+                .collect()
         });
         p_value = found.map_or(1.0, |f| f.p_value);
         if next.len() > most {
@@ -89,7 +96,12 @@ pub fn reject_outliers(
         current = fit(system, terms, &weights, 15)?;
     }
     let singly = !flagged.is_empty() && are_isolated(system, &all, &flagged);
-    singly.then_some(Hypothesis { fit: current, weights, flagged, flag_p: p_value })
+    singly.then_some(Hypothesis {
+        fit: current,
+        weights,
+        flagged,
+        flag_p: p_value,
+    })
 }
 
 /// Fewest flagged readings of which it can be said that they are no single ones.
@@ -107,15 +119,20 @@ fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize])
     let counted: Vec<usize> = (0..all.len()).filter(|&i| all.counts(i)).collect();
     let place = |i: &usize| counted.binary_search(i).unwrap_or(usize::MAX);
     let places: std::collections::BTreeSet<usize> = flagged.iter().map(place).collect();
-    let beside =
-        |p: &&usize| places.contains(&(**p + 1)) || p.checked_sub(1).is_some_and(|q| places.contains(&q));
+    let beside = |p: &&usize| {
+        places.contains(&(**p + 1)) || p.checked_sub(1).is_some_and(|q| places.contains(&q))
+    };
     let neighbours = places.iter().filter(beside).count();
     let posed = system.noise_inputs().posed;
     let at_rest = counted.iter().filter(|&&i| !posed[i]).count();
     let rest_flagged = flagged.iter().filter(|&&i| !posed[i]).count();
     let groups = system.groups();
-    let of_group =
-        |group: u32| counted.iter().filter(|&&i| posed[i] && groups[i] == group).collect::<Vec<_>>();
+    let of_group = |group: u32| {
+        counted
+            .iter()
+            .filter(|&&i| posed[i] && groups[i] == group)
+            .collect::<Vec<_>>()
+    };
     let whole_group = flagged.iter().any(|&i| {
         let own = of_group(groups[i]);
         own.len() >= MIN_GROUP && own.iter().all(|k| flagged.contains(k))
@@ -127,7 +144,8 @@ fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize])
             own.clone().count() >= MIN_GROUP && own.into_iter().all(|k| flagged.contains(k))
         })
     });
-    let stretch = neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
+    let stretch =
+        neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
     let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
     !(stretch || resting || whole_group || whole_setting)
 }
@@ -145,15 +163,18 @@ const LARGE: f64 = 5.0;
 
 /// Readings that stand so far out of the declared model that its first fit must not see them.
 pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
-    let Some(raw) = system.design(&[]) else { return Vec::new() };
+    let Some(raw) = system.design(&[]) else {
+        return Vec::new();
+    };
     let rows: Vec<usize> = (0..weights.len()).filter(|&i| weights.counts(i)).collect();
     let (n, q) = (rows.len(), raw.ncols());
     let held = ((HELD * n as f64) as usize).max(q + 2);
     if n < q + 6 || held >= n {
         return Vec::new();
     }
-    let scaled =
-        |m: &DMatrix<f64>| DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]));
+    let scaled = |m: &DMatrix<f64>| {
+        DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]))
+    };
     let (x, y) = (scaled(&raw), scaled(system.measured()));
     let channels = y.ncols();
     let digit = quantisation_step(system, channels);
@@ -168,7 +189,12 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
             })
             .collect();
         (0..n)
-            .map(|k| (0..channels).map(|c| r[(k, c)].abs() / scale[c]).fold(0.0, f64::max) * 0.6745)
+            .map(|k| {
+                (0..channels)
+                    .map(|c| r[(k, c)].abs() / scale[c])
+                    .fold(0.0, f64::max)
+                    * 0.6745
+            })
             .collect()
     };
     // The whole fit's trimmed sum in the worst channel's units would change with the scale: compare by the spread itself.
@@ -178,7 +204,11 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
         let squares: Vec<f64> = r.row_iter().map(|r| r.norm_squared()).collect();
         let mut ranked = squares.clone();
         let limit = *ranked.select_nth_unstable_by(held - 1, f64::total_cmp).1;
-        let mut ties = held - squares.iter().filter(|s| s.total_cmp(&limit).is_lt()).count();
+        let mut ties = held
+            - squares
+                .iter()
+                .filter(|s| s.total_cmp(&limit).is_lt())
+                .count();
         // In the order of the table, so that sums do not depend on how they were picked; of equal ones the first.
         let mut is_held = |square: f64| match square.total_cmp(&limit) {
             Ordering::Equal if ties > 0 => {
@@ -207,12 +237,19 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
             best = Some((cost, subset));
         }
     }
-    let Some((_, subset)) = best else { return Vec::new() };
+    let Some((_, subset)) = best else {
+        return Vec::new();
+    };
     let size = sizes(&subset);
-    let out: Vec<usize> = (0..n).filter(|&k| size[k] > GROSS).map(|k| rows[k]).collect();
+    let out: Vec<usize> = (0..n)
+        .filter(|&k| size[k] > GROSS)
+        .map(|k| rows[k])
+        .collect();
     // Many such readings, or a slope of large ones beside them, are structure: what the model lacks, not gross readings.
-    let large = (0..n).filter(|&k| size[k] > LARGE && size[k] <= GROSS).count() as f64;
-    let structure =
-        out.len() as f64 > 0.03 * n as f64 + 2.0 || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
+    let large = (0..n)
+        .filter(|&k| size[k] > LARGE && size[k] <= GROSS)
+        .count() as f64;
+    let structure = out.len() as f64 > 0.03 * n as f64 + 2.0
+        || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
     if structure { Vec::new() } else { out }
 }

@@ -13,27 +13,36 @@ use std::ops::Range;
 
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
 pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
-    fit.terms.iter().zip(fit.slots(system.catalogue())).all(|(t, slots)| {
-        let largest_share = system.catalogue()[t.effect].law(t.law).largest_share;
-        largest_share.is_none_or(|share| is_within_share(fit, slots.columns, share))
-    })
+    fit.terms
+        .iter()
+        .zip(fit.slots(system.catalogue()))
+        .all(|(t, slots)| {
+            let largest_share = system.catalogue()[t.effect].law(t.law).largest_share;
+            largest_share.is_none_or(|share| is_within_share(fit, slots.columns, share))
+        })
 }
 
 fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
     let channels = fit.residual.ncols();
-    let part = fit.design.columns_range(columns.clone()) * fit.coefficients.rows_range(columns.clone());
+    let part =
+        fit.design.columns_range(columns.clone()) * fit.coefficients.rows_range(columns.clone());
     let whole = &fit.design * &fit.coefficients;
     // The largest part that each channel allows.
-    let largest: Vec<f64> =
-        (0..channels).map(|c| share * (whole.column(c).max() - whole.column(c).min())).collect();
-    let over = (0..channels).filter(|&c| part.column(c).amax() > largest[c]).count();
+    let largest: Vec<f64> = (0..channels)
+        .map(|c| share * (whole.column(c).max() - whole.column(c).min()))
+        .collect();
+    let over = (0..channels)
+        .filter(|&c| part.column(c).amax() > largest[c])
+        .count();
     if over == 0 {
         return true;
     }
     // Everything else is free to take up what the bounded effect may not: its span is projected off.
     let others = nuisance_basis_without(fit, &columns);
     // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
-    let own: Vec<(usize, usize)> = (0..channels).flat_map(|c| columns.clone().map(move |j| (j, c))).collect();
+    let own: Vec<(usize, usize)> = (0..channels)
+        .flat_map(|c| columns.clone().map(move |j| (j, c)))
+        .collect();
     let directions: Vec<DVector<f64>> = own
         .iter()
         .map(|&(j, c)| {
@@ -42,7 +51,9 @@ fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
         })
         .collect();
     let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
-    let Some(rise) = rise_under_bound(fit, &own, &directions, &free, &largest) else { return true };
+    let Some(rise) = rise_under_bound(fit, &own, &directions, &free, &largest) else {
+        return true;
+    };
     f_test(rise, fit.ssr + rise, fit.dof + over as f64, over).is_none_or(|p| p > RANGE)
 }
 
@@ -59,7 +70,9 @@ fn rise_under_bound(
     // Free coefficients have very different sizes: each is counted in the length of its direction.
     let size: Vec<f64> = directions.iter().map(|d| d.norm().max(1e-300)).collect();
     let k = own.len();
-    let gram = DMatrix::from_fn(k, k, |a, b| directions[a].dot(&directions[b]) / (size[a] * size[b]));
+    let gram = DMatrix::from_fn(k, k, |a, b| {
+        directions[a].dot(&directions[b]) / (size[a] * size[b])
+    });
     let start = DVector::from_iterator(k, (0..k).map(|a| free[a] * size[a]));
     let linear = -(&gram * &start);
     let scale = start.amax().max(1e-300);
@@ -69,7 +82,9 @@ fn rise_under_bound(
         for i in 0..fit.design.nrows() {
             let entries = |sign: f64| -> Vec<(usize, f64)> {
                 let of_channel = (0..k).filter(|&a| own[a].1 == c);
-                of_channel.map(|a| (a, sign * fit.design[(i, own[a].0)] / size[a] * scale)).collect()
+                of_channel
+                    .map(|a| (a, sign * fit.design[(i, own[a].0)] / size[a] * scale))
+                    .collect()
             };
             for sign in [1.0, -1.0] {
                 rows.push(entries(sign));
@@ -91,14 +106,26 @@ pub(super) fn minimise(
     bounds: &[f64],
 ) -> Option<Vec<f64>> {
     let n = linear.len();
-    let upper: Vec<Vec<(usize, f64)>> =
-        (0..n).map(|i| (i..n).map(|j| (j, quadratic[(i, j)])).filter(|e| e.1 != 0.0).collect()).collect();
+    let upper: Vec<Vec<(usize, f64)>> = (0..n)
+        .map(|i| {
+            (i..n)
+                .map(|j| (j, quadratic[(i, j)]))
+                .filter(|e| e.1 != 0.0)
+                .collect()
+        })
+        .collect();
     let (p, a) = (sparse(&upper, n, n), sparse(rows, rows.len(), n));
     let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
-    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
+    let settings = DefaultSettings {
+        verbose: false,
+        ..DefaultSettings::default()
+    };
     let mut solver = DefaultSolver::new(&p, linear, &a, bounds, &cones, settings).ok()?;
     solver.solve();
-    let solved = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
+    let solved = matches!(
+        solver.solution.status,
+        SolverStatus::Solved | SolverStatus::AlmostSolved
+    );
     solved.then(|| solver.solution.x.clone())
 }
 

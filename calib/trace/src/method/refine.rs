@@ -15,13 +15,19 @@ pub(super) fn refit(
 ) -> Option<Hypothesis> {
     let mut best: Option<Hypothesis> = None;
     for terms in starts {
-        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
-        let next = Hypothesis { fit, ..from.clone() };
+        let Some(fit) = fit(system, terms, &from.weights, 10) else {
+            continue;
+        };
+        let next = Hypothesis {
+            fit,
+            ..from.clone()
+        };
         let better = best.as_ref().is_none_or(|b| {
             let (was, is) = (b.is_physical(system), next.is_physical(system));
             // A law with more parameters must earn them.
             let price = 2.0 * next.fit.variance();
-            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
+            let cost =
+                |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
             (is && !was) || (is == was && cost(&next) < cost(b))
         });
         if better {
@@ -66,7 +72,10 @@ pub(super) fn refine_level(
         }
     }
     if changed {
-        let scale = level.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
+        let scale = level
+            .iter()
+            .map(|h| h.fit.variance())
+            .fold(f64::INFINITY, f64::min);
         level.sort_by(|a, b| a.aic(&base.fit, scale).total_cmp(&b.aic(&base.fit, scale)));
     }
     changed
@@ -75,24 +84,45 @@ pub(super) fn refine_level(
 /// One more column of an effect that follows columns and is accepted: loads of a cell that are applied in turn are one question, however many there are.
 fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypothesis> {
     let terms = &from.fit.terms;
-    let effect = terms.iter().find(|t| system.catalogue()[t.effect].by_column)?.effect;
+    let effect = terms
+        .iter()
+        .find(|t| system.catalogue()[t.effect].by_column)?
+        .effect;
     let taken = |law: usize| terms.iter().any(|t| t.effect == effect && t.law == law);
     let free = (0..system.catalogue()[effect].laws.len()).filter(|law| !taken(*law));
     let with = |law: usize| {
-        let more = EffectTerm { effect, law, values: Vec::new() };
-        refit(system, &[terms.iter().cloned().chain([more]).collect()], from)
+        let more = EffectTerm {
+            effect,
+            law,
+            values: Vec::new(),
+        };
+        refit(
+            system,
+            &[terms.iter().cloned().chain([more]).collect()],
+            from,
+        )
     };
     let tried: Vec<Hypothesis> = free.filter_map(with).collect();
     let count = tried.len() as f64;
-    let allowed = tried.into_iter().filter(|h| h.is_admissible(system) && system.not_identified(h).is_none());
-    let tested =
-        allowed.filter_map(|h| Some((f_test(from.fit.ssr - h.fit.ssr, from.fit.ssr, from.fit.dof, 1)?, h)));
+    let allowed = tried
+        .into_iter()
+        .filter(|h| h.is_admissible(system) && system.not_identified(h).is_none());
+    let tested = allowed.filter_map(|h| {
+        Some((
+            f_test(from.fit.ssr - h.fit.ssr, from.fit.ssr, from.fit.dof, 1)?,
+            h,
+        ))
+    });
     let best = tested.min_by(|a, b| a.0.total_cmp(&b.0));
     best.filter(|(p, _)| p * count < CATALOGUE).map(|(_, h)| h)
 }
 
 /// The best refinement of one of its terms, where it is physical and earns its parameters (F test over all that were tried).
-fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -> Option<Hypothesis> {
+fn refine(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    from: &Hypothesis,
+) -> Option<Hypothesis> {
     let mut tried = 0;
     let mut best: Option<(f64, Hypothesis)> = None;
     for (slot, term) in from.fit.terms.iter().enumerate() {
@@ -106,26 +136,45 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
                 .into_iter()
                 .map(|values| {
                     let mut terms = from.fit.terms.clone();
-                    terms[slot] = EffectTerm { effect: term.effect, law: plain + k, values };
+                    terms[slot] = EffectTerm {
+                        effect: term.effect,
+                        law: plain + k,
+                        values,
+                    };
                     terms
                 })
                 .collect();
             tried += 1;
-            let Some(to) = refit(system, &starts, from).filter(|h| h.is_admissible(system)) else { continue };
+            let Some(to) = refit(system, &starts, from).filter(|h| h.is_admissible(system)) else {
+                continue;
+            };
             let extra = (to.parameters(&base.fit) - from.parameters(&base.fit)).max(1.0);
-            let p = f_test(from.fit.ssr - to.fit.ssr, from.fit.ssr, from.fit.dof, extra as usize);
+            let p = f_test(
+                from.fit.ssr - to.fit.ssr,
+                from.fit.ssr,
+                from.fit.dof,
+                extra as usize,
+            );
             if let Some(p) = p.filter(|p| best.as_ref().is_none_or(|(least, _)| p < least)) {
                 best = Some((p, to));
             }
         }
     }
-    best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE).map(|(_, h)| h)
+    best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE)
+        .map(|(_, h)| h)
 }
 
 /// Places to start from: the amplitude shared out, shapes from their grids in rising order.
 fn starts(law: &EffectModel, term: &EffectTerm) -> Vec<Vec<f64>> {
-    let amplitudes = law.parameters.iter().filter(|p| matches!(p.role, Role::Amplitude { .. })).count();
-    let share = term.values.first().map_or(0.0, |size| size / amplitudes.max(1) as f64);
+    let amplitudes = law
+        .parameters
+        .iter()
+        .filter(|p| matches!(p.role, Role::Amplitude { .. }))
+        .count();
+    let share = term
+        .values
+        .first()
+        .map_or(0.0, |size| size / amplitudes.max(1) as f64);
     let mut all: Vec<Vec<f64>> = vec![Vec::new()];
     let mut highest: Vec<f64> = vec![f64::NEG_INFINITY];
     for p in &law.parameters {

@@ -25,8 +25,12 @@ const MAX_LEFT: f64 = 4.0;
 /// The readings are those of the fitted model, rounded: of one channel, and where rounding is most of their noise.
 pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> bool {
     let measured = system.measured();
-    let Some(step) = system.noise_inputs().step.first().copied().flatten() else { return false };
-    let rows: Vec<usize> = (0..measured.nrows()).filter(|&i| weights.counts(i)).collect();
+    let Some(step) = system.noise_inputs().step.first().copied().flatten() else {
+        return false;
+    };
+    let rows: Vec<usize> = (0..measured.nrows())
+        .filter(|&i| weights.counts(i))
+        .collect();
     let rounding = step * step / 12.0;
     let left: f64 = rows.iter().map(|&i| fit.raw_residual[(i, 0)].powi(2)).sum();
     if measured.ncols() != 1 || left > MAX_LEFT * rounding * rows.len() as f64 {
@@ -49,14 +53,18 @@ pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) 
     let variance = within / ((rows.len() - settings.len()).max(1) as f64);
     let noise = variance / (MOVED * step);
     variance < rounding
-        && least_distance(fit, &rows).is_some_and(|t| t <= 0.5 * step * (1.0 + 1e-6) + REACH * noise)
+        && least_distance(fit, &rows)
+            .is_some_and(|t| t <= 0.5 * step * (1.0 + 1e-6) + REACH * noise)
 }
 
 /// Largest distance of a reading from the model that comes nearest to all of them, by the free coefficients.
 fn least_distance(fit: &Fit, rows: &[usize]) -> Option<f64> {
     let design = &fit.raw_design;
     let residual = &fit.raw_residual;
-    let largest = rows.iter().map(|&i| residual[(i, 0)].abs()).fold(0.0, f64::max);
+    let largest = rows
+        .iter()
+        .map(|&i| residual[(i, 0)].abs())
+        .fold(0.0, f64::max);
     if !(largest > 0.0) {
         return Some(0.0);
     }
@@ -70,7 +78,14 @@ fn least_distance(fit: &Fit, rows: &[usize]) -> Option<f64> {
             bounds.push(sign * residual[(i, 0)] / largest);
         }
     }
-    let linear: Vec<f64> = (0..=count).map(|j| f64::from(u8::from(j == count))).collect();
-    let found = minimise(&DMatrix::zeros(count + 1, count + 1), &linear, &sides, &bounds)?;
+    let linear: Vec<f64> = (0..=count)
+        .map(|j| f64::from(u8::from(j == count)))
+        .collect();
+    let found = minimise(
+        &DMatrix::zeros(count + 1, count + 1),
+        &linear,
+        &sides,
+        &bounds,
+    )?;
     Some(found[count] * largest)
 }

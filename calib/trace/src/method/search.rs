@@ -38,7 +38,11 @@ pub struct Search {
 
 impl Search {
     /// Begins with the declared model under these weights; none where that has no fit.
-    pub fn new(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<Self> {
+    pub fn new(
+        system: &dyn MeasurementModel,
+        weights: &Weights,
+        options: &Options,
+    ) -> Option<Self> {
         options.progress.at("testing the declared model", 0.0);
         let base = fit_declared_model(system, weights, options.seed)?;
         let test = omnibus_test(system, &base.fit, &base.weights, options);
@@ -73,7 +77,11 @@ impl Search {
 
     /// The explanation that the noise is taken from: the best one, but for where a generic driver explains more.
     pub fn accepted(&self) -> &Hypothesis {
-        if self.generic_driver_wins() { &self.found.base } else { &self.found.best }
+        if self.generic_driver_wins() {
+            &self.found.base
+        } else {
+            &self.found.best
+        }
     }
 
     /// Something was found or is left: heavier tails would be a reason to look again.
@@ -93,33 +101,58 @@ pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
 
 /// Signatures of the catalogue off the nuisances of each explanation that is gone on from.
 pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Signatures {
-    let parents = search.level.iter().take(if search.size == 1 { 1 } else { PARENTS }).enumerate();
+    let parents = search
+        .level
+        .iter()
+        .take(if search.size == 1 { 1 } else { PARENTS })
+        .enumerate();
     let of = |(k, h): (usize, &Hypothesis)| {
         let known = || search.found.last_test.signatures.clone();
         let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance_basis(&h.fit));
         (h.clone(), if k == 0 { known() } else { anew() })
     };
-    Signatures { parents: parents.map(of).collect() }
+    Signatures {
+        parents: parents.map(of).collect(),
+    }
 }
 
 /// The terms that would lower the projected misfit of each of them most.
 pub fn screen_subsets(system: &dyn MeasurementModel, signatures: Signatures) -> Candidates {
-    let of = |(k, (h, own)): (usize, &(Hypothesis, Vec<Signature>))| extensions(system, (k, h), own);
+    let of =
+        |(k, (h, own)): (usize, &(Hypothesis, Vec<Signature>))| extensions(system, (k, h), own);
     let extended = signatures.parents.iter().enumerate().flat_map(of).collect();
-    Candidates { parents: signatures.parents.into_iter().map(|(h, _)| h).collect(), extended }
+    Candidates {
+        parents: signatures.parents.into_iter().map(|(h, _)| h).collect(),
+        extended,
+    }
 }
 
 /// The candidates through the full forward model, outliers taken out of each, and sets of effects whose linear merit is before all of them.
-pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candidates) -> Vec<Hypothesis> {
+pub fn refit(
+    system: &dyn MeasurementModel,
+    search: &Search,
+    candidates: &Candidates,
+) -> Vec<Hypothesis> {
     let (outliers, variance) = (outlier_index(system), search.found.best.fit.variance());
     let mut next: Vec<Hypothesis> = Vec::new();
     for (k, from) in candidates.parents.iter().enumerate() {
         let own: Vec<&Candidate> = candidates.extended.iter().filter(|c| c.from == k).collect();
-        let mut more: Vec<Hypothesis> =
-            own.par_iter().flat_map_iter(|c| refit_starts(system, &c.starts, from)).collect();
+        let mut more: Vec<Hypothesis> = own
+            .par_iter()
+            .flat_map_iter(|c| refit_starts(system, &c.starts, from))
+            .collect();
         let single = outliers.filter(|_| from.flagged.is_empty());
-        more.extend(single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)));
-        merge(system, &mut next, more, outliers, &search.found.base.fit, variance);
+        more.extend(
+            single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)),
+        );
+        merge(
+            system,
+            &mut next,
+            more,
+            outliers,
+            &search.found.base.fit,
+            variance,
+        );
     }
     if search.size > 1 {
         let more = subset_candidates(
@@ -129,7 +162,14 @@ pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candid
             &next,
             search.size,
         );
-        merge(system, &mut next, more, outliers, &search.found.base.fit, variance);
+        merge(
+            system,
+            &mut next,
+            more,
+            outliers,
+            &search.found.base.fit,
+            variance,
+        );
     }
     next
 }
@@ -141,7 +181,9 @@ pub fn select_model(
     mut refitted: Vec<Hypothesis>,
 ) -> bool {
     let outliers = outlier_index(system);
-    let open = refitted.iter().filter(|h| h.is_physical(system) && !h.is_admissible(system));
+    let open = refitted
+        .iter()
+        .filter(|h| h.is_physical(system) && !h.is_admissible(system));
     search.found.rejections.extend(open.map(|h| Rejection {
         effects: names(system, &h.key(system, outliers)),
         gate: Gate::NotConverged,
@@ -158,14 +200,26 @@ pub fn select_model(
             why: n.why,
         })
     };
-    let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
-        search.found.rejections.extend(unidentified(&search.found.best));
+    let Some(scale) = physical
+        .iter()
+        .map(|h| h.fit.variance())
+        .min_by(f64::total_cmp)
+    else {
+        search
+            .found
+            .rejections
+            .extend(unidentified(&search.found.best));
         return false;
     };
     physical.sort_by(|a, b| a.aic(base, scale).total_cmp(&b.aic(base, scale)));
     let candidate = physical[0].clone();
     search.found.rejections.extend(unidentified(&candidate));
-    let p = f_to_enter(&search.found.best, &candidate, base, &search.found.last_test);
+    let p = f_to_enter(
+        &search.found.best,
+        &candidate,
+        base,
+        &search.found.last_test,
+    );
     if p > CATALOGUE || candidate.aic(base, scale) >= search.found.best.aic(base, scale) {
         return false;
     }
@@ -198,14 +252,31 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
     };
     let evidence = refitted.iter().zip(&p_values).map(line).collect();
     let covariate_beats_catalogue = search.generic_driver_wins();
-    SearchResult { survivors, evidence, refitted, covariate_beats_catalogue, ..search.found.clone() }
+    SearchResult {
+        survivors,
+        evidence,
+        refitted,
+        covariate_beats_catalogue,
+        ..search.found.clone()
+    }
 }
 
 /// The explanations of a size, the first of them the best so far; richer laws of it where something is left.
 fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hypothesis>) {
     let test = |h: &Hypothesis, round: usize| {
-        let seed = search.options.seed.wrapping_add((round as u64).wrapping_mul(0x9e37));
-        omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..search.options.clone() })
+        let seed = search
+            .options
+            .seed
+            .wrapping_add((round as u64).wrapping_mul(0x9e37));
+        omnibus_test(
+            system,
+            &h.fit,
+            &h.weights,
+            &Options {
+                seed,
+                ..search.options.clone()
+            },
+        )
     };
     physical[0] = continue_to_convergence(system, reflag_outliers(system, physical[0].clone()));
     let mut left = test(&physical[0], search.size);
@@ -219,7 +290,9 @@ fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hy
 }
 
 fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
-    system.outliers().filter(|&e| system.not_observable(e).is_none())
+    system
+        .outliers()
+        .filter(|&e| system.not_observable(e).is_none())
 }
 
 /// A start of a refit: the explanation that it goes on from, and the terms with it.
@@ -250,11 +323,15 @@ fn extensions(
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
     let mut best_of: BTreeMap<TermKey, f64> = BTreeMap::new();
     for (signature, gain) in signatures.iter().zip(&gains) {
-        let best = best_of.entry(signature.term.key(system.catalogue())).or_insert(0.0);
+        let best = best_of
+            .entry(signature.term.key(system.catalogue()))
+            .or_insert(0.0);
         *best = best.max(*gain);
     }
-    let mut ranked: Vec<(TermKey, f64)> =
-        best_of.into_iter().filter(|b| b.1 > 4.0 * from.fit.variance().min(1.0e300)).collect();
+    let mut ranked: Vec<(TermKey, f64)> = best_of
+        .into_iter()
+        .filter(|b| b.1 > 4.0 * from.fit.variance().min(1.0e300))
+        .collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     ranked.truncate(REFITS);
     let of = |(key, top): (TermKey, f64)| {
@@ -271,7 +348,10 @@ fn extensions(
                 terms
             })
         };
-        Candidate { from: k, starts: (0..laws.len()).filter_map(start).collect() }
+        Candidate {
+            from: k,
+            starts: (0..laws.len()).filter_map(start).collect(),
+        }
     };
     ranked.into_iter().map(of).collect()
 }
@@ -286,31 +366,47 @@ fn subset_candidates(
 ) -> Vec<Hypothesis> {
     const KEPT: usize = 2;
     let fitting = || next.iter().filter(|h| h.is_admissible(system));
-    let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
-    let top = fitting().map(|h| h.aic(&base.fit, scale)).fold(f64::INFINITY, f64::min);
+    let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
+        return Vec::new();
+    };
+    let top = fitting()
+        .map(|h| h.aic(&base.fit, scale))
+        .fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
     // The laws of a set that is there already may be those of the first step, which saw the other effects as noise.
-    let known: Vec<(Vec<TermKey>, f64)> =
-        next.iter().map(|h| (h.key(system, None), h.aic(&base.fit, scale))).collect();
-    best_subsets(system.catalogue(), signatures, &residual, size, scale, KEPT + known.len())
-        .into_iter()
-        .filter(|s| base.fit.ssr / scale - s.merit < top)
-        .filter_map(|s| {
-            let key = s.key(system.catalogue(), signatures);
-            if known.iter().any(|(own, aic)| *own == key && *aic <= base.fit.ssr / scale - s.merit) {
-                return None;
-            }
-            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law);
-            Some(
-                s.signatures
-                    .iter()
-                    .map(|&i| signatures[i].start(&residual, law(&signatures[i])))
-                    .collect::<Vec<EffectTerm>>(),
-            )
-        })
-        .take(KEPT)
-        .filter_map(|terms| refit_starts(system, &[terms], base))
-        .collect()
+    let known: Vec<(Vec<TermKey>, f64)> = next
+        .iter()
+        .map(|h| (h.key(system, None), h.aic(&base.fit, scale)))
+        .collect();
+    best_subsets(
+        system.catalogue(),
+        signatures,
+        &residual,
+        size,
+        scale,
+        KEPT + known.len(),
+    )
+    .into_iter()
+    .filter(|s| base.fit.ssr / scale - s.merit < top)
+    .filter_map(|s| {
+        let key = s.key(system.catalogue(), signatures);
+        if known
+            .iter()
+            .any(|(own, aic)| *own == key && *aic <= base.fit.ssr / scale - s.merit)
+        {
+            return None;
+        }
+        let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law);
+        Some(
+            s.signatures
+                .iter()
+                .map(|&i| signatures[i].start(&residual, law(&signatures[i])))
+                .collect::<Vec<EffectTerm>>(),
+        )
+    })
+    .take(KEPT)
+    .filter_map(|terms| refit_starts(system, &[terms], base))
+    .collect()
 }
 
 /// Adds the explanations of `more` that are not there yet; of two with the same key the better stays.
@@ -347,18 +443,26 @@ fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest
 fn count(system: &dyn MeasurementModel, key: &[TermKey]) -> usize {
     let by_column = |e: usize| system.catalogue().get(e).is_some_and(|c| c.by_column);
     (0..key.len())
-        .filter(|&k| !by_column(key[k].effect) || key[..k].iter().all(|o| o.effect != key[k].effect))
+        .filter(|&k| {
+            !by_column(key[k].effect) || key[..k].iter().all(|o| o.effect != key[k].effect)
+        })
         .count()
 }
 
 /// Names of the laws of an explanation's terms.
 fn laws(system: &dyn MeasurementModel, h: &Hypothesis) -> Vec<String> {
-    h.fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned()).collect()
+    h.fit
+        .terms
+        .iter()
+        .map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned())
+        .collect()
 }
 
 /// Identifiers of what terms stand for.
 fn names(system: &dyn MeasurementModel, key: &[TermKey]) -> Vec<String> {
-    key.iter().map(|k| system.catalogue()[k.effect].id.to_owned()).collect()
+    key.iter()
+        .map(|k| system.catalogue()[k.effect].id.to_owned())
+        .collect()
 }
 
 /// An explanation that the design does not identify, and why.
@@ -380,21 +484,34 @@ fn split_by_identifiability(
 }
 
 /// The best of `refused`, where it would have stood in place of `taken`.
-fn best_unidentified_rival(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdentified> {
+fn best_unidentified_rival(
+    refused: &[Refused],
+    taken: &Hypothesis,
+    base: &Fit,
+) -> Option<NotIdentified> {
     let lead = |h: &Hypothesis| {
         let scale = h.fit.variance().min(taken.fit.variance());
         taken.aic(base, scale) - h.aic(base, scale)
     };
-    let best = refused.iter().max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
+    let best = refused
+        .iter()
+        .max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
     (lead(&best.0) > 0.0).then(|| best.1.clone())
 }
 
 /// One generic score alone explains the residual better than the accepted effects do.
 fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
-    let Some(score) = test.covariates.first() else { return false };
+    let Some(score) = test.covariates.first() else {
+        return false;
+    };
     // Periods and steps were scanned: some forty places each.
-    let scanned = if matches!(score.shape, "sinusoid" | "step") { 2.0 * 40f64.ln() } else { 2.0 };
-    let by_covariate = (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
+    let scanned = if matches!(score.shape, "sinusoid" | "step") {
+        2.0 * 40f64.ln()
+    } else {
+        2.0
+    };
+    let by_covariate =
+        (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
     test.generic() && by_covariate + LEAD < best.aic(&base.fit, variance)
 }
 
@@ -406,10 +523,17 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
 }
 
 /// The declared model, fitted without readings that stand far out of it.
-pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
+pub fn fit_declared_model(
+    system: &dyn MeasurementModel,
+    weights: &Weights,
+    seed: u64,
+) -> Option<Hypothesis> {
     let plain = |weights: &Weights| Hypothesis::fitted(system, &[], weights, 15);
-    let out =
-        if outlier_index(system).is_some() { initial_outliers(system, weights, seed) } else { Vec::new() };
+    let out = if outlier_index(system).is_some() {
+        initial_outliers(system, weights, seed)
+    } else {
+        Vec::new()
+    };
     if out.is_empty() {
         return plain(weights);
     }
@@ -419,7 +543,11 @@ pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed
 
 /// Flags of a model that has changed: a reading that it explains is taken back.
 fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
-    if h.flagged.is_empty() { h } else { flag_outliers(system, h) }
+    if h.flagged.is_empty() {
+        h
+    } else {
+        flag_outliers(system, h)
+    }
 }
 
 /// Single readings that stand out of an explanation, whatever was flagged before.
@@ -428,6 +556,12 @@ pub fn flag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis
         return h;
     }
     let (terms, every) = (&h.fit.terms, h.weights.unmasked());
-    let anew = || (every != h.weights).then(|| Hypothesis::fitted(system, terms, &every, 15)).flatten();
-    reject_outliers(system, terms, &h.fit, &h.weights).or_else(anew).unwrap_or(h)
+    let anew = || {
+        (every != h.weights)
+            .then(|| Hypothesis::fitted(system, terms, &every, 15))
+            .flatten()
+    };
+    reject_outliers(system, terms, &h.fit, &h.weights)
+        .or_else(anew)
+        .unwrap_or(h)
 }

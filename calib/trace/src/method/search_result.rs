@@ -63,6 +63,10 @@ impl SearchResult {
 
     /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
     pub fn accepted(&self) -> &Hypothesis {
-        if self.covariate_beats_catalogue { &self.base } else { &self.best }
+        if self.covariate_beats_catalogue {
+            &self.base
+        } else {
+            &self.best
+        }
     }
 }

@@ -28,19 +28,31 @@ pub fn settings(values: &[f64]) -> Vec<usize> {
         .map(|g| g[0])
         .find(|within| is_clear(&distinct, *within));
     let starts = starts(&distinct, joined.unwrap_or(0.0));
-    values.iter().map(|v| starts.partition_point(|s| s <= v).max(1) - 1).collect()
+    values
+        .iter()
+        .map(|v| starts.partition_point(|s| s <= v).max(1) - 1)
+        .collect()
 }
 
 /// First values of the runs of `distinct` whose neighbours are no further apart than `within`.
 fn starts(distinct: &[f64], within: f64) -> Vec<f64> {
-    distinct.chunk_by(|a, b| b - a <= within).map(|run| run[0]).collect()
+    distinct
+        .chunk_by(|a, b| b - a <= within)
+        .map(|run| run[0])
+        .collect()
 }
 
 /// Most runs hold more than one value, and all are narrow beside the smallest distance between two.
 fn is_clear(distinct: &[f64], within: f64) -> bool {
     let runs: Vec<&[f64]> = distinct.chunk_by(|a, b| b - a <= within).collect();
-    let widest = runs.iter().map(|r| r[r.len() - 1] - r[0]).fold(0.0, f64::max);
-    let between = runs.windows(2).map(|r| r[1][0] - r[0][r[0].len() - 1]).fold(f64::INFINITY, f64::min);
+    let widest = runs
+        .iter()
+        .map(|r| r[r.len() - 1] - r[0])
+        .fold(0.0, f64::max);
+    let between = runs
+        .windows(2)
+        .map(|r| r[1][0] - r[0][r[0].len() - 1])
+        .fold(f64::INFINITY, f64::min);
     runs.len() > 1
         && widest <= NEAR * between
         && 2 * runs.iter().filter(|r| r.len() > 1).count() >= runs.len()
@@ -54,7 +66,9 @@ pub fn means(of: &[usize], values: &[f64]) -> Vec<f64> {
         sums[k].0 += v;
         sums[k].1 += 1.0;
     }
-    sums.into_iter().map(|(sum, n)| sum / f64::max(n, 1.0)).collect()
+    sums.into_iter()
+        .map(|(sum, n)| sum / f64::max(n, 1.0))
+        .collect()
 }
 
 /// Reliability of `x` within its settings, from 0 to 1; 1 where no setting was read at more than one value.
@@ -63,7 +77,11 @@ pub fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
     // Slope between the neighbours of a setting: the law need not be straight.
     let slope = |k: usize| {
         let [a, b] = [k.saturating_sub(1), (k + 1).min(mx.len() - 1)];
-        if b > a { (my[b] - my[a]) / (mx[b] - mx[a]) } else { 0.0 }
+        if b > a {
+            (my[b] - my[a]) / (mx[b] - mx[a])
+        } else {
+            0.0
+        }
     };
     let (mut product, mut square) = (0.0, 0.0);
     for (i, &k) in of.iter().enumerate() {
@@ -71,7 +89,11 @@ pub fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
         product += along * (y[i] - my[k]);
         square += along * along;
     }
-    if square > 0.0 { (product / square).clamp(0.0, 1.0) } else { 1.0 }
+    if square > 0.0 {
+        (product / square).clamp(0.0, 1.0)
+    } else {
+        1.0
+    }
 }
 
 #[cfg(test)]
@@ -80,14 +102,19 @@ mod tests {
 
     /// Levels every 500, read by a reference that scatters by `scatter`, `runs` times.
     fn read(scatter: f64, runs: usize) -> Vec<f64> {
-        (0..11 * runs).map(|k| 500.0 * (k % 11) as f64 + scatter * ((k * 7919) % 101) as f64 / 50.0).collect()
+        (0..11 * runs)
+            .map(|k| 500.0 * (k % 11) as f64 + scatter * ((k * 7919) % 101) as f64 / 50.0)
+            .collect()
     }
 
     #[test]
     fn values_close_beside_the_distance_of_the_next_are_one_setting() {
         for scatter in [0.0, 0.45, 20.0] {
             let of = settings(&read(scatter, 4));
-            assert!(of.iter().enumerate().all(|(k, s)| *s == k % 11), "{scatter}");
+            assert!(
+                of.iter().enumerate().all(|(k, s)| *s == k % 11),
+                "{scatter}"
+            );
         }
         // Controls: a scatter as wide as the distance, a ramp, decades, a small first load.
         let alone = |v: &[f64]| settings(v).iter().max().copied();
@@ -105,6 +132,9 @@ mod tests {
         let only_read: Vec<f64> = of.iter().map(|k| 2.0 * *k as f64).collect();
         assert!((reliability(&of, &x, &moved) - 1.0).abs() < 1e-9);
         assert!(reliability(&of, &x, &only_read) < 1e-9);
-        assert_eq!(reliability(&settings(&read(0.0, 4)), &read(0.0, 4), &only_read), 1.0);
+        assert_eq!(
+            reliability(&settings(&read(0.0, 4)), &read(0.0, 4), &only_read),
+            1.0
+        );
     }
 }

@@ -38,7 +38,11 @@ pub fn nuisance_basis(fit: &Fit) -> Basis {
 /// The same without the columns `left_out` of the design.
 pub fn nuisance_basis_without(fit: &Fit, left_out: &Range<usize>) -> Basis {
     let columns = (0..fit.design.ncols()).filter(|j| !left_out.contains(j));
-    Basis::of(columns.flat_map(|j| fit.column_directions(j)).chain(fit.tangents.iter().cloned()))
+    Basis::of(
+        columns
+            .flat_map(|j| fit.column_directions(j))
+            .chain(fit.tangents.iter().cloned()),
+    )
 }
 
 /// All points of a law's shape grids, amplitudes at zero.
@@ -89,21 +93,38 @@ pub fn signatures_of_effect(
             let mut amplitudes = Vec::new();
             // Score direction of an amplitude: a difference from zero, the coefficients as they are.
             for (slot, p) in law.parameters.iter().enumerate() {
-                let Role::Amplitude { probe } = p.role else { continue };
+                let Role::Amplitude { probe } = p.role else {
+                    continue;
+                };
                 let mut values = point.clone();
                 values[slot] = probe;
                 let mut terms = fit.terms.clone();
-                terms.push(EffectTerm { effect, law: index, values });
-                let Some(d) = whitened_design(system, weights, &terms) else { continue };
-                let Some(auxiliary_residual) = system.auxiliary_residual(&terms, weights) else { continue };
+                terms.push(EffectTerm {
+                    effect,
+                    law: index,
+                    values,
+                });
+                let Some(d) = whitened_design(system, weights, &terms) else {
+                    continue;
+                };
+                let Some(auxiliary_residual) = system.auxiliary_residual(&terms, weights) else {
+                    continue;
+                };
                 let change = (d.columns(0, base) - &fit.design) * &fit.coefficients;
-                raw.push(stack_with(&change, &(&fit.auxiliary_residual - auxiliary_residual)));
+                raw.push(stack_with(
+                    &change,
+                    &(&fit.auxiliary_residual - auxiliary_residual),
+                ));
                 amplitudes.push((slot, probe));
             }
             // A law with columns of its own is linear in them: each is a direction as it stands.
             if !law.linear.is_empty() {
                 let mut terms = fit.terms.clone();
-                terms.push(EffectTerm { effect, law: index, values: point.clone() });
+                terms.push(EffectTerm {
+                    effect,
+                    law: index,
+                    values: point.clone(),
+                });
                 if let Some(d) = whitened_design(system, weights, &terms) {
                     for j in base..d.ncols() {
                         for c in 0..channels {
@@ -116,7 +137,11 @@ pub fn signatures_of_effect(
             let one_sided = law.linear.is_empty()
                 && amplitudes.len() == 1
                 && law.parameters[amplitudes[0].0].range[0] >= 0.0;
-            let term = EffectTerm { effect, law: index, values: point };
+            let term = EffectTerm {
+                effect,
+                law: index,
+                values: point,
+            };
             if let Some(signature) = build(term, amplitudes, one_sided, &raw, nuisance) {
                 signatures.push(signature);
             }
@@ -168,7 +193,10 @@ impl Signature {
         if self.one_sided && self.projected[0].dot(residual) <= 0.0 {
             return 0.0;
         }
-        self.directions.iter().map(|q| q.dot(residual).powi(2)).sum()
+        self.directions
+            .iter()
+            .map(|q| q.dot(residual).powi(2))
+            .sum()
     }
 
     /// Start values for a refit: amplitudes by least squares on the projected signatures.
@@ -182,7 +210,10 @@ impl Signature {
         let a = DMatrix::from_fn(m, m, |i, j| self.projected[i].dot(&self.projected[j]));
         let ridge = 1e-9 * a.trace().max(1e-300);
         let b = DVector::from_fn(m, |i, _| self.projected[i].dot(residual));
-        let Some(x) = (a + DMatrix::identity(m, m) * ridge).cholesky().map(|c| c.solve(&b)) else {
+        let Some(x) = (a + DMatrix::identity(m, m) * ridge)
+            .cholesky()
+            .map(|c| c.solve(&b))
+        else {
             return term;
         };
         for (i, (slot, probe)) in self.amplitudes.iter().enumerate() {
@@ -208,6 +239,10 @@ pub fn signatures_of_catalogue(
         .filter(|&e| system.not_observable(e).is_none())
         .filter(|&e| system.catalogue()[e].superposes || fit.terms.iter().all(|t| t.effect != e))
         .flat_map(|e| signatures_of_effect(system, e, fit, weights, nuisance))
-        .filter(|s| fit.terms.iter().all(|t| t.beside(&s.term, system.catalogue())))
+        .filter(|s| {
+            fit.terms
+                .iter()
+                .all(|t| t.beside(&s.term, system.catalogue()))
+        })
         .collect()
 }

@@ -27,7 +27,10 @@ pub fn best_subsets(
     keep: usize,
 ) -> Vec<Subset> {
     let chosen = sure_screening(catalogue, signatures, residual);
-    let columns: Vec<&DVector<f64>> = chosen.iter().flat_map(|&i| &signatures[i].directions).collect();
+    let columns: Vec<&DVector<f64>> = chosen
+        .iter()
+        .flat_map(|&i| &signatures[i].directions)
+        .collect();
     let starts: Vec<usize> = chosen
         .iter()
         .scan(0, |at, &i| {
@@ -41,7 +44,10 @@ pub fn best_subsets(
         to.copy_from(from);
     }
     // Everything that a subset needs stands in one Gram matrix: no subset is fitted on the readings.
-    let (gram, along) = (transposed_product(&matrix, &matrix), matrix.tr_mul(residual));
+    let (gram, along) = (
+        transposed_product(&matrix, &matrix),
+        matrix.tr_mul(residual),
+    );
     let mut found: Vec<Subset> = Vec::new();
     let mut members = Vec::new();
     combine(
@@ -51,7 +57,9 @@ pub fn best_subsets(
         &|members: &[usize]| {
             let new = members[members.len() - 1];
             let term = |m: usize| &signatures[chosen[m]].term;
-            members[..members.len() - 1].iter().all(|&m| term(m).beside(term(new), catalogue))
+            members[..members.len() - 1]
+                .iter()
+                .all(|&m| term(m).beside(term(new), catalogue))
         },
         chosen.len(),
         &mut |members: &[usize]| {
@@ -62,7 +70,9 @@ pub fn best_subsets(
             // Least squares of the subset alone, from its block of the Gram matrix.
             let small = DMatrix::from_fn(own.len(), own.len(), |i, j| gram[(own[i], own[j])]);
             let right = DVector::from_iterator(own.len(), own.iter().map(|&k| along[k]));
-            let Some(solution) = small.cholesky().map(|c| c.solve(&right)) else { return };
+            let Some(solution) = small.cholesky().map(|c| c.solve(&right)) else {
+                return;
+            };
             let mut at = 0;
             let mut price = 0.0;
             // A one-sided amplitude below zero is no explanation; each parameter has Akaike's price.
@@ -73,11 +83,14 @@ pub fn best_subsets(
                 }
                 at += signature.dimension();
                 price += 2.0
-                    * (signature.dimension() + signature.term.values.len() - signature.amplitudes.len())
-                        as f64;
+                    * (signature.dimension() + signature.term.values.len()
+                        - signature.amplitudes.len()) as f64;
             }
             let merit = right.dot(&solution) / variance - price;
-            found.push(Subset { signatures: members.iter().map(|&m| chosen[m]).collect(), merit });
+            found.push(Subset {
+                signatures: members.iter().map(|&m| chosen[m]).collect(),
+                merit,
+            });
         },
     );
     found.sort_by(|a, b| b.merit.total_cmp(&a.merit));
@@ -95,13 +108,21 @@ pub fn best_subsets(
 impl Subset {
     /// What its terms stand for.
     pub fn key(&self, catalogue: &Catalogue, signatures: &[Signature]) -> Vec<TermKey> {
-        let terms: Vec<EffectTerm> = self.signatures.iter().map(|&i| signatures[i].term.clone()).collect();
+        let terms: Vec<EffectTerm> = self
+            .signatures
+            .iter()
+            .map(|&i| signatures[i].term.clone())
+            .collect();
         keys(&terms, catalogue)
     }
 }
 
 /// The best few signatures of everything that a term can stand for; neighbours on a grid of shapes are one.
-fn sure_screening(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
+fn sure_screening(
+    catalogue: &Catalogue,
+    signatures: &[Signature],
+    residual: &DVector<f64>,
+) -> Vec<usize> {
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(residual)).collect();
     let mut order: Vec<usize> = (0..signatures.len()).collect();
     order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]));
@@ -114,7 +135,10 @@ fn sure_screening(catalogue: &Catalogue, signatures: &[Signature], residual: &DV
             .filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue))
             .collect();
         let several = catalogue[term.effect].superposes;
-        let apart = || own.iter().all(|&k| signatures[k].term.beside(term, catalogue));
+        let apart = || {
+            own.iter()
+                .all(|&k| signatures[k].term.beside(term, catalogue))
+        };
         if own.len() < OF_A_KEY && (!several || apart()) {
             kept.push(i);
         }
@@ -153,13 +177,27 @@ mod tests {
     /// Effects with a place; the last of four can act more than once.
     fn catalogue() -> Vec<Effect> {
         let place = law("only").shape("place", "1", [0.0, 9.0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-        let placed = |k| Effect { superposes: k == 3, ..Effect::new("placed", "", vec![place.clone()]) };
+        let placed = |k| Effect {
+            superposes: k == 3,
+            ..Effect::new("placed", "", vec![place.clone()])
+        };
         (0..4).map(placed).collect()
     }
 
     fn signature(effect: usize, v: &DVector<f64>, one_sided: bool) -> Signature {
-        let term = EffectTerm { effect, law: 0, values: vec![1.0] };
-        build(term, vec![(0, 1.0)], one_sided, std::slice::from_ref(v), &Basis::default()).unwrap()
+        let term = EffectTerm {
+            effect,
+            law: 0,
+            values: vec![1.0],
+        };
+        build(
+            term,
+            vec![(0, 1.0)],
+            one_sided,
+            std::slice::from_ref(v),
+            &Basis::default(),
+        )
+        .unwrap()
     }
 
     #[test]
@@ -188,14 +226,24 @@ mod tests {
         let a = DVector::from_fn(20, |i, _| (0.3 * i as f64).sin());
         let b = DVector::from_fn(20, |i, _| (0.9 * i as f64).cos());
         let signatures = [signature(0, &a, true), signature(1, &b, false)];
-        assert_eq!(best_subsets(&catalogue(), &signatures, &(&b - &a), 2, 0.01, 3), []);
-        assert_eq!(best_subsets(&catalogue(), &signatures, &(&b + &a), 2, 0.01, 3).len(), 1);
+        assert_eq!(
+            best_subsets(&catalogue(), &signatures, &(&b - &a), 2, 0.01, 3),
+            []
+        );
+        assert_eq!(
+            best_subsets(&catalogue(), &signatures, &(&b + &a), 2, 0.01, 3).len(),
+            1
+        );
     }
     #[test]
     fn an_effect_that_acts_severally_stands_beside_itself_where_shapes_differ() {
         let wave = |k: f64| DVector::from_fn(60, |i, _| (0.2 * k * i as f64).sin());
         let at = |effect: usize, place: f64| {
-            let term = EffectTerm { effect, law: 0, values: vec![place] };
+            let term = EffectTerm {
+                effect,
+                law: 0,
+                values: vec![place],
+            };
             build(term, Vec::new(), false, &[wave(place)], &Basis::default()).unwrap()
         };
         let both = wave(1.0) + wave(5.0);
@@ -203,7 +251,12 @@ mod tests {
             let signatures = [at(effect, 1.0), at(effect, second), at(0, 3.3)];
             let found = best_subsets(&catalogue(), &signatures, &both, 2, 0.01, 1);
             let key = found.first().map(|s| s.key(&catalogue(), &signatures));
-            key.map(|k| k.iter().filter(|k| k.effect == effect).map(|k| k.instance).collect::<Vec<_>>())
+            key.map(|k| {
+                k.iter()
+                    .filter(|k| k.effect == effect)
+                    .map(|k| k.instance)
+                    .collect::<Vec<_>>()
+            })
         };
         assert_eq!(pair(3, 5.0), Some(vec![0, 1]));
         // Controls: an effect whose laws are rivals, and two places that are one.

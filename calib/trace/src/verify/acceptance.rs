@@ -28,7 +28,11 @@ pub enum Unfit {
 impl Unfit {
     /// In a sentence; `unit` of the error.
     pub fn sentence(&self, unit: &str) -> String {
-        let with = |v: f64| format!("{} {unit}", format_significant(v)).trim_end().to_owned();
+        let with = |v: f64| {
+            format!("{} {unit}", format_significant(v))
+                .trim_end()
+                .to_owned()
+        };
         match self {
             Self::Unusable(why) => why.clone(),
             Self::FarAboveFloor([error, floor]) => format!(
@@ -43,7 +47,11 @@ impl Unfit {
 
 /// Three decimals, or an exponent where these would hide the number.
 pub fn format_significant(value: f64) -> String {
-    if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
+    if (0.01..1e6).contains(&value.abs()) {
+        format!("{value:.3}")
+    } else {
+        format!("{value:.3e}")
+    }
 }
 
 /// Error and floor, where the accepted model's error is far above what repeats differ by.
@@ -55,7 +63,10 @@ pub fn far_above_floor<M: SessionModel>(
     level: f64,
 ) -> Option<Unfit> {
     let after = errors.after.as_ref()?;
-    let (error, points) = (*after.rmse.get(model.quantities()[0].key)?, after.points as f64);
+    let (error, points) = (
+        *after.rmse.get(model.quantities()[0].key)?,
+        after.points as f64,
+    );
     if floor.floor.source != "replicates" || !(floor.sd > 0.0) {
         return None;
     }
@@ -66,8 +77,12 @@ pub fn far_above_floor<M: SessionModel>(
     let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
     let chance = f_tail(ratio * ratio, [values, dof])?;
     // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
-    let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd
+    let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor()
+        <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);
     let far = ratio > FAR_ABOVE && chance < level && !stated;
-    far.then_some(Unfit::FarAboveFloor([error, floor.sd * errors.noise_ratio.max(1.0)]))
+    far.then_some(Unfit::FarAboveFloor([
+        error,
+        floor.sd * errors.noise_ratio.max(1.0),
+    ]))
 }

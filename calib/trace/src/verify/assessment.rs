@@ -67,11 +67,21 @@ pub fn assess<M: SessionModel>(
     let counts = whole.scored().contains(&true);
     let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise));
     let holdout = match (&errors, look) {
-        (Some(errors), Some(look)) => judgement(decision, &whole, [&before, &after], &flagged, errors, look),
+        (Some(errors), Some(look)) => {
+            judgement(decision, &whole, [&before, &after], &flagged, errors, look)
+        }
         _ => HoldoutJudgement::default(),
     };
     let residuals = residuals(decision, &whole, [&before, &after], &flagged);
-    Ok(Assessment { whole, before, after, errors, flagged, holdout, residuals })
+    Ok(Assessment {
+        whole,
+        before,
+        after,
+        errors,
+        flagged,
+        holdout,
+        residuals,
+    })
 }
 
 /// Sealed readings that count, without `left_out`.
@@ -81,8 +91,15 @@ fn scored_rows<M: SessionModel>(whole: &M, left_out: &[usize]) -> Vec<usize> {
 }
 
 /// Their errors.
-fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
-    scored_rows(whole, left_out).into_iter().map(|i| whole.errors(predictions, i)).collect()
+fn scored<M: SessionModel>(
+    whole: &M,
+    predictions: &M::Predictions,
+    left_out: &[usize],
+) -> Vec<HeldOut> {
+    scored_rows(whole, left_out)
+        .into_iter()
+        .map(|i| whole.errors(predictions, i))
+        .collect()
 }
 
 /// Errors of both models on every sealed reading that counts, and without those that are set aside.
@@ -119,11 +136,26 @@ fn judgement<M: SessionModel>(
     let p = holdout_p(whole, accepted, noise, flagged);
     let level = look.level(HOLDOUT);
     // The error without readings that are set aside, against what repeats differ by.
-    let trimmed = errors.trimmed.as_ref().map_or(errors.after.clone(), |[_, after]| after.clone());
-    let trimmed = Errors { after: trimmed, ..errors.clone() };
-    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor, look.level(SEALED_ABOVE_FLOOR));
+    let trimmed = errors
+        .trimmed
+        .as_ref()
+        .map_or(errors.after.clone(), |[_, after]| after.clone());
+    let trimmed = Errors {
+        after: trimmed,
+        ..errors.clone()
+    };
+    let far = far_above_floor(
+        whole,
+        accepted,
+        &trimmed,
+        &decision.floor,
+        look.level(SEALED_ABOVE_FLOOR),
+    );
     let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
-    let sd: Vec<f64> = scored_rows(whole, flagged).iter().map(|&i| sd[i] * whole.noise_factor()).collect();
+    let sd: Vec<f64> = scored_rows(whole, flagged)
+        .iter()
+        .map(|&i| sd[i] * whole.noise_factor())
+        .collect();
     let of = |p: &M::Predictions| scored(whole, p, flagged);
     // Of two models the one that the other's readings speak against.
     let against = |wrong, right| {
@@ -163,12 +195,24 @@ fn judgement<M: SessionModel>(
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
 pub fn fill_missing<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
     let shown = |q: &&Quantity| !sealed.shows(q.key);
-    let missing: Vec<&str> = model.quantities().iter().filter(shown).map(|q| q.key).collect();
-    for (to, from) in [(&mut sealed.before, &in_turn.before), (&mut sealed.after, &in_turn.after)] {
-        let (Some(to), Some(from)) = (to, from) else { continue };
+    let missing: Vec<&str> = model
+        .quantities()
+        .iter()
+        .filter(shown)
+        .map(|q| q.key)
+        .collect();
+    for (to, from) in [
+        (&mut sealed.before, &in_turn.before),
+        (&mut sealed.after, &in_turn.after),
+    ] {
+        let (Some(to), Some(from)) = (to, from) else {
+            continue;
+        };
         for key in &missing {
-            to.rmse.extend(from.rmse.get(*key).map(|v| ((*key).to_owned(), *v)));
-            to.interval95.extend(from.interval95.get(*key).map(|v| ((*key).to_owned(), *v)));
+            to.rmse
+                .extend(from.rmse.get(*key).map(|v| ((*key).to_owned(), *v)));
+            to.interval95
+                .extend(from.interval95.get(*key).map(|v| ((*key).to_owned(), *v)));
         }
     }
     let keys: Vec<&str> = missing.into_iter().filter(|k| in_turn.shows(k)).collect();
@@ -185,12 +229,20 @@ fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> 
 }
 
 /// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single slips are no misfit.
-fn holdout_outliers<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) -> Vec<usize> {
+fn holdout_outliers<M: SessionModel>(
+    whole: &M,
+    models: [&Hypothesis; 2],
+    noise: &Noise,
+) -> Vec<usize> {
     let rows = scored_rows(whole, &[]);
     if !(noise.repeat.value > 0.0) {
         return Vec::new();
     }
-    let Some(left) = models.iter().map(|h| residual(whole, h)).collect::<Option<Vec<_>>>() else {
+    let Some(left) = models
+        .iter()
+        .map(|h| residual(whole, h))
+        .collect::<Option<Vec<_>>>()
+    else {
         return Vec::new();
     };
     let sd = noise.reading_sd(&whole.noise_inputs());
@@ -199,7 +251,11 @@ fn holdout_outliers<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise:
     let level = SEALED_SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
-    if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }
+    if out.len() as f64 > MAX_SHARE * rows.len() as f64 {
+        Vec::new()
+    } else {
+        out
+    }
 }
 
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
@@ -219,16 +275,30 @@ pub fn holdout_p<M: SessionModel>(
     let left = residual(whole, accepted)?;
     // Rows stand channel by channel within a reading.
     let channels = left.ncols();
-    let at: Vec<usize> = rows.iter().flat_map(|i| (0..channels).map(move |c| c * n + i)).collect();
-    let (count, jacobian, off) = (at.len(), local.jacobian().select_rows(&at), stack(&left).select_rows(&at));
+    let at: Vec<usize> = rows
+        .iter()
+        .flat_map(|i| (0..channels).map(move |c| c * n + i))
+        .collect();
+    let (count, jacobian, off) = (
+        at.len(),
+        local.jacobian().select_rows(&at),
+        stack(&left).select_rows(&at),
+    );
     let spread = covariance(&accepted.fit, 1.0);
     if spread.nrows() != jacobian.ncols() {
         return None;
     }
     // All channels share one law of the noise.
-    let own = noise.at_upper_ends().weights_of(&whole.noise_inputs()).covariance(&rows);
+    let own = noise
+        .at_upper_ends()
+        .weights_of(&whole.noise_inputs())
+        .covariance(&rows);
     let own = DMatrix::from_fn(count, count, |a, b| {
-        if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }
+        if a % channels == b % channels {
+            own[(a / channels, b / channels)]
+        } else {
+            0.0
+        }
     });
     let shape = own + &jacobian * spread * jacobian.transpose();
     let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&off)? / noise.repeat.value;
@@ -271,9 +341,16 @@ fn residuals<M: SessionModel>(
         let o = m.origin(i);
         (o.source, o.line)
     };
-    let flags: Vec<_> = decision.conclusion.accepted.flagged.iter().map(|&i| place(model, i)).collect();
-    let fitted: std::collections::BTreeSet<_> =
-        (0..model.measured().nrows()).map(|i| place(model, i)).collect();
+    let flags: Vec<_> = decision
+        .conclusion
+        .accepted
+        .flagged
+        .iter()
+        .map(|&i| place(model, i))
+        .collect();
+    let fitted: std::collections::BTreeSet<_> = (0..model.measured().nrows())
+        .map(|i| place(model, i))
+        .collect();
     let rejected = |i: usize| {
         let own = place(whole, i);
         if flags.contains(&own) || set_aside.contains(&i) {

@@ -71,13 +71,18 @@ pub struct Facts<'a, M> {
 
 /// Identifiers of an explanation's effects, flagged readings among them.
 pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
-    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id.to_owned()).collect()
+    h.effects(model.outliers())
+        .iter()
+        .map(|&e| model.catalogue()[e].id.to_owned())
+        .collect()
 }
 
 /// Law of a term, and its further column.
 fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
     let effect = &model.catalogue()[t.effect];
-    let column = effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
+    let column = effect
+        .column(t.law, model.further_columns())
+        .map_or(String::new(), |c| format!(" {c}"));
     format!("{}{column}", model.law_name(effect.law(t.law).name))
 }
 
@@ -88,10 +93,15 @@ pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
 }
 
 /// What drives an explanation's terms: what their laws need of the session, and their columns.
-fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<LawRequirement>, Option<String>)> {
+fn drivers<M: SessionModel>(
+    model: &M,
+    h: &Hypothesis,
+) -> Vec<(usize, Vec<LawRequirement>, Option<String>)> {
     let driver = |t: &EffectTerm| {
         let effect = &model.catalogue()[t.effect];
-        let column = effect.column(t.law, model.further_columns()).map(str::to_owned);
+        let column = effect
+            .column(t.law, model.further_columns())
+            .map(str::to_owned);
         (t.effect, effect.law(t.law).needs.clone(), column)
     };
     let mut all: Vec<_> = h.fit.terms.iter().map(driver).collect();
@@ -109,12 +119,19 @@ fn join(ids: &[String]) -> String {
 }
 
 /// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first gate's family.
-fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, effect: usize) -> f64 {
+fn removal_p<M: SessionModel>(
+    model: &M,
+    found: &SearchResult,
+    h: &Hypothesis,
+    effect: usize,
+) -> f64 {
     if Some(effect) == model.outliers() {
         return h.flag_p;
     }
     let without = h.without(model, |_, t| t.effect == effect);
-    without.map_or(1.0, |without| without.removal_p(&h.fit, &found.first_test.family))
+    without.map_or(1.0, |without| {
+        without.removal_p(&h.fit, &found.first_test.family)
+    })
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
@@ -133,9 +150,17 @@ fn named_effects<M: SessionModel>(
             // The mate has other effects in place of some of ours: those replace this one if the rest is common.
             let common = own.iter().filter(|x| theirs.contains(x)).count();
             if !theirs.contains(&e) && common + 1 == own.len() {
-                let others: Vec<String> =
-                    theirs.iter().filter(|t| !own.contains(t)).map(|t| id(*t)).collect();
-                class.extend(others.into_iter().filter(|t| !class.contains(t)).collect::<Vec<_>>());
+                let others: Vec<String> = theirs
+                    .iter()
+                    .filter(|t| !own.contains(t))
+                    .map(|t| id(*t))
+                    .collect();
+                class.extend(
+                    others
+                        .into_iter()
+                        .filter(|t| !class.contains(t))
+                        .collect::<Vec<_>>(),
+                );
             }
         }
         class
@@ -143,7 +168,13 @@ fn named_effects<M: SessionModel>(
     own.iter()
         .map(|&e| NamedEffect {
             id: id(e),
-            laws: h.fit.terms.iter().filter(|t| t.effect == e).map(|t| law(model, t)).collect(),
+            laws: h
+                .fit
+                .terms
+                .iter()
+                .filter(|t| t.effect == e)
+                .map(|t| law(model, t))
+                .collect(),
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
@@ -157,7 +188,11 @@ fn sentences(effects: &[NamedEffect]) -> String {
     let sentence = |e: &NamedEffect| match &e.class[..] {
         [] | [_] => e.sentence.clone(),
         [_, others @ ..] => {
-            format!("{} These readings do not distinguish it from {}.", e.sentence, others.join(" or "))
+            format!(
+                "{} These readings do not distinguish it from {}.",
+                e.sentence,
+                others.join(" or ")
+            )
         }
     };
     effects.iter().map(sentence).collect::<Vec<_>>().join(" ")
@@ -168,7 +203,11 @@ fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
     Some(UnknownEffect {
         driver: first.covariate.clone(),
         shape: first.shape.to_owned(),
-        drivers_ranked: test.covariates.iter().map(|d| d.covariate.clone()).collect(),
+        drivers_ranked: test
+            .covariates
+            .iter()
+            .map(|d| d.covariate.clone())
+            .collect(),
         period: first.period,
     })
 }
@@ -177,13 +216,24 @@ fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
 fn irregular<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
     let (driver, _) = model.covariates().into_iter().next()?;
     let drivers_ranked = vec![driver.clone()];
-    Some(UnknownEffect { driver, shape: "irregular".to_owned(), drivers_ranked, period: None })
+    Some(UnknownEffect {
+        driver,
+        shape: "irregular".to_owned(),
+        drivers_ranked,
+        period: None,
+    })
 }
 
 fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> String {
     let names: Vec<String> = beyond.iter().map(|e| e.id.clone()).collect();
-    let beyond = if names.is_empty() { String::new() } else { format!(" beyond {}", join(&names)) };
-    let follows = unknown.map_or(String::new(), |u| format!("; it follows {} ({})", u.driver, u.shape));
+    let beyond = if names.is_empty() {
+        String::new()
+    } else {
+        format!(" beyond {}", join(&names))
+    };
+    let follows = unknown.map_or(String::new(), |u| {
+        format!("; it follows {} ({})", u.driver, u.shape)
+    });
     format!("A residual{beyond} remains that no catalogued effect explains{follows}.")
 }
 
@@ -199,9 +249,18 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let rival = |h: &Hypothesis, of_class: bool| {
             other_driver(model, found, h) || (!of_class && ids(model, h) != names)
         };
-        let all = found.survivors.iter().zip(&same_class).filter(|_| something);
-        let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
-        let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
+        let all = found
+            .survivors
+            .iter()
+            .zip(&same_class)
+            .filter(|_| something);
+        let rivals = all
+            .filter(|(h, of_class)| rival(h, **of_class))
+            .map(|(h, _)| h.clone())
+            .collect();
+        let against_pure_error = model
+            .lack_of_fit(found.accepted())
+            .filter(|_| !explained.exact);
         Self {
             model,
             explained,
@@ -210,9 +269,12 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             same_class,
             rivals,
             left: !explained.exact
-                && (covariate_wins || (found.last_test.rejected() && !model.residual_explained(found))),
+                && (covariate_wins
+                    || (found.last_test.rejected() && !model.residual_explained(found))),
             p_lack_of_fit: against_pure_error.and_then(|l| l.p_value),
-            lack: against_pure_error.filter(LackOfFit::is_significant).and_then(|_| irregular(model)),
+            lack: against_pure_error
+                .filter(LackOfFit::is_significant)
+                .and_then(|_| irregular(model)),
         }
     }
 
@@ -222,7 +284,11 @@ impl<'a, M: SessionModel> Facts<'a, M> {
 
     /// The explanation that stands before a term is taken back.
     pub fn accepted(&self) -> &'a Hypothesis {
-        if self.explained.exact { &self.found().base } else { self.found().accepted() }
+        if self.explained.exact {
+            &self.found().base
+        } else {
+            self.found().accepted()
+        }
     }
 
     /// Explanations of more than one class remain, and repeats contradict none.
@@ -243,11 +309,19 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             ids
         };
         let wanted = sorted(asked.to_vec());
-        let chosen = self.found().survivors.iter().find(|h| sorted(ids(self.model, h)) == wanted);
+        let chosen = self
+            .found()
+            .survivors
+            .iter()
+            .find(|h| sorted(ids(self.model, h)) == wanted);
         let survivors: Vec<String> = self.alternatives().iter().map(|a| a.join(",")).collect();
         let error = || TraceError::NotASurvivor {
             asked: asked.join(","),
-            survivors: if survivors.is_empty() { "none".to_owned() } else { survivors.join("; ") },
+            survivors: if survivors.is_empty() {
+                "none".to_owned()
+            } else {
+                survivors.join("; ")
+            },
         };
         chosen.ok_or_else(error).map(Some)
     }
@@ -256,17 +330,29 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     pub fn effects(&self, accepted: &Hypothesis) -> Vec<NamedEffect> {
         let found = self.found();
         let whole = accepted.fit.terms == found.best.fit.terms;
-        let mates = found.survivors.iter().zip(&self.same_class).filter(|(_, same)| whole && **same);
+        let mates = found
+            .survivors
+            .iter()
+            .zip(&self.same_class)
+            .filter(|(_, same)| whole && **same);
         let mates: Vec<&Hypothesis> = mates.map(|(h, _)| h).collect();
-        let mut effects =
-            if self.something { named_effects(self.model, found, accepted, &mates) } else { Vec::new() };
+        let mut effects = if self.something {
+            named_effects(self.model, found, accepted, &mates)
+        } else {
+            Vec::new()
+        };
         effects.extend(self.model.noise_effect());
         effects
     }
 
     /// The omnibus test of `accepted`, or of the declared model where the best explanation was taken back, rejects it.
     fn rejects(&self, accepted: &Hypothesis) -> bool {
-        let SearchResult { best, first_test, last_test, .. } = self.found();
+        let SearchResult {
+            best,
+            first_test,
+            last_test,
+            ..
+        } = self.found();
         let is_best = accepted.fit.terms == best.fit.terms && accepted.flagged == best.flagged;
         !self.explained.exact && if is_best { last_test } else { first_test }.rejected()
     }
@@ -303,7 +389,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         if !self.something {
             all.push(Vec::new());
         }
-        all.iter_mut().for_each(|names| names.extend(noise.iter().map(|e| e.id.clone())));
+        all.iter_mut()
+            .for_each(|names| names.extend(noise.iter().map(|e| e.id.clone())));
         all.retain(|names| !names.is_empty());
         all
     }
@@ -338,12 +425,17 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         // A term that is none was taken back: what else survives was found beside it.
         let reduced = accepted.fit.terms.len() < self.accepted().fit.terms.len() && !on_request;
         let own = || effects.iter().map(|e| e.id.clone()).collect::<Vec<_>>();
-        let mut alternatives = if reduced { vec![own()] } else { self.alternatives() };
+        let mut alternatives = if reduced {
+            vec![own()]
+        } else {
+            self.alternatives()
+        };
         alternatives.retain(|names| !names.is_empty());
         let mut unknown = None;
         let mut reason = match verdict {
             Verdict::Ambiguous => {
-                let mut names: Vec<String> = alternatives.iter().map(|a| a.join(" with ")).collect();
+                let mut names: Vec<String> =
+                    alternatives.iter().map(|a| a.join(" with ")).collect();
                 if self.rivals.iter().any(|h| other_driver(model, found, h)) {
                     let all = std::iter::once(&found.best).chain(&self.rivals);
                     names = all.map(|h| laws(model, h).join(" with ")).collect();
@@ -356,9 +448,13 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             }
             Verdict::UnknownEffect => {
                 unknown = self.unknown(&accepted);
-                let why = found.rejections.iter().rfind(|r| r.gate == Gate::Identifiability);
-                let why =
-                    why.map_or(String::new(), |r| format!(" {} is not named: {}.", join(&r.effects), r.why));
+                let why = found
+                    .rejections
+                    .iter()
+                    .rfind(|r| r.gate == Gate::Identifiability);
+                let why = why.map_or(String::new(), |r| {
+                    format!(" {} is not named: {}.", join(&r.effects), r.why)
+                });
                 unknown_reason(unknown.as_ref(), &effects) + &model.format_text(&why)
             }
             Verdict::Effect => sentences(&effects),
@@ -370,27 +466,50 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             }
             _ if self.explained.exact => "The declared model fits to the last digit.".to_owned(),
             _ if found.first_test.is_rounding => {
-                "The readings are those of the declared model, rounded to their last digit.".to_owned()
+                "The readings are those of the declared model, rounded to their last digit."
+                    .to_owned()
             }
             _ => {
                 let p = found.first_test.p_value(self.p_lack_of_fit);
-                let within =
-                    if p < OMNIBUS { "its own error, a hundredth of the misfit" } else { "the noise" };
-                format!("The declared model explains the readings to within {within} (omnibus p = {p:.2}).")
+                let within = if p < OMNIBUS {
+                    "its own error, a hundredth of the misfit"
+                } else {
+                    "the noise"
+                };
+                format!(
+                    "The declared model explains the readings to within {within} (omnibus p = {p:.2})."
+                )
             }
         };
         let refuted = found.rejections.iter().filter(|r| r.gate == Gate::Witness);
         let refuted: Vec<String> = refuted.map(|r| r.effects.join(" with ")).collect();
         if !refuted.is_empty() {
             let refuted = refuted.join("; ");
-            reason =
-                format!("Another measurement of this instrument refutes {refuted}. Without it: {reason}");
+            reason = format!(
+                "Another measurement of this instrument refutes {refuted}. Without it: {reason}"
+            );
         }
         if on_request {
-            reason = format!("Accepted by request: {}. {reason}", join(&ids(model, &accepted)));
+            reason = format!(
+                "Accepted by request: {}. {reason}",
+                join(&ids(model, &accepted))
+            );
         }
-        let rivals = if verdict == Verdict::UnknownEffect { Vec::new() } else { self.rivals.clone() };
-        Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted, on_request }
+        let rivals = if verdict == Verdict::UnknownEffect {
+            Vec::new()
+        } else {
+            self.rivals.clone()
+        };
+        Conclusion {
+            verdict,
+            reason,
+            effects,
+            alternatives,
+            rivals,
+            unknown,
+            accepted,
+            on_request,
+        }
     }
 
     /// What drives what `accepted` leaves.
@@ -404,27 +523,47 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         };
         let clock = |s: &CovariateScore| matches!(s.covariate.as_str(), "order" | "t_s");
         // What repeats with the protocol follows its places, not the clock that counts them.
-        let protocol = |s: &CovariateScore| clock(s) && model.repeats_with_protocol(fitted, &s.columns);
+        let protocol =
+            |s: &CovariateScore| clock(s) && model.repeats_with_protocol(fitted, &s.columns);
         let by_place = self.lack.is_some() && test.covariates.first().is_none_or(protocol);
-        if left && !by_place { unknown(test) } else { self.lack.clone() }
+        if left && !by_place {
+            unknown(test)
+        } else {
+            self.lack.clone()
+        }
     }
 
     /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
-    fn conclude_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
+    fn conclude_withdrawal(
+        &self,
+        base: Hypothesis,
+        withdrawn: &Withdrawn,
+        unit: &str,
+    ) -> Conclusion {
         let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
         let [before, after] = withdrawn.errors.map(format_significant);
-        let changes = if withdrawn.errors[1] > withdrawn.errors[0] { "rises" } else { "hardly falls" };
+        let changes = if withdrawn.errors[1] > withdrawn.errors[0] {
+            "rises"
+        } else {
+            "hardly falls"
+        };
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack = self.model.lack_of_fit(&base).is_some_and(|l| l.is_significant());
+        let lack = self
+            .model
+            .lack_of_fit(&base)
+            .is_some_and(|l| l.is_significant());
         let rejected = self.rejects(&base) || lack;
         let driver = || self.unknown(&base).or_else(|| irregular(self.model));
         let unknown = if rejected { driver() } else { None };
         let (verdict, reason) = if rejected {
-            (Verdict::UnknownEffect, format!("{found} {}", unknown_reason(unknown.as_ref(), &[])))
+            (
+                Verdict::UnknownEffect,
+                format!("{found} {}", unknown_reason(unknown.as_ref(), &[])),
+            )
         } else if let [noise] = &effects[..] {
             (Verdict::Effect, format!("{} {found}", noise.sentence))
         } else {
@@ -433,7 +572,16 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         };
         let alternatives = effects.iter().map(|e| vec![e.id.clone()]).collect();
         let (rivals, on_request) = (Vec::new(), false);
-        Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted: base, on_request }
+        Conclusion {
+            verdict,
+            reason,
+            effects,
+            alternatives,
+            rivals,
+            unknown,
+            accepted: base,
+            on_request,
+        }
     }
 }
 

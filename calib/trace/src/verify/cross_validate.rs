@@ -75,13 +75,25 @@ pub fn cross_validate<M: SessionModel>(
     let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
     let rise = left_out.insufficient_gain(&model).filter(|_| !judged);
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
-    let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
+    let withdrawn = rise.map(|errors| Withdrawn {
+        names: names(&accepted),
+        errors,
+    });
     if withdrawn.is_some() {
         (accepted, noise) = (found.base.clone(), &explained.declared_noise);
         left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
     }
     let noise = noise.clone();
-    Ok(Validated { model, explained, faults, accepted, on_request, withdrawn, noise, left_out })
+    Ok(Validated {
+        model,
+        explained,
+        faults,
+        accepted,
+        on_request,
+        withdrawn,
+        noise,
+        left_out,
+    })
 }
 
 /// The noise that a decision rests on, and what is left under it. Correlated noise that takes up everything is one description; a smooth course
@@ -93,15 +105,30 @@ fn settle_noise<M: SessionModel>(
     e: Evidence<M>,
     mut found: SearchResult,
 ) -> Result<(M, Explained), TraceError> {
-    let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
+    let Evidence {
+        model,
+        options,
+        correlated_gain,
+        plain_test,
+        exact,
+        tests,
+        rejections,
+        ..
+    } = e;
     found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
-    let base =
-        fit_declared_model(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
+    let base = fit_declared_model(&model, &independent(&model), options.seed)
+        .ok_or(TraceError::NoSolution)?;
     let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?;
     if exact {
         let noise = Noise::none(declared_noise.weights.len());
-        let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
+        let explained = Explained {
+            found,
+            declared_noise: noise.clone(),
+            noise,
+            exact,
+            tests,
+        };
         return Ok((model, explained));
     }
     let nothing = found.best.fit.terms.is_empty() && found.failed_adequacy_test().is_none();
@@ -120,15 +147,27 @@ fn settle_noise<M: SessionModel>(
         .failed_adequacy_test()
         .and_then(|g| g.covariates.first())
         .map_or(Vec::new(), |d| d.columns.clone());
-    let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
+    let noise = judge
+        .noise(&found.best, &columns)
+        .or_else(|| judge.noise(&found.best, &[]));
     let noise = noise.unwrap_or_else(|| declared_noise.clone());
-    let mut explained = Explained { found, noise, declared_noise, exact, tests };
+    let mut explained = Explained {
+        found,
+        noise,
+        declared_noise,
+        exact,
+        tests,
+    };
     model.complete(&mut explained, &options);
     Ok((model, explained))
 }
 
 /// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
-fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
+fn withdraw_below_model_error(
+    system: &dyn MeasurementModel,
+    found: &mut SearchResult,
+    options: &Options,
+) {
     let (best, within) = retain_cross_validated(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
@@ -143,8 +182,15 @@ fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchR
         found.refitted.retain(lacks);
         found.refitted.insert(0, best.clone());
         found.best = best;
-        let names = within.iter().map(|&e| system.catalogue()[e].id.to_owned()).collect();
-        found.rejections.push(Rejection { effects: names, gate: Gate::LeftOutError, why: String::new() });
+        let names = within
+            .iter()
+            .map(|&e| system.catalogue()[e].id.to_owned())
+            .collect();
+        found.rejections.push(Rejection {
+            effects: names,
+            gate: Gate::LeftOutError,
+            why: String::new(),
+        });
     }
     found.last_test.within_model_error = small;
 }
@@ -160,7 +206,9 @@ fn drop_unsupported<M: SessionModel>(
     let needed = Cell::new(false);
     let family = &explained.found.first_test.family;
     let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
-        let tested = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, family), d));
+        let tested = dropped
+            .into_iter()
+            .map(|d| (d.1.removal_p(&kept.fit, family), d));
         let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
             *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
         };
@@ -187,8 +235,12 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
     let law = model.catalogue()[of.effect].law(of.law);
     let linear = slots.columns.clone();
-    let linear = linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
-    let values = law.parameters.iter().zip(of.values.iter().zip(slots.values.clone()));
+    let linear =
+        linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
+    let values = law
+        .parameters
+        .iter()
+        .zip(of.values.iter().zip(slots.values.clone()));
     let values = values
         .filter(|(p, _)| matches!(p.role, Role::Amplitude { .. }))
         .map(|(_, (value, k))| (*value, q * channels + k));
@@ -196,7 +248,9 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
     let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
     let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
-    let Some(factor) = spread.cholesky() else { return true };
+    let Some(factor) = spread.cholesky() else {
+        return true;
+    };
     let f = values.dot(&factor.solve(&values)) / n as f64;
     f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= 0.05)
 }

@@ -53,8 +53,18 @@ impl<M: SessionModel> Decision<M> {
 
     /// The declared model as a calibration would keep it: what a user without the effects has.
     pub fn declared_calibration(&self) -> M::Calibration {
-        let Explained { found, declared_noise, .. } = self.explained();
-        self.of.model.calibration(&found.base, &found.base, declared_noise, self.floor.sd, self.seed)
+        let Explained {
+            found,
+            declared_noise,
+            ..
+        } = self.explained();
+        self.of.model.calibration(
+            &found.base,
+            &found.base,
+            declared_noise,
+            self.floor.sd,
+            self.seed,
+        )
     }
 
     /// The accepted model as a calibration keeps it.
@@ -73,19 +83,43 @@ pub fn decide<M: SessionModel>(
     request: &VerifyRequest,
 ) -> Result<Decision<M>, TraceError> {
     let (seed, claims) = (request.search.seed, request.claims.clone());
-    let floor = of.model.floor(&of.accepted, &of.noise, of.explained.found.failed_adequacy_test().is_some());
+    let floor = of.model.floor(
+        &of.accepted,
+        &of.noise,
+        of.explained.found.failed_adequacy_test().is_some(),
+    );
     let mut unfit = of.model.unusable_reason(&of.accepted).map(Unfit::Unusable);
     for witness in witnesses {
         let test = witness::test(*witness, &of.model, &of.accepted, &mut of.explained.tests)?;
-        unfit = unfit.or(test.filter(|t| t.refuted).map(|t| Unfit::Unusable(t.sentence)));
+        unfit = unfit.or(test
+            .filter(|t| t.refuted)
+            .map(|t| Unfit::Unusable(t.sentence)));
     }
-    let Validated { model, explained, faults, accepted, on_request, withdrawn, noise, left_out } = &of;
-    let unfit = unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
+    let Validated {
+        model,
+        explained,
+        faults,
+        accepted,
+        on_request,
+        withdrawn,
+        noise,
+        left_out,
+    } = &of;
+    let unfit =
+        unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
     let facts = Facts::of(model, explained, faults);
     let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
     let ablations = left_out.ablations(model, &explained.found, accepted);
     let calibration = model.calibration(&explained.found.base, accepted, noise, floor.sd, seed);
-    Ok(Decision { conclusion, floor, ablations, calibration, claims, seed, of })
+    Ok(Decision {
+        conclusion,
+        floor,
+        ablations,
+        calibration,
+        claims,
+        seed,
+        of,
+    })
 }
 
 /// Steps of a number within its standard error: closer numbers are the same decision.
@@ -96,12 +130,25 @@ const DIGITS: usize = 4;
 /// `value` in steps of a hundredth of its standard error.
 fn round_to_error(value: f64, sd: f64) -> Value {
     let stated = sd > 0.0 && sd.is_finite();
-    if stated { json!((value * STEPS / sd).round()) } else { json!(number(value, DIGITS)) }
+    if stated {
+        json!((value * STEPS / sd).round())
+    } else {
+        json!(number(value, DIGITS))
+    }
 }
 
 /// The noise that sealed readings are judged by. Every part is named: one that is added to [`Noise`] must be added here.
 fn of_noise(noise: &Noise) -> Value {
-    let Noise { weights: _, repeat, pose, correlated, law, common, tails, step } = noise;
+    let Noise {
+        weights: _,
+        repeat,
+        pose,
+        correlated,
+        law,
+        common,
+        tails,
+        step,
+    } = noise;
     let rounded = |value: f64, [low, high]: [f64; 2]| round_to_error(value, (high - low) / 4.0);
     let part = |e: &NoisePart| [e.value, e.interval95[1]].map(|value| rounded(value, e.interval95));
     // What states no error is known to a hundredth at best.
@@ -124,10 +171,20 @@ fn of_noise(noise: &Noise) -> Value {
 impl<M: SessionModel> Decision<M> {
     fn of_hypothesis(&self, h: &Hypothesis) -> Value {
         let spread = covariance(&h.fit, h.fit.variance());
-        let sd = |slot: usize| if slot < spread.nrows() { spread[(slot, slot)].max(0.0).sqrt() } else { 0.0 };
+        let sd = |slot: usize| {
+            if slot < spread.nrows() {
+                spread[(slot, slot)].max(0.0).sqrt()
+            } else {
+                0.0
+            }
+        };
         // Slots of the covariance: coefficients channel by channel, then the nonlinear values.
-        let coefficients =
-            h.fit.coefficients.iter().enumerate().map(|(slot, b)| round_to_error(*b, sd(slot)));
+        let coefficients = h
+            .fit
+            .coefficients
+            .iter()
+            .enumerate()
+            .map(|(slot, b)| round_to_error(*b, sd(slot)));
         let first = h.fit.coefficients.len();
         let values = h.fit.terms.iter().flat_map(|t| &t.values).enumerate();
         let values = values.map(|(k, v)| round_to_error(*v, sd(first + k)));
@@ -135,7 +192,11 @@ impl<M: SessionModel> Decision<M> {
             let effect = &self.of.model.catalogue()[t.effect];
             (effect.id.to_owned(), effect.law(t.law).name.to_owned())
         };
-        let flagged = h.flagged.iter().map(|&i| self.of.model.origin(i)).map(|o| (o.source, o.point));
+        let flagged = h
+            .flagged
+            .iter()
+            .map(|&i| self.of.model.origin(i))
+            .map(|o| (o.source, o.point));
         json!({
             "terms": h.fit.terms.iter().map(law).collect::<Vec<_>>(),
             "coefficients": coefficients.collect::<Vec<_>>(),
@@ -149,7 +210,10 @@ impl<M: SessionModel> Decide for Decision<M> {
     fn content(&self) -> Value {
         let spread = self.of.model.noise_effect().map(|named| {
             let sd = |p: &EffectParameter| (p.interval95[1] - p.interval95[0]) / 4.0;
-            let values = named.parameters.iter().map(|p| round_to_error(p.value, sd(p)));
+            let values = named
+                .parameters
+                .iter()
+                .map(|p| round_to_error(p.value, sd(p)));
             json!([named.laws, values.collect::<Vec<_>>()])
         });
         json!({
@@ -173,7 +237,10 @@ mod tests {
 
     #[test]
     fn whatever_part_of_the_noise_changes_the_decision_changes() {
-        let part = |value: f64| NoisePart { value, interval95: [0.8 * value, 1.2 * value] };
+        let part = |value: f64| NoisePart {
+            value,
+            interval95: [0.8 * value, 1.2 * value],
+        };
         let tails = Tails {
             dof: 5.0,
             heaviest: 4.0,

@@ -32,14 +32,21 @@ struct DetectableSize {
 
 /// One row an effect. `test` is the omnibus test on `fit`.
 pub fn table<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest) -> Vec<Detectable> {
-    (0..model.catalogue().len()).map(|effect| row(model, fit, test, effect)).collect()
+    (0..model.catalogue().len())
+        .map(|effect| row(model, fit, test, effect))
+        .collect()
 }
 
 fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Detectable {
     let candidate = &model.catalogue()[effect];
     let laws = &candidate.laws;
     let first = laws.first();
-    let unit = first.and_then(|l| l.parameters.first().map(|p| p.unit).or(l.linear.first().map(|c| c.1)));
+    let unit = first.and_then(|l| {
+        l.parameters
+            .first()
+            .map(|p| p.unit)
+            .or(l.linear.first().map(|c| c.1))
+    });
     let unit = unit.map_or_else(|| "readings".to_owned(), |u| model.physical(u, 1.0, 0).1);
     let entry = |status: &str, smallest: Option<f64>, unit: String, why: String| Detectable {
         id: candidate.id.to_owned(),
@@ -56,7 +63,10 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         let why = "taken where repeats contradict every law";
         return entry("testable", None, model.unit(), why.into());
     }
-    if laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
+    if laws
+        .iter()
+        .all(|l| l.parameters.is_empty() && l.linear.is_empty())
+    {
         return if Some(effect) == model.outliers() {
             let why = "single readings far outside the noise are flagged";
             entry("testable", Some(1.0), "readings".into(), why.into())
@@ -66,7 +76,12 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         };
     }
     if fit.terms.iter().any(|t| t.effect == effect) {
-        return entry("testable", None, unit, "part of the best explanation".into());
+        return entry(
+            "testable",
+            None,
+            unit,
+            "part of the best explanation".into(),
+        );
     }
     match smallest(model, fit, test, effect) {
         Some(s) => {
@@ -74,13 +89,20 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
             let left = 100.0 * s.share_left;
             let by_readings = s.alone.filter(|alone| *alone <= MUCH_LARGER * s.size);
             let only = s.alone.is_some() && by_readings.is_none();
-            let pictures = if only { "; only the pictures show it" } else { "" };
+            let pictures = if only {
+                "; only the pictures show it"
+            } else {
+                ""
+            };
             let why = format!(
                 "law {law}; {left:.0} % of its signature is independent of {} and of the accepted effects{pictures}",
                 model.nuisances()
             );
             let row = entry("testable", Some(s.size), s.unit, why);
-            Detectable { smallest_without_pictures: by_readings, ..row }
+            Detectable {
+                smallest_without_pictures: by_readings,
+                ..row
+            }
         }
         None if !has_answer(model, fit, effect) => {
             let why = "the model has no answer with it at some of the poses";
@@ -102,11 +124,19 @@ fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
         Role::Amplitude { probe } => probe,
         Role::Shape { grid } => grid.first().copied().unwrap_or(0.0),
     };
-    model.catalogue()[effect].laws.iter().enumerate().any(|(law, l)| {
-        let term = EffectTerm { effect, law, values: l.parameters.iter().map(typical).collect() };
-        let terms: Vec<EffectTerm> = fit.terms.iter().cloned().chain([term]).collect();
-        model.design(&terms).is_some()
-    })
+    model.catalogue()[effect]
+        .laws
+        .iter()
+        .enumerate()
+        .any(|(law, l)| {
+            let term = EffectTerm {
+                effect,
+                law,
+                values: l.parameters.iter().map(typical).collect(),
+            };
+            let terms: Vec<EffectTerm> = fit.terms.iter().cloned().chain([term]).collect();
+            model.design(&terms).is_some()
+        })
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.
@@ -135,12 +165,26 @@ fn smallest<M: SessionModel>(
                 needed * model.systematic_sd(effect, laws[law].parameters[*slot].name)
             });
             let readings = fit.residual.len();
-            let alone =
-                (!fit.auxiliary_residual.is_empty()).then(|| a.projected[0].rows(0, readings).norm()).map(
-                    |own| model.physical(unit, (needed * sd * probe / own.max(1e-300)).hypot(shared), law).0,
-                );
-            let (size, unit) = model.physical(unit, (needed * sd * probe / signature).hypot(shared), law);
-            (signature > 0.0).then_some(DetectableSize { law, size, unit, share_left: a.share_left, alone })
+            let alone = (!fit.auxiliary_residual.is_empty())
+                .then(|| a.projected[0].rows(0, readings).norm())
+                .map(|own| {
+                    model
+                        .physical(
+                            unit,
+                            (needed * sd * probe / own.max(1e-300)).hypot(shared),
+                            law,
+                        )
+                        .0
+                });
+            let (size, unit) =
+                model.physical(unit, (needed * sd * probe / signature).hypot(shared), law);
+            (signature > 0.0).then_some(DetectableSize {
+                law,
+                size,
+                unit,
+                share_left: a.share_left,
+                alone,
+            })
         })
         .min_by(|a, b| a.law.cmp(&b.law).then(a.size.total_cmp(&b.size)))
 }

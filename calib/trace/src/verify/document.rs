@@ -12,13 +12,21 @@ use crate::method::noise::{Noise, NoiseInputs};
 use nalgebra::DVector;
 use wcal_core::text::{readable, with_unit};
 use wcal_core::verify_document::{
-    CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
-    WitnessTest,
+    CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict,
+    VerifyDocument, WitnessTest,
 };
 
 /// The document; session, files and mark are the caller's.
-pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
-    let Decision { of, conclusion, floor, .. } = decision;
+pub fn document<M: SessionModel>(
+    decision: &Decision<M>,
+    assessment: &Assessment<M>,
+) -> VerifyDocument {
+    let Decision {
+        of,
+        conclusion,
+        floor,
+        ..
+    } = decision;
     let (model, explained) = (&of.model, &of.explained);
     let found = &explained.found;
     let between = model.seating_repeatability(&conclusion.accepted);
@@ -31,7 +39,11 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
     } else {
         &found.first_test
     };
-    let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
+    let fit = if std::ptr::eq(test, &found.last_test) {
+        &found.best.fit
+    } else {
+        &found.base.fit
+    };
     let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
         Some(sealed) => fill_missing(model, sealed.clone(), in_turn),
@@ -41,7 +53,9 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         effects: conclusion.effects.clone(),
         alternatives: conclusion.alternatives.clone(),
         unknown: conclusion.unknown.clone(),
-        twin: TwinCheck { faults: of.faults.clone() },
+        twin: TwinCheck {
+            faults: of.faults.clone(),
+        },
         noise_floor: floor.floor.clone(),
         flagged: flagged_readings(decision, assessment),
         before: errors.before.clone(),
@@ -51,7 +65,11 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, test),
         cautions: (model.cautions(&conclusion.accepted).into_iter())
-            .chain(noise.as_ref().and_then(|n| slow_noise(n, &model.noise_inputs())))
+            .chain(
+                noise
+                    .as_ref()
+                    .and_then(|n| slow_noise(n, &model.noise_inputs())),
+            )
             .chain(noise_by_column(model, &conclusion.accepted, &of.noise))
             .chain(tails_by_one(model, &conclusion.accepted, &of.noise))
             .map(|c| model.format_text(&c))
@@ -59,17 +77,39 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
-        tests: explained.tests.iter().cloned().chain(replicates(model, explained, conclusion)).collect(),
+        tests: explained
+            .tests
+            .iter()
+            .cloned()
+            .chain(replicates(model, explained, conclusion))
+            .collect(),
         noise,
         verdict: conclusion.verdict,
-        ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)
+        ..VerifyDocument::refused(
+            "",
+            model.kind(),
+            reason(model, conclusion, floor, &errors),
+            decision.seed,
+        )
     }
 }
 
 /// The verdict's reason, caveats and how the errors were found.
-fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
-    let caveat = model.caveat(&c.accepted).map_or_else(String::new, |text| format!(" {text}"));
-    format!("{}{caveat}{}{}", c.reason, floor.reason, model.format_text(&errors.remark))
+fn reason<M: SessionModel>(
+    model: &M,
+    c: &Conclusion,
+    floor: &FloorStatement,
+    errors: &Errors,
+) -> String {
+    let caveat = model
+        .caveat(&c.accepted)
+        .map_or_else(String::new, |text| format!(" {text}"));
+    format!(
+        "{}{caveat}{}{}",
+        c.reason,
+        floor.reason,
+        model.format_text(&errors.remark)
+    )
 }
 
 /// The declared and the accepted model before readings that agree in every setting.
@@ -91,7 +131,10 @@ fn replicates<M: SessionModel>(
             refuted: l.is_significant(),
             magnitude: l.pure_sd * model.noise_factor(),
             unit: model.unit(),
-            sentence: format!("Lack of fit, F on {} and {} degrees of freedom", l.dof, l.pure_dof),
+            sentence: format!(
+                "Lack of fit, F on {} and {} degrees of freedom",
+                l.dof, l.pure_dof
+            ),
         })
     };
     std::iter::once(base).chain(more).filter_map(test).collect()
@@ -104,10 +147,20 @@ fn flagged_readings<M: SessionModel>(
 ) -> Vec<FlaggedReading> {
     let of = |m: &M, i: usize| {
         let origin = m.origin(i);
-        FlaggedReading { source: origin.source, point: origin.point }
+        FlaggedReading {
+            source: origin.source,
+            point: origin.point,
+        }
     };
-    let fitted = decision.conclusion.accepted.flagged.iter().map(|&i| of(&decision.of.model, i));
-    fitted.chain(assessment.flagged.iter().map(|&i| of(&assessment.whole, i))).collect()
+    let fitted = decision
+        .conclusion
+        .accepted
+        .flagged
+        .iter()
+        .map(|&i| of(&decision.of.model, i));
+    fitted
+        .chain(assessment.flagged.iter().map(|&i| of(&assessment.whole, i)))
+        .collect()
 }
 
 fn notes<M: SessionModel>(
@@ -119,8 +172,12 @@ fn notes<M: SessionModel>(
     errors: &Errors,
 ) -> Vec<String> {
     let mut notes: Vec<String> = floor.note.iter().cloned().collect();
-    let points: Vec<String> =
-        conclusion.accepted.flagged.iter().map(|&i| model.origin(i).point.to_string()).collect();
+    let points: Vec<String> = conclusion
+        .accepted
+        .flagged
+        .iter()
+        .map(|&i| model.origin(i).point.to_string())
+        .collect();
     if !points.is_empty() {
         notes.push(format!(
             "Readings marked and left out of the fit (kept in the table): points {}.",
@@ -130,15 +187,22 @@ fn notes<M: SessionModel>(
     notes.extend(rejections(model, explained));
     notes.extend(other_laws(model, explained, conclusion));
     let clock_unit = model.noise_inputs().clock_unit();
-    notes.extend(noise.iter().flat_map(|noise| noise_sentences(noise, clock_unit)));
+    notes.extend(
+        noise
+            .iter()
+            .flat_map(|noise| noise_sentences(noise, clock_unit)),
+    );
     notes.extend(model.notes(&explained.found, &conclusion.accepted));
     let quantity = model.quantities()[0];
     notes.extend(errors.further.iter().filter_map(|(name, e)| {
         let value = e.rmse.get(quantity.key)?;
         Some(
-            format!("Held-out error ({}), {name}: {value:.4} {}", quantity.key, quantity.unit)
-                .trim_end()
-                .to_owned()
+            format!(
+                "Held-out error ({}), {name}: {value:.4} {}",
+                quantity.key, quantity.unit
+            )
+            .trim_end()
+            .to_owned()
                 + ".",
         )
     }));
@@ -154,8 +218,12 @@ fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> 
             Gate::NotConverged => {
                 format!("The fit of {names} did not converge: it is not among the explanations.")
             }
-            Gate::Identifiability => format!("{names} is not named: {}.", model.format_text(&r.why)),
-            Gate::Witness => format!("{names} is refuted by another measurement of this instrument."),
+            Gate::Identifiability => {
+                format!("{names} is not named: {}.", model.format_text(&r.why))
+            }
+            Gate::Witness => {
+                format!("{names} is refuted by another measurement of this instrument.")
+            }
             Gate::LeftOutError => format!(
                 "Within model error: the fitted readings ask for {names}, which lowers the error of groups left out by less than its uncertainty; not \
                  named."
@@ -169,14 +237,28 @@ fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> 
 }
 
 /// Laws of the accepted names by which the data could be described as well: columns or clocks that this session does not tell apart.
-fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Conclusion) -> Option<String> {
+fn other_laws<M: SessionModel>(
+    model: &M,
+    explained: &Explained,
+    conclusion: &Conclusion,
+) -> Option<String> {
     let accepted = &conclusion.accepted;
     let own = laws(model, accepted);
     let same = |h: &&Hypothesis| ids(model, h) == ids(model, accepted) && laws(model, h) != own;
-    let others: Vec<String> =
-        explained.found.survivors.iter().filter(same).map(|h| laws(model, h).join(" with ")).collect();
-    (!others.is_empty() && !own.is_empty())
-        .then(|| format!("{} cannot be distinguished from {}.", own.join(" with "), others.join(" or ")))
+    let others: Vec<String> = explained
+        .found
+        .survivors
+        .iter()
+        .filter(same)
+        .map(|h| laws(model, h).join(" with "))
+        .collect();
+    (!others.is_empty() && !own.is_empty()).then(|| {
+        format!(
+            "{} cannot be distinguished from {}.",
+            own.join(" with "),
+            others.join(" or ")
+        )
+    })
 }
 
 /// Standard deviation of a value that is rounded to a step: uniform over the step.
@@ -187,8 +269,10 @@ fn rounding_sd(step: f64) -> f64 {
 /// The parts, `session` from several sessions; what the design cannot tell is absent.
 fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> NoiseDocument {
     let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
-    let rounding =
-        (step > 0.0).then(|| NoisePart { value: rounding_sd(step), interval95: [rounding_sd(step); 2] });
+    let rounding = (step > 0.0).then(|| NoisePart {
+        value: rounding_sd(step),
+        interval95: [rounding_sd(step); 2],
+    });
     let heavy = noise.tails.filter(|t| t.heavy);
     NoiseDocument {
         repeat: Some(noise.repeat),
@@ -200,7 +284,10 @@ fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> Nois
             time_constant_s: tau,
         }),
         rounding,
-        tails_dof: heavy.map(|t| NoisePart { value: t.dof, interval95: [t.heaviest, t.lightest.min(1e3)] }),
+        tails_dof: heavy.map(|t| NoisePart {
+            value: t.dof,
+            interval95: [t.heaviest, t.lightest.min(1e3)],
+        }),
         // Load and depth go from 0 to 1.
         law: noise.law.as_ref().map(|l| NoiseLaw {
             follows: l.follows.clone(),
@@ -238,20 +325,31 @@ fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
 const FOLLOWED: f64 = 0.5;
 
 /// Noise that is correlated in time and runs with a recorded column, as a sentence that names it.
-fn noise_by_column<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &Noise) -> Option<String> {
+fn noise_by_column<M: SessionModel>(
+    model: &M,
+    accepted: &Hypothesis,
+    noise: &Noise,
+) -> Option<String> {
     noise.correlated?;
     let fit = &accepted.fit;
-    let rows: Vec<usize> = (0..fit.raw_residual.nrows()).filter(|&i| accepted.weights.counts(i)).collect();
+    let rows: Vec<usize> = (0..fit.raw_residual.nrows())
+        .filter(|&i| accepted.weights.counts(i))
+        .collect();
     let residual = fit.raw_residual.select_rows(&rows);
     // Squared multiple correlation with the column, all channels together; of the clock alone noise this slow has as much.
     let share = |values: &[f64]| {
         let column = DVector::from_iterator(rows.len(), rows.iter().map(|&i| values[i]));
         let column = column.add_scalar(-column.mean());
-        (residual.tr_mul(&column)).norm_squared() / (column.norm_squared() * residual.norm_squared())
+        (residual.tr_mul(&column)).norm_squared()
+            / (column.norm_squared() * residual.norm_squared())
     };
-    let recorded =
-        model.covariates().into_iter().filter(|(name, _)| !matches!(name.as_str(), "order" | "t_s"));
-    let (name, found) = recorded.map(|(n, v)| (n, share(&v))).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let recorded = model
+        .covariates()
+        .into_iter()
+        .filter(|(name, _)| !matches!(name.as_str(), "order" | "t_s"));
+    let (name, found) = recorded
+        .map(|(n, v)| (n, share(&v)))
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
     (found > FOLLOWED).then(|| {
         format!(
             "{:.0} % of what readings share with their neighbours, which is taken for noise, follow {name}: it may be an effect of it that these readings do not \
@@ -262,7 +360,11 @@ fn noise_by_column<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &No
 }
 
 /// Tails that are heavy by one reading alone, as a sentence that names it.
-fn tails_by_one<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &Noise) -> Option<String> {
+fn tails_by_one<M: SessionModel>(
+    model: &M,
+    accepted: &Hypothesis,
+    noise: &Noise,
+) -> Option<String> {
     noise.tails.filter(|t| t.by_one)?;
     let sizes = accepted.fit.residual.row_iter().map(|r| r.norm());
     let (largest, _) = sizes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -277,7 +379,8 @@ fn noise_sentences(noise: &NoiseDocument, clock_unit: &str) -> Vec<String> {
     let size = |value: f64| with_unit(&readable(value), &noise.unit);
     let range = |[low, high]: [f64; 2]| format!("[{}, {}]", readable(low), readable(high));
     let mut out = Vec::new();
-    if let (Some(repeat), Some(pose)) = (noise.repeat, noise.pose.filter(|p| p.interval95[0] > 0.0)) {
+    if let (Some(repeat), Some(pose)) = (noise.repeat, noise.pose.filter(|p| p.interval95[0] > 0.0))
+    {
         out.push(format!(
             "Repeats of a held pose agree to {}; setting the pose anew adds {} {}.",
             size(repeat.value),
@@ -295,7 +398,11 @@ fn noise_sentences(noise: &NoiseDocument, clock_unit: &str) -> Vec<String> {
         ));
     }
     if let Some(law) = &noise.law {
-        let (more, ratio) = if law.ratio >= 1.0 { ("more", law.ratio) } else { ("less", 1.0 / law.ratio) };
+        let (more, ratio) = if law.ratio >= 1.0 {
+            ("more", law.ratio)
+        } else {
+            ("less", 1.0 / law.ratio)
+        };
         out.push(format!(
             "The readings scatter {ratio:.1} times {more} at the largest {} than at the smallest.",
             law.follows
@@ -308,7 +415,10 @@ fn noise_sentences(noise: &NoiseDocument, clock_unit: &str) -> Vec<String> {
         ));
     }
     if let Some(rounding) = noise.rounding {
-        out.push(format!("Values are rounded: {} of the noise at least.", size(rounding.value)));
+        out.push(format!(
+            "Values are rounded: {} of the noise at least.",
+            size(rounding.value)
+        ));
     }
     out
 }

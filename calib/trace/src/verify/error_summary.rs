@@ -23,7 +23,11 @@ pub fn rmse<'a>(rows: impl IntoIterator<Item = &'a HeldOut>, q: usize) -> f64 {
         sum += value * value;
         count += 1.0;
     }
-    if count > 0.0 { f64::sqrt(sum / count) } else { f64::NAN }
+    if count > 0.0 {
+        f64::sqrt(sum / count)
+    } else {
+        f64::NAN
+    }
 }
 
 /// Rows of each group; where there is one group only, each row is one, so that an interval has a width.
@@ -41,9 +45,14 @@ fn groups(rows: &[HeldOut]) -> Vec<Vec<&HeldOut>> {
 /// 95 % interval of the root mean square of further groups like these, from each one's squares and number of values.
 pub fn interval95(groups: &[(f64, f64)]) -> Option<[f64; 2]> {
     let count = groups.len() as f64;
-    let (squares, values) = groups.iter().fold((0.0, 0.0), |(s, n), g| (s + g.0, n + g.1));
+    let (squares, values) = groups
+        .iter()
+        .fold((0.0, 0.0), |(s, n), g| (s + g.0, n + g.1));
     let mean = squares / values;
-    let scatter: f64 = groups.iter().map(|(s, n)| ((s - n * mean) / values).powi(2)).sum();
+    let scatter: f64 = groups
+        .iter()
+        .map(|(s, n)| ((s - n * mean) / values).powi(2))
+        .sum();
     // v (G - 1) / chi2 of the module's head.
     let upper = chi_squared_quantile(UPPER, count - 1.0).map(|chi2| count * scatter / chi2);
     let nu = upper.map_or(count, |v| (2.0 * mean * mean / v).max(count).min(values));
@@ -67,7 +76,10 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str) -> Opti
     let named = |q: &Quantity| q.key.to_owned();
     let moments = quantities.iter().position(|q| q.key == "moment_rmse_nmm");
     let of_component = |q: usize, c: usize| {
-        let one = |r: &HeldOut| HeldOut { errors: vec![vec![r.errors[q][c]]], ..r.clone() };
+        let one = |r: &HeldOut| HeldOut {
+            errors: vec![vec![r.errors[q][c]]],
+            ..r.clone()
+        };
         rmse(&rows.iter().map(one).collect::<Vec<_>>(), 0)
     };
     Some(HeldOutError {
@@ -91,7 +103,11 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str) -> Opti
 /// Share of values inside their stated 95 % intervals.
 pub fn coverage95(rows: &[HeldOut]) -> Option<f64> {
     let count: usize = rows.iter().map(|r| r.inside95.len()).sum();
-    let hits = rows.iter().flat_map(|r| &r.inside95).filter(|inside| **inside).count();
+    let hits = rows
+        .iter()
+        .flat_map(|r| &r.inside95)
+        .filter(|inside| **inside)
+        .count();
     (count > 0).then(|| hits as f64 / count as f64)
 }
 
@@ -126,7 +142,10 @@ mod tests {
         for groups in [3, 4, 6, 10, 40] {
             for (values, shared) in [(1, 0.0), (11, 0.0), (11, 0.5), (11, 1.0)] {
                 let held = held(groups, values, shared);
-                assert!((93.0..=100.0).contains(&held), "{groups} x {values}, {shared}: {held}");
+                assert!(
+                    (93.0..=100.0).contains(&held),
+                    "{groups} x {values}, {shared}: {held}"
+                );
             }
         }
         // It is no wider than it must be: readings by themselves, and many groups.
@@ -140,10 +159,16 @@ mod tests {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let mut held = 0;
         for seed in 0..400 {
-            let squares =
-                |_| (0..11).map(|_| -> f64 { StandardNormal.sample(&mut rng) }).map(|e| e * e).sum::<f64>();
+            let squares = |_| {
+                (0..11)
+                    .map(|_| -> f64 { StandardNormal.sample(&mut rng) })
+                    .map(|e| e * e)
+                    .sum::<f64>()
+            };
             let all: Vec<f64> = (0..4).map(squares).collect();
-            let mut draws = replicates(400, seed, |rng| redrawn(4, rng).map(|k| all[k]).sum::<f64>() / 44.0);
+            let mut draws = replicates(400, seed, |rng| {
+                redrawn(4, rng).map(|k| all[k]).sum::<f64>() / 44.0
+            });
             draws.sort_by(f64::total_cmp);
             held += usize::from((draws[10]..draws[389]).contains(&1.0));
         }

@@ -27,7 +27,10 @@ fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
 ///
 /// # Errors
 /// Where the declared model has no solution at the readings.
-pub fn fit_baseline<M: SessionModel>(model: M, request: &VerifyRequest) -> Result<Evidence<M>, TraceError> {
+pub fn fit_baseline<M: SessionModel>(
+    model: M,
+    request: &VerifyRequest,
+) -> Result<Evidence<M>, TraceError> {
     let fitted = |model: &M| fit_declared_model(model, &independent(model), request.search.seed);
     let model = model.prepared(&fitted).ok_or(TraceError::NoSolution)?;
     Evidence::new(model, request.search.clone())
@@ -48,7 +51,9 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     }
     let judge = NoiseEstimator::new(&e.model, seed).with_correlated_gain(e.correlated_gain);
     let kept = judge.backward_eliminate(&e.search.found.best, &e.search.found.first_test.family);
-    let Some(noise) = judge.noise(&kept, &[]) else { return false };
+    let Some(noise) = judge.noise(&kept, &[]) else {
+        return false;
+    };
     let dropped = kept.fit.terms.len() < e.search.found.best.fit.terms.len();
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
     let heavier = tails_dof.is_some() && e.options.tails_dof.is_none() && e.search.is_inadequate();
@@ -67,7 +72,9 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
         return false;
     }
     e.options.tails_dof = tails_dof;
-    let Some(model) = renewed else { return e.restart(noise.weights.unmasked()) };
+    let Some(model) = renewed else {
+        return e.restart(noise.weights.unmasked());
+    };
     let weights = weights_of(&model, &kept, e.correlated_gain, seed);
     e.model = model;
     e.restart(weights.unwrap_or_else(|| independent(&e.model)))

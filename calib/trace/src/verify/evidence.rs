@@ -66,7 +66,10 @@ impl<M: SessionModel> Evidence<M> {
     /// Begins anew with another model, of whose noise nothing is known; false where its declared model has no solution, and everything stays.
     pub(super) fn begin_anew(&mut self, model: M) -> bool {
         let weights = independent(&model);
-        let (before, tails) = (std::mem::replace(&mut self.model, model), self.options.tails_dof.take());
+        let (before, tails) = (
+            std::mem::replace(&mut self.model, model),
+            self.options.tails_dof.take(),
+        );
         let done = self.restart(weights);
         if done {
             self.correlated_gain = correlated_gain();

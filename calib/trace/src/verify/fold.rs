@@ -48,12 +48,22 @@ impl<M: SessionModel> Fold<M> {
         let of = |m: &M, candidates: &[&Hypothesis]| {
             let (declared, chosen, noise) = explain_kept(m, candidates, left_out, steps, seed)?;
             let reading_sd = noise.reading_sd(&m.noise_inputs());
-            Some(Self { model: None, chosen, reading_sd, declared: declared.weights })
+            Some(Self {
+                model: None,
+                chosen,
+                reading_sd,
+                declared: declared.weights,
+            })
         };
         let first = of(model, candidates)?;
-        let Some(renewed) = model.renewed(&first.chosen, true, seed) else { return Some(first) };
+        let Some(renewed) = model.renewed(&first.chosen, true, seed) else {
+            return Some(first);
+        };
         let again = of(&renewed, &[&first.chosen])?;
-        Some(Self { model: Some(renewed), ..again })
+        Some(Self {
+            model: Some(renewed),
+            ..again
+        })
     }
 
     /// `terms` on the kept readings, under the noise and flags of the chosen explanation.
@@ -63,8 +73,10 @@ impl<M: SessionModel> Fold<M> {
 
     /// The declared model on the same readings, without those that stand out of it.
     pub fn declared(&self, model: &M, steps: usize) -> Option<Hypothesis> {
-        let weights =
-            self.chosen.weights.masked(|i| self.chosen.weights.counts(i) && self.declared.counts(i));
+        let weights = self
+            .chosen
+            .weights
+            .masked(|i| self.chosen.weights.counts(i) && self.declared.counts(i));
         Hypothesis::fitted(model, &[], &weights, steps)
     }
 }
@@ -81,12 +93,24 @@ fn explain_kept(
     let every = judge.independent();
     let declared = fit_declared_model(system, &every, seed)?;
     let chosen = |weights: &Weights| {
-        Some(flag_outliers(system, choose(system, candidates, &declared, weights, steps)?))
+        Some(flag_outliers(
+            system,
+            choose(system, candidates, &declared, weights, steps)?,
+        ))
     };
-    let noise = |h: &Hypothesis| judge.noise(h, &[]).unwrap_or_else(|| Noise::none(every.len()));
+    let noise = |h: &Hypothesis| {
+        judge
+            .noise(h, &[])
+            .unwrap_or_else(|| Noise::none(every.len()))
+    };
     // Readings that stand out of the declared model may be what an effect does: with and without them, flags at their price.
-    let without = (declared.weights != every).then(|| chosen(&declared.weights)).flatten();
-    let start = least_aic(chosen(&every).into_iter().chain(without).collect(), &declared)?;
+    let without = (declared.weights != every)
+        .then(|| chosen(&declared.weights))
+        .flatten();
+    let start = least_aic(
+        chosen(&every).into_iter().chain(without).collect(),
+        &declared,
+    )?;
     let chosen = chosen(&noise(&start).weights.masked(|i| start.weights.counts(i)))?;
     let noise = noise(&chosen);
     Some((declared, chosen, noise))
@@ -94,7 +118,11 @@ fn explain_kept(
 
 /// The one with the least criterion, the first of those that are tied.
 fn least_aic(all: Vec<Hypothesis>, declared: &Hypothesis) -> Option<Hypothesis> {
-    let scale = all.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
+    let scale = all
+        .iter()
+        .map(|h| h.fit.variance())
+        .fold(f64::INFINITY, f64::min)
+        .max(f64::MIN_POSITIVE);
     let cost = |h: &Hypothesis| h.aic(&declared.fit, scale);
     let least = all.iter().map(cost).fold(f64::INFINITY, f64::min);
     all.into_iter().find(|h| cost(h) <= least + TIED)
@@ -113,8 +141,10 @@ fn choose(
         return refit(only);
     }
     let values = (weights.active() * declared.fit.residual.ncols()) as f64;
-    let tangents: Vec<(f64, f64)> =
-        candidates.iter().map(|h| (tangent_squares(h, weights), h.parameters(&declared.fit))).collect();
+    let tangents: Vec<(f64, f64)> = candidates
+        .iter()
+        .map(|h| (tangent_squares(h, weights), h.parameters(&declared.fit)))
+        .collect();
     let variance = |(squares, k): &(f64, f64)| squares / (values - k).max(1.0);
     let scale = tangents.iter().map(variance).fold(f64::INFINITY, f64::min);
     let mut nearest: Vec<usize> = (0..candidates.len()).collect();
@@ -122,8 +152,13 @@ fn choose(
     nearest.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     nearest.dedup_by_key(|k| &candidates[*k].fit.terms);
     // As in the search: what the kept readings do not determine, or what physics does not allow, is no explanation.
-    let refitted = nearest.into_iter().filter_map(|k| Some((k, refit(candidates[k])?)));
-    let mut admissible: Vec<_> = refitted.filter(|(_, h)| h.is_physical(system)).take(REFITTED).collect();
+    let refitted = nearest
+        .into_iter()
+        .filter_map(|k| Some((k, refit(candidates[k])?)));
+    let mut admissible: Vec<_> = refitted
+        .filter(|(_, h)| h.is_physical(system))
+        .take(REFITTED)
+        .collect();
     admissible.sort_by_key(|(k, _)| *k);
     let mut refitted: Vec<Hypothesis> = admissible.into_iter().map(|(_, h)| h).collect();
     if refitted.is_empty() {
@@ -144,7 +179,9 @@ fn tangent_squares(h: &Hypothesis, weights: &Weights) -> f64 {
     };
     let tangents = h.fit.raw_tangents.iter().zip(&h.fit.tangents);
     let basis = Basis::of(tangents.map(|(readings, whole)| off(readings, whole)));
-    basis.project_off(&off(&h.fit.raw_residual, &h.fit.stacked())).norm_squared()
+    basis
+        .project_off(&off(&h.fit.raw_residual, &h.fit.stacked()))
+        .norm_squared()
 }
 
 #[cfg(test)]
@@ -157,29 +194,39 @@ mod tests {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
         let clean: Vec<f64> = x.iter().enumerate().map(|(i, x)| moved(i, *x)).collect();
         let system = ColumnsSystem::new(seed, vec![x], &clean);
-        let of = |terms: &[EffectTerm]| Hypothesis::fitted(&system, terms, &Weights::equal(100), 5).unwrap();
+        let of = |terms: &[EffectTerm]| {
+            Hypothesis::fitted(&system, terms, &Weights::equal(100), 5).unwrap()
+        };
         let all = [of(&[]), of(&[ColumnsSystem::term(0)])];
         (system, all)
     }
 
-    fn without(group: usize, (system, all): &(ColumnsSystem, [Hypothesis; 2])) -> (Hypothesis, Noise) {
+    fn without(
+        group: usize,
+        (system, all): &(ColumnsSystem, [Hypothesis; 2]),
+    ) -> (Hypothesis, Noise) {
         let candidates: Vec<&Hypothesis> = all.iter().collect();
-        let (_, chosen, noise) = explain_kept(system, &candidates, &|i| i / 10 == group, 5, 1).unwrap();
+        let (_, chosen, noise) =
+            explain_kept(system, &candidates, &|i| i / 10 == group, 5, 1).unwrap();
         (chosen, noise)
     }
 
     /// What a fold makes of the readings that it keeps: its terms, its flags among them, its noise.
     fn kept(group: usize, session: &(ColumnsSystem, [Hypothesis; 2])) -> (usize, Vec<bool>, f64) {
         let (chosen, noise) = without(group, session);
-        let counts = (0..100).filter(|i| i / 10 != group).map(|i| chosen.weights.counts(i));
+        let counts = (0..100)
+            .filter(|i| i / 10 != group)
+            .map(|i| chosen.weights.counts(i));
         (chosen.fit.terms.len(), counts.collect(), noise.repeat.value)
     }
 
     /// Whatever a fold's own readings show, it chooses the same from the others.
     fn is_blind(seed: u64, moved: &dyn Fn(usize, f64) -> f64) -> bool {
         let still = |i: usize, x: f64| if i / 10 == 3 { 0.0 } else { moved(i, x) };
-        let [(a, of_a, sd_a), (b, of_b, sd_b)] =
-            [kept(3, &session(seed, moved)), kept(3, &session(seed, still))];
+        let [(a, of_a, sd_a), (b, of_b, sd_b)] = [
+            kept(3, &session(seed, moved)),
+            kept(3, &session(seed, still)),
+        ];
         a == b && of_a == of_b && (sd_a / sd_b - 1.0).abs() < 1e-9
     }
 

@@ -26,11 +26,17 @@ pub fn judge(readings: &[JudgedReading], quantities: &[Quantity]) -> Option<Cali
     let rows: Vec<HeldOut> = readings.iter().map(|r| r.held_out.clone()).collect();
     let error = summarise(&rows, quantities, "holdout")?;
     let coverage95 = coverage95(&rows)?;
-    let all: Vec<f64> = readings.iter().flat_map(|r| r.in_sd.iter().copied()).collect();
+    let all: Vec<f64> = readings
+        .iter()
+        .flat_map(|r| r.in_sd.iter().copied())
+        .collect();
     let ratio = (all.iter().map(|z| z * z).sum::<f64>() / all.len().max(1) as f64).sqrt();
     let mut why = Vec::new();
     if !(coverage95 >= MIN_COVERAGE) {
-        why.push(format!("its 95 % intervals hold {:.0} % of the readings", 100.0 * coverage95));
+        why.push(format!(
+            "its 95 % intervals hold {:.0} % of the readings",
+            100.0 * coverage95
+        ));
     }
     if !(ratio <= MAX_RATIO) {
         why.push(format!("the errors are {ratio:.1} times what it states"));
@@ -38,7 +44,10 @@ pub fn judge(readings: &[JudgedReading], quantities: &[Quantity]) -> Option<Cali
     let (holds, why) = match why[..] {
         [] => {
             let covered = format!("its 95 % intervals hold {:.0} %", 100.0 * coverage95);
-            (true, format!("{covered}, the errors are {ratio:.2} times what it states"))
+            (
+                true,
+                format!("{covered}, the errors are {ratio:.2} times what it states"),
+            )
         }
         _ => (false, why.join("; ")),
     };
@@ -59,18 +68,32 @@ mod tests {
 
     #[test]
     fn a_calibration_holds_that_is_as_good_as_it_says_and_no_other() {
-        let quantity = [Quantity { key: "response_rmse", unit: "" }];
+        let quantity = [Quantity {
+            key: "response_rmse",
+            unit: "",
+        }];
         let readings = |size: f64| -> Vec<JudgedReading> {
             let of = |k: u32| {
                 let z = size * (f64::from(k) - 9.5) / 5.8;
-                let held_out = HeldOut { group: k, errors: vec![vec![z]], inside95: vec![z.abs() < 1.96] };
-                JudgedReading { held_out, in_sd: vec![z] }
+                let held_out = HeldOut {
+                    group: k,
+                    errors: vec![vec![z]],
+                    inside95: vec![z.abs() < 1.96],
+                };
+                JudgedReading {
+                    held_out,
+                    in_sd: vec![z],
+                }
             };
             (0..20).map(of).collect()
         };
         assert!(judge(&readings(1.0), &quantity).unwrap().holds);
         let wrong = judge(&readings(4.0), &quantity).unwrap();
-        assert!(!wrong.holds && wrong.why.contains("4.0 times"), "{}", wrong.why);
+        assert!(
+            !wrong.holds && wrong.why.contains("4.0 times"),
+            "{}",
+            wrong.why
+        );
         assert!(judge(&[], &quantity).is_none());
     }
 }

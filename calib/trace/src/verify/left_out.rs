@@ -45,7 +45,9 @@ pub struct SharedNoise {
 impl Errors {
     /// The accepted model has an error of that quantity.
     pub(super) fn shows(&self, key: &str) -> bool {
-        self.after.as_ref().is_some_and(|e| e.rmse.contains_key(key))
+        self.after
+            .as_ref()
+            .is_some_and(|e| e.rmse.contains_key(key))
     }
 }
 
@@ -70,17 +72,27 @@ impl<M: SessionModel> LeftOut<M> {
     }
 
     /// What the fit and the left-out readings lose without each accepted effect, the others refitted.
-    pub fn ablations(&self, model: &M, found: &SearchResult, accepted: &Hypothesis) -> Vec<EffectAblation> {
+    pub fn ablations(
+        &self,
+        model: &M,
+        found: &SearchResult,
+        accepted: &Hypothesis,
+    ) -> Vec<EffectAblation> {
         let mut effects: Vec<usize> = accepted.fit.terms.iter().map(|t| t.effect).collect();
         effects.dedup();
         let steps = self.split.refit_steps;
         let error = |h: &Hypothesis| {
-            let of =
-                |m: &M, fold: &Fold<M>| m.predict(&fold.refit(m, &h.fit.terms, steps)?, &fold.reading_sd);
+            let of = |m: &M, fold: &Fold<M>| {
+                m.predict(&fold.refit(m, &h.fit.terms, steps)?, &fold.reading_sd)
+            };
             let rows = self.rows(model, |i| accepted.weights.counts(i), of);
             Some(rmse(&rows, 0)).filter(|e| e.is_finite())
         };
-        let with = if effects.is_empty() { None } else { error(accepted) };
+        let with = if effects.is_empty() {
+            None
+        } else {
+            error(accepted)
+        };
         let of = |effect: usize| {
             let without = accepted.without(model, |_, t| t.effect == effect)?;
             Some(EffectAblation {
@@ -104,12 +116,21 @@ impl<M: SessionModel> LeftOut<M> {
         let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
             let Some(fold) = fold else { return Vec::new() };
             let model = fold.model.as_ref().unwrap_or(model);
-            let rows = (0..self.split.fold.len()).filter(|&i| self.split.fold[i] == Some(f) && scored(i));
+            let rows =
+                (0..self.split.fold.len()).filter(|&i| self.split.fold[i] == Some(f) && scored(i));
             predicted(model, fold).map_or(Vec::new(), |p| {
-                rows.map(|i| HeldOut { group: f as u32, ..model.errors(&p, i) }).collect()
+                rows.map(|i| HeldOut {
+                    group: f as u32,
+                    ..model.errors(&p, i)
+                })
+                .collect()
             })
         };
-        self.folds.par_iter().enumerate().flat_map_iter(of_fold).collect()
+        self.folds
+            .par_iter()
+            .enumerate()
+            .flat_map_iter(of_fold)
+            .collect()
     }
 }
 
@@ -132,7 +153,11 @@ pub fn leave_out<M: SessionModel>(
     let count = fold.iter().flatten().max().map_or(0, |m| m + 1);
     let of = |f: usize| Fold::of(model, &candidates, &|i| fold[i] == Some(f), steps, seed);
     let folds = (0..count).into_par_iter().map(of).collect();
-    let left_out = LeftOut { errors: Errors::default(), split, folds };
+    let left_out = LeftOut {
+        errors: Errors::default(),
+        split,
+        folds,
+    };
     let (fold, words) = (&left_out.split.fold, &left_out.split.words);
     let counts = |i: usize| accepted.weights.counts(i);
     let declared = |m: &M, fold: &Fold<M>| m.predict(&fold.declared(m, steps)?, &fold.reading_sd);
@@ -144,13 +169,24 @@ pub fn leave_out<M: SessionModel>(
     let by_twin = sum(&left_out.rows(model, counts, labels));
     let mut further = Vec::new();
     if let (Some(_), Some(e)) = (&by_twin, &repaired) {
-        further.push(("declared model, labels repaired by the rod".to_owned(), e.clone()));
+        further.push((
+            "declared model, labels repaired by the rod".to_owned(),
+            e.clone(),
+        ));
     }
-    let counted: Vec<usize> = (0..fold.len()).filter(|&i| fold[i].is_some() && counts(i)).collect();
+    let counted: Vec<usize> = (0..fold.len())
+        .filter(|&i| fold[i].is_some() && counts(i))
+        .collect();
     // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
     let ignored = (0..fold.len()).any(|i| fold[i].is_some() && !counts(i));
     if ignored && let Some(e) = sum(&left_out.rows(model, |_| true, chosen)) {
-        further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
+        further.push((
+            format!(
+                "accepted model on all {} readings, flagged ones among them",
+                e.points
+            ),
+            e,
+        ));
     }
     let errors = Errors {
         before: by_twin.or(repaired),
@@ -173,6 +209,11 @@ pub fn leave_out<M: SessionModel>(
 pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
     let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);
-    let square = readings.iter().map(|&i| all[i].powi(2)).sum::<f64>() / readings.len().max(1) as f64;
-    if typical > 0.0 { square.sqrt() / typical } else { 1.0 }
+    let square =
+        readings.iter().map(|&i| all[i].powi(2)).sum::<f64>() / readings.len().max(1) as f64;
+    if typical > 0.0 {
+        square.sqrt() / typical
+    } else {
+        1.0
+    }
 }

@@ -67,8 +67,14 @@ mod tests {
         // Control: readings that the explanation moves by three standard deviations the wrong way.
         let moved: Vec<f64> = noise.iter().map(|e| e + 3.0).collect();
         assert!(error_rise_test(&rows(&noise), &rows(&moved), &sd, 0.01));
-        assert!(!error_rise_test(&rows(&moved), &rows(&noise), &sd, 0.01), "the right explanation");
-        assert!(!error_rise_test(&rows(&noise), &rows(&noise), &sd, 0.01), "the same predictions");
+        assert!(
+            !error_rise_test(&rows(&moved), &rows(&noise), &sd, 0.01),
+            "the right explanation"
+        );
+        assert!(
+            !error_rise_test(&rows(&noise), &rows(&noise), &sd, 0.01),
+            "the same predictions"
+        );
         // One group of three is off: its shared error, not the explanation's.
         let mut one = noise;
         one[0] += 8.0;

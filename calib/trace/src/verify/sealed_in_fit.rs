@@ -28,8 +28,8 @@ pub fn sealed_in_fit<const K: usize>(
     let count = agree.iter().filter(|agrees| **agrees).count();
     let repeated: usize = known.values().filter(|times| **times > 1).sum();
     let share = (repeated + 1) as f64 / (known.values().sum::<usize>() + 2) as f64;
-    let by_chance =
-        Binomial::new(share, agree.len() as u64).map_or(1.0, |b| b.sf((count as u64).saturating_sub(1)));
+    let by_chance = Binomial::new(share, agree.len() as u64)
+        .map_or(1.0, |b| b.sf((count as u64).saturating_sub(1)));
     let same = count > 0 && (timed && repeated == 0 || by_chance < CHANCE);
     same.then(|| {
         format!(
@@ -48,10 +48,16 @@ mod tests {
         let rows = |step_s: f64, first: i32| {
             (first..first + 4).map(move |k| (Some(step_s * f64::from(k)), [f64::from(k % 4), 2.0]))
         };
-        assert!(sealed_in_fit(rows(1.0, 0), rows(1.0, 2)).is_some_and(|why| why.starts_with("2 of 4 rows")));
+        assert!(
+            sealed_in_fit(rows(1.0, 0), rows(1.0, 2))
+                .is_some_and(|why| why.starts_with("2 of 4 rows"))
+        );
         // Another run, and one whose clock stands still while the gauge repeats itself.
         assert_eq!(sealed_in_fit(rows(1.0, 0), rows(1.0, 4)), None);
-        assert_eq!(sealed_in_fit(rows(0.0, 0).chain(rows(0.0, 0)), rows(0.0, 0)), None);
+        assert_eq!(
+            sealed_in_fit(rows(0.0, 0).chain(rows(0.0, 0)), rows(0.0, 0)),
+            None
+        );
     }
 
     #[test]
@@ -60,14 +66,20 @@ mod tests {
         let rows = |first: u32, count: u32, steps: f64| {
             (first..first + count).map(move |k| {
                 let scatter = (f64::from(k) * 12.9898).sin() * 43758.5453;
-                (None, [f64::from(k % 10), (scatter.rem_euclid(1.0) * steps).round()])
+                (
+                    None,
+                    [f64::from(k % 10), (scatter.rem_euclid(1.0) * steps).round()],
+                )
             })
         };
         let found = |fitted: u32, first: u32, count: u32, steps: f64| {
             sealed_in_fit(rows(0, fitted, steps), rows(first, count, steps))
         };
         assert!(found(40, 0, 40, 1e9).unwrap().starts_with("40 of 40 rows"));
-        assert!(found(40, 36, 10, 1e9).unwrap().starts_with("4 of 10 rows"), "the rest is new");
+        assert!(
+            found(40, 36, 10, 1e9).unwrap().starts_with("4 of 10 rows"),
+            "the rest is new"
+        );
         assert!(found(10, 0, 10, 1e9).is_some());
         // Negative controls: other rows, one of many that agrees, and a gauge so coarse that each reading was there before.
         assert_eq!(found(40, 40, 40, 1e9), None);

@@ -161,7 +161,11 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
 
     /// Next measurement: what would decide between the best explanation and its rivals of another class.
-    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement>;
+    fn next_measurement(
+        &self,
+        best: &Hypothesis,
+        rivals: &[&Hypothesis],
+    ) -> Option<NextMeasurement>;
 
     /// The model at every reading of the session, unsealed ones behind.
     ///

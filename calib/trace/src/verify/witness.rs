@@ -39,9 +39,16 @@ pub fn test_witnesses<M: SessionModel>(
         if !refuted.contains(&true) || !request.accept.is_empty() {
             continue;
         }
-        let (gone, left): (Vec<_>, Vec<_>) =
-            found.survivors.iter().cloned().zip(refuted).partition(|(_, refuted)| *refuted);
-        let names: Vec<Vec<String>> = gone.iter().map(|(h, _)| h.term_ids(e.model.catalogue())).collect();
+        let (gone, left): (Vec<_>, Vec<_>) = found
+            .survivors
+            .iter()
+            .cloned()
+            .zip(refuted)
+            .partition(|(_, refuted)| *refuted);
+        let names: Vec<Vec<String>> = gone
+            .iter()
+            .map(|(h, _)| h.term_ids(e.model.catalogue()))
+            .collect();
         if left.is_empty() {
             let shared = |id: &&String| names.iter().all(|effects| effects.contains(id));
             more.extend(names[0].iter().filter(shared).cloned());
@@ -49,7 +56,11 @@ pub fn test_witnesses<M: SessionModel>(
             found.survivors = left.into_iter().map(|(h, _)| h).collect();
             found.best = found.survivors[0].clone();
         }
-        let rejected = |effects| Rejection { effects, gate: Gate::Witness, why: String::new() };
+        let rejected = |effects| Rejection {
+            effects,
+            gate: Gate::Witness,
+            why: String::new(),
+        };
         e.rejections.extend(names.into_iter().map(rejected));
     }
     if more.is_empty() || e.rounds >= MAX_ROUNDS {
@@ -57,7 +68,11 @@ pub fn test_witnesses<M: SessionModel>(
     }
     e.refuted.extend(more);
     let model = e.model.without(&e.refuted);
-    Ok(if e.begin_anew(model) { None } else { Some(found) })
+    Ok(if e.begin_anew(model) {
+        None
+    } else {
+        Some(found)
+    })
 }
 
 /// What a witness says of `h`, kept in `tests` where it is new.
@@ -68,9 +83,14 @@ pub fn test<M: SessionModel>(
     tests: &mut Vec<WitnessTest>,
 ) -> Result<Option<WitnessTest>, TraceError> {
     let effects = h.term_ids(model.catalogue());
-    let Some(test) = witness.test(model, h)? else { return Ok(None) };
+    let Some(test) = witness.test(model, h)? else {
+        return Ok(None);
+    };
     let test = WitnessTest { effects, ..test };
-    if tests.iter().all(|t| (&t.witness, &t.effects) != (&test.witness, &test.effects)) {
+    if tests
+        .iter()
+        .all(|t| (&t.witness, &t.effects) != (&test.witness, &test.effects))
+    {
         tests.push(test.clone());
     }
     Ok(Some(test))

@@ -1,7 +1,9 @@
 //! The engine's stages one by one on a toy system with known answers (SIMULATED), each with a negative control.
 
 use crate::search;
-use crate::toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
+use crate::toy::{
+    BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf,
+};
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -42,10 +44,18 @@ fn most(rate: f64, trials: u64) -> u64 {
 #[test]
 fn the_fit_recovers_a_shelf_and_its_coefficients() {
     let system = shelved(1);
-    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.01, 0.4] };
+    let start = EffectTerm {
+        effect: SHELF,
+        law: 0,
+        values: vec![0.01, 0.4],
+    };
     let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
     assert_eq!(f.status, Status::Converged);
-    assert!((f.terms[0].values[0] - HEIGHT).abs() < 0.006, "{:?}", f.terms);
+    assert!(
+        (f.terms[0].values[0] - HEIGHT).abs() < 0.006,
+        "{:?}",
+        f.terms
+    );
     assert!((f.terms[0].values[1] - PLACE).abs() < 0.03, "{:?}", f.terms);
     assert!((f.variance().sqrt() / NOISE - 1.0).abs() < 0.3);
     assert_eq!(f.dof, READINGS as f64 - 4.0);
@@ -54,25 +64,56 @@ fn the_fit_recovers_a_shelf_and_its_coefficients() {
 #[test]
 fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explanation() {
     let system = ToySystem::draw(2, |_, x| -LINE[1] * HEIGHT * shelf(x, PLACE));
-    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.01, PLACE] };
+    let start = EffectTerm {
+        effect: SHELF,
+        law: 0,
+        values: vec![0.01, PLACE],
+    };
     let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
     assert_eq!(f.terms[0].values[0], 0.0);
     assert!(f.at_bound[0]);
-    let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 };
+    let h = Hypothesis {
+        fit: f,
+        weights: Weights::equal(READINGS),
+        flagged: Vec::new(),
+        flag_p: 1.0,
+    };
     assert!(!h.is_physical(&system));
 }
 
 #[test]
 fn a_fit_that_did_not_converge_is_no_explanation() {
     let system = shelved(1);
-    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.02, 0.5] };
+    let start = EffectTerm {
+        effect: SHELF,
+        law: 0,
+        values: vec![0.02, 0.5],
+    };
     let after = |steps: usize| {
-        let fit = fit(&system, std::slice::from_ref(&start), &Weights::equal(READINGS), steps).unwrap();
-        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
+        let fit = fit(
+            &system,
+            std::slice::from_ref(&start),
+            &Weights::equal(READINGS),
+            steps,
+        )
+        .unwrap();
+        Hypothesis {
+            fit,
+            weights: Weights::equal(READINGS),
+            flagged: Vec::new(),
+            flag_p: 1.0,
+        }
     };
     let (short, whole) = (after(1), after(30));
-    assert_eq!((short.fit.status, whole.fit.status), (Status::NotConverged, Status::Converged));
-    assert!(short.is_physical(&system) && !short.is_admissible(&system), "{:?}", short.fit.terms);
+    assert_eq!(
+        (short.fit.status, whole.fit.status),
+        (Status::NotConverged, Status::Converged)
+    );
+    assert!(
+        short.is_physical(&system) && !short.is_admissible(&system),
+        "{:?}",
+        short.fit.terms
+    );
     assert!(whole.is_admissible(&system), "{:?}", whole.fit.terms);
 }
 
@@ -81,13 +122,25 @@ fn a_fit_that_did_not_converge_is_no_explanation() {
 fn an_effect_whose_fit_goes_on_falling_is_named_and_not_accepted() {
     let restless = Restless(shelved(10), AtomicU32::new(0));
     let found = search(&restless, &Weights::equal(READINGS), &Options::default()).unwrap();
-    assert!(!names(&restless.0, &found.best).contains(&"shelf"), "{:?}", found.best.fit.terms);
+    assert!(
+        !names(&restless.0, &found.best).contains(&"shelf"),
+        "{:?}",
+        found.best.fit.terms
+    );
     let shelf = |r: &Rejection| r.gate == Gate::NotConverged && r.effects == ["shelf"];
     assert!(found.rejections.iter().any(shelf), "{:?}", found.rejections);
-    assert!(found.refitted.iter().all(|h| h.fit.status != Status::NotConverged));
+    assert!(
+        found
+            .refitted
+            .iter()
+            .all(|h| h.fit.status != Status::NotConverged)
+    );
     // Control: the same readings with a law that stands still.
     let found = search(&restless.0, &Weights::equal(READINGS), &Options::default()).unwrap();
-    assert_eq!((names(&restless.0, &found.best), found.rejections), (vec!["shelf"], Vec::new()));
+    assert_eq!(
+        (names(&restless.0, &found.best), found.rejections),
+        (vec!["shelf"], Vec::new())
+    );
 }
 
 /// A system whose shelf fits a little better each time it is asked: its sum of squares never settles.
@@ -127,13 +180,24 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
     let physical = |share: f64, seed: u64| {
         let c = LINE[1] * share / (1.0 - share);
         let system = ToySystem::draw(seed, |_, x| c * x * x);
-        let term = EffectTerm { effect: BEND, law: 0, values: Vec::new() };
+        let term = EffectTerm {
+            effect: BEND,
+            law: 0,
+            values: Vec::new(),
+        };
         let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
-        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
-            .is_physical(&system)
+        Hypothesis {
+            fit,
+            weights: Weights::equal(READINGS),
+            flagged: Vec::new(),
+            flag_p: 1.0,
+        }
+        .is_physical(&system)
     };
     // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
-    let kept = (0..200).filter(|&seed| physical(BEND_SHARE, 7000 + seed)).count() as u64;
+    let kept = (0..200)
+        .filter(|&seed| physical(BEND_SHARE, 7000 + seed))
+        .count() as u64;
     assert!(200 - kept <= most(0.005, 200), "{kept} of 200");
     assert!(physical(0.5 * BEND_SHARE, 3));
     assert!(!physical(1.5 * BEND_SHARE, 3));
@@ -143,7 +207,11 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
 fn columns_that_depend_on_each_other_are_said() {
     // A shelf of fixed place and the scale together with a free slope: the scale is the slope again.
     let system = plain(3);
-    let terms = [EffectTerm { effect: SCALE, law: 0, values: vec![0.1] }];
+    let terms = [EffectTerm {
+        effect: SCALE,
+        law: 0,
+        values: vec![0.1],
+    }];
     let f = fit(&system, &terms, &Weights::equal(READINGS), 5).unwrap();
     let tangent = nuisance_basis(&base(&system)).project_off(&f.tangents[0]);
     assert!(tangent.norm() < 1e-9 * f.tangents[0].norm().max(1e-300));
@@ -155,20 +223,37 @@ fn columns_that_depend_on_each_other_are_said() {
 fn what_the_slope_takes_up_has_no_signature() {
     let system = plain(4);
     let f = base(&system);
-    let signatures = |e| signatures_of_effect(&system, e, &f, &Weights::equal(READINGS), &nuisance_basis(&f));
+    let signatures = |e| {
+        signatures_of_effect(
+            &system,
+            e,
+            &f,
+            &Weights::equal(READINGS),
+            &nuisance_basis(&f),
+        )
+    };
     assert!(signatures(SCALE).is_empty(), "absorbed by the slope");
     assert_eq!(signatures(BEND).len(), 1);
     let shelves = signatures(SHELF);
     assert_eq!(shelves.len(), 4, "one a place of the grid");
-    assert!(shelves.iter().all(|a| a.one_sided && a.share_left > 0.05 && a.share_left < 1.0));
+    assert!(
+        shelves
+            .iter()
+            .all(|a| a.one_sided && a.share_left > 0.05 && a.share_left < 1.0)
+    );
 }
 
 #[test]
 fn a_one_sided_signature_of_the_wrong_sign_gains_nothing() {
     let system = plain(5);
     let f = base(&system);
-    let signature =
-        &signatures_of_effect(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance_basis(&f))[2];
+    let signature = &signatures_of_effect(
+        &system,
+        SHELF,
+        &f,
+        &Weights::equal(READINGS),
+        &nuisance_basis(&f),
+    )[2];
     let along: &DVector<f64> = &signature.projected[0];
     assert!((signature.gain(along) - along.norm_squared()).abs() < 1e-9 * along.norm_squared());
     assert_eq!(signature.gain(&-along), 0.0);
@@ -200,8 +285,15 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
             .flat_map(|e| signatures_of_effect(&system, e, &f, &weights, &basis))
             .collect();
         let refs: Vec<_> = signatures.iter().collect();
-        let null =
-            MinPDistribution::simulate(&refs, f.dof, &Options { seed, draws: 300, ..Options::default() });
+        let null = MinPDistribution::simulate(
+            &refs,
+            f.dof,
+            &Options {
+                seed,
+                draws: 300,
+                ..Options::default()
+            },
+        );
         let residual = stack(&f.residual);
         let p = |a| wcal_trace::method::min_p::signature_p(a, a.gain(&residual), f.ssr, f.dof);
         let smallest = signatures.iter().filter_map(p).fold(1.0, f64::min);
@@ -209,8 +301,14 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
         let bend = signatures.last().unwrap();
         single += u64::from(f_test(bend.gain(&residual), f.ssr, f.dof, 1).unwrap() < 0.05);
     }
-    assert!(family <= most(0.05, trials) && family >= 5, "family-wise {family} of {trials}");
-    assert!(single <= most(0.05, trials) && single >= 5, "single {single} of {trials}");
+    assert!(
+        family <= most(0.05, trials) && family >= 5,
+        "family-wise {family} of {trials}"
+    );
+    assert!(
+        single <= most(0.05, trials) && single >= 5,
+        "single {single} of {trials}"
+    );
 }
 
 #[test]
@@ -224,33 +322,53 @@ fn the_gate_lets_noise_pass_and_stops_an_effect() {
                 &system,
                 &base(&system),
                 &weights,
-                &Options { seed: s, draws: 500, ..Options::default() },
+                &Options {
+                    seed: s,
+                    draws: 500,
+                    ..Options::default()
+                },
             )
             .rejected()
         })
         .count() as u64;
-    assert!(rejected <= most(0.02, trials), "{rejected} of {trials} nulls");
+    assert!(
+        rejected <= most(0.02, trials),
+        "{rejected} of {trials} nulls"
+    );
     let system = shelved(6);
     let g = omnibus_test(
         &system,
         &base(&system),
         &weights,
-        &Options { seed: 1, draws: 500, ..Options::default() },
+        &Options {
+            seed: 1,
+            draws: 500,
+            ..Options::default()
+        },
     );
     assert!(g.rejected() && g.p_catalogue < 1e-3, "{}", g.p_catalogue);
 }
 
 #[test]
 fn a_wave_in_time_is_seen_with_its_driver() {
-    let system = ToySystem::draw(7, |i, _| 0.4 * (i as f64 * std::f64::consts::TAU / 13.0).sin());
+    let system = ToySystem::draw(7, |i, _| {
+        0.4 * (i as f64 * std::f64::consts::TAU / 13.0).sin()
+    });
     let g = omnibus_test(
         &system,
         &base(&system),
         &Weights::equal(READINGS),
-        &Options { seed: 1, draws: 500, ..Options::default() },
+        &Options {
+            seed: 1,
+            draws: 500,
+            ..Options::default()
+        },
     );
     assert!(g.generic());
-    assert_eq!((g.covariates[0].covariate.as_str(), g.covariates[0].shape), ("t_s", "sinusoid"));
+    assert_eq!(
+        (g.covariates[0].covariate.as_str(), g.covariates[0].shape),
+        ("t_s", "sinusoid")
+    );
     let period = g.covariates[0].period.unwrap();
     assert!((period - 13.0).abs() < 1.5, "{period}");
 }
@@ -259,9 +377,20 @@ fn a_wave_in_time_is_seen_with_its_driver() {
 
 #[test]
 fn exactly_the_moved_readings_are_flagged() {
-    let system = ToySystem::draw(8, |i, _| if i == 17 || i == 40 { 12.0 * NOISE } else { 0.0 });
+    let system = ToySystem::draw(8, |i, _| {
+        if i == 17 || i == 40 {
+            12.0 * NOISE
+        } else {
+            0.0
+        }
+    });
     let weights = Weights::equal(READINGS);
-    assert_eq!(reject_outliers(&system, &[], &base(&system), &weights).unwrap().flagged, [17, 40]);
+    assert_eq!(
+        reject_outliers(&system, &[], &base(&system), &weights)
+            .unwrap()
+            .flagged,
+        [17, 40]
+    );
     let trials = 300;
     let false_flags = (0..trials)
         .filter(|&s| {
@@ -270,18 +399,27 @@ fn exactly_the_moved_readings_are_flagged() {
         })
         .count() as u64;
     // The level is shared over all readings; the median's own scatter adds a little.
-    assert!(false_flags <= most(0.01, trials), "{false_flags} of {trials}");
+    assert!(
+        false_flags <= most(0.01, trials),
+        "{false_flags} of {trials}"
+    );
 }
 
 // Screening, refits, competing explanations, adequacy.
 
 fn names(system: &ToySystem, h: &Hypothesis) -> Vec<&'static str> {
-    h.effects(Some(OUTLIERS)).iter().map(|&e| system.catalogue()[e].id).collect()
+    h.effects(Some(OUTLIERS))
+        .iter()
+        .map(|&e| system.catalogue()[e].id)
+        .collect()
 }
 
 #[test]
 fn the_search_finds_nothing_one_or_two_effects() {
-    let options = Options { draws: 500, ..Options::default() };
+    let options = Options {
+        draws: 500,
+        ..Options::default()
+    };
     let weights = Weights::equal(READINGS);
     let find = |system: &ToySystem| {
         let found = search(system, &weights, &options).unwrap();
@@ -303,20 +441,33 @@ fn an_effect_is_refined_where_its_plain_law_leaves_something() {
         let laws: Vec<usize> = found.best.fit.terms.iter().map(|t| t.law).collect();
         (names(system, &found.best), laws, found.last_test.rejected())
     };
-    let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (2.0 * shelf(x, 0.3) + shelf(x, 0.75)));
-    let found: Vec<_> = (0..10).map(|seed| fit_variance_function(&two(9000 + seed))).collect();
-    let refined = found.iter().filter(|f| **f == (vec!["shelf"], vec![1], false)).count();
+    let two = |seed| {
+        ToySystem::draw(seed, |_, x| {
+            LINE[1] * HEIGHT * (2.0 * shelf(x, 0.3) + shelf(x, 0.75))
+        })
+    };
+    let found: Vec<_> = (0..10)
+        .map(|seed| fit_variance_function(&two(9000 + seed)))
+        .collect();
+    let refined = found
+        .iter()
+        .filter(|f| **f == (vec!["shelf"], vec![1], false))
+        .count();
     assert!(refined >= 8, "{refined} of 10: {found:?}");
     // Negative control: one shelf is not refined, but by chance.
-    let alone =
-        (0..20).filter(|&seed| fit_variance_function(&shelved(9100 + seed)).1.contains(&1)).count() as u64;
+    let alone = (0..20)
+        .filter(|&seed| fit_variance_function(&shelved(9100 + seed)).1.contains(&1))
+        .count() as u64;
     assert!(alone <= most(0.01, 20), "{alone} of 20");
 }
 
 #[test]
 fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
     // A gentle bend looks like a broad shelf on noisy readings: the true one must stay among the survivors.
-    let options = Options { draws: 300, ..Options::default() };
+    let options = Options {
+        draws: 300,
+        ..Options::default()
+    };
     let trials = 60;
     let (mut named, mut kept) = (0, 0);
     for seed in 0..trials {
@@ -326,7 +477,12 @@ fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
             continue;
         }
         named += 1;
-        kept += u64::from(found.survivors.iter().any(|h| names(&system, h).contains(&"bend")));
+        kept += u64::from(
+            found
+                .survivors
+                .iter()
+                .any(|h| names(&system, h).contains(&"bend")),
+        );
     }
     assert!(named > 30, "{named}");
     assert!(named - kept <= most(0.02, named), "{kept} of {named}");
@@ -339,10 +495,23 @@ fn stated_intervals_cover() {
     for seed in 0..trials {
         let system = shelved(5000 + seed);
         let weights = Weights::equal(READINGS);
-        let start = EffectTerm { effect: SHELF, law: 0, values: vec![HEIGHT, PLACE] };
+        let start = EffectTerm {
+            effect: SHELF,
+            law: 0,
+            values: vec![HEIGHT, PLACE],
+        };
         let f = fit(&system, &[start], &weights, 30).unwrap();
-        let h = Hypothesis { fit: f, weights, flagged: Vec::new(), flag_p: 1.0 };
-        for (k, (p, truth)) in parameters(&system, &h, SHELF).iter().zip([HEIGHT, PLACE]).enumerate() {
+        let h = Hypothesis {
+            fit: f,
+            weights,
+            flagged: Vec::new(),
+            flag_p: 1.0,
+        };
+        for (k, (p, truth)) in parameters(&system, &h, SHELF)
+            .iter()
+            .zip([HEIGHT, PLACE])
+            .enumerate()
+        {
             inside[k] += u64::from(p.interval95[0] <= truth && truth <= p.interval95[1]);
         }
     }

@@ -20,7 +20,11 @@ use wcal_trace::method::search_result::SearchResult;
 use wcal_trace::scalar::ScalarVerification;
 
 /// One search under a noise that is known, as `verify` makes it in each round.
-fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
+fn search(
+    system: &dyn MeasurementModel,
+    weights: &Weights,
+    options: &Options,
+) -> Option<SearchResult> {
     let mut search = Search::new(system, weights, options)?;
     while test_adequacy(system, &search) {
         let signatures = project_signatures(system, &search);

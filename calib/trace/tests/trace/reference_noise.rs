@@ -45,8 +45,9 @@ fn system(data: &WhiskerData) -> WhiskerSystem {
 fn drawn(seed: u64, mismatch: f64) -> WhiskerData {
     let (poses, moments) = poses();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut noise =
-        || -> f64 { NOISE_PM * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng) };
+    let mut noise = || -> f64 {
+        NOISE_PM * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng)
+    };
     let mut data = poses.clone();
     for (row, m) in data.rows.iter_mut().zip(moments) {
         let warm_pm = WARMING.0 * (1.0 - (-row.t_s.unwrap() / WARMING.1).exp());
@@ -65,7 +66,16 @@ fn judged(data: &WhiskerData, seed: u64) -> (OmnibusTest, f64) {
     let system = system.whitened(&declared);
     let fit = fit(&system, &[], &weights, 15).unwrap();
     (
-        omnibus_test(&system, &fit, &weights, &Options { seed, draws: 500, ..Options::default() }),
+        omnibus_test(
+            &system,
+            &fit,
+            &weights,
+            &Options {
+                seed,
+                draws: 500,
+                ..Options::default()
+            },
+        ),
         fit.variance().sqrt() * system.noise_factor(),
     )
 }
@@ -84,7 +94,9 @@ fn rejected(draws: u64, mismatch: f64, change: impl Fn(&mut WhiskerData)) -> usi
 fn a_reference_grating_as_noisy_as_the_others_makes_no_effect() {
     let timed = rejected(60, 0.0, |_| {});
     // Control: without a clock its noise cannot be told from temperature, and is taken for an effect.
-    let timeless = rejected(60, 0.0, |data| data.rows.iter_mut().for_each(|r| r.t_s = None));
+    let timeless = rejected(60, 0.0, |data| {
+        data.rows.iter_mut().for_each(|r| r.t_s = None)
+    });
     println!("rejected of 60: {timed} with a clock, {timeless} without");
     // At the family-wise level of 0.017 six or more come by chance once in two thousand such tests.
     assert!(timed < 6, "{timed}");
@@ -98,7 +110,12 @@ fn a_compensation_that_leaves_a_rest_is_still_seen() {
 
 #[test]
 fn the_noise_of_a_compensated_shift_is_that_of_two_gratings() {
-    let sds: Vec<f64> = (0..10).map(|seed| judged(&drawn(seed, 0.0), seed).1).collect();
+    let sds: Vec<f64> = (0..10)
+        .map(|seed| judged(&drawn(seed, 0.0), seed).1)
+        .collect();
     let mean = sds.iter().sum::<f64>() / sds.len() as f64;
-    assert!((mean / (NOISE_PM * 2f64.sqrt()) - 1.0).abs() < 0.1, "{mean} {sds:?}");
+    assert!(
+        (mean / (NOISE_PM * 2f64.sqrt()) - 1.0).abs() < 0.1,
+        "{mean} {sds:?}"
+    );
 }

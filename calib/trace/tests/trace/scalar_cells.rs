@@ -3,7 +3,9 @@
 use super::{Noise, names};
 use rayon::prelude::*;
 use wcal_core::Sealed;
-use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
+use wcal_core::observation::{
+    AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow,
+};
 use wcal_core::verify_document::Verdict;
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
@@ -11,7 +13,12 @@ use wcal_trace::verify::VerifyRequest;
 
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {
     let options = VerifyRequest {
-        search: Options { seed, draws: 400, largest: 2, ..Options::default() },
+        search: Options {
+            seed,
+            draws: 400,
+            largest: 2,
+            ..Options::default()
+        },
         ..VerifyRequest::default()
     };
     verify_scalar("simulated", data, Sealed::default(), &options).unwrap()
@@ -28,7 +35,11 @@ fn cycles(
     (0..2 * n * count as usize)
         .map(|k| {
             let at = k % (2 * n);
-            let (step, way) = if at < n { (at, 1.0) } else { (2 * n - 1 - at, -1.0) };
+            let (step, way) = if at < n {
+                (at, 1.0)
+            } else {
+                (2 * n - 1 - at, -1.0)
+            };
             AxisRow {
                 source: "simulated".into(),
                 line: k + 2,
@@ -57,7 +68,11 @@ fn even(count: usize) -> Vec<f64> {
 fn coverage(v: &ScalarVerification, fresh: &[AxisRow]) -> f64 {
     let rows: Vec<ScalarRow> = fresh.iter().map(Into::into).collect();
     let predicted = v.model.as_ref().unwrap().predict(&rows).unwrap();
-    let inside = rows.iter().zip(&predicted).filter(|(r, p)| (r.y - p.value).abs() <= p.half95).count();
+    let inside = rows
+        .iter()
+        .zip(&predicted)
+        .filter(|(r, p)| (r.y - p.value).abs() <= p.half95)
+        .count();
     inside as f64 / rows.len() as f64
 }
 
@@ -85,7 +100,12 @@ fn errors_of_places_are_a_table_that_holds_on_further_cycles() {
     println!("{outcomes:?}");
     for (named, _, after) in &outcomes {
         assert!(named.iter().any(|n| n == "error-table"), "{named:?}");
-        assert!(named.iter().all(|n| ["error-table", "backlash"].contains(&n.as_str())), "{named:?}");
+        assert!(
+            named
+                .iter()
+                .all(|n| ["error-table", "backlash"].contains(&n.as_str())),
+            "{named:?}"
+        );
         // Six cycles tell each mean to 0.4 of the noise: 1.1 um left out, 0.8 to 1.5 in a hundred readings.
         assert!((0.8..1.5).contains(after), "{after}");
     }
@@ -107,11 +127,22 @@ fn laws_keep_their_names_where_places_repeat() {
                 _ => 0.0,
             };
             let v = run(
-                ScalarData::Axis(&axis(cycles(&places, 1, 6, |_, p, way| law(p, way) + rng.next()))),
+                ScalarData::Axis(&axis(cycles(&places, 1, 6, |_, p, way| {
+                    law(p, way) + rng.next()
+                }))),
                 seed,
             );
-            let right = [vec!["nonlinearity-quadratic"], vec!["backlash"], vec!["scale"], vec![]];
-            let verdict = if seed % 4 == 3 { Verdict::Adequate } else { Verdict::Effect };
+            let right = [
+                vec!["nonlinearity-quadratic"],
+                vec!["backlash"],
+                vec!["scale"],
+                vec![],
+            ];
+            let verdict = if seed % 4 == 3 {
+                Verdict::Adequate
+            } else {
+                Verdict::Effect
+            };
             let good = names(&v) == right[(seed % 4) as usize] && v.document.verdict == verdict;
             (!good).then(|| (seed % 4, names(&v).into_iter().map(str::to_owned).collect()))
         })
@@ -121,7 +152,11 @@ fn laws_keep_their_names_where_places_repeat() {
 }
 
 /// `sweeps` times the same loads in the same order, each with its own deviation.
-fn levels(loads: &[f64], sweeps: usize, mut response: impl FnMut(usize, f64) -> f64) -> TransducerData {
+fn levels(
+    loads: &[f64],
+    sweeps: usize,
+    mut response: impl FnMut(usize, f64) -> f64,
+) -> TransducerData {
     let rows = (0..sweeps * loads.len())
         .map(|k| TransducerRow {
             stimulus_sd: None,
@@ -157,15 +192,29 @@ fn few_levels_and_repeated_poses_give_no_law() {
             let loads: Vec<f64> = if seed % 2 == 0 {
                 vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
             } else {
-                vec![3.0, 7.0, 1.0, 9.0, 4.0, 8.0, 2.0, 6.0, 10.0, 5.0, 11.0, 12.0]
+                vec![
+                    3.0, 7.0, 1.0, 9.0, 4.0, 8.0, 2.0, 6.0, 10.0, 5.0, 11.0, 12.0,
+                ]
             };
             let own: Vec<f64> = loads.iter().map(|_| 0.05 * rng.next()).collect();
             let v = run(
-                ScalarData::Transducer(&levels(&loads, 6, |p, x| 0.2 * x + own[p] + 0.002 * rng.next())),
+                ScalarData::Transducer(&levels(&loads, 6, |p, x| {
+                    0.2 * x + own[p] + 0.002 * rng.next()
+                })),
                 seed,
             );
-            assert_eq!(v.document.verdict, Verdict::UnknownEffect, "{seed}: {}", v.document.reason);
-            let driver = v.document.unknown.as_ref().map(|u| u.driver.clone()).unwrap();
+            assert_eq!(
+                v.document.verdict,
+                Verdict::UnknownEffect,
+                "{seed}: {}",
+                v.document.reason
+            );
+            let driver = v
+                .document
+                .unknown
+                .as_ref()
+                .map(|u| u.driver.clone())
+                .unwrap();
             assert_eq!(driver, "stimulus", "{seed}: {}", v.document.reason);
             names(&v).into_iter().map(str::to_owned).collect()
         })
@@ -174,14 +223,23 @@ fn few_levels_and_repeated_poses_give_no_law() {
     assert!(some.len() <= 1, "{some:?}");
     // A bend over the same loads is one.
     let mut rng = Noise::new(9);
-    let bent = levels(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 6, |_, x| 0.2 * x + 0.01 * x * x + 0.002 * rng.next());
-    assert_eq!(names(&run(ScalarData::Transducer(&bent), 1)), ["nonlinearity-quadratic"]);
+    let bent = levels(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 6, |_, x| {
+        0.2 * x + 0.01 * x * x + 0.002 * rng.next()
+    });
+    assert_eq!(
+        names(&run(ScalarData::Transducer(&bent), 1)),
+        ["nonlinearity-quadratic"]
+    );
 }
 
 #[test]
 fn a_bend_in_a_further_column_is_its_driver() {
     let mut rng = Noise::new(400);
-    let mut data = levels(&(0..80).map(|k| 0.1 * f64::from(k)).collect::<Vec<_>>(), 1, |_, _| 0.0);
+    let mut data = levels(
+        &(0..80).map(|k| 0.1 * f64::from(k)).collect::<Vec<_>>(),
+        1,
+        |_, _| 0.0,
+    );
     data.covariates = vec!["a".into()];
     let of = |data: &mut TransducerData, rng: &mut Noise, power: i32| {
         for r in &mut data.rows {
@@ -192,10 +250,20 @@ fn a_bend_in_a_further_column_is_its_driver() {
     };
     of(&mut data, &mut rng, 2);
     let v = run(ScalarData::Transducer(&data), 1);
-    let driver = v.document.unknown.as_ref().map(|u| (u.driver.as_str(), u.shape.as_str()));
-    assert_eq!((v.document.verdict, driver), (Verdict::UnknownEffect, Some(("a", "quadratic"))));
+    let driver = v
+        .document
+        .unknown
+        .as_ref()
+        .map(|u| (u.driver.as_str(), u.shape.as_str()));
+    assert_eq!(
+        (v.document.verdict, driver),
+        (Verdict::UnknownEffect, Some(("a", "quadratic")))
+    );
     of(&mut data, &mut rng, 1);
-    assert_eq!(names(&run(ScalarData::Transducer(&data), 1)), ["cross-axis"]);
+    assert_eq!(
+        names(&run(ScalarData::Transducer(&data), 1)),
+        ["cross-axis"]
+    );
 }
 
 #[test]
@@ -209,12 +277,25 @@ fn a_series_is_left_out_in_blocks_and_states_the_error_of_its_gaps() {
         2.0 * x + zero + 0.05 * rng.next()
     });
     let v = run(ScalarData::Transducer(&data), 1);
-    assert!(v.document.reason.contains("blocks of neighbouring readings"), "{}", v.document.reason);
+    assert!(
+        v.document
+            .reason
+            .contains("blocks of neighbouring readings"),
+        "{}",
+        v.document.reason
+    );
     let stated = v.document.after.as_ref().unwrap().rmse["response_rmse"];
     // The zero's standard deviation is 1; a block of 20 readings is longer than it remembers.
     assert!((0.6..1.5).contains(&stated), "{stated}");
     // Independent readings of the same loads: stimuli are left out as ever.
     let mut rng = Noise::new(501);
-    let v = run(ScalarData::Transducer(&levels(&loads, 40, |_, x| 2.0 * x + rng.next())), 1);
-    assert!(v.document.reason.contains("stimuli"), "{}", v.document.reason);
+    let v = run(
+        ScalarData::Transducer(&levels(&loads, 40, |_, x| 2.0 * x + rng.next())),
+        1,
+    );
+    assert!(
+        v.document.reason.contains("stimuli"),
+        "{}",
+        v.document.reason
+    );
 }

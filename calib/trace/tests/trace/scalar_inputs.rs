@@ -13,7 +13,11 @@ use wcal_trace::verify::VerifyRequest;
 /// Stimulus, response, cycle, further columns, time.
 type Reading = (f64, f64, Option<u32>, Vec<f64>, Option<f64>);
 
-pub(super) fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> ScalarVerification {
+pub(super) fn run(
+    model: TransducerModel,
+    columns: &[&str],
+    readings: Vec<Reading>,
+) -> ScalarVerification {
     stating(model, columns, readings, &|_| None)
 }
 
@@ -24,20 +28,21 @@ fn stating(
     readings: Vec<Reading>,
     stated: &dyn Fn(usize) -> Option<f64>,
 ) -> ScalarVerification {
-    let row = |(k, (stimulus, response, replicate, covariates, t_s)): (usize, Reading)| TransducerRow {
-        stimulus_sd: stated(k),
-        source: "simulated".into(),
-        line: k + 2,
-        point: k as i64 + 1,
-        role: Role::Calibration,
-        stimulus,
-        response,
-        t_s,
-        direction: None,
-        replicate,
-        temperature_degc: None,
-        covariates,
-    };
+    let row =
+        |(k, (stimulus, response, replicate, covariates, t_s)): (usize, Reading)| TransducerRow {
+            stimulus_sd: stated(k),
+            source: "simulated".into(),
+            line: k + 2,
+            point: k as i64 + 1,
+            role: Role::Calibration,
+            stimulus,
+            response,
+            t_s,
+            direction: None,
+            replicate,
+            temperature_degc: None,
+            covariates,
+        };
     let data = TransducerData {
         deviation: false,
         model,
@@ -47,10 +52,20 @@ fn stating(
         rows: readings.into_iter().enumerate().map(row).collect(),
     };
     let options = VerifyRequest {
-        search: Options { seed: 1, draws: 2000, ..Options::default() },
+        search: Options {
+            seed: 1,
+            draws: 2000,
+            ..Options::default()
+        },
         ..VerifyRequest::default()
     };
-    verify_scalar("simulated", ScalarData::Transducer(&data), Sealed::default(), &options).unwrap()
+    verify_scalar(
+        "simulated",
+        ScalarData::Transducer(&data),
+        Sealed::default(),
+        &options,
+    )
+    .unwrap()
 }
 
 pub(super) fn linear(readings: Vec<Reading>) -> ScalarVerification {
@@ -65,7 +80,10 @@ pub(super) fn noise(seed: u64) -> impl FnMut() -> f64 {
 /// Value of a named parameter with its interval.
 pub(super) fn parameter(v: &ScalarVerification, name: &str) -> (f64, [f64; 2]) {
     let all = v.document.effects.iter().flat_map(|e| &e.parameters);
-    all.into_iter().find(|p| p.name == name).map(|p| (p.value, p.interval95)).unwrap()
+    all.into_iter()
+        .find(|p| p.name == name)
+        .map(|p| (p.value, p.interval95))
+        .unwrap()
 }
 
 /// Four runs up and down over `levels`, the reference scattering by `scatter` (levels 500 apart), the response by `sd`.
@@ -84,12 +102,22 @@ fn against_a_reference(seed: u64, scatter: f64, bend: f64) -> Vec<Reading> {
 fn the_scatter_of_a_reference_is_noise_and_a_bend_beside_it_is_found() {
     for seed in 0..6 {
         let v = linear(against_a_reference(seed, 0.45, 0.0));
-        assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
+        assert_eq!(
+            v.document.verdict,
+            Verdict::Adequate,
+            "{seed}: {}",
+            v.document.reason
+        );
         // sqrt(0.6^2 + (4 x 0.45)^2) uV.
         let floor = v.document.noise_floor.response.unwrap();
         assert!((1.2e-3..2.6e-3).contains(&floor), "{seed}: {floor}");
         let bent = linear(against_a_reference(seed, 0.45, 0.05));
-        assert_eq!(names(&bent), ["nonlinearity-quadratic"], "{seed}: {}", bent.document.reason);
+        assert_eq!(
+            names(&bent),
+            ["nonlinearity-quadratic"],
+            "{seed}: {}",
+            bent.document.reason
+        );
     }
 }
 
@@ -111,7 +139,10 @@ fn a_wave_over_places_that_nearly_repeat_is_the_slow_one() {
         assert_eq!(names(&v), ["periodic"], "{period}: {}", v.document.reason);
         let (found, [low, high]) = parameter(&v, "period");
         // Two half widths of the 95 % interval: one of 16,000 lies outside.
-        assert!((found - period).abs() < high - low, "{period}: {found} [{low}, {high}]");
+        assert!(
+            (found - period).abs() < high - low,
+            "{period}: {found} [{low}, {high}]"
+        );
     }
 }
 
@@ -128,9 +159,19 @@ fn six_loads(seed: u64, slopes: [f64; 5]) -> ScalarVerification {
         }
         let own = if axis == 0 { load } else { 0.0 };
         let cross: f64 = others.iter().zip(slopes).map(|(o, s)| o * s).sum();
-        rows.push((own, 0.8 * own + cross + 0.02 * z(), None, others, Some(20.0 * k as f64)));
+        rows.push((
+            own,
+            0.8 * own + cross + 0.02 * z(),
+            None,
+            others,
+            Some(20.0 * k as f64),
+        ));
     }
-    run(TransducerModel::Linear, &["fx", "fy", "mx", "my", "mz"], rows)
+    run(
+        TransducerModel::Linear,
+        &["fx", "fy", "mx", "my", "mz"],
+        rows,
+    )
 }
 
 #[test]
@@ -144,9 +185,19 @@ fn loads_applied_in_turn_are_named_jointly_and_none_where_there_is_none() {
     );
     assert_eq!(v.document.effects[0].parameters.len(), 5);
     let one = six_loads(2, [0.0, 0.03, 0.0, 0.0, 0.0]);
-    assert_eq!(one.document.effects[0].parameters.len(), 1, "{}", one.document.reason);
+    assert_eq!(
+        one.document.effects[0].parameters.len(),
+        1,
+        "{}",
+        one.document.reason
+    );
     let none = six_loads(3, [0.0; 5]);
-    assert_eq!(none.document.verdict, Verdict::Adequate, "{}", none.document.reason);
+    assert_eq!(
+        none.document.verdict,
+        Verdict::Adequate,
+        "{}",
+        none.document.reason
+    );
     // The floor is that of repeats in every input.
     assert!(v.document.noise_floor.response.unwrap() < 0.03);
 }
@@ -157,7 +208,13 @@ fn readings_at_a_limit_of_the_read_out_are_in_no_fit_and_end_the_calibration() {
         let mut z = noise(5);
         let reading = |k: usize| {
             let x = 10.0 * (k % 11) as f64;
-            (x, f64::min(0.15 + 0.1 * x + 3e-3 * z(), limit), None, Vec::new(), None)
+            (
+                x,
+                f64::min(0.15 + 0.1 * x + 3e-3 * z(), limit),
+                None,
+                Vec::new(),
+                None,
+            )
         };
         linear((0..33).map(reading).collect())
     };
@@ -168,17 +225,31 @@ fn readings_at_a_limit_of_the_read_out_are_in_no_fit_and_end_the_calibration() {
         "{}",
         v.document.reason
     );
-    assert!(v.document.cautions[0].starts_with("6 readings"), "{}", v.document.cautions[0]);
+    assert!(
+        v.document.cautions[0].starts_with("6 readings"),
+        "{}",
+        v.document.cautions[0]
+    );
     assert_eq!(v.model.unwrap().stimulus_range, [0.0, 80.0]);
     let free = gauge(f64::INFINITY);
-    assert_eq!((free.document.cautions.len(), free.model.unwrap().stimulus_range), (0, [0.0, 100.0]));
+    assert_eq!(
+        (
+            free.document.cautions.len(),
+            free.model.unwrap().stimulus_range
+        ),
+        (0, [0.0, 100.0])
+    );
 }
 
 #[test]
 fn few_readings_and_as_many_stimuli_as_coefficients_are_cautions() {
     let at = |x: Vec<f64>, seed: u64| {
         let mut z = noise(seed);
-        linear(x.into_iter().map(|x| (x, 4.0 + 1.6 * x + 2e-3 * z(), None, Vec::new(), None)).collect())
+        linear(
+            x.into_iter()
+                .map(|x| (x, 4.0 + 1.6 * x + 2e-3 * z(), None, Vec::new(), None))
+                .collect(),
+        )
     };
     let mut unknown = 0;
     for seed in 0..40 {
@@ -188,10 +259,23 @@ fn few_readings_and_as_many_stimuli_as_coefficients_are_cautions() {
     }
     // A clean session is called otherwise in 2.5 %: six of forty have a chance of 1e-4.
     assert!(unknown < 6, "{unknown} of 40");
-    assert_eq!(at(vec![0.0, 1.0, 2.0], 1).document.verdict, Verdict::Refused);
+    assert_eq!(
+        at(vec![0.0, 1.0, 2.0], 1).document.verdict,
+        Verdict::Refused
+    );
     let two = at((0..20).map(|k| 5.0 * f64::from(k / 10)).collect(), 1);
-    assert!(two.document.cautions[0].contains("test nothing of the law"), "{:?}", two.document.cautions);
-    assert_eq!(at((0..20).map(|k| f64::from(k % 10)).collect(), 1).document.cautions.len(), 0);
+    assert!(
+        two.document.cautions[0].contains("test nothing of the law"),
+        "{:?}",
+        two.document.cautions
+    );
+    assert_eq!(
+        at((0..20).map(|k| f64::from(k % 10)).collect(), 1)
+            .document
+            .cautions
+            .len(),
+        0
+    );
 }
 
 #[test]
@@ -216,15 +300,20 @@ fn what_counts_the_readings_is_no_stimulus() {
 /// What noise may have swallowed is never adequate without a word: a zero that moved and came back, and one gross reading of few.
 #[test]
 fn noise_that_may_be_none_is_a_caution() {
-    let silent =
-        |v: &ScalarVerification| v.document.verdict == Verdict::Adequate && v.document.cautions.is_empty();
+    let silent = |v: &ScalarVerification| {
+        v.document.verdict == Verdict::Adequate && v.document.cautions.is_empty()
+    };
     let (mut leaned_on, mut gross) = (Vec::new(), Vec::new());
     for seed in 0..6 {
         let timed = |moved: f64| {
             let mut n = noise(seed);
             let row = |k: usize| {
                 let (x, t_s) = ((k * 3 % 7) as f64, 20.0 * k as f64);
-                let zero = if (300.0..520.0).contains(&t_s) { moved } else { 0.0 };
+                let zero = if (300.0..520.0).contains(&t_s) {
+                    moved
+                } else {
+                    0.0
+                };
                 (x, 0.2 * x + zero + 0.003 * n(), None, Vec::new(), Some(t_s))
             };
             linear((0..49).map(row).collect())
@@ -234,7 +323,13 @@ fn noise_that_may_be_none_is_a_caution() {
             let mut n = noise(40 + seed);
             let row = |k: usize| {
                 let (x, off) = (10.0 * (k % 11) as f64, if k == 4 { wrong } else { 0.0 });
-                (x, 1.0 + 0.05 * x + off + 0.004 * n(), None, Vec::new(), None)
+                (
+                    x,
+                    1.0 + 0.05 * x + off + 0.004 * n(),
+                    None,
+                    Vec::new(),
+                    None,
+                )
             };
             linear((0..22).map(row).collect())
         };
@@ -261,15 +356,32 @@ fn the_place_of_a_step_is_known_to_the_readings_beside_it() {
                 (x, 0.2 * x + zero + sd(k) * n(), None, Vec::new(), Some(t_s))
             };
             let stated = |k: usize| Some(sd(k) / 0.2).filter(|_| coarse > 1.0);
-            stating(TransducerModel::Linear, &[], (0..36).map(row).collect(), &stated)
+            stating(
+                TransducerModel::Linear,
+                &[],
+                (0..36).map(row).collect(),
+                &stated,
+            )
         };
         let all: Vec<ScalarVerification> = (0..6).map(found).collect();
-        let steps: Vec<[f64; 2]> =
-            all.iter().filter(|v| names(v) == ["step"]).map(|v| parameter(v, "place").1).collect();
+        let steps: Vec<[f64; 2]> = all
+            .iter()
+            .filter(|v| names(v) == ["step"])
+            .map(|v| parameter(v, "place").1)
+            .collect();
         println!("{coarse}: {steps:?}");
-        assert!(steps.len() >= 5 && steps.iter().all(|[from, to]| *from <= 920.0 && 920.0 <= *to));
+        assert!(
+            steps.len() >= 5
+                && steps
+                    .iter()
+                    .all(|[from, to]| *from <= 920.0 && 920.0 <= *to)
+        );
         // Ten standard deviations: the two readings beside it (both good ones), and no wider.
-        assert!(steps.iter().all(|[from, to]| (44.0..=46.0).contains(&(to - from))));
+        assert!(
+            steps
+                .iter()
+                .all(|[from, to]| (44.0..=46.0).contains(&(to - from)))
+        );
     }
 }
 
@@ -286,7 +398,13 @@ fn a_delay_that_begins_in_motion_is_a_delay() {
         };
         let row = |k: usize| {
             let t_s = 4.0 * k as f64;
-            (stimulus(t_s), 0.01 * stimulus(t_s - late_s) + 0.008 * n(), None, Vec::new(), Some(t_s))
+            (
+                stimulus(t_s),
+                0.01 * stimulus(t_s - late_s) + 0.008 * n(),
+                None,
+                Vec::new(),
+                Some(t_s),
+            )
         };
         linear((0..200).map(row).collect())
     };
@@ -300,7 +418,12 @@ fn a_delay_that_begins_in_motion_is_a_delay() {
         );
         // Control: in step with its stimulus nothing is late.
         let v = record(seed, 0.0, from_rest);
-        assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
+        assert_eq!(
+            v.document.verdict,
+            Verdict::Adequate,
+            "{seed}: {}",
+            v.document.reason
+        );
     }
 }
 
@@ -313,8 +436,18 @@ fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
         let row = |k: usize| {
             let (before, bath) = (baths[k.saturating_sub(1) / 40], baths[k / 40]);
             let toward = |from: f64, to: f64, s: f64| to + (from - to) * (-s / time_constant).exp();
-            shown = toward(toward(shown, before, 5.0 * moment), bath, 5.0 * (1.0 - moment));
-            (bath, shown + 0.2 * n(), None, Vec::new(), Some(5.0 * k as f64))
+            shown = toward(
+                toward(shown, before, 5.0 * moment),
+                bath,
+                5.0 * (1.0 - moment),
+            );
+            (
+                bath,
+                shown + 0.2 * n(),
+                None,
+                Vec::new(),
+                Some(5.0 * k as f64),
+            )
         };
         linear((0..240).map(row).collect())
     };
@@ -322,12 +455,20 @@ fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
         let v = record(seed, moment, 25.0);
         assert_eq!(names(&v), ["lag"], "{seed}: {}", v.document.reason);
         let (constant, interval) = parameter(&v, "time_constant");
-        assert!((constant - 25.0).abs() < 0.3 && interval[1] - interval[0] < 0.6, "{constant} {interval:?}");
+        assert!(
+            (constant - 25.0).abs() < 0.3 && interval[1] - interval[0] < 0.6,
+            "{constant} {interval:?}"
+        );
         let (found, _) = parameter(&v, "moment_of_step");
         assert!((found - moment).abs() < 0.06, "{seed}: {found}");
         // Control: a thermometer that follows at once, in a bath that was there before the reading.
         let v = record(seed, moment.min(0.5), 0.1);
-        assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
+        assert_eq!(
+            v.document.verdict,
+            Verdict::Adequate,
+            "{seed}: {}",
+            v.document.reason
+        );
     }
 }
 
@@ -340,9 +481,19 @@ fn creep_before_the_first_reading_is_in_its_interval() {
         let row = |k: usize| {
             let (before, after) = (load(k.saturating_sub(1)), load(k));
             let toward = |from: f64, to: f64, s: f64| to + (from - to) * (-s / 60.0f64).exp();
-            slow = toward(toward(slow, before, gap_s * moment), after, gap_s * (1.0 - moment));
+            slow = toward(
+                toward(slow, before, gap_s * moment),
+                after,
+                gap_s * (1.0 - moment),
+            );
             let response = 0.02 * (0.98 * after + 0.02 * slow);
-            (after, response + 2e-4 * n(), None, Vec::new(), Some(gap_s * k as f64))
+            (
+                after,
+                response + 2e-4 * n(),
+                None,
+                Vec::new(),
+                Some(gap_s * k as f64),
+            )
         };
         let v = linear((0..280).map(row).collect());
         assert_eq!(names(&v), ["creep"], "{seed}: {}", v.document.reason);
@@ -350,10 +501,16 @@ fn creep_before_the_first_reading_is_in_its_interval() {
     };
     for (seed, moment) in [(1, 0.0), (2, 0.5), (3, 1.0)] {
         let [from, to] = record(seed, moment, 30.0);
-        assert!(from < 0.0205 && 0.0195 < to && to - from < 0.015, "{moment}: {from} to {to}");
+        assert!(
+            from < 0.0205 && 0.0195 < to && to - from < 0.015,
+            "{moment}: {from} to {to}"
+        );
         // Control: readings that follow each other closely leave little unseen.
         let [from, to] = record(seed, moment, 5.0);
-        assert!(to - from < 0.003 && from < 0.0205 && 0.0195 < to, "{moment}: {from} to {to}");
+        assert!(
+            to - from < 0.003 && from < 0.0205 && 0.0195 < to,
+            "{moment}: {from} to {to}"
+        );
     }
 }
 
@@ -364,11 +521,20 @@ fn a_loop_beside_a_drift_is_found_by_its_own_law() {
         let mut n = noise(seed);
         let row = |k: usize| {
             let step = k % 16;
-            let (x, way) =
-                if step <= 8 { (20.0 * step as f64, 1.0) } else { (20.0 * (16 - step) as f64, -1.0) };
+            let (x, way) = if step <= 8 {
+                (20.0 * step as f64, 1.0)
+            } else {
+                (20.0 * (16 - step) as f64, -1.0)
+            };
             let (u, t_s) = (x / 160.0, 45.0 * k as f64);
             let loop_mv = -0.16 * way * u * (1.0 - u);
-            (x, 0.1 + 0.05 * x + loop_mv + rate * t_s + 0.006 * n(), None, Vec::new(), Some(t_s))
+            (
+                x,
+                0.1 + 0.05 * x + loop_mv + rate * t_s + 0.006 * n(),
+                None,
+                Vec::new(),
+                Some(t_s),
+            )
         };
         linear((0..65).map(row).collect())
     };
@@ -399,12 +565,26 @@ fn predictions_of_a_rounded_read_out_hold_its_rounding() {
         let mut n = noise(3);
         let row = |k: usize| {
             let x = (k % 11) as f64;
-            (x, ((0.3 * x + 0.01 * n()) * digits).round() / digits, None, Vec::new(), None)
+            (
+                x,
+                ((0.3 * x + 0.01 * n()) * digits).round() / digits,
+                None,
+                Vec::new(),
+                None,
+            )
         };
-        linear((0..44).map(row).collect()).model.unwrap().variance.sqrt()
+        linear((0..44).map(row).collect())
+            .model
+            .unwrap()
+            .variance
+            .sqrt()
     };
     // Uniform within a digit of 0.1; control: fine digits leave the noise.
-    assert!((width(10.0) - 0.1 / 12f64.sqrt()).abs() < 2e-3, "{}", width(10.0));
+    assert!(
+        (width(10.0) - 0.1 / 12f64.sqrt()).abs() < 2e-3,
+        "{}",
+        width(10.0)
+    );
     assert!((0.007..0.013).contains(&width(1e4)), "{}", width(1e4));
 }
 
@@ -418,12 +598,26 @@ fn what_runs_with_a_recorded_column_is_never_noise_without_a_word() {
             let (t_s, x) = (25.0 * k as f64, 2.0 * (k * 5 % 7) as f64);
             let swing = 2.5 * (t_s / 210.0 + 0.5).sin() + 0.02 * n();
             let step = if k > 26 { 0.05 } else { 0.0 };
-            (x, 0.1 + 0.8 * x + per_kelvin * swing + step + 0.006 * n(), None, vec![swing], Some(t_s))
+            (
+                x,
+                0.1 + 0.8 * x + per_kelvin * swing + step + 0.006 * n(),
+                None,
+                vec![swing],
+                Some(t_s),
+            )
         };
-        run(TransducerModel::Linear, &["ambient"], (0..70).map(row).collect())
+        run(
+            TransducerModel::Linear,
+            &["ambient"],
+            (0..70).map(row).collect(),
+        )
     };
     let is_named = |v: &ScalarVerification| {
-        names(v).contains(&"cross-axis") || v.document.cautions.iter().any(|c| c.contains("follow ambient"))
+        names(v).contains(&"cross-axis")
+            || v.document
+                .cautions
+                .iter()
+                .any(|c| c.contains("follow ambient"))
     };
     let (mut silent, mut by_name, mut false_words) = (0, 0, 0);
     for seed in 0..8 {
@@ -435,5 +629,8 @@ fn what_runs_with_a_recorded_column_is_never_noise_without_a_word() {
         false_words += usize::from(is_named(&session(seed, 0.0)));
     }
     println!("silent {silent}, by name {by_name}, without cause {false_words} of 8");
-    assert!(silent == 0 && by_name >= 2 && false_words == 0, "{silent} {by_name} {false_words}");
+    assert!(
+        silent == 0 && by_name >= 2 && false_words == 0,
+        "{silent} {by_name} {false_words}"
+    );
 }

@@ -23,20 +23,39 @@ fn a_step_over_the_stimulus_is_named_and_what_is_rejected_is_never_adequate() {
     for n in [10, 17, 25, 40, 80, 160] {
         for (at, height) in [(0.47, 20.0), (0.47, 136.0), (0.63, 136.0)] {
             let v = stepped(n, at, height);
-            assert!(v.document.verdict != Verdict::Adequate, "{n} {at} {height}: {}", v.document.reason);
+            assert!(
+                v.document.verdict != Verdict::Adequate,
+                "{n} {at} {height}: {}",
+                v.document.reason
+            );
             if names(&v) == ["step"] {
                 let [from, to] = parameter(&v, "place").1;
                 assert!((from..=to).contains(&(10.0 * at)), "{n} {at}: {from} {to}");
             } else {
                 // 160 readings: the noise beside it may be something, too.
-                assert!(n > 80 && names(&v).contains(&"step"), "{n} {at} {height}: {}", v.document.reason);
+                assert!(
+                    n > 80 && names(&v).contains(&"step"),
+                    "{n} {at} {height}: {}",
+                    v.document.reason
+                );
             }
         }
         // Controls: no step; and one of few noises is named, or unknown where a test rejects, and adequate where none does.
-        assert_eq!(stepped(n, 0.47, 0.0).document.verdict, Verdict::Adequate, "{n}");
+        assert_eq!(
+            stepped(n, 0.47, 0.0).document.verdict,
+            Verdict::Adequate,
+            "{n}"
+        );
         let v = stepped(n, 0.47, 5.0);
-        let rejected = v.gates.unwrap()[0].iter().zip([0.01, 0.005, 0.002]).any(|(p, level)| *p < level);
-        assert!(!(rejected && v.document.verdict == Verdict::Adequate), "{n}: {}", v.document.reason);
+        let rejected = v.gates.unwrap()[0]
+            .iter()
+            .zip([0.01, 0.005, 0.002])
+            .any(|(p, level)| *p < level);
+        assert!(
+            !(rejected && v.document.verdict == Verdict::Adequate),
+            "{n}: {}",
+            v.document.reason
+        );
     }
 }
 
@@ -51,7 +70,11 @@ fn what_is_loaded_by_itself_and_a_load_that_stays_keep_their_names() {
             let moved = slope * load + if load == 4.0 { alone } else { 0.0 };
             (x, 0.8 * x + moved + 0.02 * z(), None, vec![load], None)
         };
-        run(TransducerModel::Linear, &["fx"], main.chain(other).map(row).collect())
+        run(
+            TransducerModel::Linear,
+            &["fx"],
+            main.chain(other).map(row).collect(),
+        )
     };
     let v = axis(0.015, 0.0);
     assert_eq!(names(&v), ["cross-axis"], "{}", v.document.reason);
@@ -84,14 +107,26 @@ fn zeros_of_series_are_taken_off_the_repeats() {
         let row = |k: usize| {
             let (x, series) = ((k % 10) as f64, k / 10);
             let place = if k % 10 == 4 { off } else { 0.0 };
-            (x, 0.3 + 2.0 * x + zeros[series] + place + 0.05 * z(), Some(1 + series as u32), Vec::new(), None)
+            (
+                x,
+                0.3 + 2.0 * x + zeros[series] + place + 0.05 * z(),
+                Some(1 + series as u32),
+                Vec::new(),
+                None,
+            )
         };
         linear((0..80).map(row).collect())
     };
     let clean: Vec<ScalarVerification> = (0..12).map(|seed| of(seed, 0.0)).collect();
-    let dof: Vec<[f64; 2]> =
-        clean.iter().filter_map(|v| v.lack_of_fit_after).map(|l| [l.dof, l.pure_dof]).collect();
-    assert!(dof.iter().filter(|d| **d == [8.0, 63.0]).count() >= 11, "{dof:?}");
+    let dof: Vec<[f64; 2]> = clean
+        .iter()
+        .filter_map(|v| v.lack_of_fit_after)
+        .map(|l| [l.dof, l.pure_dof])
+        .collect();
+    assert!(
+        dof.iter().filter(|d| **d == [8.0, 63.0]).count() >= 11,
+        "{dof:?}"
+    );
     let right = clean
         .iter()
         .filter(|v| v.document.verdict == Verdict::Effect && names(v) == ["zero-by-series"])

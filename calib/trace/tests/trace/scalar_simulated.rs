@@ -3,7 +3,9 @@
 use super::Noise;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
-use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
+use wcal_core::observation::{
+    AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow,
+};
 use wcal_core::verify_document::{HoldoutOutcome, Verdict};
 use wcal_core::{Sealed, SealedRows};
 use wcal_trace::method::options::Options;
@@ -26,7 +28,11 @@ fn triangles(cycles: usize, half: usize, rng: &mut Noise) -> Vec<Reading> {
     (0..n)
         .map(|k| {
             let place = (k % (2 * half)) as f64 / half as f64;
-            let (x, direction) = if place < 1.0 { (10.0 * place, 1.0) } else { (10.0 * (2.0 - place), -1.0) };
+            let (x, direction) = if place < 1.0 {
+                (10.0 * place, 1.0)
+            } else {
+                (10.0 * (2.0 - place), -1.0)
+            };
             Reading {
                 x,
                 t_s: 2.0 * k as f64,
@@ -95,7 +101,12 @@ fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> 
 
 fn quick(seed: u64) -> VerifyRequest {
     VerifyRequest {
-        search: Options { seed, draws: 400, largest: 2, ..Options::default() },
+        search: Options {
+            seed,
+            draws: 400,
+            largest: 2,
+            ..Options::default()
+        },
         ..VerifyRequest::default()
     }
 }
@@ -106,7 +117,9 @@ fn run(data: ScalarData, seed: u64) -> ScalarVerification {
 
 /// Upper end of the one-sided 95 % interval of a rate (Clopper & Pearson).
 fn upper95(hits: usize, draws: usize) -> f64 {
-    Beta::new(hits as f64 + 1.0, (draws - hits) as f64).unwrap().inverse_cdf(0.95)
+    Beta::new(hits as f64 + 1.0, (draws - hits) as f64)
+        .unwrap()
+        .inverse_cdf(0.95)
 }
 
 #[test]
@@ -121,7 +134,9 @@ fn nothing_is_named_in_null_sessions() {
                 0 => {
                     let mut data = {
                         let sweep = triangles(1, 12 + (seed % 7) as usize, &mut rng);
-                        transducer(&sweep, TransducerModel::Linear, |r| 0.1 + 0.2 * r.x + 1e-3 * rng.next())
+                        transducer(&sweep, TransducerModel::Linear, |r| {
+                            0.1 + 0.2 * r.x + 1e-3 * rng.next()
+                        })
                     };
                     data.covariates.clear();
                     for r in &mut data.rows {
@@ -147,11 +162,28 @@ fn nothing_is_named_in_null_sessions() {
             (v.document.verdict, named)
         })
         .collect();
-    let named: Vec<&Vec<String>> = outcomes.iter().map(|o| &o.1).filter(|n| !n.is_empty()).collect();
-    let unknown = outcomes.iter().filter(|o| o.0 == Verdict::UnknownEffect && o.1.is_empty()).count();
-    println!("named {} unknown {unknown} of {DRAWS}: {named:?}", named.len());
-    assert!(upper95(named.len(), DRAWS) <= 0.05, "{} of {DRAWS}", named.len());
-    assert!(upper95(unknown, DRAWS) <= 0.05, "{unknown} of {DRAWS} unknown");
+    let named: Vec<&Vec<String>> = outcomes
+        .iter()
+        .map(|o| &o.1)
+        .filter(|n| !n.is_empty())
+        .collect();
+    let unknown = outcomes
+        .iter()
+        .filter(|o| o.0 == Verdict::UnknownEffect && o.1.is_empty())
+        .count();
+    println!(
+        "named {} unknown {unknown} of {DRAWS}: {named:?}",
+        named.len()
+    );
+    assert!(
+        upper95(named.len(), DRAWS) <= 0.05,
+        "{} of {DRAWS}",
+        named.len()
+    );
+    assert!(
+        upper95(unknown, DRAWS) <= 0.05,
+        "{unknown} of {DRAWS} unknown"
+    );
 }
 
 /// Share of `draws` sessions in which `id` is named alone, or with its class; prints what else came.
@@ -181,8 +213,9 @@ fn share(id: &str, draws: u64, make: impl Fn(u64) -> ScalarVerification + Sync) 
 fn linear_with(seed: u64, extra: impl Fn(&Reading) -> f64) -> ScalarVerification {
     let mut rng = Noise::new(seed);
     let sweep = triangles(3, 20, &mut rng);
-    let data =
-        transducer(&sweep, TransducerModel::Linear, |r| 0.1 + 0.2 * r.x + extra(r) + 0.01 * rng.next());
+    let data = transducer(&sweep, TransducerModel::Linear, |r| {
+        0.1 + 0.2 * r.x + extra(r) + 0.01 * rng.next()
+    });
     run(ScalarData::Transducer(&data), seed)
 }
 
@@ -198,7 +231,9 @@ fn additive_effects_of_a_transducer_are_named() {
     check("nonlinearity-cubic", &|r| 0.0008 * (r.x - 5.0).powi(3));
     check("saturation", &|r| -0.1 * (r.x - 7.3).max(0.0));
     check("dead-zone", &|r| -0.2 * r.x.min(1.3));
-    check("periodic", &|r| 0.015 * (std::f64::consts::TAU * r.x / 1.37).sin());
+    check("periodic", &|r| {
+        0.015 * (std::f64::consts::TAU * r.x / 1.37).sin()
+    });
     check("drift", &|r| 3e-4 * r.t_s);
     check("temperature", &|r| 0.015 * r.rise);
     check("step", &|r| if r.t_s > 133.0 { 0.02 } else { 0.0 });
@@ -240,7 +275,10 @@ fn memory_effects_of_a_transducer_are_named() {
             let place = (t / 40.0).rem_euclid(2.0);
             10.0 * if place < 1.0 { place } else { 2.0 - place }
         };
-        sweep.iter().map(|r| if r.t_s < 1.4 { 0.0 } else { x(r.t_s - 1.4) }).collect()
+        sweep
+            .iter()
+            .map(|r| if r.t_s < 1.4 { 0.0 } else { x(r.t_s - 1.4) })
+            .collect()
     };
     let play = |sweep: &[Reading]| -> Vec<f64> {
         let mut held: f64 = 0.0;
@@ -268,15 +306,19 @@ fn noise_effects_are_named() {
     let grows = share("heteroscedastic-noise", DRAWS, |seed| {
         let mut rng = Noise::new(seed);
         let sweep = triangles(3, 20, &mut rng);
-        let data =
-            transducer(&sweep, TransducerModel::Linear, |r| 0.2 * r.x + (0.001 + 0.004 * r.x) * rng.next());
+        let data = transducer(&sweep, TransducerModel::Linear, |r| {
+            0.2 * r.x + (0.001 + 0.004 * r.x) * rng.next()
+        });
         run(ScalarData::Transducer(&data), seed)
     });
     let single = share("outliers", DRAWS, |seed| {
-        linear_with(
-            seed,
-            |r| if (r.t_s - 58.0).abs() < 0.1 || (r.t_s - 140.0).abs() < 0.1 { 0.15 } else { 0.0 },
-        )
+        linear_with(seed, |r| {
+            if (r.t_s - 58.0).abs() < 0.1 || (r.t_s - 140.0).abs() < 0.1 {
+                0.15
+            } else {
+                0.0
+            }
+        })
     });
     assert!(grows >= 0.8 && single >= 0.8, "{grows} {single}");
 }
@@ -297,8 +339,13 @@ fn effects_of_an_axis_are_named() {
     // Swept up and down three times, a slope is close to a wave in time or order and to a cubic: it is named alone in about half the
     // draws, and otherwise the set must hold it.
     let in_set = |id: &str, error: &(dyn Fn(&Reading) -> f64 + Sync)| {
-        let holds =
-            |seed: &u64| with(*seed, error).document.alternatives.iter().any(|a| a == &[id.to_owned()]);
+        let holds = |seed: &u64| {
+            with(*seed, error)
+                .document
+                .alternatives
+                .iter()
+                .any(|a| a == &[id.to_owned()])
+        };
         let kept = (0..14u64).into_par_iter().filter(holds).count();
         println!("{id} in the set: {kept} of 14");
         assert!(kept >= 12, "{id}: {kept}");
@@ -307,7 +354,9 @@ fn effects_of_an_axis_are_named() {
     // The temperature of these sessions is itself a wave in time.
     in_set("temperature", &|r| 1.2 * r.rise);
     check("backlash", &|r| if r.direction < 0.0 { 3.0 } else { 0.0 });
-    check("periodic", &|r| 1.5 * (std::f64::consts::TAU * r.x / 0.6096 + 0.7).sin());
+    check("periodic", &|r| {
+        1.5 * (std::f64::consts::TAU * r.x / 0.6096 + 0.7).sin()
+    });
     check("drift", &|r| 0.02 * r.t_s);
 }
 
@@ -317,9 +366,20 @@ fn straight_line(x: &[f64], y: &[f64]) -> [f64; 3] {
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
     let (mx, my) = (mean(x), mean(y));
     let sxx: f64 = x.iter().map(|v| (v - mx).powi(2)).sum();
-    let slope = x.iter().zip(y).map(|(a, b)| (a - mx) * (b - my)).sum::<f64>() / sxx;
-    let left: f64 = x.iter().zip(y).map(|(a, b)| (b - my - slope * (a - mx)).powi(2)).sum();
-    let t = statrs::distribution::StudentsT::new(0.0, 1.0, n - 2.0).unwrap().inverse_cdf(0.975);
+    let slope = x
+        .iter()
+        .zip(y)
+        .map(|(a, b)| (a - mx) * (b - my))
+        .sum::<f64>()
+        / sxx;
+    let left: f64 = x
+        .iter()
+        .zip(y)
+        .map(|(a, b)| (b - my - slope * (a - mx)).powi(2))
+        .sum();
+    let t = statrs::distribution::StudentsT::new(0.0, 1.0, n - 2.0)
+        .unwrap()
+        .inverse_cdf(0.975);
     let half = t * (left / (n - 2.0) / sxx).sqrt();
     [slope, slope - half, slope + half]
 }
@@ -336,18 +396,38 @@ fn the_interval_of_a_scale_is_the_one_of_the_straight_line() {
             let v = run(ScalarData::Axis(&data), seed);
             let p = &v.document.effects[0].parameters[0];
             let x: Vec<f64> = data.rows.iter().map(|r| r.commanded_mm).collect();
-            let y: Vec<f64> = data.rows.iter().map(|r| r.measured_mm - r.commanded_mm).collect();
-            (p.name == "relative_scale" && v.document.effects.len() == 1)
-                .then(|| ([p.value, p.interval95[0], p.interval95[1]], straight_line(&x, &y)))
+            let y: Vec<f64> = data
+                .rows
+                .iter()
+                .map(|r| r.measured_mm - r.commanded_mm)
+                .collect();
+            (p.name == "relative_scale" && v.document.effects.len() == 1).then(|| {
+                (
+                    [p.value, p.interval95[0], p.interval95[1]],
+                    straight_line(&x, &y),
+                )
+            })
         })
         .collect();
     assert!(found.len() >= 20, "{}", found.len());
-    let covered = found.iter().filter(|(_, line)| line[1] <= 4e-4 && 4e-4 <= line[2]).count();
-    println!("the textbook's intervals cover {covered} of {}", found.len());
+    let covered = found
+        .iter()
+        .filter(|(_, line)| line[1] <= 4e-4 && 4e-4 <= line[2])
+        .count();
+    println!(
+        "the textbook's intervals cover {covered} of {}",
+        found.len()
+    );
     for (stated, line) in found {
         let width = line[2] - line[1];
         // Ends that are off by 2 % of the width (0.08 sd) change the coverage by less than 1 %.
-        assert!(stated.iter().zip(line).all(|(a, b)| (a - b).abs() < 0.02 * width), "{stated:?} {line:?}");
+        assert!(
+            stated
+                .iter()
+                .zip(line)
+                .all(|(a, b)| (a - b).abs() < 0.02 * width),
+            "{stated:?} {line:?}"
+        );
     }
 }
 
@@ -361,13 +441,22 @@ fn sealed_readings_are_predicted_and_never_fitted() {
     let held_out = data.rows.split_off(90);
     let run = |held_out: Vec<TransducerRow>| {
         let sealed = ScalarData::sealed(SealedRows::Transducer(Sealed::new(held_out)));
-        verify_scalar("simulated", ScalarData::Transducer(&data), sealed, &quick(1)).unwrap()
+        verify_scalar(
+            "simulated",
+            ScalarData::Transducer(&data),
+            sealed,
+            &quick(1),
+        )
+        .unwrap()
     };
     let clean = run(held_out.clone());
     assert_eq!(clean.document.after.as_ref().unwrap().split, "holdout");
     assert_eq!(clean.document.after.as_ref().unwrap().points, 30);
     // Sealed readings spoilt: every fitted value stays, only the held-out error gets worse.
-    let moved = |r: TransducerRow| TransducerRow { response: r.response + 1.0, ..r };
+    let moved = |r: TransducerRow| TransducerRow {
+        response: r.response + 1.0,
+        ..r
+    };
     let spoilt = run(held_out.into_iter().map(moved).collect());
     assert_eq!(clean.residual_sd, spoilt.residual_sd);
     assert_eq!(clean.document.effects, spoilt.document.effects);
@@ -380,7 +469,10 @@ fn sealed_readings_are_predicted_and_never_fitted() {
         (HoldoutOutcome::Confirmed, HoldoutOutcome::Contradicted)
     );
     assert_eq!(clean.document.verdict, spoilt.document.verdict);
-    assert_eq!(clean.document.holdout.decision_sha256, spoilt.document.holdout.decision_sha256);
+    assert_eq!(
+        clean.document.holdout.decision_sha256,
+        spoilt.document.holdout.decision_sha256
+    );
 }
 
 #[test]
@@ -389,19 +481,46 @@ fn poor_data_are_refused_or_narrowed() {
     let sweep = triangles(2, 10, &mut rng);
     let mut data = transducer(&sweep, TransducerModel::Linear, |r| r.x + 0.01 * rng.next());
     let full = run(ScalarData::Transducer(&data), 1);
-    assert!(full.document.detectable.iter().any(|d| d.id == "drift" && d.status == "testable"));
-    assert!(full.document.detectable.iter().any(|d| d.id == "scale" && d.status == "absorbed"));
+    assert!(
+        full.document
+            .detectable
+            .iter()
+            .any(|d| d.id == "drift" && d.status == "testable")
+    );
+    assert!(
+        full.document
+            .detectable
+            .iter()
+            .any(|d| d.id == "scale" && d.status == "absorbed")
+    );
     for r in &mut data.rows {
         (r.t_s, r.temperature_degc, r.direction) = (None, None, None);
     }
     // In the order of strokes the rows themselves tell the direction.
     let strokes = run(ScalarData::Transducer(&data), 1);
-    assert!(strokes.document.detectable.iter().any(|d| d.id == "hysteresis" && d.status == "testable"));
-    assert!(strokes.document.notes.iter().any(|n| n.contains("order of the readings")));
+    assert!(
+        strokes
+            .document
+            .detectable
+            .iter()
+            .any(|d| d.id == "hysteresis" && d.status == "testable")
+    );
+    assert!(
+        strokes
+            .document
+            .notes
+            .iter()
+            .any(|n| n.contains("order of the readings"))
+    );
     data.rows = (0..40).map(|k| data.rows[k * 7 % 40].clone()).collect();
     let narrow = run(ScalarData::Transducer(&data), 1);
     for id in ["hysteresis", "backlash", "temperature", "lag", "creep"] {
-        let row = narrow.document.detectable.iter().find(|d| d.id == id).unwrap();
+        let row = narrow
+            .document
+            .detectable
+            .iter()
+            .find(|d| d.id == id)
+            .unwrap();
         assert_eq!(row.status, "not-observable", "{id}");
         assert!(!row.why.is_empty());
     }
@@ -409,11 +528,20 @@ fn poor_data_are_refused_or_narrowed() {
     for r in &mut constant.rows {
         r.stimulus = 3.0;
     }
-    assert_eq!(run(ScalarData::Transducer(&constant), 1).document.verdict, Verdict::Refused);
+    assert_eq!(
+        run(ScalarData::Transducer(&constant), 1).document.verdict,
+        Verdict::Refused
+    );
     data.rows.truncate(3);
-    assert_eq!(run(ScalarData::Transducer(&data), 1).document.verdict, Verdict::Refused);
+    assert_eq!(
+        run(ScalarData::Transducer(&data), 1).document.verdict,
+        Verdict::Refused
+    );
     data.rows.clear();
-    assert_eq!(run(ScalarData::Transducer(&data), 1).document.verdict, Verdict::Refused);
+    assert_eq!(
+        run(ScalarData::Transducer(&data), 1).document.verdict,
+        Verdict::Refused
+    );
 }
 
 #[test]
@@ -421,7 +549,10 @@ fn an_exact_line_is_adequate() {
     let mut rng = Noise::new(1);
     let sweep = triangles(2, 10, &mut rng);
     let data = transducer(&sweep, TransducerModel::Linear, |r| 0.5 + 0.3 * r.x);
-    assert_eq!(run(ScalarData::Transducer(&data), 1).document.verdict, Verdict::Adequate);
+    assert_eq!(
+        run(ScalarData::Transducer(&data), 1).document.verdict,
+        Verdict::Adequate
+    );
 }
 
 #[test]

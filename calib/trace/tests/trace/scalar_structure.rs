@@ -38,27 +38,47 @@ fn table(
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,
-        covariates: ["a", "b", "c"].iter().take(columns.len()).map(|n| (*n).to_owned()).collect(),
+        covariates: ["a", "b", "c"]
+            .iter()
+            .take(columns.len())
+            .map(|n| (*n).to_owned())
+            .collect(),
         rows: stimuli.iter().enumerate().map(row).collect(),
     }
 }
 
 fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
     let options = VerifyRequest {
-        search: Options { seed, draws: 400, ..Options::default() },
+        search: Options {
+            seed,
+            draws: 400,
+            ..Options::default()
+        },
         ..VerifyRequest::default()
     };
-    verify_scalar("simulated", ScalarData::Transducer(data), Sealed::default(), &options).unwrap()
+    verify_scalar(
+        "simulated",
+        ScalarData::Transducer(data),
+        Sealed::default(),
+        &options,
+    )
+    .unwrap()
 }
 
 fn value<'a>(v: &'a ScalarVerification, name: &str) -> Option<&'a EffectParameter> {
-    v.document.effects.iter().flat_map(|e| &e.parameters).find(|p| p.name == name)
+    v.document
+        .effects
+        .iter()
+        .flat_map(|e| &e.parameters)
+        .find(|p| p.name == name)
 }
 
 /// `sweeps` times from `low` to `high` and back in `half` steps.
 fn triangles(low: f64, high: f64, half: usize, sweeps: usize) -> Vec<f64> {
     let place = |k: usize| (k % (2 * half)) as f64 / half as f64;
-    (0..2 * half * sweeps).map(|k| low + (high - low) * (1.0 - (place(k) - 1.0).abs())).collect()
+    (0..2 * half * sweeps)
+        .map(|k| low + (high - low) * (1.0 - (place(k) - 1.0).abs()))
+        .collect()
 }
 
 /// Share of `draws` seeds for which `holds`.
@@ -74,16 +94,33 @@ fn a_name_that_rests_on_one_level_is_none() {
         let mut rng = Noise::new(seed);
         let wrong = if seed.is_multiple_of(2) { 11.0 } else { 0.0 };
         let shift = |x: f64| if x == wrong { 0.08 } else { 0.0 };
-        run(&table(&loads, false, &[], |_, x| 0.2 * x + shift(x) + 0.01 * rng.next()), seed)
+        run(
+            &table(&loads, false, &[], |_, x| {
+                0.2 * x + shift(x) + 0.01 * rng.next()
+            }),
+            seed,
+        )
     };
     let found: Vec<ScalarVerification> = (0..12u64).into_par_iter().map(moved).collect();
     for v in &found {
-        println!("{:?} {:?} {:?}", v.document.verdict, names(v), v.document.notes);
+        println!(
+            "{:?} {:?} {:?}",
+            v.document.verdict,
+            names(v),
+            v.document.notes
+        );
     }
-    let none = found.iter().filter(|v| names(v).is_empty() && v.document.verdict == Verdict::UnknownEffect);
+    let none = found
+        .iter()
+        .filter(|v| names(v).is_empty() && v.document.verdict == Verdict::UnknownEffect);
     assert!(none.count() >= 11);
     // Of the load at zero a dead zone would be the best description.
-    let said = found.iter().filter(|v| v.document.notes.iter().any(|n| n.contains("rests on one level")));
+    let said = found.iter().filter(|v| {
+        v.document
+            .notes
+            .iter()
+            .any(|n| n.contains("rests on one level"))
+    });
     assert!(said.count() >= 5);
     // Control: the same knee over the last four loads. Another bend may describe it as well on left-out readings; then both are told.
     let knee = |seed: u64| {
@@ -93,13 +130,29 @@ fn a_name_that_rests_on_one_level_is_none() {
     };
     let knees: Vec<ScalarVerification> = (0..12).into_par_iter().map(knee).collect();
     for v in &knees {
-        println!("{:?} {:?} {:?}", v.document.verdict, names(v), v.document.alternatives);
+        println!(
+            "{:?} {:?} {:?}",
+            v.document.verdict,
+            names(v),
+            v.document.alternatives
+        );
     }
-    let named = |v: &&ScalarVerification| v.document.verdict == Verdict::Effect && names(v) == ["saturation"];
-    let among =
-        |v: &&ScalarVerification| v.document.alternatives.iter().any(|a| a.iter().any(|e| e == "saturation"));
+    let named = |v: &&ScalarVerification| {
+        v.document.verdict == Verdict::Effect && names(v) == ["saturation"]
+    };
+    let among = |v: &&ScalarVerification| {
+        v.document
+            .alternatives
+            .iter()
+            .any(|a| a.iter().any(|e| e == "saturation"))
+    };
     let count = |of: &dyn Fn(&&ScalarVerification) -> bool| knees.iter().filter(|v| of(v)).count();
-    assert!(count(&named) >= 9 && count(&among) == 12, "{} {}", count(&named), count(&among));
+    assert!(
+        count(&named) >= 9 && count(&among) == 12,
+        "{} {}",
+        count(&named),
+        count(&among)
+    );
 }
 
 #[test]
@@ -108,11 +161,17 @@ fn a_second_period_stands_beside_the_first() {
     let with = |seed: u64, second: f64| {
         let mut rng = Noise::new(seed);
         let waves = |x: f64| 0.015 * (TAU * x / 1.37).sin() + second * (TAU * x / 0.61 + 1.0).sin();
-        run(&table(&stimuli, true, &[], |_, x| 0.2 * x + waves(x) + 0.01 * rng.next()), seed)
+        run(
+            &table(&stimuli, true, &[], |_, x| {
+                0.2 * x + waves(x) + 0.01 * rng.next()
+            }),
+            seed,
+        )
     };
     let both = share(10, |seed| {
         let v = with(seed, 0.012);
-        let mut periods = [value(&v, "period"), value(&v, "period_2")].map(|p| p.map_or(0.0, |p| p.value));
+        let mut periods =
+            [value(&v, "period"), value(&v, "period_2")].map(|p| p.map_or(0.0, |p| p.value));
         periods.sort_by(f64::total_cmp);
         let near = |p: f64, truth: f64| (p / truth - 1.0).abs() < 0.01;
         names(&v) == ["periodic"] && near(periods[0], 0.61) && near(periods[1], 1.37)
@@ -120,7 +179,9 @@ fn a_second_period_stands_beside_the_first() {
     // Control: one wave has one period.
     let one = share(10, |seed| {
         let v = with(seed, 0.0);
-        names(&v) == ["periodic"] && value(&v, "period").is_some() && value(&v, "period_2").is_none()
+        names(&v) == ["periodic"]
+            && value(&v, "period").is_some()
+            && value(&v, "period_2").is_none()
     });
     assert!(both >= 0.9 && one >= 0.9, "{both} {one}");
 }
@@ -130,19 +191,35 @@ fn each_column_that_acts_is_found_and_predicts() {
     let stimuli = triangles(0.0, 10.0, 20, 3);
     let with = |seed: u64, slopes: [f64; 2]| {
         let mut rng = Noise::new(seed);
-        let columns: Vec<Vec<f64>> = (0..2).map(|_| stimuli.iter().map(|_| rng.next()).collect()).collect();
+        let columns: Vec<Vec<f64>> = (0..2)
+            .map(|_| stimuli.iter().map(|_| rng.next()).collect())
+            .collect();
         let data = table(&stimuli, true, &[&columns[0], &columns[1]], |k, x| {
             0.2 * x + slopes[0] * columns[0][k] + slopes[1] * columns[1][k] + 0.01 * rng.next()
         });
         let v = run(&data, seed);
         let rows: Vec<ScalarRow> = data.rows.iter().map(Into::into).collect();
         let predicted = v.model.as_ref().unwrap().predict(&rows).unwrap();
-        let square: f64 = rows.iter().zip(&predicted).map(|(r, p)| (r.y - p.value).powi(2)).sum();
-        (names(&v) == ["cross-axis"], value(&v, "slope_2").is_some(), (square / rows.len() as f64).sqrt())
+        let square: f64 = rows
+            .iter()
+            .zip(&predicted)
+            .map(|(r, p)| (r.y - p.value).powi(2))
+            .sum();
+        (
+            names(&v) == ["cross-axis"],
+            value(&v, "slope_2").is_some(),
+            (square / rows.len() as f64).sqrt(),
+        )
     };
-    let both = share(7, |s| matches!(with(s, [0.01, 0.02]), (true, true, left) if left < 0.012));
+    let both = share(
+        7,
+        |s| matches!(with(s, [0.01, 0.02]), (true, true, left) if left < 0.012),
+    );
     // Control: the second column alone; its model predicts by that column.
-    let second = share(7, |s| matches!(with(s, [0.0, 0.02]), (true, false, left) if left < 0.012));
+    let second = share(
+        7,
+        |s| matches!(with(s, [0.0, 0.02]), (true, false, left) if left < 0.012),
+    );
     assert!(both >= 0.85 && second >= 0.85, "{both} {second}");
 }
 
@@ -181,7 +258,12 @@ fn a_cubic_about_zero_is_one_effect() {
         share(7, |seed| {
             let mut rng = Noise::new(seed);
             let stimuli = triangles(low, high, 25, 2);
-            let v = run(&table(&stimuli, true, &[], |_, x| 0.2 * x + bend(x) + 0.01 * rng.next()), seed);
+            let v = run(
+                &table(&stimuli, true, &[], |_, x| {
+                    0.2 * x + bend(x) + 0.01 * rng.next()
+                }),
+                seed,
+            );
             if names(&v) != [name] {
                 println!(
                     "{name} {low} {high}: {:?} {:?} {}",
@@ -197,7 +279,14 @@ fn a_cubic_about_zero_is_one_effect() {
     assert!(with(-3.0, 7.0, &cubic, "nonlinearity-cubic") >= 0.8);
     assert!(with(0.0, 10.0, &cubic, "nonlinearity-cubic") >= 0.8);
     // Control: a square keeps its name on the same range.
-    assert!(with(0.0, 10.0, &|x| 0.002 * (x - 5.0).powi(2), "nonlinearity-quadratic") >= 0.8);
+    assert!(
+        with(
+            0.0,
+            10.0,
+            &|x| 0.002 * (x - 5.0).powi(2),
+            "nonlinearity-quadratic"
+        ) >= 0.8
+    );
 }
 
 #[test]
@@ -219,7 +308,12 @@ fn a_response_that_recovers_creeps_backward() {
         let v = run(&data, seed);
         let sign = value(&v, "creep_fraction").map_or(0.0, |p| p.value.signum());
         if names(&v) != ["creep"] {
-            println!("{fraction}: {:?} {:?} {}", v.document.verdict, names(&v), v.document.reason);
+            println!(
+                "{fraction}: {:?} {:?} {}",
+                v.document.verdict,
+                names(&v),
+                v.document.reason
+            );
         }
         (names(&v) == ["creep"]).then_some(sign)
     };
@@ -237,8 +331,14 @@ fn a_squiggle_is_no_period() {
             let mut rng = Noise::new(seed);
             let mut stimuli: Vec<f64> = (0..120).map(|k| f64::from(k) / 12.0).collect();
             stimuli.shuffle(&mut rng.0);
-            let wave = |k: usize| 0.03 * (TAU * cycles * k as f64 / 119.0 + 0.4 * seed as f64).sin();
-            let v = run(&table(&stimuli, true, &[], |k, x| 0.2 * x + wave(k) + 0.01 * rng.next()), seed);
+            let wave =
+                |k: usize| 0.03 * (TAU * cycles * k as f64 / 119.0 + 0.4 * seed as f64).sin();
+            let v = run(
+                &table(&stimuli, true, &[], |k, x| {
+                    0.2 * x + wave(k) + 0.01 * rng.next()
+                }),
+                seed,
+            );
             names(&v).contains(&"periodic")
         })
     };
@@ -257,10 +357,19 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
             stimuli.shuffle(&mut rng.0);
         }
         let wave = |k: usize| 0.03 * (TAU * cycles * k as f64 / 119.0 + 0.4 * seed as f64).sin();
-        run(&table(&stimuli, true, &[], |k, x| 0.2 * x + wave(k) + 0.01 * rng.next()), seed).document
+        run(
+            &table(&stimuli, true, &[], |k, x| {
+                0.2 * x + wave(k) + 0.01 * rng.next()
+            }),
+            seed,
+        )
+        .document
     };
     let by_time = |d: &VerifyDocument| {
-        d.effects.iter().flat_map(|e| &e.parameters).any(|p| p.name == "period" && p.unit == "s")
+        d.effects
+            .iter()
+            .flat_map(|e| &e.parameters)
+            .any(|p| p.name == "period" && p.unit == "s")
     };
     let sure_and_wrong = |d: &VerifyDocument| d.verdict == Verdict::Effect && !by_time(d);
     for cycles in [1.4, 5.0, 5.3] {
@@ -270,7 +379,10 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
                 "{cycles}: {:?} {} {:?} {:?}",
                 d.verdict,
                 d.reason,
-                d.effects.iter().map(|e| (&e.laws, &e.parameters)).collect::<Vec<_>>(),
+                d.effects
+                    .iter()
+                    .map(|e| (&e.laws, &e.parameters))
+                    .collect::<Vec<_>>(),
                 d.notes
             );
             sure_and_wrong(&d)
@@ -301,8 +413,14 @@ fn a_floor_from_a_few_repeats_that_happen_to_agree_speaks_against_nothing() {
         let mut rng = Noise::new(seed);
         let mut loads: Vec<f64> = (0..24).map(f64::from).collect();
         loads.extend((24 - repeats..24).map(|k| k as f64));
-        let mut read: Vec<f64> = (0..24).map(|k| 0.2 * f64::from(k) + 0.01 * rng.next()).collect();
-        read.extend((24 - repeats..24).map(|k| read[k] + 2e-3 * rng.next()).collect::<Vec<f64>>());
+        let mut read: Vec<f64> = (0..24)
+            .map(|k| 0.2 * f64::from(k) + 0.01 * rng.next())
+            .collect();
+        read.extend(
+            (24 - repeats..24)
+                .map(|k| read[k] + 2e-3 * rng.next())
+                .collect::<Vec<f64>>(),
+        );
         run(&table(&loads, false, &[], |k, _| read[k]), seed).document
     };
     let few = share(7, |s| with(s, 2).verdict == Verdict::Adequate);
@@ -315,7 +433,10 @@ fn a_wave_over_a_further_column_is_its_driver() {
     let stimuli = triangles(0.0, 10.0, 30, 2);
     let with = |seed: u64, size: f64| {
         let mut rng = Noise::new(seed);
-        let a: Vec<f64> = stimuli.iter().map(|_| 10.0 * (0.5 + 0.5 * (3.0 * rng.next()).sin())).collect();
+        let a: Vec<f64> = stimuli
+            .iter()
+            .map(|_| 10.0 * (0.5 + 0.5 * (3.0 * rng.next()).sin()))
+            .collect();
         let data = table(&stimuli, true, &[&a], |k, x| {
             0.2 * x + size * (TAU * a[k] / 1.6).sin() + 0.01 * rng.next()
         });
@@ -324,7 +445,9 @@ fn a_wave_over_a_further_column_is_its_driver() {
     let named = share(7, |s| {
         let unknown = with(s, 0.03).unknown;
         unknown.is_some_and(|u| {
-            u.driver == "a" && u.shape == "sinusoid" && u.period.is_some_and(|p| (p / 1.6 - 1.0).abs() < 0.1)
+            u.driver == "a"
+                && u.shape == "sinusoid"
+                && u.period.is_some_and(|p| (p / 1.6 - 1.0).abs() < 0.1)
         })
     });
     // Control: nothing acts.
@@ -337,11 +460,20 @@ fn a_response_through_the_square_alone_is_not_called_insensitive() {
     let stimuli = triangles(0.0, 10.0, 20, 2);
     let reason = |size: f64| {
         let mut rng = Noise::new(3);
-        run(&table(&stimuli, true, &[], |_, x| size * (x - 5.0).powi(2) + 0.01 * rng.next()), 3)
-            .document
-            .reason
+        run(
+            &table(&stimuli, true, &[], |_, x| {
+                size * (x - 5.0).powi(2) + 0.01 * rng.next()
+            }),
+            3,
+        )
+        .document
+        .reason
     };
-    assert!(!reason(0.002).contains("does not depend"), "{}", reason(0.002));
+    assert!(
+        !reason(0.002).contains("does not depend"),
+        "{}",
+        reason(0.002)
+    );
     // Control: noise alone.
     assert!(reason(0.0).contains("does not depend"), "{}", reason(0.0));
 }

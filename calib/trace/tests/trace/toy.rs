@@ -24,16 +24,31 @@ pub const NOISE: f64 = 0.1;
 
 fn catalogue() -> Vec<Effect> {
     const GRID: &[f64] = &[0.2, 0.4, 0.6, 0.8];
-    let shelf =
-        |name| law(name).amplitude("height", "1", [0.0, 0.5], 0.02).shape("place", "1", [0.02, 0.98], GRID);
+    let shelf = |name| {
+        law(name)
+            .amplitude("height", "1", [0.0, 0.5], 0.02)
+            .shape("place", "1", [0.02, 0.98], GRID)
+    };
     let two = shelf("two").amplitude("second_height", "1", [0.0, 0.5], 0.02);
     let two = two.shape("second_place", "1", [0.02, 0.98], GRID);
     let effect = |id, law| Effect::new(id, "Something acts.", vec![law]);
     vec![
-        Effect { refinements: vec![two], ..effect("shelf", shelf("only")) },
-        effect("bend", law("only").column("square", "1").at_most(BEND_SHARE)),
-        effect("scale", law("only").amplitude("share", "1", [-0.5, 0.5], 0.02)),
-        Effect { is_outlier_process: true, ..effect("outliers", law("only")) },
+        Effect {
+            refinements: vec![two],
+            ..effect("shelf", shelf("only"))
+        },
+        effect(
+            "bend",
+            law("only").column("square", "1").at_most(BEND_SHARE),
+        ),
+        effect(
+            "scale",
+            law("only").amplitude("share", "1", [-0.5, 0.5], 0.02),
+        ),
+        Effect {
+            is_outlier_process: true,
+            ..effect("outliers", law("only"))
+        },
     ]
 }
 
@@ -53,13 +68,20 @@ impl ToySystem {
     /// Readings at evenly spread, shuffled x: `extra` is added to line and noise.
     pub fn draw(seed: u64, extra: impl Fn(usize, f64) -> f64) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let mut x: Vec<f64> = (0..READINGS).map(|i| i as f64 / (READINGS - 1) as f64).collect();
+        let mut x: Vec<f64> = (0..READINGS)
+            .map(|i| i as f64 / (READINGS - 1) as f64)
+            .collect();
         x.shuffle(&mut rng);
         let measured = DMatrix::from_fn(READINGS, 1, |i, _| {
             let z: f64 = StandardNormal.sample(&mut rng);
             LINE[0] + LINE[1] * x[i] + extra(i, x[i]) + NOISE * z
         });
-        Self { x, measured, catalogue: catalogue(), groups: (0..READINGS).map(|i| (i / 10) as u32).collect() }
+        Self {
+            x,
+            measured,
+            catalogue: catalogue(),
+            groups: (0..READINGS).map(|i| (i / 10) as u32).collect(),
+        }
     }
 }
 
@@ -86,7 +108,9 @@ impl MeasurementModel for ToySystem {
         if terms.iter().any(|t| t.effect == BEND) {
             columns.push(self.x.iter().map(|x| x * x).collect());
         }
-        Some(DMatrix::from_fn(READINGS, columns.len(), |i, j| columns[j][i]))
+        Some(DMatrix::from_fn(READINGS, columns.len(), |i, j| {
+            columns[j][i]
+        }))
     }
     fn catalogue(&self) -> &[Effect] {
         &self.catalogue
@@ -98,6 +122,9 @@ impl MeasurementModel for ToySystem {
         &self.groups
     }
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
-        vec![("stimulus".into(), self.x.clone()), ("t_s".into(), (0..READINGS).map(|i| i as f64).collect())]
+        vec![
+            ("stimulus".into(), self.x.clone()),
+            ("t_s".into(), (0..READINGS).map(|i| i as f64).collect()),
+        ]
     }
 }

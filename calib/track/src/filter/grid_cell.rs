@@ -80,7 +80,8 @@ pub(super) struct LinearGaussianPair {
 
 impl MomentSums {
     fn of(cell: &GridCell) -> Self {
-        let moments = |mean: f64, variance: f64| [cell.weight * mean, cell.weight * (mean * mean + variance)];
+        let moments =
+            |mean: f64, variance: f64| [cell.weight * mean, cell.weight * (mean * mean + variance)];
         Self {
             weight: cell.weight,
             offset: moments(cell.offset, cell.variance),
@@ -98,13 +99,21 @@ impl MomentSums {
     pub fn of_pair(l: &LinearGaussianPair, predicted: f64, travel_mm: f64) -> Self {
         // S: joint covariance of both without the offset now.
         let [a, b] = l.by_before;
-        let (s11, s22) = (l.variance * a * a + l.noise[0], l.variance * b * b + l.noise[1]);
+        let (s11, s22) = (
+            l.variance * a * a + l.noise[0],
+            l.variance * b * b + l.noise[1],
+        );
         let s12 = l.variance * a * b;
         let det = s11 * s22 - s12 * s12;
         if !(det > 0.0) {
             return Self::default();
         }
-        let solve = |v: [f64; 2]| [(s22 * v[0] - s12 * v[1]) / det, (s11 * v[1] - s12 * v[0]) / det];
+        let solve = |v: [f64; 2]| {
+            [
+                (s22 * v[0] - s12 * v[1]) / det,
+                (s11 * v[1] - s12 * v[0]) / det,
+            ]
+        };
         let dot = |u: [f64; 2], v: [f64; 2]| u[0] * v[0] + u[1] * v[1];
         // Posterior of y under a flat prior, and what of the residual no y can explain.
         let gain = solve(l.by_now);
@@ -114,7 +123,8 @@ impl MomentSums {
         if unexplained > MAX_MAHALANOBIS2 {
             return Self::default();
         }
-        let Some((inside, offset, variance)) = truncated_normal(mean, 1.0 / precision.sqrt()) else {
+        let Some((inside, offset, variance)) = truncated_normal(mean, 1.0 / precision.sqrt())
+        else {
             return Self::default();
         };
         let weight = exp(-0.5 * unexplained) * inside / (TAU * precision * det).sqrt();
@@ -125,14 +135,25 @@ impl MomentSums {
         let rest = (l.variance - l.variance * l.variance * dot(l.by_before, before_gain)).max(0.0);
         let path = predicted + l.residual[1] + b * before + l.by_now[1] * offset;
         let path_variance = (b * slope + l.by_now[1]).powi(2) * variance + b * b * rest;
-        let (velocity, velocity_variance) = (path / travel_mm, path_variance / (travel_mm * travel_mm));
-        Self::of(&GridCell { weight, offset, variance, velocity, velocity_variance })
+        let (velocity, velocity_variance) =
+            (path / travel_mm, path_variance / (travel_mm * travel_mm));
+        Self::of(&GridCell {
+            weight,
+            offset,
+            variance,
+            velocity,
+            velocity_variance,
+        })
     }
 
     /// Density of the first measurement alone; the velocity is not known.
     pub fn of_first(l: &LinearGaussianPair) -> Self {
         let sd = (l.noise[0] + l.variance * l.by_before[0].powi(2)).sqrt();
-        let by = if l.by_now[0].abs() < 1e-12 { 1e-12 } else { l.by_now[0] };
+        let by = if l.by_now[0].abs() < 1e-12 {
+            1e-12
+        } else {
+            l.by_now[0]
+        };
         // A measurement that hardly depends on y leaves it uniform.
         if by.abs() < 0.1 * sd {
             return Self::uniform(exp(-0.5 * (l.residual[0] / sd).powi(2)) / (TAU.sqrt() * sd));
@@ -140,7 +161,11 @@ impl MomentSums {
         truncated_normal(-l.residual[0] / by, sd / by.abs()).map_or_else(
             Self::default,
             |(inside, offset, variance)| {
-                Self::of(&GridCell { offset, variance, ..GridCell::uniform(inside / by.abs()) })
+                Self::of(&GridCell {
+                    offset,
+                    variance,
+                    ..GridCell::uniform(inside / by.abs())
+                })
             },
         )
     }
@@ -163,7 +188,8 @@ impl MomentSums {
             let mean = sums[0] / self.weight;
             (mean, (sums[1] / self.weight - mean * mean).max(0.0))
         };
-        let ((offset, variance), (velocity, velocity_variance)) = (of(self.offset), of(self.velocity));
+        let ((offset, variance), (velocity, velocity_variance)) =
+            (of(self.offset), of(self.velocity));
         GridCell {
             weight: self.weight,
             offset,
@@ -192,12 +218,28 @@ fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     // A density much wider than the node is constant in it.
     if b - a < 0.2 {
         let middle = 0.5 * (a + b);
-        return Some(((b - a) * exp(-0.5 * middle * middle) / TAU.sqrt(), 0.0, UNIFORM_VARIANCE));
+        return Some((
+            (b - a) * exp(-0.5 * middle * middle) / TAU.sqrt(),
+            0.0,
+            UNIFORM_VARIANCE,
+        ));
     }
     // Density at both ends, and the tails beyond them: the side on which no digits cancel.
-    let density = |x: f64| if x.abs() > MAX_SDS { 0.0 } else { exp(-0.5 * x * x) / TAU.sqrt() };
+    let density = |x: f64| {
+        if x.abs() > MAX_SDS {
+            0.0
+        } else {
+            exp(-0.5 * x * x) / TAU.sqrt()
+        }
+    };
     let (at_a, at_b) = (density(a), density(b));
-    let tail = |x: f64, density: f64| if density > 0.0 { density * mills_ratio(x.abs()) } else { 0.0 };
+    let tail = |x: f64, density: f64| {
+        if density > 0.0 {
+            density * mills_ratio(x.abs())
+        } else {
+            0.0
+        }
+    };
     let inside = match (a > 0.0, b > 0.0) {
         (true, _) => tail(a, at_a) - tail(b, at_b),
         (_, false) => tail(b, at_b) - tail(a, at_a),
@@ -210,7 +252,11 @@ fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     let slope = (at_a - at_b) / inside;
     let curve = (a * at_a - b * at_b) / inside;
     let offset = (mean + sd * slope).clamp(-0.5, 0.5);
-    Some((inside, offset, (sd * sd * (1.0 + curve - slope * slope)).clamp(0.0, 0.25)))
+    Some((
+        inside,
+        offset,
+        (sd * sd * (1.0 + curve - slope * slope)).clamp(0.0, 0.25),
+    ))
 }
 
 /// Mills' ratio (1 - Phi(x)) / phi(x), to 1e-7 of itself for x from 0 to `MAX_SDS`.
@@ -228,7 +274,12 @@ fn mills_ratio(x: f64) -> f64 {
         0.097_500_307_74,
     ];
     let t = 1.0 / (1.0 + 0.29 * x);
-    let pairs = [C[6] + t * C[7], C[4] + t * C[5], C[2] + t * C[3], C[0] + t * C[1]];
+    let pairs = [
+        C[6] + t * C[7],
+        C[4] + t * C[5],
+        C[2] + t * C[3],
+        C[0] + t * C[1],
+    ];
     let t2 = t * t;
     (pairs[3] + t2 * (pairs[2] + t2 * (pairs[1] + t2 * pairs[0]))) * t
 }
@@ -244,25 +295,40 @@ mod tests {
         for k in 0..=1000 {
             let x = MAX_SDS * f64::from(k) / 1000.0;
             let density = (-0.5 * x * x).exp() / TAU.sqrt();
-            assert!((mills_ratio(x) * density / normal.sf(x) - 1.0).abs() < 1e-7, "{x}");
+            assert!(
+                (mills_ratio(x) * density / normal.sf(x) - 1.0).abs() < 1e-7,
+                "{x}"
+            );
         }
     }
 
     #[test]
     fn a_normal_distribution_is_truncated_to_a_node() {
-        for (mean, sd) in [(0.0, 1.0), (0.3, 0.1), (-0.7, 0.2), (2.0, 0.5), (0.49, 0.01), (5.0, 30.0)] {
+        for (mean, sd) in [
+            (0.0, 1.0),
+            (0.3, 0.1),
+            (-0.7, 0.2),
+            (2.0, 0.5),
+            (0.49, 0.01),
+            (5.0, 30.0),
+        ] {
             let normal = Normal::new(mean, sd).unwrap();
             let (n, width) = (200_000, 1.0 / 200_000.0);
             let integral = |of: &dyn Fn(f64) -> f64| {
                 let place = |k: i32| -0.5 + (f64::from(k) + 0.5) * width;
-                (0..n).map(|k| of(place(k)) * (-0.5 * ((place(k) - mean) / sd).powi(2)).exp()).sum::<f64>()
+                (0..n)
+                    .map(|k| of(place(k)) * (-0.5 * ((place(k) - mean) / sd).powi(2)).exp())
+                    .sum::<f64>()
             };
             let all = integral(&|_| 1.0);
             let offset = integral(&|x| x) / all;
             let variance = integral(&|x| (x - offset).powi(2)) / all;
             let (inside, found_offset, found) = truncated_normal(mean, sd).unwrap();
             let exact = normal.cdf(0.5) - normal.cdf(-0.5);
-            assert!((inside / exact - 1.0).abs() < 0.01, "{mean} {sd}: {inside} {exact}");
+            assert!(
+                (inside / exact - 1.0).abs() < 0.01,
+                "{mean} {sd}: {inside} {exact}"
+            );
             assert!(
                 (found_offset - offset).abs() < 0.01 && (found - variance).abs() < 0.01,
                 "{mean} {sd}: {found_offset} {offset}"

@@ -42,7 +42,10 @@ pub(super) struct ContactState<'c> {
 impl ContactState<'_> {
     /// The same point of the object after the base's travel along its +z, mm.
     pub fn carried(self, travel_mm: f64) -> Self {
-        Self { point_mm: self.point_mm - Vector3::z() * travel_mm, ..self }
+        Self {
+            point_mm: self.point_mm - Vector3::z() * travel_mm,
+            ..self
+        }
     }
 }
 
@@ -65,17 +68,30 @@ fn central_difference(
 impl<'a> SampleGeometry<'a> {
     pub fn new(solutions: &'a [InverseSolution], first_tip: usize) -> Self {
         let slopes = |of: fn(&InverseSolution) -> Vector3<f64>| -> Vec<Vector3<f64>> {
-            (0..solutions.len()).map(|k| central_difference(solutions, k, first_tip, of)).collect()
+            (0..solutions.len())
+                .map(|k| central_difference(solutions, k, first_tip, of))
+                .collect()
         };
         let (point_slopes, normal_slopes) = (slopes(|c| c.point_mm), slopes(|c| c.normal));
         let turns: Vec<f64> = normal_slopes.iter().map(Vector3::norm).collect();
         let tip_turn = turns[first_tip.min(turns.len())..].iter().sum();
         let turn_axis = |(k, c): (usize, &InverseSolution)| {
-            let along = if k < first_tip { &point_slopes[k] } else { &c.point_mm };
+            let along = if k < first_tip {
+                &point_slopes[k]
+            } else {
+                &c.point_mm
+            };
             along.cross(&c.normal).try_normalize(1e-12)
         };
         let turn_axes = solutions.iter().enumerate().map(turn_axis).collect();
-        Self { solutions, point_slopes, normal_slopes, turns, tip_turn, turn_axes }
+        Self {
+            solutions,
+            point_slopes,
+            normal_slopes,
+            turns,
+            tip_turn,
+            turn_axes,
+        }
     }
 
     /// The contact that a cell of node `k` means.

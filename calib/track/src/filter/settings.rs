@@ -142,12 +142,19 @@ impl BayesSettings {
 
     /// Coulomb friction, for a bank with a frictionless filter (`FilterBank`): objects without friction are left to that one.
     pub fn coulomb() -> Self {
-        Self { friction: [0.1, 0.25, 0.25], ..Self::multi_mu() }
+        Self {
+            friction: [0.1, 0.25, 0.25],
+            ..Self::multi_mu()
+        }
     }
 
     /// Coefficients considered, each once.
     pub(super) fn frictions(&self) -> &[f64] {
-        let distinct = 1 + self.friction.windows(2).filter(|pair| pair[0] < pair[1]).count();
+        let distinct = 1 + self
+            .friction
+            .windows(2)
+            .filter(|pair| pair[0] < pair[1])
+            .count();
         &self.friction[..distinct]
     }
 
@@ -216,12 +223,18 @@ impl FilterBank {
     /// Both for moments with this white noise, and with a zero offset of this size, N mm.
     pub fn with_measurement_noise(self, noise_nmm: f64, zero_nmm: f64) -> Self {
         let informed = |s: BayesSettings| s.with_measurement_noise(noise_nmm, zero_nmm);
-        Self { frictional: informed(self.frictional), frictionless: self.frictionless.map(informed) }
+        Self {
+            frictional: informed(self.frictional),
+            frictionless: self.frictionless.map(informed),
+        }
     }
 }
 
 impl From<BayesSettings> for FilterBank {
     fn from(frictional: BayesSettings) -> Self {
-        Self { frictional, frictionless: None }
+        Self {
+            frictional,
+            frictionless: None,
+        }
     }
 }

@@ -20,7 +20,9 @@ mod likelihood;
 mod model;
 
 use super::exp::exp;
-use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MAX_TRUNCATED_SDS, MomentSums};
+use super::grid_cell::{
+    GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MAX_TRUNCATED_SDS, MomentSums,
+};
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
@@ -89,7 +91,14 @@ impl<'a> TransitionModel<'a> {
         let first_tip = inverse.first_tip();
         let geometry = |all| SampleGeometry::new(all, first_tip);
         let jump_paths = jump_paths(settings, node_mm(inverse), first_tip);
-        Self { settings, inverse, before: geometry(before), now: geometry(now), first_tip, jump_paths }
+        Self {
+            settings,
+            inverse,
+            before: geometry(before),
+            now: geometry(now),
+            first_tip,
+            jump_paths,
+        }
     }
 
     /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than the base's travel since the wire was at
@@ -103,8 +112,11 @@ impl<'a> TransitionModel<'a> {
                 return GridCell::default();
             }
             // Length of wire that the node stands for; the tip's nodes share its length in proportion to the turn of the force.
-            let length_mm =
-                if j < self.first_tip { pitch_mm } else { TIP_MM * now.turns[j] / now.tip_turn.max(1e-12) };
+            let length_mm = if j < self.first_tip {
+                pitch_mm
+            } else {
+                TIP_MM * now.turns[j] / now.tip_turn.max(1e-12)
+            };
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
             let along = MIN_FIRST_CONTACT + exp(-0.5 * off * off);
@@ -146,7 +158,11 @@ impl<'a> TransitionModel<'a> {
             travel_mm,
             travel_variance_mm2: travel_sd_mm * travel_sd_mm,
             drag: along(friction),
-            drag_variance: if friction > 0.0 { s.friction_sd * s.friction_sd } else { 0.0 },
+            drag_variance: if friction > 0.0 {
+                s.friction_sd * s.friction_sd
+            } else {
+                0.0
+            },
             path_variances,
             tip_variances: [s.tip_constant_velocity, s.tip_perturbed, s.tip_reset].map(variance),
             reach_mm: (1.0 + s.reset_mean.abs()) * travel + MAX_PATH_SDS * path_variances[2].sqrt(),
@@ -157,7 +173,11 @@ impl<'a> TransitionModel<'a> {
         let jump_share = (s.jump_per_mm * travel).min(0.5);
         let of_row: f64 = row.iter().map(|c| c.weight).sum();
         let least_jump = (MIN_JUMP_WEIGHT * total).max(MIN_JUMP_WEIGHT_OF_ROW * of_row);
-        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
+        for (k, cell) in row
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| c.weight > MIN_WEIGHT * total)
+        {
             let from = self.before.contact(k, cell).carried(travel_mm);
             self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
@@ -166,7 +186,14 @@ impl<'a> TransitionModel<'a> {
             }
         }
         let both = new.iter().zip(self.now.solutions);
-        both.map(|(w, c)| if c.reachable { w.cell() } else { GridCell::default() }).collect()
+        both.map(|(w, c)| {
+            if c.reachable {
+                w.cell()
+            } else {
+                GridCell::default()
+            }
+        })
+        .collect()
     }
 
     /// Jumps: against the force, away from the surface that held the wire; mostly a short path along it, rarely to anywhere.
@@ -174,7 +201,11 @@ impl<'a> TransitionModel<'a> {
         let s = self.settings;
         let at_tip = k >= self.first_tip;
         let nearest = k.min(self.first_tip - 1);
-        let to_tip = if at_tip { s.jump_at_tip_fraction } else { s.jump_to_tip_fraction };
+        let to_tip = if at_tip {
+            s.jump_at_tip_fraction
+        } else {
+            s.jump_to_tip_fraction
+        };
         for (j, new) in new.iter_mut().enumerate() {
             let c = &self.now.solutions[j];
             if !c.reachable {
@@ -186,7 +217,9 @@ impl<'a> TransitionModel<'a> {
                 to_tip * self.now.turns[j] / self.now.tip_turn.max(1e-9)
             };
             // Off the surface: the wire springs back against the force, mixture of a short and a long scale; rarely in its direction.
-            let normal = (from.normal + c.normal).try_normalize(0.1).unwrap_or(c.normal);
+            let normal = (from.normal + c.normal)
+                .try_normalize(0.1)
+                .unwrap_or(c.normal);
             let off = normal.dot(&(c.point_mm - from.point_mm));
             let off_density = if off < 0.0 {
                 let one = |mm: f64| exp(off / mm) / mm;
@@ -194,12 +227,18 @@ impl<'a> TransitionModel<'a> {
             } else {
                 s.jump_back_fraction * exp(-off / s.jump_off_mm[0]) / s.jump_off_mm[0]
             };
-            let turn = self.now.turn_axes[j]
-                .map_or(0.0, |axis| laplace_pdf(axis.dot(&(c.normal - from.normal)), s.jump_turn_rad));
+            let turn = self.now.turn_axes[j].map_or(0.0, |axis| {
+                laplace_pdf(axis.dot(&(c.normal - from.normal)), s.jump_turn_rad)
+            });
             // Jacobian from distance and turn to the moments.
             new.add(
                 &MomentSums::uniform(
-                    weight * share * off_density * turn * c.compliance_mm_per_nmm * c.turn_rad_per_nmm,
+                    weight
+                        * share
+                        * off_density
+                        * turn
+                        * c.compliance_mm_per_nmm
+                        * c.turn_rad_per_nmm,
                 ),
                 1.0,
             );
@@ -228,11 +267,20 @@ impl<'a> TransitionModel<'a> {
         // Only nodes that the fastest path of this step reaches.
         let node_mm = self.node_mm();
         let nearest = k.min(self.first_tip - 1);
-        let from_mm =
-            self.inverse.nodes[nearest].arclength_mm + if at_tip { 0.0 } else { from.cell.offset * node_mm };
+        let from_mm = self.inverse.nodes[nearest].arclength_mm
+            + if at_tip {
+                0.0
+            } else {
+                from.cell.offset * node_mm
+            };
         let nodes = (step.reach_mm / node_mm).ceil() as usize;
         // Contacts move outward as an object loads the wire.
-        let modes = self.velocity_modes(&step.path_variances, from.cell, step, self.settings.reset_mean);
+        let modes = self.velocity_modes(
+            &step.path_variances,
+            from.cell,
+            step,
+            self.settings.reset_mean,
+        );
         for (j, new) in new
             .iter_mut()
             .enumerate()
@@ -246,7 +294,16 @@ impl<'a> TransitionModel<'a> {
             let by_before = if at_tip { 0.0 } else { -node_mm };
             let residual = self.constraint(from, j, step);
             let path = [along, by_before, node_mm];
-            self.accumulate(from, j, weight * node_mm, step, &residual, &modes, path, new);
+            self.accumulate(
+                from,
+                j,
+                weight * node_mm,
+                step,
+                &residual,
+                &modes,
+                path,
+                new,
+            );
         }
     }
 
@@ -261,7 +318,11 @@ impl<'a> TransitionModel<'a> {
         let travel = step.travel_mm.abs();
         let carried = cell.velocity_variance * travel * travel;
         let mean = cell.velocity * travel;
-        [(mean, variances[0] + carried), (mean, variances[1] + carried), (reset_mean * travel, variances[2])]
+        [
+            (mean, variances[0] + carried),
+            (mean, variances[1] + carried),
+            (reset_mean * travel, variances[2]),
+        ]
     }
 
     /// Adds the density of a transition from a contact to node `j`; `path`: path along the curve and its derivatives by the offsets before and now.
@@ -279,7 +340,8 @@ impl<'a> TransitionModel<'a> {
     ) {
         let (s, c, pair) = (self.settings, &self.now.solutions[j], &residual.pair);
         // Part of the residual that no offset in both nodes can absorb: beyond a few standard deviations the density is negligible.
-        let absorbed = 0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
+        let absorbed =
+            0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
         let left = (pair.residual[0].abs() - absorbed).max(0.0).powi(2);
         if left > MAX_MAHALANOBIS2 * residual.outlier_variance {
             return;
@@ -293,7 +355,8 @@ impl<'a> TransitionModel<'a> {
         let mut add = |share: f64, noise: f64, (mean, variance): (f64, f64)| {
             let beyond = (path[0] - mean).abs() - 0.5 * path[2].abs();
             if beyond > 0.0
-                && beyond * beyond > MAX_TRUNCATED_SDS * MAX_TRUNCATED_SDS * (path_variance + variance)
+                && beyond * beyond
+                    > MAX_TRUNCATED_SDS * MAX_TRUNCATED_SDS * (path_variance + variance)
             {
                 return;
             }
@@ -307,7 +370,10 @@ impl<'a> TransitionModel<'a> {
             sums.add(&MomentSums::of_pair(&joint, mean, travel), share);
         };
         // Mixture over velocity modes, and over outliers, whose velocity is reset.
-        let inliers = shares.into_iter().zip(modes).filter(|_| left < MAX_MAHALANOBIS2 * pair.noise[0]);
+        let inliers = shares
+            .into_iter()
+            .zip(modes)
+            .filter(|_| left < MAX_MAHALANOBIS2 * pair.noise[0]);
         for (share, mode) in inliers {
             add(share * (1.0 - s.outlier_fraction), pair.noise[0], *mode);
         }
@@ -316,7 +382,10 @@ impl<'a> TransitionModel<'a> {
             let turn = self.turn_density(from, j, step);
             let slip = self.excess_slip(&residual.slip_mm, step);
             // Jacobian from distance and turn to the moments.
-            new.add(&sums, weight * turn * slip * c.compliance_mm_per_nmm * c.turn_rad_per_nmm);
+            new.add(
+                &sums,
+                weight * turn * slip * c.compliance_mm_per_nmm * c.turn_rad_per_nmm,
+            );
         }
     }
 
@@ -344,7 +413,10 @@ impl<'a> TransitionModel<'a> {
         if past < MIN_PAST_END {
             return;
         }
-        let unknown = GridCell { weight: 0.0, ..GridCell::default() };
+        let unknown = GridCell {
+            weight: 0.0,
+            ..GridCell::default()
+        };
         let cell = if at_tip { from.cell } else { &unknown };
         let modes = self.velocity_modes(&step.tip_variances, cell, step, 0.0);
         let uniform = self.settings.tip_uniform_fraction;
@@ -358,7 +430,11 @@ impl<'a> TransitionModel<'a> {
             let direction = self.now.normal_slopes[j] / pitch;
             let path = [
                 direction.dot(&(c.normal - from.normal)),
-                if at_tip { -direction.dot(&from.normal_slope) } else { 0.0 },
+                if at_tip {
+                    -direction.dot(&from.normal_slope)
+                } else {
+                    0.0
+                },
                 pitch,
             ];
             let residual = self.constraint(from, j, step);
@@ -367,7 +443,8 @@ impl<'a> TransitionModel<'a> {
             // At an edge of the object the force may turn to any tilt: the constraint alone counts.
             let anywhere = MomentSums::of_first(&residual.pair);
             if anywhere.weight > 0.0 {
-                let turn = self.turn_density(from, j, step) * self.excess_slip(&residual.slip_mm, step);
+                let turn =
+                    self.turn_density(from, j, step) * self.excess_slip(&residual.slip_mm, step);
                 let share = uniform * pitch / self.now.tip_turn.max(1e-9);
                 new.add(
                     &anywhere,

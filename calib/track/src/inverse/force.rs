@@ -25,16 +25,28 @@ const FIRST_NMM: f64 = 1e-4;
 /// Moments at the root of a cell, N mm.
 pub(super) fn moment(direction: usize, step: usize, grid: &InverseGrid) -> Vector2<f64> {
     let angle = TAU * direction as f64 / grid.directions as f64;
-    let size = if step == 0 { FIRST_NMM } else { grid.max_nmm * step as f64 / grid.steps as f64 };
+    let size = if step == 0 {
+        FIRST_NMM
+    } else {
+        grid.max_nmm * step as f64 / grid.steps as f64
+    };
     Vector2::new(angle.cos(), angle.sin()) * size
 }
 
 /// Touched point and normal under a force (N, frame of the wire at the contact).
-fn entry(rod: &DiscreteRod, arclength_mm: f64, force: &Vector3<f64>, reachable: bool) -> TableEntry {
+fn entry(
+    rod: &DiscreteRod,
+    arclength_mm: f64,
+    force: &Vector3<f64>,
+    reachable: bool,
+) -> TableEntry {
     let push = rod.under_point_load(arclength_mm, force);
     let normal = push.force_n.normalize();
     let point = push.axis_mm - normal * rod.radius_mm;
-    ([point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32), reachable)
+    (
+        [point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32),
+        reachable,
+    )
 }
 
 /// Forces perpendicular to the wire at an arc length, mm, in one direction: moments from none to the largest.
@@ -47,19 +59,35 @@ pub(super) fn solve_ray(
     let across = |f: Vector2<f64>| Vector3::new(0.0, f.x, f.y);
     // At zero force the normal is the limit of small forces.
     let mut rate = None;
-    let mut force = solve_square(rod, arclength_mm, moment(direction, 0, grid), Vector2::zeros(), &mut rate);
+    let mut force = solve_square(
+        rod,
+        arclength_mm,
+        moment(direction, 0, grid),
+        Vector2::zeros(),
+        &mut rate,
+    );
     let mut last = force.unwrap_or(Vector2::new(1e-6, 0.0));
-    let mut found = vec![(entry(rod, arclength_mm, &across(last), force.is_some()), force.map(across))];
+    let mut found = vec![(
+        entry(rod, arclength_mm, &across(last), force.is_some()),
+        force.map(across),
+    )];
     let mut before = Vector2::zeros();
     for m in 1..=grid.steps {
         if let Some(from) = force {
             let to = moment(direction, m, grid);
-            let guess = if m > 1 { from * 2.0 - before } else { from * (to.norm() / FIRST_NMM) };
+            let guess = if m > 1 {
+                from * 2.0 - before
+            } else {
+                from * (to.norm() / FIRST_NMM)
+            };
             before = if m > 1 { from } else { Vector2::zeros() };
             force = solve_square(rod, arclength_mm, to, guess, &mut rate);
             last = force.unwrap_or(last);
         }
-        found.push((entry(rod, arclength_mm, &across(last), force.is_some()), force.map(across)));
+        found.push((
+            entry(rod, arclength_mm, &across(last), force.is_some()),
+            force.map(across),
+        ));
     }
     found
 }
@@ -74,9 +102,15 @@ fn solve_square(
 ) -> Option<Vector2<f64>> {
     let first = guess == Vector2::zeros();
     let arm = arclength_mm.max(1.0);
-    let start = if first { Vector2::new(moment_nmm.y, -moment_nmm.x) / arm } else { guess };
+    let start = if first {
+        Vector2::new(moment_nmm.y, -moment_nmm.x) / arm
+    } else {
+        guess
+    };
     let off = |f: &Vector2<f64>| {
-        let m = rod.under_point_load(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
+        let m = rod
+            .under_point_load(arclength_mm, &Vector3::new(0.0, f.x, f.y))
+            .moment_nmm;
         Vector2::new(m.y, m.z) - moment_nmm
     };
     // A force that reversed between two entries belongs to another branch.
@@ -107,11 +141,17 @@ fn broyden<const N: usize>(
         let slope = carried.unwrap_or_else(|| by_differences(&force));
         let step = -slope.try_inverse()? * value;
         let largest = 0.5 * force.norm();
-        let step = if step.norm() > largest { step * (largest / step.norm()) } else { step };
+        let step = if step.norm() > largest {
+            step * (largest / step.norm())
+        } else {
+            step
+        };
         let next = off(&(force + step));
         let fast = next.norm() < MAX_BROYDEN_RATIO * value.norm();
         if fast {
-            *rate = Some(slope + (next - value - slope * step) * step.transpose() / step.norm_squared());
+            *rate = Some(
+                slope + (next - value - slope * step) * step.transpose() / step.norm_squared(),
+            );
         }
         if fast || carried.is_none() {
             (force, value) = (force + step, next);
@@ -161,7 +201,11 @@ fn solve_tilted(
     let off = |f: &Vector3<f64>| {
         let push = rod.under_point_load(tip_mm, f);
         let m = push.moment_nmm;
-        Vector3::new(m.y - moment_nmm.x, m.z - moment_nmm.y, (tilt_sine(&push) - sine) * moment_nmm.norm())
+        Vector3::new(
+            m.y - moment_nmm.x,
+            m.z - moment_nmm.y,
+            (tilt_sine(&push) - sine) * moment_nmm.norm(),
+        )
     };
     broyden(off, *from, rate)
 }

@@ -89,7 +89,14 @@ impl NetworkConfig {
     /// # Errors
     /// Where the sizes do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {
-        let sizes = [self.inputs, self.encoder, self.layers, self.heads, self.width, self.feed_forward];
+        let sizes = [
+            self.inputs,
+            self.encoder,
+            self.layers,
+            self.heads,
+            self.width,
+            self.feed_forward,
+        ];
         if sizes.contains(&0) || self.context < 2 || !self.width.is_multiple_of(self.heads) {
             return Err(TrackError::value(
                 "network",
@@ -100,7 +107,11 @@ impl NetworkConfig {
         let parameters = self.parameters();
         if parameters > MAX_PARAMETERS {
             let expected = format!("sizes that make at most {MAX_PARAMETERS} parameters");
-            return Err(TrackError::value("network", expected, format!("about {parameters}")));
+            return Err(TrackError::value(
+                "network",
+                expected,
+                format!("about {parameters}"),
+            ));
         }
         Ok(())
     }
@@ -118,7 +129,11 @@ impl NetworkConfig {
     pub fn check_filters(&self, filters: &FilterBank) -> Result<(), TrackError> {
         if self.two_filters != filters.frictionless.is_some() {
             let found = if self.two_filters { "one" } else { "two" };
-            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
+            return Err(TrackError::value(
+                "filters below the network",
+                "as many as it weighs",
+                found,
+            ));
         }
         Ok(())
     }
@@ -126,7 +141,11 @@ impl NetworkConfig {
     /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
     /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
     pub fn outputs(&self) -> usize {
-        let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
+        let with_knots = if self.nodes > 0 {
+            1 + usize::from(self.two_filters)
+        } else {
+            0
+        };
         self.nodes + 3 + 2 + with_knots
     }
 }

@@ -48,7 +48,9 @@ pub fn knot_weights(nodes: usize) -> Vec<(usize, f32)> {
     let one = |node: usize| {
         let k = (node / KNOT_STRIDE).min(knots.len().saturating_sub(2));
         match knots.get(k + 1) {
-            Some(next) if *next > knots[k] => (k, (node - knots[k]) as f32 / (next - knots[k]) as f32),
+            Some(next) if *next > knots[k] => {
+                (k, (node - knots[k]) as f32 / (next - knots[k]) as f32)
+            }
             _ => (k, 0.0),
         }
     };
@@ -99,7 +101,10 @@ impl<'a> FeatureExtractor<'a> {
     /// Inputs of a token on a curve of this many nodes, by one filter or two.
     pub fn width(nodes: usize, two_filters: bool) -> usize {
         let knots = knots(nodes).len();
-        COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * knots + if two_filters { 1 + knots } else { 0 }
+        COMMON_INPUTS
+            + FILTER_INPUTS
+            + KNOT_INPUTS * knots
+            + if two_filters { 1 + knots } else { 0 }
     }
 
     /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
@@ -113,7 +118,13 @@ impl<'a> FeatureExtractor<'a> {
         velocities.resize(all.len(), 0.0);
         let shared = |at_nodes: &[f64]| at_knots(&self.knot_weights, self.knots.len(), at_nodes);
         let at_knots = shared(&posterior);
-        let velocity = shared(&posterior.iter().zip(&velocities).map(|(w, p)| w * p).collect::<Vec<_>>());
+        let velocity = shared(
+            &posterior
+                .iter()
+                .zip(&velocities)
+                .map(|(w, p)| w * p)
+                .collect::<Vec<_>>(),
+        );
         let now: Vec<InverseSolution> = self.knots.iter().map(|k| all[*k]).collect();
         inputs.push(evidence(&self.filter));
         inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
@@ -125,8 +136,11 @@ impl<'a> FeatureExtractor<'a> {
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
             inputs.extend(c.point_mm.iter().map(|x| x / LENGTH_MM));
-            let velocity =
-                if at_knots[k] > 1e-3 { (velocity[k] / at_knots[k]).clamp(-4.0, 4.0) } else { 0.0 };
+            let velocity = if at_knots[k] > 1e-3 {
+                (velocity[k] / at_knots[k]).clamp(-4.0, 4.0)
+            } else {
+                0.0
+            };
             inputs.extend([off, c.normal.z, at_knots[k].sqrt() * 2.0, velocity]);
         }
         let mut posterior_frictionless = Vec::new();
@@ -134,7 +148,11 @@ impl<'a> FeatureExtractor<'a> {
             frictionless.step_sharing_solutions(dt_s, moment_nmm, base_mm_s, &self.filter);
             posterior_frictionless = posterior_or_uniform(frictionless);
             inputs.push(evidence(frictionless));
-            inputs.extend(shared(&posterior_frictionless).iter().map(|w| w.sqrt() * 2.0));
+            inputs.extend(
+                shared(&posterior_frictionless)
+                    .iter()
+                    .map(|w| w.sqrt() * 2.0),
+            );
         }
         let token = Token::new(dt_s, &inputs, all, [&posterior, &posterior_frictionless]);
         self.before = Some((moment_nmm, now));
@@ -143,12 +161,15 @@ impl<'a> FeatureExtractor<'a> {
 
     /// Inputs that do not belong to a node.
     fn common(&self, dt: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Vec<f64> {
-        let mut inputs =
-            Vec::with_capacity(Self::width(self.knot_weights.len(), self.frictionless.is_some()));
+        let mut inputs = Vec::with_capacity(Self::width(
+            self.knot_weights.len(),
+            self.frictionless.is_some(),
+        ));
         inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
         inputs.extend(moment_nmm.map(|m| (m / SMALL_MOMENT_NMM).asinh() / 4.0));
-        let rate =
-            self.before.as_ref().map_or([0.0; 2], |(m, _)| [0, 1].map(|k| (moment_nmm[k] - m[k]) / dt));
+        let rate = self.before.as_ref().map_or([0.0; 2], |(m, _)| {
+            [0, 1].map(|k| (moment_nmm[k] - m[k]) / dt)
+        });
         inputs.extend(rate.map(|r| (r / MOMENT_NMM).clamp(-8.0, 8.0)));
         inputs.push((dt / STEP_S).ln());
         inputs.push(f64::from(u8::from(base_mm_s.is_some())));
@@ -170,13 +191,21 @@ pub fn mirror(inputs: &mut [f32], nodes: usize) {
 /// A filter's posterior over the nodes; zero without contact.
 fn posterior_or_uniform(filter: &BayesFilter<'_>) -> Vec<f64> {
     let (posterior, nodes) = (filter.posterior(), filter.solutions().len());
-    if posterior.is_empty() { vec![1.0 / nodes as f64; nodes] } else { posterior }
+    if posterior.is_empty() {
+        vec![1.0 / nodes as f64; nodes]
+    } else {
+        posterior
+    }
 }
 
 /// A filter's evidence as an input; 0 where it predicted nothing.
 fn evidence(filter: &BayesFilter<'_>) -> f64 {
     let evidence = filter.log_evidence();
-    if evidence == 0.0 { 0.0 } else { ((evidence - TYPICAL_LOG_EVIDENCE) / EVIDENCE_SCALE).max(-8.0) }
+    if evidence == 0.0 {
+        0.0
+    } else {
+        ((evidence - TYPICAL_LOG_EVIDENCE) / EVIDENCE_SCALE).max(-8.0)
+    }
 }
 
 /// Values at nodes, split between the knots before and after each.

@@ -39,7 +39,10 @@ impl KvCache {
         }
         let LayerCache { keys, values } = &mut self.kept[layer];
         let seen = self.times_s.len() * width;
-        for (all, new) in [&mut *keys, &mut *values].into_iter().zip(qkv[width..].chunks_exact(width)) {
+        for (all, new) in [&mut *keys, &mut *values]
+            .into_iter()
+            .zip(qkv[width..].chunks_exact(width))
+        {
             all.extend_from_slice(new);
             if all.len() > 2 * seen.max(MIN_KEPT * width) {
                 all.drain(..all.len() - seen);
@@ -54,7 +57,11 @@ impl KvCache {
             let part = head * of_head..(head + 1) * of_head;
             let (query, slope) = (&qkv[part.clone()], time_bias_slope(head, heads));
             let score = |(key, age_s): (&[f32], &f32)| {
-                let product: f32 = query.iter().zip(&key[part.clone()]).map(|(q, k)| q * k).sum();
+                let product: f32 = query
+                    .iter()
+                    .zip(&key[part.clone()])
+                    .map(|(q, k)| q * k)
+                    .sum();
                 product / (of_head as f32).sqrt() - slope * age_s
             };
             let mut weights: Vec<f32> = keys.chunks_exact(width).zip(&ages_s).map(score).collect();
@@ -63,7 +70,9 @@ impl KvCache {
             weights.iter_mut().for_each(|w| *w = (*w - largest).exp());
             let total: f32 = weights.iter().sum();
             for (weight, value) in weights.iter().zip(values.chunks_exact(width)) {
-                out.iter_mut().zip(&value[part.clone()]).for_each(|(o, v)| *o += weight / total * v);
+                out.iter_mut()
+                    .zip(&value[part.clone()])
+                    .for_each(|(o, v)| *o += weight / total * v);
             }
         }
         out

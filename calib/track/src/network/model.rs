@@ -93,8 +93,9 @@ impl WhiskerNet {
     /// Names the tensor that is missing, of another type or size, or not finite.
     pub fn read(config: &NetworkConfig, bytes: &[u8]) -> Result<Self, TrackError> {
         config.check()?;
-        let weights = SafeTensors::deserialize(bytes)
-            .map_err(|e| TrackError::value("weights", "a file in the safetensors format", e.to_string()))?;
+        let weights = SafeTensors::deserialize(bytes).map_err(|e| {
+            TrackError::value("weights", "a file in the safetensors format", e.to_string())
+        })?;
         let weights = Weights(&weights);
         let c = config;
         let block = |k: usize| {
@@ -111,7 +112,9 @@ impl WhiskerNet {
         Ok(Self {
             encode: weights.linear("encode", c.inputs, c.encoder)?,
             encode_out: weights.linear("encode_out", c.encoder, c.width)?,
-            blocks: (0..c.layers).map(block).collect::<Result<_, TrackError>>()?,
+            blocks: (0..c.layers)
+                .map(block)
+                .collect::<Result<_, TrackError>>()?,
             norm: weights.norm("norm", c.width)?,
             head: weights.linear("head", c.width, c.outputs())?,
             heads: c.heads,
@@ -123,8 +126,13 @@ impl WhiskerNet {
         cache.advance(t_s, context);
         let mut x = self.encode_out.forward(&gelu(self.encode.forward(inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
-            let qkv = block.query_key_value.forward(&block.before_attention.forward(&x));
-            add(&mut x, &block.out.forward(&cache.attend(layer, &qkv, self.heads)));
+            let qkv = block
+                .query_key_value
+                .forward(&block.before_attention.forward(&x));
+            add(
+                &mut x,
+                &block.out.forward(&cache.attend(layer, &qkv, self.heads)),
+            );
             let widened = gelu(block.widen.forward(&block.before_feed.forward(&x)));
             add(&mut x, &block.narrow.forward(&widened));
         }
@@ -161,7 +169,8 @@ impl LayerNorm {
         let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / n;
         let scale = (variance + NORM_EPSILON).sqrt().recip();
         let each = x.iter().zip(self.gamma.iter().zip(&self.beta));
-        each.map(|(x, (gamma, beta))| (x - mean) * scale * gamma + beta).collect()
+        each.map(|(x, (gamma, beta))| (x - mean) * scale * gamma + beta)
+            .collect()
     }
 }
 
@@ -205,7 +214,10 @@ impl Weights<'_> {
             return Err(refused(format!("{} {:?}", there.dtype(), there.shape())));
         }
         let (numbers, _) = there.data().as_chunks::<4>();
-        let numbers: Vec<f32> = numbers.iter().map(|four| f32::from_le_bytes(*four)).collect();
+        let numbers: Vec<f32> = numbers
+            .iter()
+            .map(|four| f32::from_le_bytes(*four))
+            .collect();
         match numbers.iter().position(|x| !x.is_finite()) {
             Some(k) => Err(refused(format!("NaN or infinity (number {})", k + 1))),
             None => Ok(numbers),
@@ -221,24 +233,40 @@ mod tests {
     fn a_linear_layer_is_the_sum_over_its_inputs() {
         // Six inputs: one group of four and a rest of two.
         let weights: Vec<f32> = (0..18).map(|k| 0.1 * k as f32).collect();
-        let layer = Linear { weights: weights.clone(), bias: vec![1.0, -1.0, 0.5] };
+        let layer = Linear {
+            weights: weights.clone(),
+            bias: vec![1.0, -1.0, 0.5],
+        };
         let x = [0.3, -0.2, 0.7, 1.1, -0.9, 0.4];
         let found = layer.forward(&x);
         for (k, found) in found.iter().enumerate() {
-            let sum: f32 = x.iter().enumerate().map(|(i, x)| x * weights[3 * i + k]).sum();
+            let sum: f32 = x
+                .iter()
+                .enumerate()
+                .map(|(i, x)| x * weights[3 * i + k])
+                .sum();
             assert!((found - (sum + layer.bias[k])).abs() < 1e-6, "{k}: {found}");
         }
     }
 
     #[test]
     fn a_norm_has_mean_and_spread_of_its_parameters_and_gelu_its_known_values() {
-        let norm = LayerNorm { gamma: vec![2.0; 4], beta: vec![1.0; 4] };
+        let norm = LayerNorm {
+            gamma: vec![2.0; 4],
+            beta: vec![1.0; 4],
+        };
         let y = norm.forward(&[3.0, 5.0, 7.0, 9.0]);
         let mean = y.iter().sum::<f32>() / 4.0;
         let sd = (y.iter().map(|y| (y - mean).powi(2)).sum::<f32>() / 4.0).sqrt();
-        assert!((mean - 1.0).abs() < 1e-6 && (sd - 2.0).abs() < 1e-5, "{y:?}");
+        assert!(
+            (mean - 1.0).abs() < 1e-6 && (sd - 2.0).abs() < 1e-5,
+            "{y:?}"
+        );
         // Phi(1) = 0.841345, Phi(-2) = 0.022750 (tables of the normal distribution).
         let y = gelu(vec![1.0, -2.0, 0.0]);
-        assert!((y[0] - 0.841_345).abs() < 1e-6 && (y[1] + 0.045_500).abs() < 1e-6 && y[2] == 0.0, "{y:?}");
+        assert!(
+            (y[0] - 0.841_345).abs() < 1e-6 && (y[1] + 0.045_500).abs() < 1e-6 && y[2] == 0.0,
+            "{y:?}"
+        );
     }
 }

@@ -27,7 +27,8 @@ impl BasePose {
         covariance_mm2: &Matrix3<f64>,
     ) -> (Vector3<f64>, Matrix3<f64>) {
         let turn = self.world_from_base.rotation.to_rotation_matrix();
-        let point = self.world_from_base.rotation * point_mm + self.world_from_base.translation.vector;
+        let point =
+            self.world_from_base.rotation * point_mm + self.world_from_base.translation.vector;
         (point, turn * covariance_mm2 * turn.inverse())
     }
 }
@@ -52,7 +53,11 @@ const KEPT_S: f64 = 10.0;
 impl BaseMotion {
     /// `along`: direction of the stage's travel in the base frame; none where the base stands still.
     pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
-        Self { at_zero, along: along.and_then(|a| a.try_normalize(1e-9)), way: VecDeque::new() }
+        Self {
+            at_zero,
+            along: along.and_then(|a| a.try_normalize(1e-9)),
+            way: VecDeque::new(),
+        }
     }
 
     /// Takes a position of the stage (mm from its zero).
@@ -68,7 +73,11 @@ impl BaseMotion {
 
     /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over a filter's times and weights
     /// ([`LowPass::kernel`](super::LowPass::kernel)); none where the base is not carried or its positions do not reach so far.
-    pub fn averaged(&self, t_s: f64, kernel: &[(f64, f64)]) -> Option<(Vector3<f64>, Vector3<f64>)> {
+    pub fn averaged(
+        &self,
+        t_s: f64,
+        kernel: &[(f64, f64)],
+    ) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let along = self.along?;
         let (mut way_mm, mut speed_mm_s) = (0.0, 0.0);
         for (offset_s, weight) in kernel {
@@ -81,7 +90,10 @@ impl BaseMotion {
 
     /// Position and speed of the stage at a time (mm, mm/s); the last positions are continued for [`AHEAD_S`].
     fn way(&self, t_s: f64) -> Option<(f64, f64)> {
-        let after = self.way.partition_point(|p| p.0 <= t_s).min(self.way.len().checked_sub(1)?);
+        let after = self
+            .way
+            .partition_point(|p| p.0 <= t_s)
+            .min(self.way.len().checked_sub(1)?);
         let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
         let speed = (b.1 - a.1) / (b.0 - a.0);
         // Equal positions at both ends are a standstill.
@@ -92,7 +104,10 @@ impl BaseMotion {
     /// The pose at a time between two positions that are near enough; none where there are none.
     pub fn at(&self, t_s: f64) -> Option<BasePose> {
         let Some(along) = self.along else {
-            return Some(BasePose { world_from_base: self.at_zero, velocity_mm_s: Some(Vector3::zeros()) });
+            return Some(BasePose {
+                world_from_base: self.at_zero,
+                velocity_mm_s: Some(Vector3::zeros()),
+            });
         };
         let after = self.way.partition_point(|p| p.0 <= t_s);
         let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
@@ -102,7 +117,10 @@ impl BaseMotion {
         let speed = (b.1 - a.1) / (b.0 - a.0);
         let moved = along * (a.1 + speed * (t_s - a.0));
         let world_from_base = self.at_zero * Isometry3::translation(moved.x, moved.y, moved.z);
-        Some(BasePose { world_from_base, velocity_mm_s: Some(along * speed) })
+        Some(BasePose {
+            world_from_base,
+            velocity_mm_s: Some(along * speed),
+        })
     }
 }
 
@@ -112,33 +130,60 @@ mod tests {
 
     #[test]
     fn a_carried_base_is_where_the_stage_is_and_nowhere_without_it() {
-        let at_zero = Isometry3::new(Vector3::new(5.0, 0.0, 0.0), Vector3::z() * std::f64::consts::FRAC_PI_2);
+        let at_zero = Isometry3::new(
+            Vector3::new(5.0, 0.0, 0.0),
+            Vector3::z() * std::f64::consts::FRAC_PI_2,
+        );
         let mut motion = BaseMotion::new(at_zero, Some(Vector3::new(0.0, 0.0, 2.0)));
         (0..20).for_each(|k| motion.push(0.05 * f64::from(k), 0.2 * f64::from(k)));
         let pose = motion.at(0.525).unwrap();
         assert!((pose.along_z_mm_s().unwrap() - 4.0).abs() < 1e-9);
         let spread = Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0));
         let (point, spread) = pose.to_world(&Vector3::new(1.0, 0.0, 0.0), &spread);
-        assert!((point - Vector3::new(5.0, 1.0, 2.1)).norm() < 1e-9, "{point}");
+        assert!(
+            (point - Vector3::new(5.0, 1.0, 2.1)).norm() < 1e-9,
+            "{point}"
+        );
         assert!((spread[(0, 0)] - 4.0).abs() < 1e-9 && (spread[(1, 1)] - 1.0).abs() < 1e-9);
         // Outside the readings, and across a gap, there is no pose.
         assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
         motion.push(2.0, 0.0);
         assert!(motion.at(1.5).is_none());
         // Averaged over a filter: a ramp stays what it is, a corner is rounded, and nothing is known far past the last position.
-        let kernel: Vec<(f64, f64)> = (-10..=10).map(|k| (0.01 * f64::from(k), 1.0 / 21.0)).collect();
+        let kernel: Vec<(f64, f64)> = (-10..=10)
+            .map(|k| (0.01 * f64::from(k), 1.0 / 21.0))
+            .collect();
         let mut ramp = BaseMotion::new(at_zero, Some(Vector3::z()));
         (0..20).for_each(|k| ramp.push(0.05 * f64::from(k), 0.2 * f64::from(k).min(10.0)));
         let (moved, velocity) = ramp.averaged(0.3, &kernel).unwrap();
-        assert!((moved.z - 1.2).abs() < 1e-9 && (velocity.z - 4.0).abs() < 1e-9, "{moved} {velocity}");
+        assert!(
+            (moved.z - 1.2).abs() < 1e-9 && (velocity.z - 4.0).abs() < 1e-9,
+            "{moved} {velocity}"
+        );
         let corner = ramp.averaged(0.5, &kernel).unwrap();
-        assert!((1.8..1.95).contains(&corner.0.z) && (1.5..2.5).contains(&corner.1.z), "{corner:?}");
+        assert!(
+            (1.8..1.95).contains(&corner.0.z) && (1.5..2.5).contains(&corner.1.z),
+            "{corner:?}"
+        );
         assert!(ramp.averaged(0.94, &kernel).is_some() && ramp.averaged(1.0, &kernel).is_none());
         ramp.push(3.0, 2.0);
-        assert!(ramp.averaged(2.0, &kernel).is_some(), "a standstill is no gap");
+        assert!(
+            ramp.averaged(2.0, &kernel).is_some(),
+            "a standstill is no gap"
+        );
         ramp.push(5.0, 3.0);
         assert!(ramp.averaged(4.0, &kernel).is_none());
-        assert!(BaseMotion::new(at_zero, None).averaged(0.3, &kernel).is_none());
-        assert_eq!(BaseMotion::new(at_zero, None).at(7.0).unwrap().along_z_mm_s(), Some(0.0));
+        assert!(
+            BaseMotion::new(at_zero, None)
+                .averaged(0.3, &kernel)
+                .is_none()
+        );
+        assert_eq!(
+            BaseMotion::new(at_zero, None)
+                .at(7.0)
+                .unwrap()
+                .along_z_mm_s(),
+            Some(0.0)
+        );
     }
 }

@@ -40,7 +40,11 @@ impl<const N: usize> LowPass<N> {
         let raw: Vec<f64> = (0..=2 * half).map(tap).collect();
         let sum: f64 = raw.iter().sum();
         let taps = raw.into_iter().map(|t| t / sum).collect();
-        Some(Self { taps, rate_hz, kept: VecDeque::with_capacity(2 * half + 1) })
+        Some(Self {
+            taps,
+            rate_hz,
+            kept: VecDeque::with_capacity(2 * half + 1),
+        })
     }
 
     /// Lag, s: an answer given with the newest sample is true of this much earlier.
@@ -52,7 +56,12 @@ impl<const N: usize> LowPass<N> {
     pub fn gain(&self, hz: f64) -> f64 {
         let half = (self.taps.len() / 2) as f64;
         let turn = std::f64::consts::TAU * hz / self.rate_hz;
-        self.taps.iter().enumerate().map(|(k, t)| t * (turn * (k as f64 - half)).cos()).sum::<f64>().abs()
+        self.taps
+            .iter()
+            .enumerate()
+            .map(|(k, t)| t * (turn * (k as f64 - half)).cos())
+            .sum::<f64>()
+            .abs()
     }
 
     /// Standard deviation of the answer per standard deviation of white noise.
@@ -113,9 +122,16 @@ mod tests {
         assert!(kernel.len() <= 21 && (moment(0) - 1.0).abs() < 1e-12 && moment(1).abs() < 1e-3);
         // A sine of 2 Hz passes as through the filter itself; control: two times are too few.
         let gain = |kernel: &[(f64, f64)]| {
-            kernel.iter().map(|(t, w)| w * (std::f64::consts::TAU * 2.0 * t).cos()).sum::<f64>()
+            kernel
+                .iter()
+                .map(|(t, w)| w * (std::f64::consts::TAU * 2.0 * t).cos())
+                .sum::<f64>()
         };
-        assert!((gain(&kernel) - filter.gain(2.0)).abs() < 2e-3, "{}", gain(&kernel));
+        assert!(
+            (gain(&kernel) - filter.gain(2.0)).abs() < 2e-3,
+            "{}",
+            gain(&kernel)
+        );
         assert!((gain(&filter.kernel(2)) - filter.gain(2.0)).abs() > 2e-2);
     }
 
@@ -152,7 +168,11 @@ mod tests {
         // The stated gain is that of the filter as it runs.
         let wave = filtered(|t| (std::f64::consts::TAU * 4.0 * t).sin(), 0.1);
         let largest = wave.iter().map(|w| w.1.abs()).fold(0.0, f64::max);
-        assert!((largest - filter.gain(4.0)).abs() < 1e-3, "{largest} {}", filter.gain(4.0));
+        assert!(
+            (largest - filter.gain(4.0)).abs() < 1e-3,
+            "{largest} {}",
+            filter.gain(4.0)
+        );
         assert!(filter.noise_gain() < 0.1);
     }
 
@@ -170,7 +190,8 @@ mod tests {
         feed(&mut filter, 50, 40);
         assert!(filter.answer().is_none());
         assert!(
-            LowPass::<2>::new(2000.0, 10.0, 1e-5).is_none() && LowPass::<2>::new(0.0, 10.0, 0.1).is_none()
+            LowPass::<2>::new(2000.0, 10.0, 1e-5).is_none()
+                && LowPass::<2>::new(0.0, 10.0, 0.1).is_none()
         );
     }
 }

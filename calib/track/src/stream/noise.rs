@@ -64,7 +64,10 @@ impl Prefix {
             return;
         }
         let (n, t, m) = std::mem::replace(&mut self.sum, (0, 0.0, Vector2::zeros()));
-        self.blocks.push(Block { t_s: t / n as f64, moment: m / n as f64 });
+        self.blocks.push(Block {
+            t_s: t / n as f64,
+            moment: m / n as f64,
+        });
         if self.blocks[self.blocks.len() - 1].t_s - self.blocks[0].t_s < self.length_s {
             return;
         }
@@ -86,7 +89,10 @@ fn covariance(blocks: &[Block]) -> Option<Matrix2<f64>> {
         return None;
     }
     // Mean and slope are two numbers an axis that the blocks paid for.
-    let sum = detrended(blocks).iter().map(|v| v * v.transpose()).sum::<Matrix2<f64>>();
+    let sum = detrended(blocks)
+        .iter()
+        .map(|v| v * v.transpose())
+        .sum::<Matrix2<f64>>();
     Some(sum / (blocks.len() as f64 - 2.0)).filter(|m| m.determinant() > 1e-30)
 }
 
@@ -111,8 +117,13 @@ fn quiet(blocks: &[Block]) -> bool {
     // The whole as well: a ramp over one part is a line there and has no residual.
     let parts = blocks.chunks_exact(size).chain([blocks]);
     let variances = parts.map(|part| mean_square(&windows(&detrended(part))));
-    let (low, high) = variances.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-    let jitter: Vec<Vector2<f64>> = blocks.windows(2).map(|w| w[1].moment - w[0].moment).collect();
+    let (low, high) = variances.fold((f64::INFINITY, 0.0_f64), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
+    let jitter: Vec<Vector2<f64>> = blocks
+        .windows(2)
+        .map(|w| w[1].moment - w[0].moment)
+        .collect();
     high < MAX_VARIANCE_RATIO * low
         && high < MAX_SLOW_RATIO * mean_square(&jitter) / 2.0 / WINDOW_BLOCKS as f64
 }
@@ -123,13 +134,22 @@ fn detrended(blocks: &[Block]) -> Vec<Vector2<f64>> {
     let middle_s = blocks.iter().map(|b| b.t_s).sum::<f64>() / n;
     let mean = blocks.iter().map(|b| b.moment).sum::<Vector2<f64>>() / n;
     let stt: f64 = blocks.iter().map(|b| (b.t_s - middle_s).powi(2)).sum();
-    let slope = blocks.iter().map(|b| (b.moment - mean) * (b.t_s - middle_s)).sum::<Vector2<f64>>() / stt;
-    blocks.iter().map(|b| b.moment - mean - slope * (b.t_s - middle_s)).collect()
+    let slope = blocks
+        .iter()
+        .map(|b| (b.moment - mean) * (b.t_s - middle_s))
+        .sum::<Vector2<f64>>()
+        / stt;
+    blocks
+        .iter()
+        .map(|b| b.moment - mean - slope * (b.t_s - middle_s))
+        .collect()
 }
 
 /// Means of windows.
 fn windows(left: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
-    left.chunks_exact(WINDOW_BLOCKS).map(|c| c.iter().sum::<Vector2<f64>>() / WINDOW_BLOCKS as f64).collect()
+    left.chunks_exact(WINDOW_BLOCKS)
+        .map(|c| c.iter().sum::<Vector2<f64>>() / WINDOW_BLOCKS as f64)
+        .collect()
 }
 
 #[cfg(test)]
@@ -171,8 +191,11 @@ mod tests {
     #[test]
     fn the_noise_is_that_of_the_free_wire_and_what_happens_in_the_prefix_puts_it_off() {
         // Four samples a block: half of the samples' standard deviation.
-        let right =
-            |m: &Matrix2<f64>| [0, 1].iter().all(|k| (m[(*k, *k)].sqrt() / (SD_NMM / 2.0) - 1.0).abs() < 0.1);
+        let right = |m: &Matrix2<f64>| {
+            [0, 1]
+                .iter()
+                .all(|k| (m[(*k, *k)].sqrt() / (SD_NMM / 2.0) - 1.0).abs() < 0.1)
+        };
         let (free, at_s) = learnt(None, None);
         assert!(right(&free) && (at_s - 2.0).abs() < 0.02, "{free} {at_s}");
         let (touched, at_s) = learnt(Some(1.0), None);

@@ -49,14 +49,30 @@ impl SignalChain {
     ///
     /// # Errors
     /// Names the rate or the lag that cannot be used.
-    pub fn new(settings: &SignalChainSettings, map: Box<dyn MomentStream>) -> Result<Self, TrackError> {
-        let SignalChainSettings { rate_hz, out_hz, lag_s, prefix_s } = *settings;
+    pub fn new(
+        settings: &SignalChainSettings,
+        map: Box<dyn MomentStream>,
+    ) -> Result<Self, TrackError> {
+        let SignalChainSettings {
+            rate_hz,
+            out_hz,
+            lag_s,
+            prefix_s,
+        } = *settings;
         let filter = LowPass::new(rate_hz, out_hz, lag_s).ok_or_else(|| {
             let expected = "a rate up to that of the scans, and a lag of a scan or more";
-            TrackError::value("filter", expected, format!("{out_hz} Hz of {rate_hz} Hz, lag {lag_s} s"))
+            TrackError::value(
+                "filter",
+                expected,
+                format!("{out_hz} Hz of {rate_hz} Hz, lag {lag_s} s"),
+            )
         })?;
         if !(prefix_s > 0.0 && prefix_s.is_finite()) {
-            return Err(TrackError::value("prefix", "above 0 s", format!("{prefix_s} s")));
+            return Err(TrackError::value(
+                "prefix",
+                "above 0 s",
+                format!("{prefix_s} s"),
+            ));
         }
         Ok(Self {
             map,
@@ -95,7 +111,13 @@ impl SignalChain {
 
     /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values that were not measured.
     pub fn push(&mut self, sensed: &WhiskerReading) -> Option<Row> {
-        let WhiskerReading { serial, t_s, shift_pm, rise_degc, flags } = *sensed;
+        let WhiskerReading {
+            serial,
+            t_s,
+            shift_pm,
+            rise_degc,
+            flags,
+        } = *sensed;
         let interrupted = Flags::GAP.with(Flags::CLOCK).with(Flags::DROPPED);
         self.broken |= flags.0 & interrupted.0 != 0 || shift_pm.is_none();
         if let Some(shift) = shift_pm {
@@ -105,7 +127,8 @@ impl SignalChain {
             }
             self.filter.push(t_s, [shift[0], shift[1], rise_degc]);
             if self.prefix.block_nmm2().is_none() {
-                self.prefix.push(t_s, self.map.quick_nmm(t_s, shift, rise_degc));
+                self.prefix
+                    .push(t_s, self.map.quick_nmm(t_s, shift, rise_degc));
             }
         }
         self.since = self.since.with(flags);
@@ -116,7 +139,8 @@ impl SignalChain {
             return None;
         }
         self.due = Some(
-            if anew { serial } else { due } + ((serial.saturating_sub(due)) / self.every + 1) * self.every,
+            if anew { serial } else { due }
+                + ((serial.saturating_sub(due)) / self.every + 1) * self.every,
         );
         let answer = self.filter.answer().filter(|_| !self.broken);
         let mut flags = std::mem::take(&mut self.since);
@@ -128,7 +152,12 @@ impl SignalChain {
             }
         };
         let t_s = moments.map_or(t_s - self.filter.lag_s(), |m| m.0);
-        Some(Row { serial, t_s, flags, moments: moments.map(|m| m.1) })
+        Some(Row {
+            serial,
+            t_s,
+            flags,
+            moments: moments.map(|m| m.1),
+        })
     }
 }
 
@@ -145,7 +174,11 @@ mod tests {
         }
 
         fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise: f64) -> StreamMoments {
-            StreamMoments { moment_nmm: self.quick_nmm(t_s, shift_pm, rise), sd_nmm: [0.01; 2], valid: true }
+            StreamMoments {
+                moment_nmm: self.quick_nmm(t_s, shift_pm, rise),
+                sd_nmm: [0.01; 2],
+                valid: true,
+            }
         }
 
         fn spread(&self) -> MomentSpread {
@@ -154,7 +187,12 @@ mod tests {
     }
 
     fn settings() -> SignalChainSettings {
-        SignalChainSettings { rate_hz: 2000.0, out_hz: 10.0, lag_s: 0.1, prefix_s: 1.0 }
+        SignalChainSettings {
+            rate_hz: 2000.0,
+            out_hz: 10.0,
+            lag_s: 0.1,
+            prefix_s: 1.0,
+        }
     }
 
     fn sensed(serial: u64) -> WhiskerReading {
@@ -189,38 +227,67 @@ mod tests {
     fn a_gap_and_a_lost_peak_empty_the_filter_and_are_flagged_and_nothing_is_filled_in() {
         // 3,000 scans are missing.
         let gap = rows((0..2000).chain(5000..8000).map(|k| {
-            let flags = if k == 5000 { Flags::GAP } else { Flags::default() };
+            let flags = if k == 5000 {
+                Flags::GAP
+            } else {
+                Flags::default()
+            };
             WhiskerReading { flags, ..sensed(k) }
         }));
         let first = gap.iter().position(|r| r.serial >= 5000).unwrap();
         assert_eq!(gap[first - 1].flags, Flags::default());
-        assert_eq!((gap[first].flags, gap[first].moments), (Flags::GAP.with(Flags::FILLING), None));
+        assert_eq!(
+            (gap[first].flags, gap[first].moments),
+            (Flags::GAP.with(Flags::FILLING), None)
+        );
         assert_eq!(gap[first + 1].flags, Flags::FILLING);
         assert!(gap.windows(2).all(|w| w[1].t_s > w[0].t_s));
         // Answers begin again only when every sample under the filter comes from after the gap.
         let again = gap[first..].iter().find(|r| r.moments.is_some()).unwrap();
         assert!(
-            again.serial >= 5400 && (again.moments.unwrap().moment_nmm[0] - 0.5 * again.t_s).abs() < 1e-9
+            again.serial >= 5400
+                && (again.moments.unwrap().moment_nmm[0] - 0.5 * again.t_s).abs() < 1e-9
         );
         let lost = rows((0..4000).map(|k| {
             if k == 2500 {
-                WhiskerReading { shift_pm: None, flags: Flags::PEAK_LOST, ..sensed(k) }
+                WhiskerReading {
+                    shift_pm: None,
+                    flags: Flags::PEAK_LOST,
+                    ..sensed(k)
+                }
             } else {
                 sensed(k)
             }
         }));
-        let flagged: Vec<&Row> = lost.iter().filter(|r| r.serial > 400 && !r.flags.none()).collect();
-        assert!(flagged[0].flags.has(Flags::PEAK_LOST) && flagged.iter().all(|r| r.moments.is_none()));
+        let flagged: Vec<&Row> = lost
+            .iter()
+            .filter(|r| r.serial > 400 && !r.flags.none())
+            .collect();
+        assert!(
+            flagged[0].flags.has(Flags::PEAK_LOST) && flagged.iter().all(|r| r.moments.is_none())
+        );
         assert_eq!(flagged.len(), 2, "{flagged:?}");
         // Control: without the gap nothing is flagged.
-        assert!(rows((0..8000).map(sensed)).iter().skip(2).all(|r| r.flags.none()));
+        assert!(
+            rows((0..8000).map(sensed))
+                .iter()
+                .skip(2)
+                .all(|r| r.flags.none())
+        );
     }
 
     #[test]
     fn rates_and_lags_that_cannot_be_are_named() {
         for (out_hz, lag_s) in [(4000.0, 0.1), (10.0, 0.0), (0.0, 0.1), (10.0, f64::NAN)] {
-            let bad = SignalChainSettings { out_hz, lag_s, ..settings() };
-            let error = SignalChain::new(&bad, Box::new(Plain)).err().unwrap().to_string();
+            let bad = SignalChainSettings {
+                out_hz,
+                lag_s,
+                ..settings()
+            };
+            let error = SignalChain::new(&bad, Box::new(Plain))
+                .err()
+                .unwrap()
+                .to_string();
             assert!(error.contains("filter"), "{error}");
         }
     }

@@ -61,7 +61,10 @@ impl TagOrder {
             from_top: k & 1 != 0,
             first: 0,
         };
-        Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))
+        Self::NAMES
+            .into_iter()
+            .enumerate()
+            .map(move |(k, name)| (name, order(k)))
     }
 }
 
@@ -79,6 +82,8 @@ pub struct Board {
 /// Flat board points, row by row, z = 0.
 pub fn board_points(columns: usize, rows: usize, square: f64) -> Vec<Vector3<f64>> {
     (0..rows)
-        .flat_map(|j| (0..columns).map(move |i| Vector3::new(i as f64 * square, j as f64 * square, 0.0)))
+        .flat_map(|j| {
+            (0..columns).map(move |i| Vector3::new(i as f64 * square, j as f64 * square, 0.0))
+        })
         .collect()
 }

@@ -63,7 +63,9 @@ pub struct BundleState {
 impl BundleState {
     /// Both cameras have a lens of one model.
     fn layout(&self) -> Layout {
-        Layout { intrinsics: self.cameras[0].intrinsics() }
+        Layout {
+            intrinsics: self.cameras[0].intrinsics(),
+        }
     }
 }
 
@@ -83,7 +85,12 @@ pub struct Free {
 impl Free {
     /// Everything, with or without warp.
     pub fn all(warp: bool) -> Self {
-        Self { left: true, right: true, extrinsic: true, warp }
+        Self {
+            left: true,
+            right: true,
+            extrinsic: true,
+            warp,
+        }
     }
 
     fn mask(self, layout: Layout) -> Vec<bool> {
@@ -128,12 +135,21 @@ impl BundleSolution {
 /// A point of the board with its warp shapes (1 - x^2, 1 - y^2).
 pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     let range = |axis: usize| {
-        let (lo, hi) =
-            points.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| (lo.min(p[axis]), hi.max(p[axis])));
+        let (lo, hi) = points.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| {
+            (lo.min(p[axis]), hi.max(p[axis]))
+        });
         (0.5 * (lo + hi), (0.5 * (hi - lo)).max(f64::MIN_POSITIVE))
     };
     let ((mx, hx), (my, hy)) = (range(0), range(1));
-    points.iter().map(|p| [1.0 - ((p.x - mx) / hx).powi(2), 1.0 - ((p.y - my) / hy).powi(2)]).collect()
+    points
+        .iter()
+        .map(|p| {
+            [
+                1.0 - ((p.x - mx) / hx).powi(2),
+                1.0 - ((p.y - my) / hy).powi(2),
+            ]
+        })
+        .collect()
 }
 
 /// Normal equations. Plain arrays: matrices of this width as nalgebra types unroll into minutes of compilation.
@@ -175,13 +191,18 @@ pub fn residuals(
         .into_iter()
         .enumerate()
         .map(|(c, side)| {
-            let pose = if c == 0 { *left_from_board } else { state.right_from_left * left_from_board };
+            let pose = if c == 0 {
+                *left_from_board
+            } else {
+                state.right_from_left * left_from_board
+            };
             side.iter()
                 .zip(&board)
                 .map(|(px, p)| {
                     Some(
                         px.as_ref()?
-                            - state.cameras[c].project(&(pose * nalgebra::Point3::from(*p)).coords)?,
+                            - state.cameras[c]
+                                .project(&(pose * nalgebra::Point3::from(*p)).coords)?,
                     )
                 })
                 .collect::<Vec<_>>()
@@ -219,9 +240,12 @@ fn linearise(
             let rotated = rotation * p;
             let in_left = rotated + pose.translation.vector;
             let in_right = extrinsic * in_left + state.right_from_left.translation.vector;
-            for (side, observed, x) in [(0, &view.left[k], &in_left), (1, &view.right[k], &in_right)] {
+            for (side, observed, x) in
+                [(0, &view.left[k], &in_left), (1, &view.right[k], &in_right)]
+            {
                 let Some(px) = observed else { continue };
-                let Some((predicted, by_point, by_camera)) = state.cameras[side].project_with_jacobian(x)
+                let Some((predicted, by_point, by_camera)) =
+                    state.cameras[side].project_with_jacobian(x)
                 else {
                     // Behind the camera: infinite cost, so that the step is refused.
                     n.cost = f64::INFINITY;
@@ -238,13 +262,21 @@ fn linearise(
                     count += 1;
                 };
                 for k in 0..layout.intrinsics {
-                    push(side * layout.intrinsics + k, by_camera[(0, k)], by_camera[(1, k)]);
+                    push(
+                        side * layout.intrinsics + k,
+                        by_camera[(0, k)],
+                        by_camera[(1, k)],
+                    );
                 }
                 let by_left: Matrix2x3<f64> = if side == 1 {
                     let by_turn = -by_point * hat(&(extrinsic * in_left));
                     for k in 0..3 {
                         push(layout.extrinsic() + k, by_turn[(0, k)], by_turn[(1, k)]);
-                        push(layout.extrinsic() + 3 + k, by_point[(0, k)], by_point[(1, k)]);
+                        push(
+                            layout.extrinsic() + 3 + k,
+                            by_point[(0, k)],
+                            by_point[(1, k)],
+                        );
                     }
                     by_point * extrinsic.matrix()
                 } else {
@@ -257,7 +289,13 @@ fn linearise(
                 }
                 let by_turn = -by_left * hat(&rotated);
                 let own: [[f64; 6]; 2] = std::array::from_fn(|r| {
-                    std::array::from_fn(|c| if c < 3 { by_turn[(r, c)] } else { by_left[(r, c - 3)] })
+                    std::array::from_fn(|c| {
+                        if c < 3 {
+                            by_turn[(r, c)]
+                        } else {
+                            by_left[(r, c - 3)]
+                        }
+                    })
                 });
                 n.accumulate(&mut part, &columns[..count], &own, [e.x, e.y]);
             }
@@ -300,14 +338,21 @@ type SharedStep = (DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>);
 /// Solves for the shared step and the view steps with damping `lambda`; none where the normal matrix is singular.
 fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
     let free: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
-    let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| normal.shared[free[i]][free[j]]);
+    let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| {
+        normal.shared[free[i]][free[j]]
+    });
     for i in 0..free.len() {
         schur[(i, i)] *= 1.0 + lambda;
     }
     let mut rhs = DVector::<f64>::from_fn(free.len(), |i, _| normal.shared_gradient[free[i]]);
     let mut eliminated = Vec::with_capacity(normal.views.len());
     // Schur complement: the board poses couple only through the shared parameters, so that each is eliminated by its own 6 x 6 block.
-    for ViewNormal { cross, own, gradient } in &normal.views {
+    for ViewNormal {
+        cross,
+        own,
+        gradient,
+    } in &normal.views
+    {
         let mut damped = *own;
         for k in 0..6 {
             damped[(k, k)] *= 1.0 + lambda;
@@ -319,7 +364,11 @@ fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
         rhs -= &wi * DVector::from_column_slice(gradient.as_slice());
         eliminated.push((inverse, w));
     }
-    let shared = if free.is_empty() { rhs } else { schur.clone().cholesky()?.solve(&rhs) };
+    let shared = if free.is_empty() {
+        rhs
+    } else {
+        schur.clone().cholesky()?.solve(&rhs)
+    };
     let views = eliminated
         .iter()
         .zip(&normal.views)
@@ -350,8 +399,16 @@ fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -
             &state.right_from_left,
             &Vector6::from_fn(|k, _| shared[layout.extrinsic() + k]),
         ),
-        warp: [state.warp[0] + shared[layout.warp()], state.warp[1] + shared[layout.warp() + 1]],
-        left_from_board: state.left_from_board.iter().zip(views).map(|(p, s)| updated(p, s)).collect(),
+        warp: [
+            state.warp[0] + shared[layout.warp()],
+            state.warp[1] + shared[layout.warp() + 1],
+        ],
+        left_from_board: state
+            .left_from_board
+            .iter()
+            .zip(views)
+            .map(|(p, s)| updated(p, s))
+            .collect(),
     }
 }
 
@@ -376,12 +433,26 @@ impl Linearised for Masked<'_> {
 /// Minimises the reprojection error from `start`. `points` are the flat board's points in the board frame.
 ///
 /// Non-convergence and rank deficiency are reported in the result (`converged`, infinite covariance), not as errors.
-pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, free: Free) -> BundleSolution {
+pub fn solve(
+    points: &[Vector3<f64>],
+    views: &[BoardView],
+    start: BundleState,
+    free: Free,
+) -> BundleSolution {
     let shapes = warp_shapes(points);
     let mask = free.mask(start.layout());
-    let damping = Damping { start: 1e-3, shrink: 0.1, min: 1e-12, grow: 10.0, max: 1e10, max_steps: 100 };
-    let linearised =
-        |state: &BundleState| Masked { normal: linearise(state, points, &shapes, views), mask: &mask };
+    let damping = Damping {
+        start: 1e-3,
+        shrink: 0.1,
+        min: 1e-12,
+        grow: 10.0,
+        max: 1e10,
+        max_steps: 100,
+    };
+    let linearised = |state: &BundleState| Masked {
+        normal: linearise(state, points, &shapes, views),
+        mask: &mask,
+    };
     let first = linearised(&start);
     let found = minimise(
         (start, first),
@@ -402,10 +473,14 @@ pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, f
     let variance = normal.cost / redundancy.max(1.0);
     let mut covariance = DMatrix::<f64>::zeros(mask.len(), mask.len());
     let indices: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
-    let inverse = step(&normal, &mask, 0.0).and_then(|s| s.2.cholesky()).map(|c| c.inverse());
+    let inverse = step(&normal, &mask, 0.0)
+        .and_then(|s| s.2.cholesky())
+        .map(|c| c.inverse());
     for (i, &a) in indices.iter().enumerate() {
         for (j, &b) in indices.iter().enumerate() {
-            covariance[(a, b)] = inverse.as_ref().map_or(f64::INFINITY, |m| m[(i, j)] * variance);
+            covariance[(a, b)] = inverse
+                .as_ref()
+                .map_or(f64::INFINITY, |m| m[(i, j)] * variance);
         }
     }
     BundleSolution {

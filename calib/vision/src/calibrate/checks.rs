@@ -27,24 +27,39 @@ pub(crate) fn explain_disagreement(
         let rotated: Vec<usize> = (0..n).map(|k| (k + shift) % n).collect();
         let other = MonoEstimate {
             camera: mono[1].camera.clone(),
-            camera_from_board: rotated.iter().map(|&k| mono[1].camera_from_board[k]).collect(),
+            camera_from_board: rotated
+                .iter()
+                .map(|&k| mono[1].camera_from_board[k])
+                .collect(),
             view_rms_px: mono[1].view_rms_px.clone(),
         };
         let corners: Vec<Corners> = rotated.iter().map(|&k| right[k].clone()).collect();
-        let frames = if shift == 1 { "one picture late" } else { "one picture early" };
+        let frames = if shift == 1 {
+            "one picture late"
+        } else {
+            "one picture early"
+        };
         causes.push((
             score(&mono[0], &other, &corners),
             format!("the pairs are shifted: the left pictures are {frames} against the right ones"),
         ));
     }
-    let mirrored: Vec<Corners> = right.iter().map(|c| mirror(points, c, image_size_px[0] as f64)).collect();
-    if let Ok(other) = crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px, lens) {
+    let mirrored: Vec<Corners> = right
+        .iter()
+        .map(|c| mirror(points, c, image_size_px[0] as f64))
+        .collect();
+    if let Ok(other) =
+        crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px, lens)
+    {
         causes.push((
             score(&mono[0], &other, &mirrored),
             "one camera's pictures are mirrored left to right".into(),
         ));
     }
-    let best = causes.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).filter(|b| b.0 < 0.3 * now);
+    let best = causes
+        .into_iter()
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|b| b.0 < 0.3 * now);
     let untilted = mono.iter().find_map(|m| parallel(&m.camera_from_board));
     let why = best.map(|b| b.1).or(untilted).unwrap_or_else(|| {
         "board moved between left and right, wrong pairing, or mirrored pictures".to_string()
@@ -60,10 +75,18 @@ pub(crate) fn explain_disagreement(
 
 /// Corners as in the mirrored picture: x flipped, and each row of the grid read from its other end.
 fn mirror(points: &[Vector3<f64>], corners: &Corners, width: f64) -> Corners {
-    let columns = points.iter().take_while(|p| p.y == points[0].y).count().max(1);
+    let columns = points
+        .iter()
+        .take_while(|p| p.y == points[0].y)
+        .count()
+        .max(1);
     corners
         .chunks(columns)
-        .flat_map(|row| row.iter().rev().map(|c| c.map(|c| Vector2::new(width - 1.0 - c.x, c.y))))
+        .flat_map(|row| {
+            row.iter()
+                .rev()
+                .map(|c| c.map(|c| Vector2::new(width - 1.0 - c.x, c.y)))
+        })
         .collect()
 }
 
@@ -73,13 +96,16 @@ pub(crate) fn refuse_unphysical(
     solution: &BundleSolution,
     views: &[BoardView],
 ) -> Result<(), VisionError> {
-    let parallel =
-        parallel(&solution.state.left_from_board).map_or_else(String::new, |why| format!("; {why}"));
+    let parallel = parallel(&solution.state.left_from_board)
+        .map_or_else(String::new, |why| format!("; {why}"));
     let refuse = |expected: String, found: String| {
         Err(VisionError::result(
             "accept the calibration",
             expected,
-            format!("{found} (RMS {:.3} px nevertheless){parallel}", solution.rms_px()),
+            format!(
+                "{found} (RMS {:.3} px nevertheless){parallel}",
+                solution.rms_px()
+            ),
         ))
     };
     if !solution.converged {
@@ -95,7 +121,10 @@ pub(crate) fn refuse_unphysical(
             );
         }
         if (fx / fy - 1.0).abs() > 0.2 {
-            return refuse(format!("{name} camera: nearly square pixels"), format!("fx/fy = {:.3}", fx / fy));
+            return refuse(
+                format!("{name} camera: nearly square pixels"),
+                format!("fx/fy = {:.3}", fx / fy),
+            );
         }
         if !(cx > -0.5 * w && cx < 1.5 * w && cy > -0.5 * h && cy < 1.5 * h) {
             return refuse(
@@ -105,7 +134,9 @@ pub(crate) fn refuse_unphysical(
         }
         if let Some(radius_px) = fold_radius(camera, views, *name == "left") {
             return refuse(
-                format!("{name} camera: a distortion that does not fold over where the corners lie"),
+                format!(
+                    "{name} camera: a distortion that does not fold over where the corners lie"
+                ),
                 format!("one that folds at {radius_px:.0} px from the centre"),
             );
         }
@@ -128,11 +159,15 @@ pub(crate) fn refuse_unphysical(
         );
     }
     for (side, name) in [(0, "left"), (1, "right")] {
-        let relative = solution.variance_of(side, 0).sqrt() / solution.state.cameras[side].focal_px[0];
+        let relative =
+            solution.variance_of(side, 0).sqrt() / solution.state.cameras[side].focal_px[0];
         if relative > 0.1 {
             return refuse(
                 format!("{name} camera: a focal length known to 10 %"),
-                format!("known to {:.0} % only (boards too parallel?)", 100.0 * relative),
+                format!(
+                    "known to {:.0} % only (boards too parallel?)",
+                    100.0 * relative
+                ),
             );
         }
     }
@@ -145,18 +180,29 @@ fn fold_radius(camera: &Camera, views: &[BoardView], left: bool) -> Option<f64> 
         .iter()
         .flat_map(|v| if left { &v.left } else { &v.right })
         .flatten()
-        .filter_map(|c| camera.undistort(c).map(|n| n.norm()).or(Some(f64::INFINITY)))
+        .filter_map(|c| {
+            camera
+                .undistort(c)
+                .map(|n| n.norm())
+                .or(Some(f64::INFINITY))
+        })
         .fold(0.0, f64::max);
     let limit = reach.min(3.0);
-    (1..=200).map(|k| f64::from(k) / 200.0 * limit).find_map(|r| {
-        (camera.lens.radial_slope(&camera.distortion, r) <= 0.0).then_some(r * camera.focal_px[0])
-    })
+    (1..=200)
+        .map(|k| f64::from(k) / 200.0 * limit)
+        .find_map(|r| {
+            (camera.lens.radial_slope(&camera.distortion, r) <= 0.0)
+                .then_some(r * camera.focal_px[0])
+        })
 }
 
 fn mean_depth(points: &[Vector3<f64>], state: &BundleState) -> f64 {
     let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let depths: Vec<f64> =
-        state.left_from_board.iter().map(|p| (p * nalgebra::Point3::from(centre)).z).collect();
+    let depths: Vec<f64> = state
+        .left_from_board
+        .iter()
+        .map(|p| (p * nalgebra::Point3::from(centre)).z)
+        .collect();
     depths.iter().sum::<f64>() / depths.len().max(1) as f64
 }
 
@@ -165,10 +211,17 @@ const TILT_DEG: f64 = 20.0;
 
 /// Largest angle between two boards' normals, degrees. Parallel boards have one vanishing line, so that they show parallel by any focal length.
 fn tilt_spread_deg(camera_from_board: &[Isometry3<f64>]) -> f64 {
-    let normals: Vec<Vector3<f64>> = camera_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
+    let normals: Vec<Vector3<f64>> = camera_from_board
+        .iter()
+        .map(|p| p.rotation * Vector3::z())
+        .collect();
     normals
         .iter()
-        .flat_map(|a| normals.iter().map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()))
+        .flat_map(|a| {
+            normals
+                .iter()
+                .map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees())
+        })
         .fold(0.0, f64::max)
 }
 
@@ -189,7 +242,10 @@ pub(crate) fn weak_geometry(
     let mut warnings = Vec::new();
     let state = &solution.state;
     if views.len() < 8 {
-        warnings.push(format!("only {} views: 8 or more average the corners' errors better", views.len()));
+        warnings.push(format!(
+            "only {} views: 8 or more average the corners' errors better",
+            views.len()
+        ));
     }
     let spread = tilt_spread_deg(&state.left_from_board);
     if spread < TILT_DEG {
@@ -199,17 +255,29 @@ pub(crate) fn weak_geometry(
     let depths: Vec<f64> = state
         .left_from_board
         .iter()
-        .flat_map(|p| points.iter().map(move |q| (p * nalgebra::Point3::from(*q)).z))
+        .flat_map(|p| {
+            points
+                .iter()
+                .map(move |q| (p * nalgebra::Point3::from(*q)).z)
+        })
         .collect();
-    let (near, far) = depths.iter().fold((f64::MAX, 0.0f64), |(n, f), &d| (n.min(d), f.max(d)));
+    let (near, far) = depths
+        .iter()
+        .fold((f64::MAX, 0.0f64), |(n, f), &d| (n.min(d), f.max(d)));
     let middle = (state.left_from_board[0] * nalgebra::Point3::from(centre)).z;
     if (far - near) < 0.05 * middle {
-        warnings.push(format!("one depth: all corners lie between {near:.1} and {far:.1} board units"));
+        warnings.push(format!(
+            "one depth: all corners lie between {near:.1} and {far:.1} board units"
+        ));
     }
     for (name, side) in [("left", 0), ("right", 1)] {
         let [w, h] = state.cameras[side].image_size_px.map(|v| v as f64);
         let mut cells = [false; 48];
-        for c in views.iter().flat_map(|v| if side == 0 { &v.left } else { &v.right }).flatten() {
+        for c in views
+            .iter()
+            .flat_map(|v| if side == 0 { &v.left } else { &v.right })
+            .flatten()
+        {
             let (i, j) = ((c.x / w * 8.0) as usize, (c.y / h * 6.0) as usize);
             cells[j.min(5) * 8 + i.min(7)] = true;
         }
@@ -221,7 +289,10 @@ pub(crate) fn weak_geometry(
             let sd = solution.variance_of(side, k).sqrt();
             let focal = state.cameras[side].focal_px[0];
             if sd > 0.01 * focal {
-                warnings.push(format!("{name} camera: {} is known to {sd:.1} px only", PINHOLE_NAMES[k]));
+                warnings.push(format!(
+                    "{name} camera: {} is known to {sd:.1} px only",
+                    PINHOLE_NAMES[k]
+                ));
             }
         }
     }

@@ -68,7 +68,8 @@ pub fn find_chessboard(
             let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
                 | calib3d::CALIB_CB_NORMALIZE_IMAGE
                 | calib3d::CALIB_CB_FAST_CHECK;
-            calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?
+            calib3d::find_chessboard_corners(&mat, size, &mut found, flags)
+                .doing("findChessboardCorners")?
         }
         Finder::Sectors => {
             let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
@@ -79,16 +80,26 @@ pub fn find_chessboard(
     if !ok || found.len() != board.columns * board.rows {
         return Ok(None);
     }
-    let points: Vec<_> = found.iter().map(|p| Vector2::new(f64::from(p.x), f64::from(p.y))).collect();
+    let points: Vec<_> = found
+        .iter()
+        .map(|p| Vector2::new(f64::from(p.x), f64::from(p.y)))
+        .collect();
     Ok(Some(normalise_order(picture, board, points)))
 }
 
 /// The two finders start at opposite ends and may run in either direction; the pattern decides.
-fn normalise_order(picture: &Picture, board: BoardSize, mut points: Vec<Vector2<f64>>) -> Vec<Vector2<f64>> {
+fn normalise_order(
+    picture: &Picture,
+    board: BoardSize,
+    mut points: Vec<Vector2<f64>>,
+) -> Vec<Vector2<f64>> {
     let (c, r) = (board.columns, board.rows);
     let (u, v) = (points[c - 1] - points[0], points[(r - 1) * c] - points[0]);
     if u.perp(&v) < 0.0 {
-        points = (0..r).flat_map(|j| (0..c).rev().map(move |i| j * c + i)).map(|k| points[k]).collect();
+        points = (0..r)
+            .flat_map(|j| (0..c).rev().map(move |i| j * c + i))
+            .map(|k| points[k])
+            .collect();
     }
     if board.orientation_is_unique() {
         // Dark minus light over the inner squares, the first one counted as the colour of the first outer square.
@@ -116,8 +127,16 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
     let (c, i, j) = (board.columns, k % board.columns, k / board.columns);
     let mut nearest = f64::INFINITY;
     let mut along = |here: usize, count: usize, stride: usize| {
-        let before = if here > 0 { points[k - stride] } else { points[k] };
-        let after = if here + 1 < count { points[k + stride] } else { points[k] };
+        let before = if here > 0 {
+            points[k - stride]
+        } else {
+            points[k]
+        };
+        let after = if here + 1 < count {
+            points[k + stride]
+        } else {
+            points[k]
+        };
         for d in [(before - points[k]).norm(), (after - points[k]).norm()] {
             if d > 0.0 {
                 nearest = nearest.min(d);
@@ -136,13 +155,21 @@ pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> V
             .into_par_iter()
             .map(|k| {
                 let (distance, sides) = neighbourhood(board, start, k);
-                fit_corner(picture, &start[k], sides, (WINDOW * distance).max(MIN_WINDOW_PX))
+                fit_corner(
+                    picture,
+                    &start[k],
+                    sides,
+                    (WINDOW * distance).max(MIN_WINDOW_PX),
+                )
             })
             .collect()
     };
     let found = once(coarse);
-    let start: Vec<Vector2<f64>> =
-        found.iter().zip(coarse).map(|(f, c)| f.as_ref().map_or(*c, |f| f.position_px)).collect();
+    let start: Vec<Vector2<f64>> = found
+        .iter()
+        .zip(coarse)
+        .map(|(f, c)| f.as_ref().map_or(*c, |f| f.position_px))
+        .collect();
     once(&start)
 }
 
@@ -153,7 +180,9 @@ pub fn continues_beyond(
     points: &[Vector2<f64>],
 ) -> Option<&'static str> {
     let (c, r) = (board.columns as i64, board.rows as i64);
-    let indices: Vec<_> = (0..r * c).map(|k| Vector2::new((k % c) as f64, (k / c) as f64)).collect();
+    let indices: Vec<_> = (0..r * c)
+        .map(|k| Vector2::new((k % c) as f64, (k / c) as f64))
+        .collect();
     let homography = homography(&indices, points)?;
     let at = |x: f64, y: f64| {
         let p = homography * nalgebra::Vector3::new(x, y, 1.0);
@@ -163,9 +192,12 @@ pub fn continues_beyond(
     // squares on that side only.
     let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
         let mut sum = 0.0;
-        for (dx, dy, sign) in
-            [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)]
-        {
+        for (dx, dy, sign) in [
+            (-0.35, -0.35, 1.0),
+            (0.35, 0.35, 1.0),
+            (-0.35, 0.35, -1.0),
+            (0.35, -0.35, -1.0),
+        ] {
             if dx * out[0] + dy * out[1] < 0.0 {
                 continue;
             }
@@ -175,19 +207,36 @@ pub fn continues_beyond(
             }
             sum += sign * picture.sample(x, y);
         }
-        Some(if (i + j).rem_euclid(2) == 0 { sum } else { -sum })
+        Some(if (i + j).rem_euclid(2) == 0 {
+            sum
+        } else {
+            -sum
+        })
     };
     let typical = |cells: Vec<(i64, i64)>, out: [f64; 2]| -> Option<f64> {
-        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| contrast(i, j, out)).collect();
+        let values: Vec<f64> = cells
+            .iter()
+            .filter_map(|&(i, j)| contrast(i, j, out))
+            .collect();
         (2 * values.len() >= cells.len().max(2)).then(|| median(&values))
     };
-    let inside = 0.5 * typical((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(), [0.0; 2])?;
+    let inside = 0.5
+        * typical(
+            (0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(),
+            [0.0; 2],
+        )?;
     let sides = [
-        ("left", [-1.0, 0.0], (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
+        (
+            "left",
+            [-1.0, 0.0],
+            (0..r).map(|j| (-1, j)).collect::<Vec<_>>(),
+        ),
         ("right", [1.0, 0.0], (0..r).map(|j| (c, j)).collect()),
         ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
         ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
     // Outside a true board lies its uniform margin or something that does not alternate with the squares: no contrast, against all of it.
-    sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
+    sides
+        .into_iter()
+        .find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
 }

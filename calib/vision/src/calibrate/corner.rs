@@ -42,12 +42,18 @@ pub fn fit_corner(
             let r = ((dx * dx + dy * dy) as f64).sqrt();
             let weight = ((radius_px + 0.5 - r).clamp(0.0, 1.0)).sqrt();
             if weight > 0.0 {
-                pixels.push((dx as f64, dy as f64, picture.at(cx0 as i64 + dx, cy0 as i64 + dy), weight));
+                pixels.push((
+                    dx as f64,
+                    dy as f64,
+                    picture.at(cx0 as i64 + dx, cy0 as i64 + dy),
+                    weight,
+                ));
             }
         }
     }
     let mean = pixels.iter().map(|p| p.2).sum::<f64>() / pixels.len() as f64;
-    let sd = (pixels.iter().map(|p| (p.2 - mean).powi(2)).sum::<f64>() / pixels.len() as f64).sqrt();
+    let sd =
+        (pixels.iter().map(|p| (p.2 - mean).powi(2)).sum::<f64>() / pixels.len() as f64).sqrt();
     let angles = sides.map(|s| s.y.atan2(s.x));
     let mut p = SVector::<f64, PARAMETERS>::from_row_slice(&[
         start.x - cx0,
@@ -60,18 +66,34 @@ pub fn fit_corner(
         0.0,
         0.0,
     ]);
-    let sign: f64 = pixels.iter().map(|q| model(&p, q.0, q.1).1 * (q.2 - mean)).sum();
+    let sign: f64 = pixels
+        .iter()
+        .map(|q| model(&p, q.0, q.1).1 * (q.2 - mean))
+        .sum();
     p[5] = sd.copysign(sign);
     let settled = |step: &SVector<f64, PARAMETERS>, [before, after]: [f64; 2]| {
         step.fixed_rows::<2>(0).norm() < 1e-5 && before - after <= 1e-7 * before
     };
     let linearised = |p: &SVector<f64, PARAMETERS>| Some(linearise(p, &pixels));
     let first = (p, linearise(&p, &pixels));
-    let found = minimise(first, &Damping::default(), linearised, |p, _, step| p + step, settled);
+    let found = minimise(
+        first,
+        &Damping::default(),
+        linearised,
+        |p, _, step| p + step,
+        settled,
+    );
     if found.ending == Ending::Singular {
         return None;
     }
-    let (p, NormalEquations { cost, matrix: normal, .. }) = (found.place, found.at);
+    let (
+        p,
+        NormalEquations {
+            cost,
+            matrix: normal,
+            ..
+        },
+    ) = (found.place, found.at);
     let moved = Vector2::new(p[0] + cx0 - start.x, p[1] + cy0 - start.y);
     let blur = p[6].exp();
     if !cost.is_finite() || moved.norm() > 0.5 * radius_px || blur > radius_px {
@@ -89,7 +111,10 @@ pub fn fit_corner(
 /// Signed distances from the two edges and the product of their profiles.
 fn model(p: &SVector<f64, PARAMETERS>, x: f64, y: f64) -> ([f64; 2], f64) {
     let (dx, dy, s) = (x - p[0], y - p[1], p[6].exp() * std::f64::consts::SQRT_2);
-    let e = [-p[2].sin() * dx + p[2].cos() * dy, -p[3].sin() * dx + p[3].cos() * dy];
+    let e = [
+        -p[2].sin() * dx + p[2].cos() * dy,
+        -p[3].sin() * dx + p[3].cos() * dy,
+    ];
     (e, erf_with_slope(e[0] / s).0 * erf_with_slope(e[1] / s).0)
 }
 
@@ -132,5 +157,9 @@ fn linearise(
         gradient.axpy(residual, &row, 1.0);
     }
     normal.fill_lower_triangle_with_upper_triangle();
-    NormalEquations { cost, matrix: normal, descent: gradient }
+    NormalEquations {
+        cost,
+        matrix: normal,
+        descent: gradient,
+    }
 }

@@ -159,7 +159,9 @@ impl StereoDocument {
     pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
         let document: Self = from_json(text, STEREO_FORMAT, &[RANGES])
             .map_err(|e| VisionError::content(name, "a stereo.json document", e.to_string()))?;
-        document.stereo_cameras().map_err(|why| VisionError::content(name, "physical cameras", why))?;
+        document
+            .stereo_cameras()
+            .map_err(|why| VisionError::content(name, "physical cameras", why))?;
         Ok(document)
     }
 
@@ -223,17 +225,25 @@ impl StereoDocument {
         if !self.covariance.is_empty() {
             let n = stereo.parameters();
             covariance::check(&self.covariance, n).map_err(|why| format!("covariance: {why}"))?;
-            if let Some((k, variance)) =
-                (0..n).map(|k| (k, self.covariance[k][k])).find(|(_, v)| *v > LARGEST_VARIANCE)
+            if let Some((k, variance)) = (0..n)
+                .map(|k| (k, self.covariance[k][k]))
+                .find(|(_, v)| *v > LARGEST_VARIANCE)
             {
-                let expected =
-                    format!("variances of at most {LARGEST_VARIANCE:e} (px, rad or mm, squared) expected");
-                return Err(format!("covariance: {expected}, {variance:e} found in row {}", k + 1));
+                let expected = format!(
+                    "variances of at most {LARGEST_VARIANCE:e} (px, rad or mm, squared) expected"
+                );
+                return Err(format!(
+                    "covariance: {expected}, {variance:e} found in row {}",
+                    k + 1
+                ));
             }
             stereo.covariance = Some(DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
         }
-        let negative =
-            |c: &CameraDocument| c.sd.iter().find(|(_, sd)| !(**sd >= 0.0)).map(|(n, v)| (n.clone(), *v));
+        let negative = |c: &CameraDocument| {
+            c.sd.iter()
+                .find(|(_, sd)| !(**sd >= 0.0))
+                .map(|(n, v)| (n.clone(), *v))
+        };
         if let Some((name, sd)) = self.cameras.iter().find_map(negative) {
             return Err(format!("sd of {name}: 0 or more expected, {sd} found"));
         }
@@ -251,6 +261,10 @@ pub fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocumen
             model: camera.lens.model().into(),
             coefficients: camera.parameters().split_off(PINHOLE_NAMES.len()),
         },
-        sd: camera.parameter_names().zip(sd).map(|(n, s)| (n.to_string(), *s)).collect(),
+        sd: camera
+            .parameter_names()
+            .zip(sd)
+            .map(|(n, s)| (n.to_string(), *s))
+            .collect(),
     }
 }

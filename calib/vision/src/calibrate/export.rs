@@ -13,10 +13,19 @@ use std::fmt::Write as _;
 use wcal_core::least_squares::{Damping, NormalEquations, minimise};
 
 fn numbers(values: impl IntoIterator<Item = f64>) -> String {
-    values.into_iter().map(|v| format!("{v:e}")).collect::<Vec<_>>().join(", ")
+    values
+        .into_iter()
+        .map(|v| format!("{v:e}"))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
-fn matrix(name: &str, rows: usize, columns: usize, values: impl IntoIterator<Item = f64>) -> String {
+fn matrix(
+    name: &str,
+    rows: usize,
+    columns: usize,
+    values: impl IntoIterator<Item = f64>,
+) -> String {
     format!(
         "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {} ]\n",
         numbers(values)
@@ -28,9 +37,9 @@ fn matrix(name: &str, rows: usize, columns: usize, values: impl IntoIterator<Ite
 /// # Errors
 /// Where the document is no calibration of two cameras.
 pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, VisionError> {
-    let stereo = document
-        .stereo_cameras()
-        .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
+    let stereo = document.stereo_cameras().map_err(|found| {
+        VisionError::result("export a calibration", "two physical cameras", found)
+    })?;
     let t = &document.right_from_left;
     let [w, h] = document.image_size_px;
     let mark = if document.provenance.simulated {
@@ -45,7 +54,12 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let _ = writeln!(opencv, "distortion_model: {}", lens.model());
     }
     for (k, camera) in document.cameras.iter().enumerate() {
-        opencv += &matrix(&format!("K{}", k + 1), 3, 3, camera.k.iter().flatten().copied());
+        opencv += &matrix(
+            &format!("K{}", k + 1),
+            3,
+            3,
+            camera.k.iter().flatten().copied(),
+        );
         let d = &camera.distortion.coefficients;
         opencv += &matrix(&format!("D{}", k + 1), 1, d.len(), d.iter().copied());
     }
@@ -53,13 +67,23 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     opencv += &matrix("T", 3, 1, (0..3).map(|k| t[k][3]));
     let mut kalibr = mark.to_owned();
     for (k, (camera, full)) in document.cameras.iter().zip(&stereo.cameras).enumerate() {
-        let KalibrCamera { camera: fitted, farthest_px } = kalibr_camera(full);
-        let [fx, fy, cx, cy, d @ ..] = &fitted.parameters()[..] else { continue };
+        let KalibrCamera {
+            camera: fitted,
+            farthest_px,
+        } = kalibr_camera(full);
+        let [fx, fy, cx, cy, d @ ..] = &fitted.parameters()[..] else {
+            continue;
+        };
         let _ = writeln!(kalibr, "cam{k}:");
         if k == 1 {
             let _ = writeln!(kalibr, "  T_cn_cnm1:");
             for row in t {
-                let metres = [row[0], row[1], row[2], row[3] * if row == &t[3] { 1.0 } else { 1e-3 }];
+                let metres = [
+                    row[0],
+                    row[1],
+                    row[2],
+                    row[3] * if row == &t[3] { 1.0 } else { 1e-3 },
+                ];
                 let _ = writeln!(kalibr, "  - [{}]", numbers(metres));
             }
         }
@@ -78,14 +102,28 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let _ = writeln!(kalibr, "  resolution: [{w}, {h}]");
         let _ = writeln!(kalibr, "  rostopic: /{}/image_raw", camera.name);
     }
-    let mut files = vec![("opencv.yml".to_string(), opencv), ("kalibr-camchain.yaml".to_string(), kalibr)];
+    let mut files = vec![
+        ("opencv.yml".to_string(), opencv),
+        ("kalibr-camchain.yaml".to_string(), kalibr),
+    ];
     let rectified = rectify(document, &stereo)?;
     for (camera, (rotation, projection)) in document.cameras.iter().zip(rectified) {
         let ros_matrix = |name: &str, rows: usize, columns: usize, values: Vec<f64>| {
-            format!("{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n", numbers(values))
+            format!(
+                "{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n",
+                numbers(values)
+            )
         };
-        let mut text = format!("{mark}image_width: {w}\nimage_height: {h}\ncamera_name: {}\n", camera.name);
-        text += &ros_matrix("camera_matrix", 3, 3, camera.k.iter().flatten().copied().collect());
+        let mut text = format!(
+            "{mark}image_width: {w}\nimage_height: {h}\ncamera_name: {}\n",
+            camera.name
+        );
+        text += &ros_matrix(
+            "camera_matrix",
+            3,
+            3,
+            camera.k.iter().flatten().copied().collect(),
+        );
         let d = camera.distortion.coefficients.clone();
         let _ = writeln!(text, "distortion_model: {}", lens.ros_model());
         text += &ros_matrix("distortion_coefficients", 1, d.len(), d);
@@ -128,21 +166,35 @@ fn kalibr_camera(full: &Camera) -> KalibrCamera {
                 matrix += j.transpose() * j;
                 descent += j.transpose() * error;
             }
-            Some(NormalEquations { cost, matrix, descent })
+            Some(NormalEquations {
+                cost,
+                matrix,
+                descent,
+            })
         };
         if let Some(first) = linearise(&camera) {
             let moved = |camera: &Camera, _: &_, step: &SVector<f64, FREE>| {
                 let step = step.iter().copied().chain([0.0]);
-                let p: Vec<f64> = camera.parameters().into_iter().zip(step).map(|(p, s)| p + s).collect();
+                let p: Vec<f64> = camera
+                    .parameters()
+                    .into_iter()
+                    .zip(step)
+                    .map(|(p, s)| p + s)
+                    .collect();
                 camera.with_parameters(&p)
             };
             let ends = |_: &_, [before, after]: [f64; 2]| before - after < 1e-12 * after;
             camera = minimise((camera, first), &Damping::default(), linearise, moved, ends).place;
         }
     }
-    let apart = seen.iter().filter_map(|(px, ray)| Some((camera.project(ray)? - px).norm()));
+    let apart = seen
+        .iter()
+        .filter_map(|(px, ray)| Some((camera.project(ray)? - px).norm()));
     let farthest_px = apart.fold(0.0, f64::max);
-    KalibrCamera { camera, farthest_px }
+    KalibrCamera {
+        camera,
+        farthest_px,
+    }
 }
 
 /// How far the pixels of kalibr-camchain.yaml lie from those of the calibration at most, px.
@@ -150,24 +202,43 @@ fn kalibr_camera(full: &Camera) -> KalibrCamera {
 /// # Errors
 /// Where the document is no calibration of two cameras.
 pub fn kalibr_distance_px(document: &StereoDocument) -> Result<f64, VisionError> {
-    let stereo = document
-        .stereo_cameras()
-        .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
-    Ok(stereo.cameras.iter().map(|camera| kalibr_camera(camera).farthest_px).fold(0.0, f64::max))
+    let stereo = document.stereo_cameras().map_err(|found| {
+        VisionError::result("export a calibration", "two physical cameras", found)
+    })?;
+    Ok(stereo
+        .cameras
+        .iter()
+        .map(|camera| kalibr_camera(camera).farthest_px)
+        .fold(0.0, f64::max))
 }
 
 /// Rotation (3x3) and projection (3x4, metres) of a rectified camera, row by row.
 type Rectified = (Vec<f64>, Vec<f64>);
 
 /// Both rectified cameras as OpenCV makes them (Bouguet).
-fn rectify(document: &StereoDocument, stereo: &StereoCameras) -> Result<[Rectified; 2], VisionError> {
+fn rectify(
+    document: &StereoDocument,
+    stereo: &StereoCameras,
+) -> Result<[Rectified; 2], VisionError> {
     let right_from_left = &stereo.right_from_left;
     let doing = "rectify the cameras";
     let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
     // Of a lens that OpenCV does not have the pinholes behind it are rectified.
-    let (known, none) = ([OPENCV5, FISHEYE].contains(&stereo.cameras[0].lens), vec![0.0; 4]);
-    let [d1, d2] = [0, 1].map(|c| if known { &document.cameras[c].distortion.coefficients } else { &none });
-    let (d1, d2) = (Mat::from_slice(d1).doing(doing)?, Mat::from_slice(d2).doing(doing)?);
+    let (known, none) = (
+        [OPENCV5, FISHEYE].contains(&stereo.cameras[0].lens),
+        vec![0.0; 4],
+    );
+    let [d1, d2] = [0, 1].map(|c| {
+        if known {
+            &document.cameras[c].distortion.coefficients
+        } else {
+            &none
+        }
+    });
+    let (d1, d2) = (
+        Mat::from_slice(d1).doing(doing)?,
+        Mat::from_slice(d2).doing(doing)?,
+    );
     let turn: Matrix3<f64> = right_from_left.rotation.to_rotation_matrix().into_inner();
     let r = Mat::from_slice_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| turn[(i, j)]))).doing(doing)?;
     let t: [f64; 3] = (right_from_left.translation.vector * 1e-3).into();
@@ -181,7 +252,8 @@ fn rectify(document: &StereoDocument, stereo: &StereoCameras) -> Result<[Rectifi
         calib3d::fisheye_stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q, 0)
             .doing(doing)?;
     } else {
-        calib3d::stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q).doing(doing)?;
+        calib3d::stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q)
+            .doing(doing)?;
     }
     let values = |m: &Mat| Ok(m.data_typed::<f64>().doing(doing)?.to_vec());
     let [r1, r2, p1, p2, _] = &out;

@@ -28,7 +28,11 @@ pub fn calibrate_folders(
     progress(&format!("{} pairs", files.len()));
     let left: Vec<&Path> = files.iter().filter_map(|f| f.left.as_deref()).collect();
     if let Some(seen) = other_board(board, &left) {
-        return Err(VisionError::result("find the board", format!("a board of {}", board.size), seen));
+        return Err(VisionError::result(
+            "find the board",
+            format!("a board of {}", board.size),
+            seen,
+        ));
     }
     let (board, said) = match renumbered(board, &left) {
         Some(Ok((board, said))) => (board, Some(said)),
@@ -37,18 +41,35 @@ pub fn calibrate_folders(
     };
     let board = &board;
     let layout = BoardLayout::new(board)?;
-    let BoardPairs { size, views, rejected, mut remarks, marker_share } = board_pairs(&files, &layout);
+    let BoardPairs {
+        size,
+        views,
+        rejected,
+        mut remarks,
+        marker_share,
+    } = board_pairs(&files, &layout);
     remarks.extend(layout.contradicts(marker_share));
     remarks.extend(said.clone());
     let Some(image_size) = size else {
         let none = VisionError::result("calibrate two cameras", "pictures", "none");
-        return Err(with_rejections(views.err().unwrap_or(none), said.as_deref(), &rejected));
+        return Err(with_rejections(
+            views.err().unwrap_or(none),
+            said.as_deref(),
+            &rejected,
+        ));
     };
-    progress(&format!("{} pairs show the board; solving", views.as_ref().map_or(0, Vec::len)));
+    progress(&format!(
+        "{} pairs show the board; solving",
+        views.as_ref().map_or(0, Vec::len)
+    ));
     let enough = views.is_ok();
-    let (mut solution, noise) =
-        calibrate_as_stated(&files, &layout, views, image_size, lens).map_err(|e| {
-            let e = if enough { alike_after_half_a_turn(e, board) } else { e };
+    let (mut solution, noise) = calibrate_as_stated(&files, &layout, views, image_size, lens)
+        .map_err(|e| {
+            let e = if enough {
+                alike_after_half_a_turn(e, board)
+            } else {
+                e
+            };
             with_rejections(e, said.as_deref(), &rejected)
         })?;
     solution.warnings.append(&mut remarks);
@@ -61,14 +82,20 @@ pub fn calibrate_folders(
 /// Adds to a refusal what a board that looks the same upside down may have to do with it.
 fn alike_after_half_a_turn(error: VisionError, board: &Board) -> VisionError {
     match error {
-        VisionError::Result { action, expected, found }
-            if board.pattern == Pattern::Chessboard && !board.size.orientation_is_unique() =>
-        {
+        VisionError::Result {
+            action,
+            expected,
+            found,
+        } if board.pattern == Pattern::Chessboard && !board.size.orientation_is_unique() => {
             let found = format!(
                 "{found}; a board of {} looks alike after half a turn: take one whose numbers of inner corners are odd and even",
                 board.size
             );
-            VisionError::Result { action, expected, found }
+            VisionError::Result {
+                action,
+                expected,
+                found,
+            }
         }
         other => other,
     }
@@ -112,10 +139,16 @@ fn document(
             rows: board.size.rows,
             square_mm: board.square_mm,
             warp_mm: state.warp,
-            warp_sd_mm: if solution.warp_used { [sd(warp), sd(warp + 1)] } else { [0.0; 2] },
+            warp_sd_mm: if solution.warp_used {
+                [sd(warp), sd(warp + 1)]
+            } else {
+                [0.0; 2]
+            },
         },
         projection_sd_px: projection_sd(solution),
-        covariance: (0..warp).map(|i| (0..warp).map(|j| covariance[(i, j)]).collect()).collect(),
+        covariance: (0..warp)
+            .map(|i| (0..warp).map(|j| covariance[(i, j)]).collect())
+            .collect(),
         warnings: solution.warnings.clone(),
         provenance: wcal_core::Provenance::default(),
     }

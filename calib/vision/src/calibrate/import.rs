@@ -14,7 +14,11 @@ pub(crate) const KALIBR_COEFFICIENTS: usize = 4;
 /// Numbers between the brackets that follow `key:` (OpenCV and ROS write matrices so).
 fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>, VisionError> {
     let missing = |found: &str| {
-        VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
+        VisionError::content(
+            name,
+            format!("{key} with {count} numbers in brackets"),
+            found.to_string(),
+        )
     };
     let own_line = |(at, _): &(usize, &str)| {
         let line = text[..*at].rfind('\n').map_or(0, |end| end + 1);
@@ -24,9 +28,14 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
     let (start, _) = found.ok_or_else(|| missing("no such key"))?;
     let rest = &text[start..];
     let open = rest.find('[').ok_or_else(|| missing("no bracket"))?;
-    let close = rest[open..].find(']').ok_or_else(|| missing("no closing bracket"))? + open;
-    let values: Result<Vec<f64>, _> =
-        rest[open + 1..close].split(',').map(|t| t.trim().parse::<f64>()).collect();
+    let close = rest[open..]
+        .find(']')
+        .ok_or_else(|| missing("no closing bracket"))?
+        + open;
+    let values: Result<Vec<f64>, _> = rest[open + 1..close]
+        .split(',')
+        .map(|t| t.trim().parse::<f64>())
+        .collect();
     let values = values.map_err(|e| missing(&e.to_string()))?;
     if values.len() != count || values.iter().any(|v| !v.is_finite()) {
         return Err(missing(&format!("{} numbers", values.len())));
@@ -36,7 +45,8 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
 
 /// The text that follows `key:` on a line.
 fn named<'t>(text: &'t str, key: &str) -> Option<&'t str> {
-    text.lines().find_map(|l| Some(l.trim().strip_prefix(key)?.strip_prefix(':')?.trim()))
+    text.lines()
+        .find_map(|l| Some(l.trim().strip_prefix(key)?.strip_prefix(':')?.trim()))
 }
 
 fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
@@ -94,10 +104,14 @@ pub fn imported(
         board: BoardDocument::default(),
         projection_sd_px: Vec::new(),
         covariance: Vec::new(),
-        warnings: vec![format!("imported from {name}: no residuals, no uncertainty")],
+        warnings: vec![format!(
+            "imported from {name}: no residuals, no uncertainty"
+        )],
         provenance: wcal_core::Provenance::default(),
     };
-    document.stereo_cameras().map_err(|found| VisionError::content(name, "two physical cameras", found))?;
+    document
+        .stereo_cameras()
+        .map_err(|found| VisionError::content(name, "two physical cameras", found))?;
     Ok(document)
 }
 
@@ -117,11 +131,19 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
             })
         })
         .collect::<Result<Vec<String>, _>>()?;
-    let name = paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(" and ");
+    let name = paths
+        .iter()
+        .map(|p| p.display().to_string())
+        .collect::<Vec<_>>()
+        .join(" and ");
     match texts.as_slice() {
         [text] if text.trim_start().starts_with('{') => StereoDocument::parse(&name, text),
         [text] if text.contains("cam0:") => import_kalibr(&name, text),
-        [left, right] if [left, right].iter().all(|t| t.contains("rectification_matrix:")) => {
+        [left, right]
+            if [left, right]
+                .iter()
+                .all(|t| t.contains("rectification_matrix:")) =>
+        {
             import_ros(&name, [left, right])
         }
         [_] | [_, _] if texts.iter().all(|t| t.contains("opencv-matrix")) => {
@@ -147,11 +169,21 @@ pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionErr
         let m = bracketed(name, text, &format!("M{k}"), 9)
             .or_else(|_| bracketed(name, text, &format!("K{k}"), 9))?;
         let coefficients = bracketed(name, text, &format!("D{k}"), lens.coefficient_names().len())?;
-        Ok(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients })
+        Ok(ImportedCamera {
+            pinhole: [m[0], m[4], m[2], m[5]],
+            lens,
+            coefficients,
+        })
     };
-    let (r, t) = (bracketed(name, text, "R", 9)?, bracketed(name, text, "T", 3)?);
+    let (r, t) = (
+        bracketed(name, text, "R", 9)?,
+        bracketed(name, text, "T", 3)?,
+    );
     let pose = pose_rows(&Matrix3::from_row_slice(&r), &Vector3::from_row_slice(&t));
-    let size = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
+    let size = [
+        scalar(name, text, "image_width")?,
+        scalar(name, text, "image_height")?,
+    ];
     imported(name, size, [camera(1)?, camera(2)?], pose)
 }
 
@@ -167,23 +199,34 @@ fn pose_rows(r: &Matrix3<f64>, t: &Vector3<f64>) -> [[f64; 4]; 4] {
 /// # Errors
 /// As [`import_opencv`]; other camera or distortion models are refused by name.
 pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
-    let (first, second) =
-        text.split_once("cam1:").ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
+    let (first, second) = text
+        .split_once("cam1:")
+        .ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
     let camera = |part: &str| -> Result<ImportedCamera, VisionError> {
         let found = named(part, "camera_model").unwrap_or("none");
         if found != "pinhole" {
             return Err(VisionError::content(name, "camera_model: pinhole", found));
         }
-        let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| lens.kalibr_model())
-            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+        let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| {
+            lens.kalibr_model()
+        })
+        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
         let i = bracketed(name, part, "intrinsics", 4)?;
         let count = lens.coefficient_names().len().min(KALIBR_COEFFICIENTS);
         let mut coefficients = bracketed(name, part, "distortion_coeffs", count)?;
         // The exporter writes k3 in addition to Kalibr's four coefficients.
         if lens == OPENCV5 {
-            coefficients.push(named(part, "k3").and_then(|v| v.parse().ok()).unwrap_or(0.0));
+            coefficients.push(
+                named(part, "k3")
+                    .and_then(|v| v.parse().ok())
+                    .unwrap_or(0.0),
+            );
         }
-        Ok(ImportedCamera { pinhole: [i[0], i[1], i[2], i[3]], lens, coefficients })
+        Ok(ImportedCamera {
+            pinhole: [i[0], i[1], i[2], i[3]],
+            lens,
+            coefficients,
+        })
     };
     let size = bracketed(name, first, "resolution", 2)?;
     let after = second
@@ -202,13 +245,22 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
             .filter_map(|v| v.trim().parse().ok())
             .collect();
         *row = values.try_into().map_err(|v: Vec<f64>| {
-            VisionError::content(name, "4 rows of 4 numbers under T_cn_cnm1", format!("{} numbers", v.len()))
+            VisionError::content(
+                name,
+                "4 rows of 4 numbers under T_cn_cnm1",
+                format!("{} numbers", v.len()),
+            )
         })?;
     }
     for row in pose.iter_mut().take(3) {
         row[3] *= 1e3;
     }
-    imported(name, [size[0] as usize, size[1] as usize], [camera(first)?, camera(second)?], pose)
+    imported(
+        name,
+        [size[0] as usize, size[1] as usize],
+        [camera(first)?, camera(second)?],
+        pose,
+    )
 }
 
 /// Reads the two camera_info files of ROS, left and right (metres): the relative pose is in the rectification and the right projection.
@@ -220,13 +272,22 @@ pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, Vision
     let mut cameras = Vec::with_capacity(2);
     let mut rotations = [Matrix3::zeros(); 2];
     for (k, text) in texts.iter().enumerate() {
-        let lens = lens_named(named(text, "distortion_model").unwrap_or("none"), |lens| lens.ros_model())
-            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
-        sizes[k] = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
+        let lens = lens_named(named(text, "distortion_model").unwrap_or("none"), |lens| {
+            lens.ros_model()
+        })
+        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+        sizes[k] = [
+            scalar(name, text, "image_width")?,
+            scalar(name, text, "image_height")?,
+        ];
         let m = bracketed(name, text, "camera_matrix", 9)?;
         let count = lens.coefficient_names().len();
         let coefficients = bracketed(name, text, "distortion_coefficients", count)?;
-        cameras.push(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients });
+        cameras.push(ImportedCamera {
+            pinhole: [m[0], m[4], m[2], m[5]],
+            lens,
+            coefficients,
+        });
         rotations[k] = Matrix3::from_row_slice(&bracketed(name, text, "rectification_matrix", 9)?);
     }
     if sizes[0] != sizes[1] {
@@ -239,11 +300,20 @@ pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, Vision
     let p = bracketed(name, texts[1], "projection_matrix", 12)?;
     let baseline_mm = Vector3::new(p[3] / p[0], p[7] / p[5], 0.0) * 1e3;
     if !(baseline_mm.norm() > 0.0) {
-        return Err(VisionError::content(name, "a right projection_matrix with a baseline", "none"));
+        return Err(VisionError::content(
+            name,
+            "a right projection_matrix with a baseline",
+            "none",
+        ));
     }
-    let (r, t) = (rotations[1].transpose() * rotations[0], rotations[1].transpose() * baseline_mm);
+    let (r, t) = (
+        rotations[1].transpose() * rotations[0],
+        rotations[1].transpose() * baseline_mm,
+    );
     let pose = pose_rows(&r, &t);
     let [right, left] = [cameras.pop(), cameras.pop()];
-    let cameras = left.zip(right).ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
+    let cameras = left
+        .zip(right)
+        .ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
     imported(name, sizes[0], cameras.into(), pose)
 }

@@ -41,7 +41,12 @@ fn visible(points: &[Vector3<f64>], corners: &Corners) -> ImageAndObject {
         .iter()
         .zip(corners)
         .filter_map(|(p, c)| {
-            c.map(|c| (Point2f::new(c.x as f32, c.y as f32), Point3f::new(p.x as f32, p.y as f32, 0.0)))
+            c.map(|c| {
+                (
+                    Point2f::new(c.x as f32, c.y as f32),
+                    Point3f::new(p.x as f32, p.y as f32, 0.0),
+                )
+            })
         })
         .unzip()
 }
@@ -56,20 +61,38 @@ pub fn board_pose(
     corners: &Corners,
 ) -> Result<Isometry3<f64>, VisionError> {
     // The corners as a pinhole would see them: the solver models no lens distortion.
-    let straight: Corners =
-        corners.iter().map(|c| c.as_ref().and_then(|c| camera.undistorted_px(c))).collect();
+    let straight: Corners = corners
+        .iter()
+        .map(|c| c.as_ref().and_then(|c| camera.undistorted_px(c)))
+        .collect();
     let (image, object) = visible(points, &straight);
     let k = camera.matrix();
-    let k = Mat::from_slice_2d(&[[k[(0, 0)], 0.0, k[(0, 2)]], [0.0, k[(1, 1)], k[(1, 2)]], [0.0, 0.0, 1.0]])
-        .doing("camera matrix")?;
+    let k = Mat::from_slice_2d(&[
+        [k[(0, 0)], 0.0, k[(0, 2)]],
+        [0.0, k[(1, 1)], k[(1, 2)]],
+        [0.0, 0.0, 1.0],
+    ])
+    .doing("camera matrix")?;
     let d = Mat::default();
     let (mut rvec, mut tvec) = (Vector::<f64>::new(), Vector::<f64>::new());
-    let ok =
-        calib3d::solve_pnp(&object, &image, &k, &d, &mut rvec, &mut tvec, false, calib3d::SOLVEPNP_ITERATIVE)
-            .doing("solvePnP")?;
+    let ok = calib3d::solve_pnp(
+        &object,
+        &image,
+        &k,
+        &d,
+        &mut rvec,
+        &mut tvec,
+        false,
+        calib3d::SOLVEPNP_ITERATIVE,
+    )
+    .doing("solvePnP")?;
     let vector = |v: &Vector<f64>| Vector3::from_iterator(v.iter());
     if !ok || rvec.len() != 3 || rvec.iter().chain(tvec.iter()).any(|v| !v.is_finite()) {
-        return Err(VisionError::result("find the board's pose", "a pose in front of the camera", "none"));
+        return Err(VisionError::result(
+            "find the board's pose",
+            "a pose in front of the camera",
+            "none",
+        ));
     }
     let rotation = Rotation3::from_scaled_axis(vector(&rvec));
     let mut pose = pose_from_parts(rotation.matrix(), &vector(&tvec));
@@ -83,9 +106,19 @@ pub fn board_pose(
 
 /// RMS of a view over both pictures once its board pose is fitted to known cameras, px.
 pub(crate) fn both_rms(points: &[Vector3<f64>], state: &BundleState, view: &BoardView) -> f64 {
-    let Ok(pose) = board_pose(&state.cameras[0], points, &view.left) else { return f64::INFINITY };
-    let start = BundleState { left_from_board: vec![pose], ..state.clone() };
-    let none = Free { left: false, right: false, extrinsic: false, warp: false };
+    let Ok(pose) = board_pose(&state.cameras[0], points, &view.left) else {
+        return f64::INFINITY;
+    };
+    let start = BundleState {
+        left_from_board: vec![pose],
+        ..state.clone()
+    };
+    let none = Free {
+        left: false,
+        right: false,
+        extrinsic: false,
+        warp: false,
+    };
     let solution = solve(points, std::slice::from_ref(view), start, none);
     let [l, r] = residuals(&solution.state, points, 0, view);
     let all: Vec<_> = l.into_iter().chain(r).collect();
@@ -112,12 +145,16 @@ pub fn calibrate_alone(
     let (images, objects): (Vector<Vector<Point2f>>, Vector<Vector<Point3f>>) =
         views.iter().map(|v| visible(points, v)).unzip();
     let size = Size::new(image_size_px[0] as i32, image_size_px[1] as i32);
-    let k = calib3d::init_camera_matrix_2d(&objects, &images, size, 1.0).doing("initCameraMatrix2D")?;
+    let k =
+        calib3d::init_camera_matrix_2d(&objects, &images, size, 1.0).doing("initCameraMatrix2D")?;
     let guess = *k.at_2d::<f64>(0, 0).doing("initCameraMatrix2D")?;
     let width = image_size_px[0] as f64;
     let plausible = |f: f64| f.is_finite() && f > 0.2 * width && f < 50.0 * width;
     // Nearly parallel boards leave the focal length open: then a ladder of values is tried.
-    let mut ladder: Vec<f64> = [0.7, 1.2, 2.5, 5.0, 0.35].iter().map(|s| s * width).collect();
+    let mut ladder: Vec<f64> = [0.7, 1.2, 2.5, 5.0, 0.35]
+        .iter()
+        .map(|s| s * width)
+        .collect();
     if plausible(guess) {
         ladder.insert(0, guess);
     }
@@ -130,12 +167,19 @@ pub fn calibrate_alone(
             lens,
             distortion: [0.0; MAX_COEFFICIENTS],
         };
-        let poses: Result<Vec<_>, _> = views.iter().map(|v| board_pose(&camera, points, v)).collect();
+        let poses: Result<Vec<_>, _> = views
+            .iter()
+            .map(|v| board_pose(&camera, points, v))
+            .collect();
         let Ok(left_from_board) = poses else { continue };
         let none = vec![None; points.len()];
         let bundle: Vec<BoardView> = views
             .iter()
-            .map(|v| BoardView { name: String::new(), left: v.clone(), right: none.clone() })
+            .map(|v| BoardView {
+                name: String::new(),
+                left: v.clone(),
+                right: none.clone(),
+            })
             .collect();
         let start = BundleState {
             cameras: [camera.clone(), camera],
@@ -143,7 +187,12 @@ pub fn calibrate_alone(
             warp: [0.0; 2],
             left_from_board,
         };
-        let free = Free { left: true, right: false, extrinsic: false, warp: false };
+        let free = Free {
+            left: true,
+            right: false,
+            extrinsic: false,
+            warp: false,
+        };
         let solution = solve(points, &bundle, start, free);
         let cost = solution.cost_px2;
         if cost.is_finite() && best.as_ref().is_none_or(|b| cost < b.0) {
@@ -163,13 +212,20 @@ pub fn calibrate_alone(
         }
     }
     best.map(|b| b.1).ok_or_else(|| {
-        VisionError::result("calibrate a camera", "a finite solution", "none from any starting focal length")
+        VisionError::result(
+            "calibrate a camera",
+            "a finite solution",
+            "none from any starting focal length",
+        )
     })
 }
 
 /// Per-corner RMS of residuals, px; NaN without corners.
 pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
-    let (n, sum) = residuals.iter().flatten().fold((0, 0.0), |(n, s), e| (n + 1, s + e.norm_squared()));
+    let (n, sum) = residuals
+        .iter()
+        .flatten()
+        .fold((0, 0.0), |(n, s), e| (n + 1, s + e.norm_squared()));
     (sum / f64::from(n)).sqrt()
 }
 
@@ -190,7 +246,12 @@ pub fn consensus(
                     .iter()
                     .zip(points)
                     .map(|(c, p)| {
-                        Some((*c)? - right.camera.project(&(all * nalgebra::Point3::from(*p)).coords)?)
+                        Some(
+                            (*c)?
+                                - right
+                                    .camera
+                                    .project(&(all * nalgebra::Point3::from(*p)).coords)?,
+                        )
                     })
                     .collect();
                 view_rms(&errors)
@@ -206,5 +267,8 @@ pub fn consensus(
             (median(&errors), relative, errors)
         })
         .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map_or_else(|| (Isometry3::identity(), Vec::new()), |(_, relative, errors)| (relative, errors))
+        .map_or_else(
+            || (Isometry3::identity(), Vec::new()),
+            |(_, relative, errors)| (relative, errors),
+        )
 }

@@ -66,7 +66,12 @@ impl BoardLayout {
     /// # Errors
     /// Where a dictionary or family is unknown, or sizes contradict each other.
     pub fn new(board: &Board) -> Result<Self, VisionError> {
-        if let Pattern::Charuco { marker_mm, dictionary, .. } = &board.pattern {
+        if let Pattern::Charuco {
+            marker_mm,
+            dictionary,
+            ..
+        } = &board.pattern
+        {
             if !(*marker_mm > 0.0 && *marker_mm < board.square_mm) {
                 return Err(VisionError::result(
                     "lay out the board",
@@ -76,7 +81,10 @@ impl BoardLayout {
             }
             index_of(dictionary)?;
         }
-        Ok(Self::with_tags(board.clone(), board.size.columns * board.size.rows))
+        Ok(Self::with_tags(
+            board.clone(),
+            board.size.columns * board.size.rows,
+        ))
     }
 
     /// Lays out the points; of a grid of tags those with smaller numbers than `tags`.
@@ -84,12 +92,26 @@ impl BoardLayout {
         let BoardSize { columns, rows } = board.size;
         let (points, places) = match &board.pattern {
             Pattern::AprilGrid { gap_mm, order, .. } => {
-                let TagOrder { by_columns, from_right, from_top, .. } = *order;
+                let TagOrder {
+                    by_columns,
+                    from_right,
+                    from_top,
+                    ..
+                } = *order;
                 // Four corners a tag, in the tags' order; y points down.
                 let corners_of = |k: usize| {
-                    let (i, j) = if by_columns { (k / rows, k % rows) } else { (k % columns, k / columns) };
-                    let signed =
-                        |step: usize, positive: bool| if positive { step as f64 } else { -(step as f64) };
+                    let (i, j) = if by_columns {
+                        (k / rows, k % rows)
+                    } else {
+                        (k % columns, k / columns)
+                    };
+                    let signed = |step: usize, positive: bool| {
+                        if positive {
+                            step as f64
+                        } else {
+                            -(step as f64)
+                        }
+                    };
                     let cell = Vector2::new(signed(i, !from_right), signed(j, from_top));
                     let centre = cell.push(0.0) * (board.square_mm + gap_mm);
                     let corners = tag_corners(board.square_mm);
@@ -97,9 +119,16 @@ impl BoardLayout {
                 };
                 (0..tags).flat_map(corners_of).unzip()
             }
-            _ => (board_points(columns, rows, board.square_mm), grid_places(board.size)),
+            _ => (
+                board_points(columns, rows, board.square_mm),
+                grid_places(board.size),
+            ),
         };
-        Self { board, points, places }
+        Self {
+            board,
+            points,
+            places,
+        }
     }
 
     /// Tags that count.
@@ -109,7 +138,12 @@ impl BoardLayout {
 
     /// What is wrong with the stated sides where the pictures show markers of another share of their squares.
     pub(crate) fn contradicts(&self, marker_share: f64) -> Option<String> {
-        let Board { square_mm, pattern: Pattern::Charuco { marker_mm, .. }, .. } = &self.board else {
+        let Board {
+            square_mm,
+            pattern: Pattern::Charuco { marker_mm, .. },
+            ..
+        } = &self.board
+        else {
             return None;
         };
         let stated = marker_mm / square_mm;
@@ -129,16 +163,27 @@ impl BoardLayout {
 
 /// Place of a dictionary in OpenCV's enumeration.
 fn index_of(dictionary: &str) -> Result<i32, VisionError> {
-    let found = DICTIONARIES.iter().position(|d| d.eq_ignore_ascii_case(dictionary));
+    let found = DICTIONARIES
+        .iter()
+        .position(|d| d.eq_ignore_ascii_case(dictionary));
     found.map(|k| k as i32).ok_or_else(|| {
-        VisionError::result("lay out the board", format!("one of {}", DICTIONARIES.join(", ")), dictionary)
+        VisionError::result(
+            "lay out the board",
+            format!("one of {}", DICTIONARIES.join(", ")),
+            dictionary,
+        )
     })
 }
 
 /// Places of a grid's corners, row by row.
 fn grid_places(size: BoardSize) -> Vec<GridPlace> {
     let flat = board_points(size.columns, size.rows, 1.0);
-    flat.iter().map(|p| GridPlace { cell: p.xy(), kind: 0 }).collect()
+    flat.iter()
+        .map(|p| GridPlace {
+            cell: p.xy(),
+            kind: 0,
+        })
+        .collect()
 }
 
 /// What a picture shows of a board.
@@ -161,18 +206,28 @@ pub fn corners(board: &BoardLayout, picture: &Picture) -> Result<MarkerView, Str
         Pattern::Chessboard => {
             let size = board.board.size;
             let corners = refine(picture, size, &whole_board(picture, size)?);
-            let corners = corners.into_iter().map(|c| c.map(|c| c.position_px)).collect();
-            return Ok(MarkerView { corners, ..MarkerView::default() });
+            let corners = corners
+                .into_iter()
+                .map(|c| c.map(|c| c.position_px))
+                .collect();
+            return Ok(MarkerView {
+                corners,
+                ..MarkerView::default()
+            });
         }
-        Pattern::Charuco { marker_mm, dictionary, legacy } => {
-            charuco_corners(&board.board, (*marker_mm, dictionary, *legacy), picture)
-        }
+        Pattern::Charuco {
+            marker_mm,
+            dictionary,
+            legacy,
+        } => charuco_corners(&board.board, (*marker_mm, dictionary, *legacy), picture),
         Pattern::AprilGrid { family, order, .. } => board.tag_corners(family, order.first, picture),
     }
     .map_err(|e| e.to_string())?;
     let count = found.corners.iter().flatten().count();
     if count < 8 {
-        return Err(format!("expected at least 8 corners of the board, found {count}"));
+        return Err(format!(
+            "expected at least 8 corners of the board, found {count}"
+        ));
     }
     Ok(found)
 }
@@ -184,7 +239,9 @@ fn whole_board(picture: &Picture, size: BoardSize) -> Result<Vec<Vector2<f64>>, 
         None => find(Finder::Sectors)?,
         found => found,
     };
-    let points = found.ok_or(format!("no board of {size} inner corners (absent, cut off or blurred)"))?;
+    let points = found.ok_or(format!(
+        "no board of {size} inner corners (absent, cut off or blurred)"
+    ))?;
     match continues_beyond(picture, size, &points) {
         None => Ok(points),
         Some(edge) => Err(format!(
@@ -206,27 +263,48 @@ fn charuco_corners(
     (marker_mm, dictionary, legacy): (f64, &str, bool),
     picture: &Picture,
 ) -> Result<MarkerView, VisionError> {
-    let BoardSize { columns: c, rows: r } = board.size;
+    let BoardSize {
+        columns: c,
+        rows: r,
+    } = board.size;
     // The older layout is today's with a row of squares more, of which the first row is not there.
     let above = usize::from(legacy);
     let dictionary: Ptr<Dictionary> =
         get_predefined_dictionary_i32(index_of(dictionary)?).doing("getPredefinedDictionary")?;
     let (across, down) = (c as i32 + 1, (r + 1 + above) as i32);
-    let layout = CharucoBoard::create(across, down, board.square_mm as f32, marker_mm as f32, &dictionary)
-        .doing("CharucoBoard")?;
+    let layout = CharucoBoard::create(
+        across,
+        down,
+        board.square_mm as f32,
+        marker_mm as f32,
+        &dictionary,
+    )
+    .doing("CharucoBoard")?;
     let mat = picture.to_mat()?;
     let (marker_corners, ids) = detect(&mat, &dictionary)?;
     let mut out = vec![None; c * r];
     if ids.is_empty() {
-        return Ok(MarkerView { corners: out, ..MarkerView::default() });
+        return Ok(MarkerView {
+            corners: out,
+            ..MarkerView::default()
+        });
     }
     let missing = (above * across as usize / 2) as i32;
     let ids: Vector<i32> = ids.iter().map(|id| id + missing).collect();
     let (mut points, mut found) = (Vector::<Point2f>::new(), Vector::<i32>::new());
-    interpolate_corners_charuco_def(&marker_corners, &ids, &mat, &layout, &mut points, &mut found)
-        .doing("interpolateCornersCharuco")?;
+    interpolate_corners_charuco_def(
+        &marker_corners,
+        &ids,
+        &mat,
+        &layout,
+        &mut points,
+        &mut found,
+    )
+    .doing("interpolateCornersCharuco")?;
     for (id, p) in found.iter().zip(points.iter()) {
-        let place = usize::try_from(id).ok().and_then(|k| k.checked_sub(above * c));
+        let place = usize::try_from(id)
+            .ok()
+            .and_then(|k| k.checked_sub(above * c));
         if let Some(slot) = place.and_then(|k| out.get_mut(k)) {
             *slot = Some(Vector2::new(f64::from(p.x), f64::from(p.y)));
         }
@@ -237,21 +315,41 @@ fn charuco_corners(
     for (k, slot) in out.iter_mut().enumerate() {
         let Some(here) = coarse[k] else { continue };
         let offset_to = |other: Option<usize>| other.and_then(|o| coarse[o]).map(|p| p - here);
-        let row = offset_to((k % c + 1 < c).then_some(k + 1)).or(offset_to((k % c > 0).then(|| k - 1)));
-        let column = offset_to((k + c < coarse.len()).then_some(k + c)).or(offset_to(k.checked_sub(c)));
+        let row =
+            offset_to((k % c + 1 < c).then_some(k + 1)).or(offset_to((k % c > 0).then(|| k - 1)));
+        let column =
+            offset_to((k + c < coarse.len()).then_some(k + c)).or(offset_to(k.checked_sub(c)));
         *slot = row
             .zip(column)
-            .and_then(|(u, v)| fit_corner(picture, &here, [u, v], (clear * u.norm().min(v.norm())).max(3.0)))
+            .and_then(|(u, v)| {
+                fit_corner(
+                    picture,
+                    &here,
+                    [u, v],
+                    (clear * u.norm().min(v.norm())).max(3.0),
+                )
+            })
             .map(|f| f.position_px)
             .or(Some(here));
     }
     let marker_share = marker_share(board.size, &out, &marker_corners);
-    Ok(MarkerView { corners: out, marker_share, ..MarkerView::default() })
+    Ok(MarkerView {
+        corners: out,
+        marker_share,
+        ..MarkerView::default()
+    })
 }
 
 /// Median side of the markers, in squares, by the homography of the board's corners.
-fn marker_share(size: BoardSize, corners: &Corners, markers: &Vector<Vector<Point2f>>) -> Option<f64> {
-    let seen = grid_places(size).into_iter().zip(corners).filter_map(|(p, c)| Some((p.cell, (*c)?)));
+fn marker_share(
+    size: BoardSize,
+    corners: &Corners,
+    markers: &Vector<Vector<Point2f>>,
+) -> Option<f64> {
+    let seen = grid_places(size)
+        .into_iter()
+        .zip(corners)
+        .filter_map(|(p, c)| Some((p.cell, (*c)?)));
     let (cells, at): (Vec<_>, Vec<_>) = seen.unzip();
     let back = homography(&cells, &at)?.try_inverse()?;
     let on_board = |p: Point2f| mapped(&back, &Vector2::new(f64::from(p.x), f64::from(p.y)));
@@ -259,7 +357,12 @@ fn marker_share(size: BoardSize, corners: &Corners, markers: &Vector<Vector<Poin
         .iter()
         .filter_map(|marker| {
             let ends: Vec<_> = marker.iter().map(on_board).collect::<Option<_>>()?;
-            Some((0..4).map(|k| (ends[(k + 1) % 4] - ends[k]).norm()).sum::<f64>() / 4.0)
+            Some(
+                (0..4)
+                    .map(|k| (ends[(k + 1) % 4] - ends[k]).norm())
+                    .sum::<f64>()
+                    / 4.0,
+            )
         })
         .collect();
     Some(median(&sides)).filter(|share| share.is_finite())
@@ -267,23 +370,41 @@ fn marker_share(size: BoardSize, corners: &Corners, markers: &Vector<Vector<Poin
 
 impl BoardLayout {
     /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the others put it.
-    fn tag_corners(&self, family: &str, first: u32, picture: &Picture) -> Result<MarkerView, VisionError> {
+    fn tag_corners(
+        &self,
+        family: &str,
+        first: u32,
+        picture: &Picture,
+    ) -> Result<MarkerView, VisionError> {
         let places = &self.places;
         let mut seen: BTreeMap<usize, Vec<Tag>> = BTreeMap::new();
-        for tag in board_tags(picture, family, self.tags())?.into_iter().filter(|tag| tag.refined) {
-            if let Some(place) = tag.id.checked_sub(first).filter(|place| (*place as usize) < self.tags()) {
+        for tag in board_tags(picture, family, self.tags())?
+            .into_iter()
+            .filter(|tag| tag.refined)
+        {
+            if let Some(place) = tag
+                .id
+                .checked_sub(first)
+                .filter(|place| (*place as usize) < self.tags())
+            {
                 seen.entry(place as usize).or_default().push(tag);
             }
         }
         let once = seen.iter().filter(|(_, tags)| tags.len() == 1);
-        let (cells, middles): (Vec<_>, Vec<_>) =
-            once.map(|(id, tags)| (places[4 * id].cell, tags[0].middle_px())).unzip();
+        let (cells, middles): (Vec<_>, Vec<_>) = once
+            .map(|(id, tags)| (places[4 * id].cell, tags[0].middle_px()))
+            .unzip();
         let grid = homography(&cells, &middles);
         let (mut out, mut remarks) = (vec![None; self.points.len()], Vec::new());
         for (id, mut tags) in seen {
             if tags.len() > 1 {
-                remarks.push(format!("tag {} is seen {} times: counted once", tags[0].id, tags.len()));
-                let Some(expected) = grid.as_ref().and_then(|h| mapped(h, &places[4 * id].cell)) else {
+                remarks.push(format!(
+                    "tag {} is seen {} times: counted once",
+                    tags[0].id,
+                    tags.len()
+                ));
+                let Some(expected) = grid.as_ref().and_then(|h| mapped(h, &places[4 * id].cell))
+                else {
                     continue;
                 };
                 let off = |t: &Tag| (t.middle_px() - expected).norm();
@@ -293,7 +414,11 @@ impl BoardLayout {
                 *slot = Some(corner);
             }
         }
-        Ok(MarkerView { corners: out, remarks, marker_share: None })
+        Ok(MarkerView {
+            corners: out,
+            remarks,
+            marker_share: None,
+        })
     }
 }
 
@@ -301,7 +426,9 @@ impl BoardLayout {
 /// `wanted` are missing they are searched for apart from the squares that touch them.
 fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>, VisionError> {
     let wide = family.to_owned() + WIDE_BORDER;
-    let kinds = [family, &wide].into_iter().filter(|kind| *kind == family || TAG_FAMILIES.contains(kind));
+    let kinds = [family, &wide]
+        .into_iter()
+        .filter(|kind| *kind == family || TAG_FAMILIES.contains(kind));
     let mut best = Vec::new();
     for kind in kinds {
         let mut tags = find_tags(picture, kind, None, Search::Whole)?;
@@ -320,24 +447,34 @@ fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>
 /// Another board than the stated one that a few pictures from all over the set show, in words: of other tags, or with one row or column more or less.
 pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
     const LOOK: usize = 2;
-    let some = pictures.iter().step_by(pictures.len().div_ceil(LOOK).max(1));
+    let some = pictures
+        .iter()
+        .step_by(pictures.len().div_ceil(LOOK).max(1));
     let some: Vec<Picture> = some.filter_map(|path| Picture::read(path).ok()).collect();
     // Shown by most of them, or by one alone where there is no other.
-    let shown = |of: &dyn Fn(&Picture) -> bool| some.iter().filter(|picture| of(picture)).count().min(2);
+    let shown =
+        |of: &dyn Fn(&Picture) -> bool| some.iter().filter(|picture| of(picture)).count().min(2);
     let enough = some.len().clamp(1, 2);
     match &board.pattern {
         Pattern::Charuco { .. } => None,
         Pattern::AprilGrid { family, .. } => {
             let tags = board.size.columns * board.size.rows;
             // Small tags are seen by chance here and there, half a board of them is not.
-            let most =
-                |p: &Picture, kind: &str| board_tags(p, kind, tags).is_ok_and(|seen| 2 * seen.len() > tags);
+            let most = |p: &Picture, kind: &str| {
+                board_tags(p, kind, tags).is_ok_and(|seen| 2 * seen.len() > tags)
+            };
             if shown(&|p| most(p, family)) > 0 {
                 return None;
             }
-            let others = TAG_FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
-            let seen = others.into_iter().find(|kind| shown(&|p| most(p, kind)) >= enough)?;
-            Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))
+            let others = TAG_FAMILIES
+                .iter()
+                .filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
+            let seen = others
+                .into_iter()
+                .find(|kind| shown(&|p| most(p, kind)) >= enough)?;
+            Some(format!(
+                "tags of {seen}, none of {family} (--dictionary {seen})"
+            ))
         }
         Pattern::Chessboard => {
             /// Longest side on which whole boards are counted, px: the finder's time goes with the area where it finds nothing.
@@ -352,15 +489,18 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
                 return None;
             }
             // Squares counted for their corners, then each side by itself.
-            let sizes =
-                [(-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1)].into_iter().filter_map(|(c, r)| {
+            let sizes = [(-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1)]
+                .into_iter()
+                .filter_map(|(c, r)| {
                     let size = BoardSize {
                         columns: columns.checked_add_signed(c)?,
                         rows: rows.checked_add_signed(r)?,
                     };
                     (size.columns.min(size.rows) > 1).then_some(size)
                 });
-            let seen = sizes.into_iter().find(|size| shown(&|p| whole(p, *size)) >= enough)?;
+            let seen = sizes
+                .into_iter()
+                .find(|size| shown(&|p| whole(p, *size)) >= enough)?;
             Some(format!("{seen} inner corners (--board {seen})"))
         }
     }
@@ -368,16 +508,31 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
 
 /// The board with the first tag that its pictures show, where that is another than stated, and what is to be said of it; in words where they do not
 /// tell it.
-pub(crate) fn renumbered(board: &Board, pictures: &[&Path]) -> Option<Result<(Board, String), String>> {
+pub(crate) fn renumbered(
+    board: &Board,
+    pictures: &[&Path],
+) -> Option<Result<(Board, String), String>> {
     /// Pictures that are looked at, and those of them that show a number which is none by chance.
     const LOOK: usize = 8;
     const SEEN: usize = 2;
-    let Pattern::AprilGrid { family, order, gap_mm } = &board.pattern else { return None };
+    let Pattern::AprilGrid {
+        family,
+        order,
+        gap_mm,
+    } = &board.pattern
+    else {
+        return None;
+    };
     let tags = board.size.columns * board.size.rows;
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
-    for path in pictures.iter().step_by(pictures.len().div_ceil(LOOK).max(1)) {
+    for path in pictures
+        .iter()
+        .step_by(pictures.len().div_ceil(LOOK).max(1))
+    {
         let seen = Picture::read(path).and_then(|picture| board_tags(&picture, family, tags));
-        seen.unwrap_or_default().iter().for_each(|tag| *counts.entry(tag.id).or_default() += 1);
+        seen.unwrap_or_default()
+            .iter()
+            .for_each(|tag| *counts.entry(tag.id).or_default() += 1);
     }
     counts.retain(|_, count| *count >= SEEN);
     let (low, high) = (*counts.keys().next()?, *counts.keys().next_back()?);
@@ -385,11 +540,29 @@ pub(crate) fn renumbered(board: &Board, pictures: &[&Path]) -> Option<Result<(Bo
     if low >= order.first && high <= last {
         return None;
     }
-    let seen = format!("tags {low} to {high} are seen, the stated board has {} to {last}", order.first);
+    let seen = format!(
+        "tags {low} to {high} are seen, the stated board has {} to {last}",
+        order.first
+    );
     if (high - low) as usize + 1 != tags {
-        return Some(Err(format!("{seen} (--first-tag states the first, --board how many)")));
+        return Some(Err(format!(
+            "{seen} (--first-tag states the first, --board how many)"
+        )));
     }
-    let order = TagOrder { first: low, ..*order };
-    let pattern = Pattern::AprilGrid { family: family.clone(), order, gap_mm: *gap_mm };
-    Some(Ok((Board { pattern, ..board.clone() }, format!("{seen}: taken as --first-tag {low}"))))
+    let order = TagOrder {
+        first: low,
+        ..*order
+    };
+    let pattern = Pattern::AprilGrid {
+        family: family.clone(),
+        order,
+        gap_mm: *gap_mm,
+    };
+    Some(Ok((
+        Board {
+            pattern,
+            ..board.clone()
+        },
+        format!("{seen}: taken as --first-tag {low}"),
+    )))
 }

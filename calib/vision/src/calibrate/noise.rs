@@ -44,21 +44,33 @@ pub(crate) fn corner_noise(places: &[GridPlace], views: &[BoardView]) -> CornerN
     for _ in 0..if kinds > 1 { ROUNDS } else { 0 } {
         let mut found: Vec<[Vec<f64>; 2]> = vec![Default::default(); kinds];
         for corners in pictures() {
-            let Some((h, seen)) = grid_in_picture(places, &offsets, corners) else { continue };
-            let Some(back) = h.try_inverse() else { continue };
+            let Some((h, seen)) = grid_in_picture(places, &offsets, corners) else {
+                continue;
+            };
+            let Some(back) = h.try_inverse() else {
+                continue;
+            };
             for (place, px) in seen {
-                let Some(at) = mapped(&back, &px) else { continue };
+                let Some(at) = mapped(&back, &px) else {
+                    continue;
+                };
                 for axis in 0..2 {
                     found[place.kind][axis].push(at[axis] - place.cell[axis]);
                 }
             }
         }
-        offsets = found.iter().map(|f| Vector2::new(median(&f[0]), median(&f[1]))).collect();
+        offsets = found
+            .iter()
+            .map(|f| Vector2::new(median(&f[0]), median(&f[1])))
+            .collect();
     }
     let (sum, freedom) = pictures()
         .filter_map(|corners| scatter(places, &offsets, corners))
         .fold((0.0, 0), |(s, n), one| (s + one.0, n + one.1));
-    CornerNoise { rms_px: (sum / freedom as f64).sqrt(), offsets }
+    CornerNoise {
+        rms_px: (sum / freedom as f64).sqrt(),
+        offsets,
+    }
 }
 
 type MarkerView = Vec<(GridPlace, Vector2<f64>)>;
@@ -69,25 +81,52 @@ fn grid_in_picture(
     offsets: &[Vector2<f64>],
     corners: &Corners,
 ) -> Option<(nalgebra::Matrix3<f64>, MarkerView)> {
-    let seen: MarkerView = places.iter().zip(corners).filter_map(|(p, c)| Some((*p, (*c)?))).collect();
+    let seen: MarkerView = places
+        .iter()
+        .zip(corners)
+        .filter_map(|(p, c)| Some((*p, (*c)?)))
+        .collect();
     let from: Vec<_> = seen.iter().map(|(p, _)| p.cell + offsets[p.kind]).collect();
     let to: Vec<_> = seen.iter().map(|s| s.1).collect();
     Some((homography(&from, &to)?, seen))
 }
 
 /// Sum of squares about the smooth picture of the grid, px^2, and the corners that are left to judge it.
-fn scatter(places: &[GridPlace], offsets: &[Vector2<f64>], corners: &Corners) -> Option<(f64, usize)> {
+fn scatter(
+    places: &[GridPlace],
+    offsets: &[Vector2<f64>],
+    corners: &Corners,
+) -> Option<(f64, usize)> {
     let (h, seen) = grid_in_picture(places, offsets, corners)?;
     if seen.len() < FEWEST {
         return None;
     }
-    let predicted: Vec<Vector2<f64>> =
-        seen.iter().map(|(p, _)| mapped(&h, &(p.cell + offsets[p.kind]))).collect::<Option<_>>()?;
+    let predicted: Vec<Vector2<f64>> = seen
+        .iter()
+        .map(|(p, _)| mapped(&h, &(p.cell + offsets[p.kind])))
+        .collect::<Option<_>>()?;
     let centre = predicted.iter().sum::<Vector2<f64>>() / predicted.len() as f64;
-    let reach = predicted.iter().map(|q| (q - centre).amax()).fold(f64::MIN_POSITIVE, f64::max);
+    let reach = predicted
+        .iter()
+        .map(|q| (q - centre).amax())
+        .fold(f64::MIN_POSITIVE, f64::max);
     let design = DMatrix::from_fn(seen.len(), TERMS, |k, t| {
-        let (x, y) = ((predicted[k].x - centre.x) / reach, (predicted[k].y - centre.y) / reach);
-        let powers = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+        let (x, y) = (
+            (predicted[k].x - centre.x) / reach,
+            (predicted[k].y - centre.y) / reach,
+        );
+        let powers = [
+            (0, 0),
+            (1, 0),
+            (0, 1),
+            (2, 0),
+            (1, 1),
+            (0, 2),
+            (3, 0),
+            (2, 1),
+            (1, 2),
+            (0, 3),
+        ];
         x.powi(powers[t].0) * y.powi(powers[t].1)
     });
     let normal = (design.transpose() * &design).cholesky()?;

@@ -8,7 +8,9 @@
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Free, residuals, solve};
 use crate::calibrate::checks;
 use crate::calibrate::document::{HeldOut, RejectedView};
-use crate::calibrate::initial::{Corners, MonoEstimate, both_rms, calibrate_alone, consensus, view_rms};
+use crate::calibrate::initial::{
+    Corners, MonoEstimate, both_rms, calibrate_alone, consensus, view_rms,
+};
 use crate::camera::Lens;
 use crate::error::VisionError;
 use crate::median::median;
@@ -55,8 +57,10 @@ pub fn calibrate_stereo(
             format!("{}", views.len()),
         ));
     }
-    let sides: [Vec<Corners>; 2] =
-        [views.iter().map(|v| v.left.clone()).collect(), views.iter().map(|v| v.right.clone()).collect()];
+    let sides: [Vec<Corners>; 2] = [
+        views.iter().map(|v| v.left.clone()).collect(),
+        views.iter().map(|v| v.right.clone()).collect(),
+    ];
     let mono: Vec<MonoEstimate> = sides
         .par_iter()
         .map(|s| calibrate_alone(points, s, image_size_px, lens))
@@ -79,10 +83,14 @@ pub fn calibrate_stereo(
         }
         let solution = solve_subset(points, &views, &state, &used, false);
         state = with_poses(&solution.state, &state, &used);
-        let rms: Vec<f64> =
-            (0..views.len()).into_par_iter().map(|v| both_rms(points, &state, &views[v])).collect();
+        let rms: Vec<f64> = (0..views.len())
+            .into_par_iter()
+            .map(|v| both_rms(points, &state, &views[v]))
+            .collect();
         let typical = median(&used.iter().map(|&v| rms[v]).collect::<Vec<_>>());
-        let next: Vec<usize> = (0..views.len()).filter(|&v| rms[v] <= VIEW_OUTLIER * typical).collect();
+        let next: Vec<usize> = (0..views.len())
+            .filter(|&v| rms[v] <= VIEW_OUTLIER * typical)
+            .collect();
         last = rms;
         if next == used {
             break;
@@ -90,9 +98,16 @@ pub fn calibrate_stereo(
         used = next;
     }
     let majority = used.len() >= 3 && 2 * used.len() > views.len();
-    let typical = median(&used.iter().map(|&v| last.get(v).copied().unwrap_or(f64::NAN)).collect::<Vec<_>>());
+    let typical = median(
+        &used
+            .iter()
+            .map(|&v| last.get(v).copied().unwrap_or(f64::NAN))
+            .collect::<Vec<_>>(),
+    );
     if !majority || typical > 4.0 * mono_rms.max(0.05) {
-        return Err(checks::explain_disagreement(points, &views, &mono, mono_rms, typical));
+        return Err(checks::explain_disagreement(
+            points, &views, &mono, mono_rms, typical,
+        ));
     }
     let rejected = (0..views.len())
         .filter(|v| !used.contains(v))
@@ -110,8 +125,9 @@ pub fn calibrate_stereo(
     let dropped = drop_wild_corners(points, &state, &mut kept);
     // Single corners left out need no warning.
     if dropped * 200 > kept.len() * 2 * points.len() {
-        warnings
-            .push(format!("{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"));
+        warnings.push(format!(
+            "{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"
+        ));
     }
     let flat = solve(points, &kept, state, Free::all(false));
     let (bundle, warp_used) = with_warp_if_needed(points, &kept, flat);
@@ -120,7 +136,14 @@ pub fn calibrate_stereo(
     let per_view_rms_px = (0..kept.len())
         .map(|v| residuals(&bundle.state, points, v, &kept[v]).map(|r| view_rms(&r)))
         .collect();
-    Ok(StereoSolution { bundle, views: kept, rejected, per_view_rms_px, warp_used, warnings })
+    Ok(StereoSolution {
+        bundle,
+        views: kept,
+        rejected,
+        per_view_rms_px,
+        warp_used,
+        warnings,
+    })
 }
 
 /// Joint solve of some views, starting from `state`.
@@ -146,11 +169,21 @@ fn with_poses(solved: &BundleState, all: &BundleState, subset: &[usize]) -> Bund
     state
 }
 
-fn drop_wild_corners(points: &[Vector3<f64>], state: &BundleState, views: &mut [BoardView]) -> usize {
-    let all: Vec<[Vec<Option<Vector2<f64>>>; 2]> =
-        (0..views.len()).map(|v| residuals(state, points, v, &views[v])).collect();
-    let coordinates: Vec<f64> =
-        all.iter().flatten().flatten().flatten().flat_map(|e| [e.x.abs(), e.y.abs()]).collect();
+fn drop_wild_corners(
+    points: &[Vector3<f64>],
+    state: &BundleState,
+    views: &mut [BoardView],
+) -> usize {
+    let all: Vec<[Vec<Option<Vector2<f64>>>; 2]> = (0..views.len())
+        .map(|v| residuals(state, points, v, &views[v]))
+        .collect();
+    let coordinates: Vec<f64> = all
+        .iter()
+        .flatten()
+        .flatten()
+        .flatten()
+        .flat_map(|e| [e.x.abs(), e.y.abs()])
+        .collect();
     let limit = CORNER_OUTLIER * MAD_TO_SD * median(&coordinates);
     let mut dropped = 0;
     for (view, errors) in views.iter_mut().zip(&all) {
@@ -177,7 +210,11 @@ fn with_warp_if_needed(
     let redundancy = (2 * bent.corners) as f64 - (shared + 6 * views.len()) as f64;
     let f = (flat.cost_px2 - bent.cost_px2) / 2.0 / (bent.cost_px2 / redundancy.max(1.0));
     // 99.9 % quantile of F(2, n) for n > 500, the usual case; for smaller n the quantile is larger.
-    if bent.converged && f > 6.95 { (bent, true) } else { (flat, false) }
+    if bent.converged && f > 6.95 {
+        (bent, true)
+    } else {
+        (flat, false)
+    }
 }
 
 /// Leaves out one pair at a time, solves without it, and measures its epipolar distances.
@@ -196,7 +233,11 @@ pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> Held
     let n = sorted.len();
     HeldOut {
         epipolar_mean_px: sorted.iter().sum::<f64>() / n.max(1) as f64,
-        epipolar_p95_px: if n == 0 { f64::NAN } else { sorted[((0.95 * n as f64) as usize).min(n - 1)] },
+        epipolar_p95_px: if n == 0 {
+            f64::NAN
+        } else {
+            sorted[((0.95 * n as f64) as usize).min(n - 1)]
+        },
         corners: n,
     }
 }

@@ -50,7 +50,9 @@ pub(crate) fn calibrate_as_stated(
     let outcome = views.and_then(|v| calibrate_stereo(points, v, image_size, lens));
     let noise = corner_noise(&stated.places, outcome.as_ref().map_or(&seen, |s| &s.views));
     let asked = match &outcome {
-        Ok(solution) => solution.bundle.rms_px() > ASKED * noise.rms_px || noise.rms_px > NO_GRID_PX,
+        Ok(solution) => {
+            solution.bundle.rms_px() > ASKED * noise.rms_px || noise.rms_px > NO_GRID_PX
+        }
         Err(_) => true,
     };
     if !asked {
@@ -59,7 +61,9 @@ pub(crate) fn calibrate_as_stated(
             (solution, noise)
         });
     }
-    let stated_rms = outcome.as_ref().map_or(f64::INFINITY, |s| s.bundle.rms_px());
+    let stated_rms = outcome
+        .as_ref()
+        .map_or(f64::INFINITY, |s| s.bundle.rms_px());
     let mut fitting: Vec<Other> = alternatives(stated, &noise)
         .into_par_iter()
         .filter_map(|(says, board)| {
@@ -70,16 +74,27 @@ pub(crate) fn calibrate_as_stated(
             };
             let solution = calibrate_stereo(&board.points, views, image_size, lens).ok()?;
             let noise_px = corner_noise(&board.places, &solution.views).rms_px;
-            Some(Other { rms_px: solution.bundle.rms_px(), noise_px, says })
+            Some(Other {
+                rms_px: solution.bundle.rms_px(),
+                noise_px,
+                says,
+            })
         })
         .collect();
     if let Ok(solution) = &outcome {
         let (stretch, rms_px) = stretched(points, solution);
-        fitting.push(Other { rms_px, noise_px: noise.rms_px, says: print_stretched(stretch) });
+        fitting.push(Other {
+            rms_px,
+            noise_px: noise.rms_px,
+            says: print_stretched(stretch),
+        });
     }
     fitting.retain(|o| o.fits(stated_rms));
     // Among statements that fit alike the first one: a plain mistake before a number that is free.
-    let least = fitting.iter().map(|f| f.rms_px).fold(f64::INFINITY, f64::min);
+    let least = fitting
+        .iter()
+        .map(|f| f.rms_px)
+        .fold(f64::INFINITY, f64::min);
     let found = fitting.into_iter().find(|f| f.rms_px < 1.05 * least);
     let better = found.map(|o| format!("With {} RMS is {:.3} px", o.says, o.rms_px));
     match (outcome, better) {
@@ -97,9 +112,20 @@ pub(crate) fn calibrate_as_stated(
             });
             Ok((solution, noise))
         }
-        (Err(VisionError::Result { action, expected, found }), Some(better)) => {
+        (
+            Err(VisionError::Result {
+                action,
+                expected,
+                found,
+            }),
+            Some(better),
+        ) => {
             let found = format!("{found}. The stated board does not fit. {better}");
-            Err(VisionError::Result { action, expected, found })
+            Err(VisionError::Result {
+                action,
+                expected,
+                found,
+            })
         }
         (Err(e), _) => Err(e),
     }
@@ -125,9 +151,17 @@ impl Other {
 
 /// RMS (px) and cost (px^2) with a print that is longer along its columns by a factor.
 fn with_stretch(points: &[Vector3<f64>], solution: &StereoSolution, factor: f64) -> (f64, f64) {
-    let longer: Vec<_> = points.iter().map(|p| Vector3::new(p.x, p.y * factor, p.z)).collect();
+    let longer: Vec<_> = points
+        .iter()
+        .map(|p| Vector3::new(p.x, p.y * factor, p.z))
+        .collect();
     let free = Free::all(solution.warp_used);
-    let solved = solve(&longer, &solution.views, solution.bundle.state.clone(), free);
+    let solved = solve(
+        &longer,
+        &solution.views,
+        solution.bundle.state.clone(),
+        free,
+    );
     (solved.rms_px(), solved.cost_px2)
 }
 
@@ -148,9 +182,15 @@ fn stretched(points: &[Vector3<f64>], solution: &StereoSolution) -> (f64, f64) {
 }
 
 fn print_stretched(factor: f64) -> String {
-    let (along, percent) =
-        if factor > 1.0 { ("columns", factor - 1.0) } else { ("rows", 1.0 / factor - 1.0) };
-    format!("a print that is {:.2} % longer along its {along} than across", 100.0 * percent)
+    let (along, percent) = if factor > 1.0 {
+        ("columns", factor - 1.0)
+    } else {
+        ("rows", 1.0 / factor - 1.0)
+    };
+    format!(
+        "a print that is {:.2} % longer along its {along} than across",
+        100.0 * percent
+    )
 }
 
 /// Both cameras' fx and fy differ alike: pixels that are not square, or a print that is stretched. Boards rolled differently tell; others do not.
@@ -160,7 +200,8 @@ fn not_square(points: &[Vector3<f64>], solution: &StereoSolution) -> Option<Stri
         fy / fx
     });
     let both = 0.5 * (aspects[0] + aspects[1]);
-    if (both - 1.0).abs() < NOT_SQUARE || (aspects[0] - aspects[1]).abs() > 0.5 * (both - 1.0).abs() {
+    if (both - 1.0).abs() < NOT_SQUARE || (aspects[0] - aspects[1]).abs() > 0.5 * (both - 1.0).abs()
+    {
         return None;
     }
     // Square pixels see a print that is longer along y by that factor.

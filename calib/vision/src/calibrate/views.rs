@@ -19,11 +19,27 @@ pub(crate) fn with_rejections(
     rejected: &[RejectedView],
 ) -> VisionError {
     match error {
-        VisionError::Result { action, expected, found } if said.is_some() || !rejected.is_empty() => {
-            let each = rejected.iter().take(4).map(|r| format!("{}: {}", r.view, r.why));
+        VisionError::Result {
+            action,
+            expected,
+            found,
+        } if said.is_some() || !rejected.is_empty() => {
+            let each = rejected
+                .iter()
+                .take(4)
+                .map(|r| format!("{}: {}", r.view, r.why));
             let more = (rejected.len() > 4).then(|| format!("and {} more", rejected.len() - 4));
-            let reasons: Vec<String> = said.map(str::to_owned).into_iter().chain(each).chain(more).collect();
-            VisionError::Result { action, expected, found: format!("{found} ({})", reasons.join("; ")) }
+            let reasons: Vec<String> = said
+                .map(str::to_owned)
+                .into_iter()
+                .chain(each)
+                .chain(more)
+                .collect();
+            VisionError::Result {
+                action,
+                expected,
+                found: format!("{found} ({})", reasons.join("; ")),
+            }
         }
         other => other,
     }
@@ -86,19 +102,31 @@ fn orientations(files: &[PairFiles]) -> Vec<String> {
     let side = |name: &str, of: fn(&PairFiles) -> Option<&PathBuf>| {
         let mut counts: BTreeMap<u8, usize> = BTreeMap::new();
         for path in files.iter().filter_map(of) {
-            *counts.entry(exif_orientation(path).unwrap_or(1)).or_default() += 1;
+            *counts
+                .entry(exif_orientation(path).unwrap_or(1))
+                .or_default() += 1;
         }
         if counts.keys().all(|orientation| *orientation == 1) {
             return None;
         }
         let each: Vec<String> = counts.iter().map(|(o, n)| format!("{o} in {n}")).collect();
-        let differ = if counts.len() > 1 { ": was the camera turned between them?" } else { "" };
+        let differ = if counts.len() > 1 {
+            ": was the camera turned between them?"
+        } else {
+            ""
+        };
         Some(format!(
             "{name} pictures have an EXIF orientation ({}){differ}; taken as stored, where other programs turn them: OpenCV reads them so with IMREAD_IGNORE_ORIENTATION",
             each.join(", ")
         ))
     };
-    [side("left", |f| f.left.as_ref()), side("right", |f| f.right.as_ref())].into_iter().flatten().collect()
+    [
+        side("left", |f| f.left.as_ref()),
+        side("right", |f| f.right.as_ref()),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 /// Corners of a board in all pairs.
@@ -111,16 +139,29 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
     let mut used: Vec<(&str, [u64; 2])> = Vec::new();
     let mut remarks: BTreeMap<String, usize> = BTreeMap::new();
     for (file, pair) in files.iter().zip(found) {
-        let judged = pair.and_then(|Read { size: own, hashes, seen }| {
-            let seen = seen?;
-            if Some(own) != size {
-                return Err(format!("size {}x{} px, other pairs differ", own[0], own[1]));
-            }
-            let same = used.iter().find(|(_, other)| (0..2).any(|k| other[k] == hashes[k]));
-            same.map_or(Ok((seen, hashes)), |(name, _)| Err(format!("shares a picture with {name}")))
-        });
+        let judged = pair.and_then(
+            |Read {
+                 size: own,
+                 hashes,
+                 seen,
+             }| {
+                let seen = seen?;
+                if Some(own) != size {
+                    return Err(format!("size {}x{} px, other pairs differ", own[0], own[1]));
+                }
+                let same = used
+                    .iter()
+                    .find(|(_, other)| (0..2).any(|k| other[k] == hashes[k]));
+                same.map_or(Ok((seen, hashes)), |(name, _)| {
+                    Err(format!("shares a picture with {name}"))
+                })
+            },
+        );
         match judged {
-            Err(why) => rejected.push(RejectedView { view: file.name.clone(), why }),
+            Err(why) => rejected.push(RejectedView {
+                view: file.name.clone(),
+                why,
+            }),
             Ok((seen, hashes)) => {
                 used.push((&file.name, hashes));
                 for view in &seen {
@@ -130,7 +171,11 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
                     }
                 }
                 let [left, right] = seen.map(|view| view.corners);
-                views.push(BoardView { name: file.name.clone(), left, right });
+                views.push(BoardView {
+                    name: file.name.clone(),
+                    left,
+                    right,
+                });
             }
         }
     }
@@ -139,9 +184,21 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
     } else {
         let found = format!("{} of {} pairs", views.len(), files.len());
         let expected = "at least 3 pairs that show the board in both pictures";
-        Err(VisionError::result("calibrate two cameras", expected, found))
+        Err(VisionError::result(
+            "calibrate two cameras",
+            expected,
+            found,
+        ))
     };
-    let counted = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)"));
+    let counted = remarks
+        .into_iter()
+        .map(|(remark, n)| format!("{remark} (in {n} pictures)"));
     let remarks = counted.chain(orientations(files)).collect();
-    BoardPairs { size, views, rejected, remarks, marker_share: median(&shares) }
+    BoardPairs {
+        size,
+        views,
+        rejected,
+        remarks,
+        marker_share: median(&shares),
+    }
 }

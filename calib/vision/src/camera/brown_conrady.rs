@@ -52,7 +52,11 @@ impl Lens for BrownConrady {
         (d, j)
     }
 
-    fn by_coefficients(&self, _: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
+    fn by_coefficients(
+        &self,
+        _: &Coefficients,
+        p: &Vector3<f64>,
+    ) -> [Vector2<f64>; MAX_COEFFICIENTS] {
         let (x, y) = (p.x / p.z, p.y / p.z);
         let r2 = x * x + y * y;
         [

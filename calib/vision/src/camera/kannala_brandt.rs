@@ -67,13 +67,24 @@ impl Lens for KannalaBrandt {
         let (value, slope) = distorted_angle(c, r.atan());
         let ratio = value / r;
         let s = (slope / (1.0 + r2) - ratio) / r2;
-        (n * ratio, Matrix2::identity() * ratio + n * n.transpose() * s)
+        (
+            n * ratio,
+            Matrix2::identity() * ratio + n * n.transpose() * s,
+        )
     }
 
-    fn by_coefficients(&self, _: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
+    fn by_coefficients(
+        &self,
+        _: &Coefficients,
+        p: &Vector3<f64>,
+    ) -> [Vector2<f64>; MAX_COEFFICIENTS] {
         let rho = p.xy().norm();
         let theta = rho.atan2(p.z);
-        let along = if rho > 0.0 { p.xy() * (theta / rho) } else { Vector2::zeros() };
+        let along = if rho > 0.0 {
+            p.xy() * (theta / rho)
+        } else {
+            Vector2::zeros()
+        };
         let power = |k: i32| along * (theta * theta).powi(k);
         [power(1), power(2), power(3), power(4), Vector2::zeros()]
     }
@@ -97,7 +108,10 @@ impl Lens for KannalaBrandt {
         if rho < SMALL_RADIUS * p.z {
             let (n, iz) = (p.xy() / p.z, 1.0 / p.z);
             let (d, by_n) = self.distort(c, &n);
-            return Some((d, by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz)));
+            return Some((
+                d,
+                by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz),
+            ));
         }
         // Straight behind the camera no direction is the right one.
         if !(rho > SMALL_RADIUS * p.z.abs()) {

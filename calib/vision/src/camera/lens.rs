@@ -26,7 +26,11 @@ pub trait Lens: Debug + Sync {
     /// Distorted coordinates of a direction with their derivative by it.
     fn distort(&self, c: &Coefficients, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>);
     /// Derivative of a point's distorted coordinates by each coefficient.
-    fn by_coefficients(&self, c: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS];
+    fn by_coefficients(
+        &self,
+        c: &Coefficients,
+        p: &Vector3<f64>,
+    ) -> [Vector2<f64>; MAX_COEFFICIENTS];
     /// Derivative of the distorted radius by the undistorted one at radius `r` (decentring left out): at 0 the picture folds over.
     fn radial_slope(&self, c: &Coefficients, r: f64) -> f64;
     /// Direction of distorted coordinates; none where the model folds over or the direction is not before the camera.
@@ -37,7 +41,10 @@ pub trait Lens: Debug + Sync {
         let n = before(p)?;
         let (d, by_n) = self.distort(c, &n);
         let iz = 1.0 / p.z;
-        Some((d, by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz)))
+        Some((
+            d,
+            by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz),
+        ))
     }
 
     /// A point on the ray of distorted coordinates; none where the model folds over or sees nothing.

@@ -43,21 +43,32 @@ impl Camera {
 
     /// Names of the intrinsic parameters, in the order of [`Camera::parameters`].
     pub fn parameter_names(&self) -> impl Iterator<Item = &'static str> {
-        PINHOLE_NAMES.into_iter().chain(self.lens.coefficient_names().iter().copied())
+        PINHOLE_NAMES
+            .into_iter()
+            .chain(self.lens.coefficient_names().iter().copied())
     }
 
     /// The parameters: fx, fy, cx, cy, coefficients of the lens.
     pub fn parameters(&self) -> Vec<f64> {
         let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
         let coefficients = &self.distortion[..self.lens.coefficient_names().len()];
-        [fx, fy, cx, cy].iter().chain(coefficients).copied().collect()
+        [fx, fy, cx, cy]
+            .iter()
+            .chain(coefficients)
+            .copied()
+            .collect()
     }
 
     /// The same camera with other parameters.
     pub fn with_parameters(&self, p: &[f64]) -> Self {
         let mut distortion = [0.0; MAX_COEFFICIENTS];
         distortion[..self.intrinsics() - 4].copy_from_slice(&p[4..self.intrinsics()]);
-        Self { focal_px: [p[0], p[1]], centre_px: [p[2], p[3]], distortion, ..self.clone() }
+        Self {
+            focal_px: [p[0], p[1]],
+            centre_px: [p[2], p[3]],
+            distortion,
+            ..self.clone()
+        }
     }
 
     /// The 3x3 camera matrix.
@@ -73,7 +84,10 @@ impl Camera {
 
     /// Pixel of (distorted) normalised coordinates.
     pub fn pixel(&self, d: &Vector2<f64>) -> Vector2<f64> {
-        Vector2::new(self.focal_px[0] * d.x + self.centre_px[0], self.focal_px[1] * d.y + self.centre_px[1])
+        Vector2::new(
+            self.focal_px[0] * d.x + self.centre_px[0],
+            self.focal_px[1] * d.y + self.centre_px[1],
+        )
     }
 
     /// (Distorted) normalised coordinates of a pixel.
@@ -94,7 +108,11 @@ impl Camera {
     pub fn project_with_jacobian(
         &self,
         p: &Vector3<f64>,
-    ) -> Option<(Vector2<f64>, Matrix2x3<f64>, SMatrix<f64, 2, MAX_INTRINSICS>)> {
+    ) -> Option<(
+        Vector2<f64>,
+        Matrix2x3<f64>,
+        SMatrix<f64, 2, MAX_INTRINSICS>,
+    )> {
         let [fx, fy] = self.focal_px;
         let (d, mut by_point) = self.lens.image(&self.distortion, p)?;
         by_point.row_mut(0).scale_mut(fx);
@@ -104,7 +122,12 @@ impl Camera {
         by_camera[(1, 1)] = d.y;
         by_camera[(0, 2)] = 1.0;
         by_camera[(1, 3)] = 1.0;
-        for (k, by) in self.lens.by_coefficients(&self.distortion, p).iter().enumerate() {
+        for (k, by) in self
+            .lens
+            .by_coefficients(&self.distortion, p)
+            .iter()
+            .enumerate()
+        {
             by_camera[(0, 4 + k)] = fx * by.x;
             by_camera[(1, 4 + k)] = fy * by.y;
         }
@@ -163,7 +186,13 @@ pub fn lens_named(
     name: impl Fn(&'static dyn Lens) -> &'static str,
 ) -> Result<&'static dyn Lens, String> {
     let known = lenses();
-    known.into_iter().find(|lens| name(*lens) == found).ok_or_else(|| {
-        format!("one of the lens models {} expected, \"{found}\" found", known.map(name).join(", "))
-    })
+    known
+        .into_iter()
+        .find(|lens| name(*lens) == found)
+        .ok_or_else(|| {
+            format!(
+                "one of the lens models {} expected, \"{found}\" found",
+                known.map(name).join(", ")
+            )
+        })
 }

@@ -72,7 +72,11 @@ impl CurveModel {
             let (from, to) = (i as f64 * step_mm, (i + 1) as f64 * step_mm);
             // The share of the interval beyond the straight part.
             let share = ((to - whisker.straight_mm.max(from)) / step_mm).clamp(0.0, 1.0);
-            nominal.push(if use_nominal { share * whisker.arc_curvature_per_mm } else { 0.0 });
+            nominal.push(if use_nominal {
+                share * whisker.arc_curvature_per_mm
+            } else {
+                0.0
+            });
             let x = (0.5 * (from + to) / width).min(segments as f64 - 1e-9);
             let (k, u) = (x.floor() as usize, x.fract());
             let v = 1.0 - u;
@@ -88,7 +92,15 @@ impl CurveModel {
         }
         let splines = segments + 3;
         let penalty = penalty(splines, |_| true);
-        Self { step_mm, nodes: intervals + 1, splines, nominal, basis, penalty, unpunished: 0 }
+        Self {
+            step_mm,
+            nodes: intervals + 1,
+            splines,
+            nominal,
+            basis,
+            penalty,
+            unpunished: 0,
+        }
     }
 
     /// The same curve with a force at an arc length. The curvature's slope jumps there by the force over the bending stiffness (n' = -F
@@ -98,7 +110,11 @@ impl CurveModel {
         // The second difference `row` is centred on knot `row`.
         let punished = |row: usize| (row as f64 * knot_mm - arc_mm).abs() >= knot_mm;
         let unpunished = (0..self.splines - 2).filter(|row| !punished(*row)).count();
-        Self { penalty: penalty(self.splines, punished), unpunished, ..self.clone() }
+        Self {
+            penalty: penalty(self.splines, punished),
+            unpunished,
+            ..self.clone()
+        }
     }
 
     /// Parameters: root offsets and both directions' coefficients.
@@ -108,13 +124,20 @@ impl CurveModel {
 
     /// The nominal curve.
     pub fn rest(&self) -> CurveState {
-        CurveState { root: [0.0; ROOT], coefficients: vec![0.0; 2 * self.splines] }
+        CurveState {
+            root: [0.0; ROOT],
+            coefficients: vec![0.0; 2 * self.splines],
+        }
     }
 
     fn curvature(&self, state: &CurveState, i: usize) -> (f64, f64) {
         let (first, values) = &self.basis[i];
         let sum = |offset: usize| -> f64 {
-            values.iter().enumerate().map(|(k, v)| v * state.coefficients[offset + first + k]).sum()
+            values
+                .iter()
+                .enumerate()
+                .map(|(k, v)| v * state.coefficients[offset + first + k])
+                .sum()
         };
         (sum(0), sum(self.splines) - self.nominal[i])
     }
@@ -128,7 +151,10 @@ impl CurveModel {
     /// Positions and tangents of the nodes.
     pub fn shape(&self, state: &CurveState) -> CurveShape {
         let (mut p, mut frame) = Self::root(state);
-        let mut shape = CurveShape { points: vec![p], tangents: vec![frame.column(0).into_owned()] };
+        let mut shape = CurveShape {
+            points: vec![p],
+            tangents: vec![frame.column(0).into_owned()],
+        };
         for i in 0..self.nodes - 1 {
             let (k1, k2) = self.curvature(state, i);
             let half = half_turn(k1, k2, self.step_mm);
@@ -169,7 +195,9 @@ impl CurveModel {
             let mut by_nodes = DMatrix::zeros(self.parameters(), 3 * nodes.len());
             let mut off = DVector::zeros(3 * nodes.len());
             for (n, (i, place)) in nodes.iter().enumerate() {
-                by_nodes.columns_mut(3 * n, 3).copy_from(&all.columns(3 * i, 3));
+                by_nodes
+                    .columns_mut(3 * n, 3)
+                    .copy_from(&all.columns(3 * i, 3));
                 off.rows_mut(3 * n, 3).copy_from(&(place - points[*i]));
             }
             let bends = DVector::from_fn(self.parameters(), |k, _| {
@@ -180,7 +208,9 @@ impl CurveModel {
                 + self.penalty() * smoothing
                 + DMatrix::identity(self.parameters(), self.parameters()) * 1e-3;
             let g = &by_nodes * off * weight - self.penalty() * bends * smoothing;
-            let Some(step) = h.cholesky().map(|c| c.solve(&g)) else { break };
+            let Some(step) = h.cholesky().map(|c| c.solve(&g)) else {
+                break;
+            };
             state.add(step.as_slice());
         }
         state
@@ -251,7 +281,9 @@ impl CurveModel {
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);
         for (i, (first, values)) in self.basis.iter().enumerate() {
-            let Some(target) = deviations.get(i.min(deviations.len().saturating_sub(1))) else { break };
+            let Some(target) = deviations.get(i.min(deviations.len().saturating_sub(1))) else {
+                break;
+            };
             for (a, va) in values.iter().enumerate() {
                 for (b, vb) in values.iter().enumerate() {
                     normal[(first + a, first + b)] += va * vb;

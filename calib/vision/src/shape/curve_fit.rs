@@ -31,7 +31,10 @@ pub(crate) fn in_camera(
         (*left, Matrix3::identity())
     } else {
         let pose = &stereo.right_from_left;
-        ((pose * Point3::from(*left)).coords, *pose.rotation.to_rotation_matrix().matrix())
+        (
+            (pose * Point3::from(*left)).coords,
+            *pose.rotation.to_rotation_matrix().matrix(),
+        )
     };
     let (px, by_point, _) = stereo.cameras[camera].project_with_jacobian(&x)?;
     Some((px, by_point * turn, x.z))
@@ -50,21 +53,27 @@ pub fn image_line(
     let pixels: Vec<Option<(Vector2<f64>, f64)>> = points
         .iter()
         .map(|p| {
-            in_camera(stereo, camera, &(left_from_base * Point3::from(*p)).coords).map(|(px, _, z)| (px, z))
+            in_camera(stereo, camera, &(left_from_base * Point3::from(*p)).coords)
+                .map(|(px, _, z)| (px, z))
         })
         .collect();
     let mut stations = Vec::new();
     let mut due = 0.5 * PIECE_PX;
     let mut run = 0.0;
     for i in 0..pixels.len().saturating_sub(1) {
-        let (Some((a, z)), Some((b, _))) = (pixels[i], pixels[i + 1]) else { continue };
+        let (Some((a, z)), Some((b, _))) = (pixels[i], pixels[i + 1]) else {
+            continue;
+        };
         let long = (b - a).norm();
         let tangent = match (b - a).try_normalize(1e-9) {
             Some(t) => t,
             None => continue,
         };
         // Curvature in the picture from the neighbours' directions.
-        let bend = match (i.checked_sub(4).and_then(|k| pixels[k]), pixels.get(i + 5).copied().flatten()) {
+        let bend = match (
+            i.checked_sub(4).and_then(|k| pixels[k]),
+            pixels.get(i + 5).copied().flatten(),
+        ) {
             (Some((before, _)), Some((after, _))) => {
                 let (d1, d2) = (a - before, after - b);
                 let turn = d1.perp(&d2).atan2(d1.dot(&d2));
@@ -97,8 +106,15 @@ pub fn image_line(
 }
 
 /// Measures all stations of a line.
-pub fn measure(picture: &Picture, line: &[Station], appearance: Appearance, search_px: f64) -> Vec<Piece> {
-    line.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
+pub fn measure(
+    picture: &Picture,
+    line: &[Station],
+    appearance: Appearance,
+    search_px: f64,
+) -> Vec<Piece> {
+    line.iter()
+        .filter_map(|s| fit_piece(picture, s, appearance, search_px))
+        .collect()
 }
 
 /// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.
@@ -196,14 +212,17 @@ pub fn linearise(
     let by_parameters = model.jacobian(state);
     let n = 6 + model.parameters();
     let turn = left_from_base.rotation.to_rotation_matrix();
-    let (mut columns, mut weighted) =
-        (DMatrix::<f64>::zeros(n, observations.len()), DMatrix::<f64>::zeros(n, observations.len()));
+    let (mut columns, mut weighted) = (
+        DMatrix::<f64>::zeros(n, observations.len()),
+        DMatrix::<f64>::zeros(n, observations.len()),
+    );
     let (mut chi2, mut residuals_px, mut weights) = (0.0, Vec::new(), Vec::new());
     let mut pull = DVector::zeros(observations.len());
     for (index, s) in observations.iter().enumerate() {
         let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
         let p = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
-        let Some((px, by_left, _)) = in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
+        let Some((px, by_left, _)) =
+            in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
         else {
             residuals_px.push(f64::NAN);
             weights.push(0.0);
@@ -220,7 +239,11 @@ pub fn linearise(
         }
         let mut curve = column.rows_mut(6, n - 6);
         for k in 0..3 {
-            curve.axpy(by_base[k] * (1.0 - f), &by_parameters.column(3 * i + k), 1.0);
+            curve.axpy(
+                by_base[k] * (1.0 - f),
+                &by_parameters.column(3 * i + k),
+                1.0,
+            );
             curve.axpy(by_base[k] * f, &by_parameters.column(3 * i + 3 + k), 1.0);
         }
         // Iteratively reweighted least squares: Student weight of the present residual.
@@ -228,7 +251,9 @@ pub fn linearise(
         let z2 = (residual / sd).powi(2);
         let student = (STUDENT_DOF + 1.0) / (STUDENT_DOF + z2);
         let weight = student / (sd * sd);
-        weighted.column_mut(index).axpy(weight, &columns.column(index), 0.0);
+        weighted
+            .column_mut(index)
+            .axpy(weight, &columns.column(index), 0.0);
         pull[index] = residual;
         chi2 += student * z2;
         residuals_px.push(residual);
@@ -251,7 +276,10 @@ pub fn stepped(
     state: &CurveState,
     step: &DVector<f64>,
 ) -> (Isometry3<f64>, CurveState) {
-    let correction = updated(&Isometry3::identity(), &nalgebra::Vector6::from_fn(|k, _| step[k]));
+    let correction = updated(
+        &Isometry3::identity(),
+        &nalgebra::Vector6::from_fn(|k, _| step[k]),
+    );
     let mut next = state.clone();
     next.add(&step.as_slice()[6..]);
     (left_from_base * correction, next)
@@ -272,7 +300,13 @@ pub struct Prior {
 
 /// Parameters of the curve as one vector, root offsets left at zero: what the penalty acts on.
 fn bends(state: &CurveState, n: usize) -> DVector<f64> {
-    DVector::from_fn(n, |k, _| if k < ROOT { 0.0 } else { state.coefficients[k - ROOT] })
+    DVector::from_fn(n, |k, _| {
+        if k < ROOT {
+            0.0
+        } else {
+            state.coefficients[k - ROOT]
+        }
+    })
 }
 
 /// Information matrix and right-hand side with the prior.
@@ -305,18 +339,34 @@ pub fn with_prior(
 }
 
 /// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of factors of 3.
-pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &CurveState, model: &CurveModel) -> f64 {
+pub fn choose_smoothing(
+    system: &PairSystem,
+    prior: &Prior,
+    state: &CurveState,
+    model: &CurveModel,
+) -> f64 {
     let rank = model.penalty_rank() as f64;
     let theta = bends(state, model.parameters());
     let rough_now = theta.dot(&(model.penalty() * &theta));
     let mut best = (f64::NEG_INFINITY, prior.smoothing);
     for k in 0..28 {
         let smoothing = 1e2 * 3f64.powi(k);
-        let trial = Prior { smoothing, ..prior.clone() };
+        let trial = Prior {
+            smoothing,
+            ..prior.clone()
+        };
         let (h, g) = with_prior(system, &trial, state, model);
-        let Some(cholesky) = h.cholesky() else { continue };
+        let Some(cholesky) = h.cholesky() else {
+            continue;
+        };
         let step = cholesky.solve(&g);
-        let log_det = 2.0 * cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
+        let log_det = 2.0
+            * cholesky
+                .l_dirty()
+                .diagonal()
+                .iter()
+                .map(|d| d.ln())
+                .sum::<f64>();
         // Minimum of the penalised sum of squares: value at the current state less what the step gains.
         let smallest = system.chi2 + smoothing * rough_now - step.dot(&g);
         let evidence = 0.5 * (rank * smoothing.ln() - log_det - smallest);

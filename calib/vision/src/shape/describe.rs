@@ -7,7 +7,11 @@ use nalgebra::{Matrix3, Vector3};
 use wcal_core::shapes_document::{Gap, PairDocument, TagDocument};
 
 /// Adds the fit's results.
-pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&PairUncertainty>) {
+pub(crate) fn describe(
+    document: &mut PairDocument,
+    fit: &PairFit,
+    uncertain: Option<&PairUncertainty>,
+) {
     document.status = "ok".into();
     document.left_from_base = rows(&fit.left_from_base).to_vec();
     document.length_mm = fit.length_mm;
@@ -62,7 +66,11 @@ fn gaps(fit: &PairFit) -> Vec<Gap> {
         for (p, s) in pieces.iter().zip(seen) {
             let k = (p.station.arc_mm / cell) as usize;
             if *s {
-                for h in hidden.iter_mut().take((k + 2).min(n)).skip(k.saturating_sub(1)) {
+                for h in hidden
+                    .iter_mut()
+                    .take((k + 2).min(n))
+                    .skip(k.saturating_sub(1))
+                {
                     h[camera] = false;
                 }
             }
@@ -78,7 +86,10 @@ fn gaps(fit: &PairFit) -> Vec<Gap> {
             gaps.push(Gap {
                 from_mm: from as f64 * cell,
                 to_mm: (to as f64 * cell).min(fit.length_mm),
-                hidden_in: (0..2).filter(|&c| kind[c]).map(|c| names[c].to_string()).collect(),
+                hidden_in: (0..2)
+                    .filter(|&c| kind[c])
+                    .map(|c| names[c].to_string())
+                    .collect(),
             });
         }
         from = to;

@@ -59,8 +59,13 @@ pub fn shapes_of_pairs(
     files: &[PairFiles],
     progress: &(dyn Fn(&str) + Sync),
 ) -> ShapesResult {
-    let mut loaded: Vec<Result<PairInput, String>> = files.par_iter().map(|f| load(stereo, rig, f)).collect();
-    let TagSizes { rig: as_seen, mut warnings, elsewhere } = tag_sizes(stereo, rig, &tags_of(&loaded));
+    let mut loaded: Vec<Result<PairInput, String>> =
+        files.par_iter().map(|f| load(stereo, rig, f)).collect();
+    let TagSizes {
+        rig: as_seen,
+        mut warnings,
+        elsewhere,
+    } = tag_sizes(stereo, rig, &tags_of(&loaded));
     warnings.splice(0..0, rig.remarks.clone());
     for (pair, why) in loaded.iter_mut().zip(elsewhere) {
         if let Some(why) = why {
@@ -77,11 +82,18 @@ pub fn shapes_of_pairs(
         (document, fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &|_| {});
     }
     document.warnings.splice(0..0, warnings);
-    ShapesResult { document, fits, stereo: stereo.clone() }
+    ShapesResult {
+        document,
+        fits,
+        stereo: stereo.clone(),
+    }
 }
 
 fn tags_of(loaded: &[Result<PairInput, String>]) -> Vec<PairTags> {
-    loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect()
+    loaded
+        .iter()
+        .map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone()))
+        .collect()
 }
 
 /// The pairs as fitted in the base's frame, the freedom that their roots had, and what tags and wire disagree about.
@@ -100,26 +112,27 @@ fn fit_pairs(
     progress: &(dyn Fn(&str) + Sync),
 ) -> FittedPairs {
     let mut warnings = Vec::new();
-    let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
-        loaded
-            .par_iter()
-            .enumerate()
-            .map(|(k, l)| {
-                let l = l.as_ref().map_err(Clone::clone)?;
-                let start = match earlier.get(k) {
-                    None => None,
-                    Some(Ok(fit)) => Some(fit),
-                    Some(Err(why)) => return Err(why.clone()),
-                };
-                let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start });
-                // Once a pair, also where it is fitted again.
-                if start.is_none() && root_sd == ROOT_CLAMPED {
-                    progress(&l.name);
-                }
-                fit
-            })
-            .collect()
-    };
+    let attempt =
+        |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
+            loaded
+                .par_iter()
+                .enumerate()
+                .map(|(k, l)| {
+                    let l = l.as_ref().map_err(Clone::clone)?;
+                    let start = match earlier.get(k) {
+                        None => None,
+                        Some(Ok(fit)) => Some(fit),
+                        Some(Err(why)) => return Err(why.clone()),
+                    };
+                    let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start });
+                    // Once a pair, also where it is fitted again.
+                    if start.is_none() && root_sd == ROOT_CLAMPED {
+                        progress(&l.name);
+                    }
+                    fit
+                })
+                .collect()
+        };
     let mut root_sd = ROOT_CLAMPED;
     let mut fits = attempt(root_sd, &[]);
     // A root away from the tags' estimate is not seen, or most searches from it fail: search with a free root, in line with the rest of
@@ -150,7 +163,11 @@ fn fit_pairs(
             }
         });
     }
-    FittedPairs { fits, root_sd, warnings }
+    FittedPairs {
+        fits,
+        root_sd,
+        warnings,
+    }
 }
 
 /// The document of all pairs, and the fits.
@@ -163,22 +180,35 @@ fn shapes_of_loaded(
 ) -> (ShapesDocument, Vec<Option<PairFit>>) {
     let tags = tags_of(loaded);
     let base = folder_base(stereo, rig, &tags);
-    let FittedPairs { fits, root_sd, mut warnings } = fit_pairs(stereo, rig, loaded, base.as_ref(), progress);
-    let uncertain = base
-        .as_ref()
-        .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
+    let FittedPairs {
+        fits,
+        root_sd,
+        mut warnings,
+    } = fit_pairs(stereo, rig, loaded, base.as_ref(), progress);
+    let uncertain = base.as_ref().map_or_else(
+        || files.iter().map(|_| None).collect(),
+        |b| uncertainties(stereo, b, &fits, root_sd),
+    );
     let rigs = rig_poses(stereo, rig, &tags);
     let shared = SharedErrors::new(stereo, &uncertain, &rigs);
     if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
-        warnings
-            .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
+        warnings.push(
+            "the rig tag turns between pairs; its orientation is taken from each pair alone".into(),
+        );
     }
     let moved = |k: usize| base.as_ref().is_some_and(|b| b.moved.contains(&k));
     let describe_pair = |k: usize| {
-        let mut document =
-            PairDocument { name: files[k].name.clone(), point: files[k].point, ..PairDocument::default() };
+        let mut document = PairDocument {
+            name: files[k].name.clone(),
+            point: files[k].point,
+            ..PairDocument::default()
+        };
         if let Ok(l) = &loaded[k] {
-            document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
+            document.tags = l
+                .tags
+                .iter()
+                .map(|(camera, t)| tag_document(*camera, t))
+                .collect();
             document.warnings.clone_from(&l.remarks);
         }
         let fit = match &fits[k] {
@@ -191,25 +221,43 @@ fn shapes_of_loaded(
         };
         describe(&mut document, fit, uncertain[k].as_ref());
         if moved(k) {
-            let remark =
-                "the base is at another place than in the other pairs; its pose is from this pair alone";
+            let remark = "the base is at another place than in the other pairs; its pose is from this pair alone";
             document.warnings.push(remark.into());
         }
-        let Some(u) = &uncertain[k] else { return document };
-        let groove = rigs.poses[k].as_ref().zip(rig.groove.as_ref()).and_then(|(pose, groove)| {
-            let vertex = VertexErrors::new(stereo, &shared, &rigs, k, fit, groove, u)?;
-            let diameter_mm = rig.whisker.diameter_mm;
-            Some((find_groove(fit, pose, groove, &vertex.covariance, u, diameter_mm), vertex))
-        });
-        let found = pair_errors(stereo, &shared, fit, u, groove.as_ref().map(|(g, v)| (g, v)));
-        document.groove = groove.map(|(g, _)| g.with_errors(&found.groove_mm2, found.arclength_mm2));
+        let Some(u) = &uncertain[k] else {
+            return document;
+        };
+        let groove = rigs.poses[k]
+            .as_ref()
+            .zip(rig.groove.as_ref())
+            .and_then(|(pose, groove)| {
+                let vertex = VertexErrors::new(stereo, &shared, &rigs, k, fit, groove, u)?;
+                let diameter_mm = rig.whisker.diameter_mm;
+                Some((
+                    find_groove(fit, pose, groove, &vertex.covariance, u, diameter_mm),
+                    vertex,
+                ))
+            });
+        let found = pair_errors(
+            stereo,
+            &shared,
+            fit,
+            u,
+            groove.as_ref().map(|(g, v)| (g, v)),
+        );
+        document.groove =
+            groove.map(|(g, _)| g.with_errors(&found.groove_mm2, found.arclength_mm2));
         document.errors = Some(found.document);
         document
     };
-    let pairs: Vec<PairDocument> = (0..files.len()).into_par_iter().map(describe_pair).collect();
+    let pairs: Vec<PairDocument> = (0..files.len())
+        .into_par_iter()
+        .map(describe_pair)
+        .collect();
     let covariance = &shared.covariance;
-    let shared_covariance =
-        (0..covariance.nrows()).map(|i| covariance.row(i).iter().copied().collect()).collect();
+    let shared_covariance = (0..covariance.nrows())
+        .map(|i| covariance.row(i).iter().copied().collect())
+        .collect();
     let document = ShapesDocument {
         format: SHAPES_FORMAT.into(),
         pairs,
@@ -225,7 +273,11 @@ fn shapes_of_loaded(
 /// picture, or its strain there exceeds the elastic range.
 fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     let misplaced = |f: &PairFit| {
-        let first = f.observations.iter().map(|s| s.arc_mm).fold(f64::INFINITY, f64::min);
+        let first = f
+            .observations
+            .iter()
+            .map(|s| s.arc_mm)
+            .fold(f64::INFINITY, f64::min);
         let points = f.model.shape(&f.state).points;
         let near = ((NEAR_ROOT_MM / f.model.step_mm) as usize).min(points.len());
         let bend = points[..near]
@@ -239,13 +291,16 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
-    let pictures = files.read(Some(stereo.cameras.each_ref().map(|camera| camera.image_size_px)))?;
+    let pictures = files.read(Some(
+        stereo.cameras.each_ref().map(|camera| camera.image_size_px),
+    ))?;
     let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
     let mut tags = Vec::new();
     for (camera, picture) in pictures.iter().enumerate() {
         for family in &families {
             let search = |search| {
-                find_tags(picture, family, Some(&stereo.cameras[camera]), search).map_err(|e| e.to_string())
+                find_tags(picture, family, Some(&stereo.cameras[camera]), search)
+                    .map_err(|e| e.to_string())
             };
             let mut found = search(Search::StrongContrast)?;
             for wider in [Search::Halved, Search::Whole] {
@@ -262,7 +317,12 @@ fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInpu
         }
     }
     let (tags, remarks) = each_once(tags);
-    Ok(PairInput { name: files.name.clone(), pictures, tags, remarks })
+    Ok(PairInput {
+        name: files.name.clone(),
+        pictures,
+        tags,
+        remarks,
+    })
 }
 
 /// Standard deviations of the root, and an earlier fit to continue from.
@@ -299,7 +359,9 @@ fn fit_one(
     let mut vertex_mm = None;
     for tag in rig.tags.iter().filter(|t| t.base_from_tag.is_none()) {
         let seen = observations_of(tag, &loaded.tags);
-        let Some(own) = tag_pose::body_pose(stereo, &seen) else { continue };
+        let Some(own) = tag_pose::body_pose(stereo, &seen) else {
+            continue;
+        };
         if let Some(groove) = rig.groove.as_ref().filter(|g| g.tag == tag.id) {
             let in_left = own.left_from_body * Point3::from(groove.position_in_tag_mm);
             vertex_mm = Some((pose.left_from_body.inverse() * in_left).coords);
@@ -312,7 +374,12 @@ fn fit_one(
             ));
         }
     }
-    let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
+    let prior = Prior {
+        base: pose.information,
+        base_offset: Vector6::zeros(),
+        root_sd,
+        smoothing: 1e6,
+    };
     let scene = Scene {
         stereo,
         rig,
@@ -328,7 +395,8 @@ fn fit_one(
 fn each_once(tags: PairTags) -> (PairTags, Vec<String>) {
     let (mut kept, mut remarks) = (PairTags::new(), BTreeSet::new());
     for (camera, tag) in tags {
-        let same = |k: &&mut (usize, Tag)| k.0 == camera && k.1.id == tag.id && k.1.family == tag.family;
+        let same =
+            |k: &&mut (usize, Tag)| k.0 == camera && k.1.id == tag.id && k.1.family == tag.family;
         let Some(other) = kept.iter_mut().find(same) else {
             kept.push((camera, tag));
             continue;
@@ -353,11 +421,18 @@ fn missing_tag(rig: &Rig, loaded: &PairInput) -> String {
         .filter(|t| t.base_from_tag.is_some())
         .map(|t| format!("{} {}", t.family, t.id))
         .collect();
-    let found: BTreeSet<String> = loaded.tags.iter().map(|(_, t)| format!("{} {}", t.family, t.id)).collect();
+    let found: BTreeSet<String> = loaded
+        .tags
+        .iter()
+        .map(|(_, t)| format!("{} {}", t.family, t.id))
+        .collect();
     let found = if found.is_empty() {
         "no tag".to_string()
     } else {
         found.into_iter().collect::<Vec<_>>().join(", ")
     };
-    format!("expected the base tag ({}), found {found}", wanted.join(", "))
+    format!(
+        "expected the base tag ({}), found {found}",
+        wanted.join(", ")
+    )
 }

@@ -47,7 +47,11 @@ pub(crate) fn find_groove(
     // The nearest node, then along the tangent.
     let last = ((fit.length_mm / fit.model.step_mm) as usize).min(fit.model.nodes - 1);
     let nearest = (0..=last)
-        .min_by(|&a, &b| (shape.points[a] - by_tag).norm().total_cmp(&(shape.points[b] - by_tag).norm()))
+        .min_by(|&a, &b| {
+            (shape.points[a] - by_tag)
+                .norm()
+                .total_cmp(&(shape.points[b] - by_tag).norm())
+        })
         .unwrap_or(0);
     let mut arc = nearest as f64 * fit.model.step_mm;
     let (mut point, mut tangent) = (shape.points[nearest], shape.tangents[nearest]);
@@ -67,7 +71,8 @@ pub(crate) fn find_groove(
         let x = (arc / fit.model.step_mm).min(fit.model.nodes as f64 - 1.001);
         (node, share) = (x.floor() as usize, x.fract());
         point = shape.points[node] * (1.0 - share) + shape.points[node + 1] * share;
-        tangent = (shape.tangents[node] * (1.0 - share) + shape.tangents[node + 1] * share).normalize();
+        tangent =
+            (shape.tangents[node] * (1.0 - share) + shape.tangents[node + 1] * share).normalize();
     }
     let across = Matrix3::identity() - along(&tangent);
     let rest = fit.model.shape(&fit.model.rest()).points;
@@ -78,7 +83,8 @@ pub(crate) fn find_groove(
         away: across * (point - by_tag),
         covariance: across * (tag_covariance + wire_covariance) * across + along(&tangent),
         push: (moved.norm() > diameter_mm).then(|| moved.normalize()),
-        turn: tangent_at(fit, &shape, arc + 0.5 * width_mm) - tangent_at(fit, &shape, arc - 0.5 * width_mm),
+        turn: tangent_at(fit, &shape, arc + 0.5 * width_mm)
+            - tangent_at(fit, &shape, arc - 0.5 * width_mm),
     };
     let contact = place.contact(groove, diameter_mm);
     let contacts_mm = match contact {
@@ -104,16 +110,27 @@ pub(crate) fn find_groove(
         by_tag_mm: [by_tag.x, by_tag.y, by_tag.z],
         covariance_mm2: None,
     };
-    GrooveFound { document, node, share, tangent, follow }
+    GrooveFound {
+        document,
+        node,
+        share,
+        tangent,
+        follow,
+    }
 }
 
 impl GrooveFound {
     /// The document with the errors that the pair's own and shared ones add up to.
-    pub(crate) fn with_errors(mut self, covariance: &Matrix3<f64>, arclength_mm2: f64) -> GrooveDocument {
+    pub(crate) fn with_errors(
+        mut self,
+        covariance: &Matrix3<f64>,
+        arclength_mm2: f64,
+    ) -> GrooveDocument {
         self.document.sd_mm = std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt());
         self.document.contact_arclength_sd_mm = arclength_mm2.max(0.0).sqrt();
-        self.document.covariance_mm2 =
-            Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])));
+        self.document.covariance_mm2 = Some(std::array::from_fn(|i| {
+            std::array::from_fn(|j| covariance[(i, j)])
+        }));
         self.document
     }
 }
@@ -150,7 +167,11 @@ impl GroovePosition {
         }
         let Some(push) = self.push else {
             // Beyond the wire's own diameter from the vertex there is no contact, whichever way the groove opens.
-            return if self.away.norm() > diameter_mm { "none" } else { "out-of-vertex" };
+            return if self.away.norm() > diameter_mm {
+                "none"
+            } else {
+                "out-of-vertex"
+            };
         };
         // Over the groove's width the wire's middle is off the chord by the sagitta of its curvature.
         let arch = -self.turn.dot(&push) * groove.width_along_wire_mm / 8.0;
@@ -162,6 +183,10 @@ impl GroovePosition {
         let gap = self.away.norm() * clear.sin();
         // Mean variance across the wire: the covariance is of unit size along it.
         let sd = (0.5 * (self.covariance.trace() - 1.0)).max(0.0).sqrt();
-        if clear > 0.0 && gap > 3.0 * sd { "none" } else { "out-of-vertex" }
+        if clear > 0.0 && gap > 3.0 * sd {
+            "none"
+        } else {
+            "out-of-vertex"
+        }
     }
 }

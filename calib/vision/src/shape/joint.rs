@@ -36,7 +36,11 @@ pub(crate) struct Joint {
 }
 
 impl Joint {
-    pub(crate) fn new(base: &FolderBase, fits: &[Result<PairFit, String>], root_sd: [f64; 2]) -> Self {
+    pub(crate) fn new(
+        base: &FolderBase,
+        fits: &[Result<PairFit, String>],
+        root_sd: [f64; 2],
+    ) -> Self {
         let mut information = base.pose.information;
         let mut rhs = Vector6::zeros();
         for (k, fit) in fits.iter().enumerate() {
@@ -48,7 +52,9 @@ impl Joint {
                 rhs += part.rhs;
             }
         }
-        let step = information.cholesky().map_or_else(Vector6::zeros, |c| c.solve(&rhs));
+        let step = information
+            .cholesky()
+            .map_or_else(Vector6::zeros, |c| c.solve(&rhs));
         let disagreement = (step.transpose() * base.pose.information * step)[0];
         Self { step, disagreement }
     }
@@ -58,15 +64,34 @@ impl Joint {
         let moved = fit.left_from_base * updated(&Isometry3::identity(), &self.step);
         fit.left_from_base = moved;
         for _ in 0..3 {
-            let system = linearise(stereo, &moved, &fit.model, &fit.state, &fit.observations, fit.noise);
-            let (mut h, g) = with_prior(&system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+            let system = linearise(
+                stereo,
+                &moved,
+                &fit.model,
+                &fit.state,
+                &fit.observations,
+                fit.noise,
+            );
+            let (mut h, g) = with_prior(
+                &system,
+                &held(root_sd, fit.smoothing),
+                &fit.state,
+                &fit.model,
+            );
             for k in 0..6 {
                 h[(k, k)] += 1e15;
             }
             let Some(c) = h.cholesky() else { return };
             fit.state = stepped(&moved, &fit.state, &c.solve(&g)).1;
         }
-        fit.system = linearise(stereo, &moved, &fit.model, &fit.state, &fit.observations, fit.noise);
+        fit.system = linearise(
+            stereo,
+            &moved,
+            &fit.model,
+            &fit.state,
+            &fit.observations,
+            fit.noise,
+        );
     }
 }
 
@@ -159,7 +184,12 @@ fn covariance(
     their_pull: &DMatrix<f64>,
     mut by_calibration: DMatrix<f64>,
 ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    let (mut full, _) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+    let (mut full, _) = with_prior(
+        &fit.system,
+        &held(root_sd, fit.smoothing),
+        &fit.state,
+        &fit.model,
+    );
     let mut of_base = full.fixed_view_mut::<6, 6>(0, 0);
     of_base += others;
     let mut pull = by_calibration.rows_mut(0, 6);
@@ -195,7 +225,12 @@ fn line_shift_mm(stereo: &StereoCameras, fit: &PairFit) -> f64 {
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
-    Prior { base: Matrix6::zeros(), base_offset: Vector6::zeros(), root_sd, smoothing }
+    Prior {
+        base: Matrix6::zeros(),
+        base_offset: Vector6::zeros(),
+        root_sd,
+        smoothing,
+    }
 }
 
 /// A pair's information on the base with the curve eliminated.
@@ -210,7 +245,12 @@ struct SchurComplement {
 
 impl SchurComplement {
     fn new(fit: &PairFit, root_sd: [f64; 2]) -> Option<Self> {
-        let (h, g) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+        let (h, g) = with_prior(
+            &fit.system,
+            &held(root_sd, fit.smoothing),
+            &fit.state,
+            &fit.model,
+        );
         let n = h.nrows() - 6;
         let cross = h.view((0, 6), (6, n)).into_owned();
         let curve = h.view((6, 6), (n, n)).into_owned().cholesky()?;
@@ -236,14 +276,21 @@ impl SchurComplement {
 fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     let points = fit.model.shape(&fit.state).points;
     let residuals = |s: &StereoCameras| {
-        observation_residuals(s, &fit.left_from_base, &points, fit.model.step_mm, &fit.observations)
+        observation_residuals(
+            s,
+            &fit.left_from_base,
+            &points,
+            fit.model.step_mm,
+            &fit.observations,
+        )
     };
     let now = residuals(stereo);
     let mut out = DMatrix::zeros(fit.system.data.nrows(), stereo.parameters());
     for k in 0..stereo.parameters() {
         let h = stereo.difference_step(k);
         let there = residuals(&stereo.moved(k, h));
-        let change = DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
+        let change =
+            DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
         out.set_column(k, &(&fit.system.rows_weighted * change));
     }
     out

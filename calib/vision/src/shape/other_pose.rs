@@ -18,10 +18,20 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
     let seen = |p: &&PairDocument| p.status == "ok" && p.length_sd_mm < END_UNSEEN_MM;
     let mut found = Vec::new();
     for (k, pair) in pairs.iter().enumerate().filter(|(_, p)| seen(p)) {
-        let others: Vec<f64> =
-            pairs.iter().enumerate().filter(|(j, p)| *j != k && seen(p)).map(|(_, p)| p.length_mm).collect();
+        let others: Vec<f64> = pairs
+            .iter()
+            .enumerate()
+            .filter(|(j, p)| *j != k && seen(p))
+            .map(|(_, p)| p.length_mm)
+            .collect();
         let typical = median(&others);
-        let spread = MAD_TO_SD * median(&others.iter().map(|l| (l - typical).abs()).collect::<Vec<_>>());
+        let spread = MAD_TO_SD
+            * median(
+                &others
+                    .iter()
+                    .map(|l| (l - typical).abs())
+                    .collect::<Vec<_>>(),
+            );
         let off = (pair.length_mm - typical).abs();
         let limit = (BEYOND_SD * pair.length_sd_mm.hypot(spread)).max(LENGTH_SHARE * typical);
         // A length that differs from one other alone is not that of this pair for sure; neither is one that the groove confirms.
@@ -31,7 +41,10 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
         };
         if off > limit && contradicted {
             let groove = pair.groove.as_ref().map_or_else(String::new, |g| {
-                format!(", and passes the groove's vertex at {:.2} mm", g.distance_from_vertex_mm)
+                format!(
+                    ", and passes the groove's vertex at {:.2} mm",
+                    g.distance_from_vertex_mm
+                )
             });
             found.push((
                 k,

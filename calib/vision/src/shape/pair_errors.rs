@@ -22,7 +22,9 @@ use crate::shape::pair_fit::PairFit;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::RigPoses;
 use crate::tags::pose::gradient_by_calibration;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3};
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3,
+};
 use rayon::prelude::*;
 use wcal_core::covariance::root;
 use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
@@ -64,22 +66,31 @@ impl SharedErrors {
         let cameras = stereo.parameters();
         let mut covariance = DMatrix::zeros(cameras + SETUP, cameras + SETUP);
         let mut put = |at: usize, block: &DMatrix<f64>| {
-            covariance.view_mut((at, at), block.shape()).copy_from(block);
+            covariance
+                .view_mut((at, at), block.shape())
+                .copy_from(block);
         };
         if let Some(c) = &stereo.covariance {
             put(0, c);
         }
-        put(cameras + BOARD, &DMatrix::from_element(1, 1, BOARD_SCALE_SD.powi(2)));
+        put(
+            cameras + BOARD,
+            &DMatrix::from_element(1, 1, BOARD_SCALE_SD.powi(2)),
+        );
         if let Some(u) = uncertain.iter().flatten().find(|u| u.base_shared) {
             put(cameras + BASE, &dynamic(&u.base));
         }
         let turn_covariance = rigs.shared_turn.and_then(|total| total.try_inverse());
         if let Some(c) = &turn_covariance {
-            put(cameras + TAG_TURN, &DMatrix::from_column_slice(3, 3, c.as_slice()));
+            put(
+                cameras + TAG_TURN,
+                &DMatrix::from_column_slice(3, 3, c.as_slice()),
+            );
         }
         put(cameras + LIGHT, &DMatrix::identity(2, 2));
         let pull = |p: &Option<crate::tags::base_pose::RigPose>| {
-            p.as_ref().map(|p| gradient_by_calibration(stereo, &p.observations, &p.left_from_tag))
+            p.as_ref()
+                .map(|p| gradient_by_calibration(stereo, &p.observations, &p.left_from_tag))
         };
         let pulls: Vec<Option<DMatrix<f64>>> = rigs.poses.par_iter().map(pull).collect();
         let turn = turn_covariance.map(|c| {
@@ -91,7 +102,13 @@ impl SharedErrors {
             }
             c * all
         });
-        Self { cameras, parameters: parameters(stereo), covariance, pulls, turn }
+        Self {
+            cameras,
+            parameters: parameters(stereo),
+            covariance,
+            pulls,
+            turn,
+        }
     }
 
     /// Covariance of a pair's quantities by their own and shared columns.
@@ -100,7 +117,12 @@ impl SharedErrors {
     }
 
     /// Writes the columns of the cameras and of the board's size, which scales the baseline.
-    fn put_cameras(&self, stereo: &StereoCameras, to: &mut DMatrix<f64>, by_cameras: &DMatrix<f64>) {
+    fn put_cameras(
+        &self,
+        stereo: &StereoCameras,
+        to: &mut DMatrix<f64>,
+        by_cameras: &DMatrix<f64>,
+    ) {
         to.columns_mut(0, self.cameras).copy_from(by_cameras);
         let baseline = &stereo.right_from_left.translation.vector;
         let last = by_cameras.columns(self.cameras - 3, 3);
@@ -118,20 +140,35 @@ fn parameters(stereo: &StereoCameras) -> Vec<SharedParameter> {
         unit: unit.to_owned(),
         cause: cause.to_owned(),
     };
-    let axes = [("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("tx", "mm"), ("ty", "mm"), ("tz", "mm")];
+    let axes = [
+        ("rx", "rad"),
+        ("ry", "rad"),
+        ("rz", "rad"),
+        ("tx", "mm"),
+        ("ty", "mm"),
+        ("tz", "mm"),
+    ];
     let mut all = Vec::new();
     for (side, camera) in ["left", "right"].iter().zip(&stereo.cameras) {
         for name in camera.parameter_names() {
             // Pinhole parameters are in pixels, coefficients of the lens have no unit.
-            let unit = if crate::camera::PINHOLE_NAMES.contains(&name) { "px" } else { "1" };
+            let unit = if crate::camera::PINHOLE_NAMES.contains(&name) {
+                "px"
+            } else {
+                "1"
+            };
             all.push(parameter(format!("{side} {name}"), unit, "cameras"));
         }
     }
-    all.extend(axes.map(|(axis, unit)| parameter(format!("right_from_left {axis}"), unit, "cameras")));
+    all.extend(
+        axes.map(|(axis, unit)| parameter(format!("right_from_left {axis}"), unit, "cameras")),
+    );
     all.push(parameter("board-scale".to_owned(), "1", "board-scale"));
     all.extend(axes.map(|(axis, unit)| parameter(format!("base-tag {axis}"), unit, "base-tag")));
     all.extend(["x", "y", "z"].map(|axis| parameter(format!("rig-tag {axis}"), "mm", "rig-tag")));
-    all.extend(["rx", "ry", "rz"].map(|axis| parameter(format!("rig-tag {axis}"), "rad", "rig-tag")));
+    all.extend(
+        ["rx", "ry", "rz"].map(|axis| parameter(format!("rig-tag {axis}"), "rad", "rig-tag")),
+    );
     all.extend(["line", "end"].map(|name| parameter(name.to_owned(), "1", name)));
     all
 }
@@ -163,8 +200,9 @@ impl VertexErrors {
         let base_from_left = fit.left_from_base.inverse();
         let in_left = pose.left_from_tag * nalgebra::Point3::from(groove.position_in_tag_mm);
         let vertex = (base_from_left * in_left).coords;
-        let to_base: Matrix3<f64> =
-            *(base_from_left.rotation * pose.left_from_tag.rotation).to_rotation_matrix().matrix();
+        let to_base: Matrix3<f64> = *(base_from_left.rotation * pose.left_from_tag.rotation)
+            .to_rotation_matrix()
+            .matrix();
         let lever = -hat(&groove.position_in_tag_mm);
         let mut columns = DMatrix::zeros(3, cameras + SETUP);
         let (own, by_cameras) = match &shared.turn {
@@ -172,10 +210,15 @@ impl VertexErrors {
             Some(turn) => {
                 let b = pose.blocks()?;
                 let by_turn = to_base * (lever - b.shift * b.cross.transpose());
-                columns.columns_mut(cameras + TAG_TURN, 3).copy_from(&by_turn);
+                columns
+                    .columns_mut(cameras + TAG_TURN, 3)
+                    .copy_from(&by_turn);
                 let own = to_base * root(&b.shift).ok()?;
                 let by_cameras = by_turn * turn + to_base * b.shift * pull.rows(3, 3);
-                (DMatrix::from_column_slice(3, 3, own.as_slice()), dense(by_cameras))
+                (
+                    DMatrix::from_column_slice(3, 3, own.as_slice()),
+                    dense(by_cameras),
+                )
             }
             None => {
                 let covariance = pose.information.try_inverse()?;
@@ -196,13 +239,20 @@ impl VertexErrors {
             columns.columns_mut(cameras + BASE, 6).copy_from(&by_base);
         }
         // A displaced tag displaces the vertex that it states by the same vector.
-        columns.columns_mut(cameras + TAG_PLACE, 3).copy_from(&to_base);
+        columns
+            .columns_mut(cameras + TAG_PLACE, 3)
+            .copy_from(&to_base);
         let mut covariance = shared.covariance_of(&own, &columns);
         if !u.base_shared {
             covariance += &by_base * dynamic(&u.base) * by_base.transpose();
         }
         let covariance = Matrix3::from_iterator(covariance.iter().copied());
-        Some(Self { own, by_base, shared: columns, covariance })
+        Some(Self {
+            own,
+            by_base,
+            shared: columns,
+            covariance,
+        })
     }
 }
 
@@ -225,10 +275,12 @@ pub(crate) fn pair_errors(
     u: &PairUncertainty,
     groove: Option<(&GrooveFound, &VertexErrors)>,
 ) -> Errors {
-    let stations: Vec<(usize, (f64, usize, f64))> = places(fit).enumerate().step_by(STATION_POINTS).collect();
+    let stations: Vec<(usize, (f64, usize, f64))> =
+        places(fit).enumerate().step_by(STATION_POINTS).collect();
     let jacobian = fit.model.jacobian(&fit.state);
     let at = |node: usize, f: f64| {
-        (jacobian.columns(3 * node, 3) * (1.0 - f) + jacobian.columns(3 * node + 3, 3) * f).transpose()
+        (jacobian.columns(3 * node, 3) * (1.0 - f) + jacobian.columns(3 * node + 3, 3) * f)
+            .transpose()
     };
     // Rows: stations, foot point of the vertex on the wire, vertex by the tag, length.
     let m = 3 * stations.len();
@@ -237,16 +289,21 @@ pub(crate) fn pair_errors(
         by_curve.rows_mut(3 * row, 3).copy_from(&at(*node, *f));
     }
     if let Some((found, _)) = groove {
-        by_curve.rows_mut(m, 3).copy_from(&at(found.node, found.share));
+        by_curve
+            .rows_mut(m, 3)
+            .copy_from(&at(found.node, found.share));
     }
     let own = own_columns(fit, u, &by_curve, groove.map(|g| g.1));
     let all = shared_columns(stereo, shared, fit, u, &by_curve, groove.map(|g| g.1));
     let observed = |columns: &DMatrix<f64>| observations(columns, m, groove.map(|g| g.0));
     let (own, all) = (observed(&own), observed(&all));
-    let covariance = shared.covariance_of(&own.rows(m, 4).into_owned(), &all.rows(m, 4).into_owned());
+    let covariance =
+        shared.covariance_of(&own.rows(m, 4).into_owned(), &all.rows(m, 4).into_owned());
     let (kept, floor_mm) = principal(own);
     let column = |c: nalgebra::DVectorView<f64>, digits: fn(f64) -> f64| ErrorColumn {
-        centreline_mm: (0..stations.len()).map(|k| std::array::from_fn(|d| digits(c[3 * k + d]))).collect(),
+        centreline_mm: (0..stations.len())
+            .map(|k| std::array::from_fn(|d| digits(c[3 * k + d])))
+            .collect(),
         groove_mm: std::array::from_fn(|d| digits(c[m + d])),
         contact_arclength_mm: digits(c[m + 3]),
         length_mm: digits(c[m + 4]),
@@ -259,7 +316,11 @@ pub(crate) fn pair_errors(
         shared: all.column_iter().map(|c| column(c, significant)).collect(),
     };
     let groove_mm2 = Matrix3::from_fn(|i, j| covariance[(i, j)]);
-    Errors { document, groove_mm2, arclength_mm2: covariance[(3, 3)] }
+    Errors {
+        document,
+        groove_mm2,
+        arclength_mm2: covariance[(3, 3)],
+    }
 }
 
 /// Own errors: curve with base and cameras held, the base where it is this pair's own, corners of the rig tag, the end.
@@ -270,21 +331,35 @@ fn own_columns(
     vertex: Option<&VertexErrors>,
 ) -> DMatrix<f64> {
     let (rows, of_curve) = (by_curve.nrows(), u.own.ncols());
-    let base = if u.base_shared { None } else { root(&u.base).ok().as_ref().map(dynamic) };
+    let base = if u.base_shared {
+        None
+    } else {
+        root(&u.base).ok().as_ref().map(dynamic)
+    };
     let of_base = base.as_ref().map_or(0, DMatrix::ncols);
     let of_tag = vertex.map_or(0, |v| v.own.ncols());
     let mut columns = DMatrix::zeros(rows + 4, of_curve + of_base + of_tag + 1);
-    columns.view_mut((0, 0), (rows, of_curve)).copy_from(&(by_curve * &u.own));
+    columns
+        .view_mut((0, 0), (rows, of_curve))
+        .copy_from(&(by_curve * &u.own));
     if let Some(base) = &base {
-        columns.view_mut((0, of_curve), (rows, of_base)).copy_from(&(by_curve * &u.by_base * base));
+        columns
+            .view_mut((0, of_curve), (rows, of_base))
+            .copy_from(&(by_curve * &u.by_base * base));
         if let Some(v) = vertex {
-            columns.view_mut((rows, of_curve), (3, of_base)).copy_from(&(&v.by_base * base));
+            columns
+                .view_mut((rows, of_curve), (3, of_base))
+                .copy_from(&(&v.by_base * base));
         }
     }
     if let Some(v) = vertex {
-        columns.view_mut((rows, of_curve + of_base), (3, of_tag)).copy_from(&v.own);
+        columns
+            .view_mut((rows, of_curve + of_base), (3, of_tag))
+            .copy_from(&v.own);
     }
-    let end = (fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2)).max(0.0).sqrt();
+    let end = (fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2))
+        .max(0.0)
+        .sqrt();
     columns[(rows + 3, of_curve + of_base + of_tag)] = end;
     columns
 }
@@ -303,12 +378,14 @@ fn shared_columns(
     let by_cameras = by_curve * u.by_calibration.rows(6, fit.model.parameters());
     shared.put_cameras(stereo, &mut line, &by_cameras);
     if u.base_shared {
-        line.columns_mut(cameras + BASE, 6).copy_from(&(by_curve * &u.by_base));
+        line.columns_mut(cameras + BASE, 6)
+            .copy_from(&(by_curve * &u.by_base));
     }
     // A line that is off in one picture moves the whole wire in depth.
     let depth = depth_axis(fit) * u.shared_mm;
     for row in 0..rows / 3 {
-        line.view_mut((3 * row, cameras + LIGHT), (3, 1)).copy_from(&depth);
+        line.view_mut((3 * row, cameras + LIGHT), (3, 1))
+            .copy_from(&depth);
     }
     let mut length = DMatrix::zeros(1, cameras + SETUP);
     let by_cameras = DMatrix::from_fn(1, cameras, |_, k| {
@@ -335,10 +412,17 @@ fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) 
     out.row_mut(m + 4).copy_from(&columns.row(m + 6));
     let Some(found) = groove else { return out };
     for k in 0..count {
-        let of = |row: usize| Vector3::new(columns[(row, k)], columns[(row + 1, k)], columns[(row + 2, k)]);
+        let of = |row: usize| {
+            Vector3::new(
+                columns[(row, k)],
+                columns[(row + 1, k)],
+                columns[(row + 2, k)],
+            )
+        };
         let (foot, vertex) = (of(m), of(m + 3));
         let along = found.tangent.dot(&(found.follow * (vertex - foot)));
-        out.view_mut((m, k), (3, 1)).copy_from(&(foot + found.tangent * along));
+        out.view_mut((m, k), (3, 1))
+            .copy_from(&(foot + found.tangent * along));
         out[(m + 3, k)] = along;
     }
     out
@@ -350,7 +434,10 @@ fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let mut order: Vec<usize> = (0..columns.nrows()).collect();
     order.sort_by(|a, b| parts.eigenvalues[*b].total_cmp(&parts.eigenvalues[*a]));
     let scaled = |k: usize| parts.eigenvectors.column(k) * parts.eigenvalues[k].max(0.0).sqrt();
-    let mut left = columns.row_iter().map(|r| r.norm_squared()).collect::<Vec<f64>>();
+    let mut left = columns
+        .row_iter()
+        .map(|r| r.norm_squared())
+        .collect::<Vec<f64>>();
     let mut kept = Vec::new();
     for k in order {
         let largest = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
@@ -358,14 +445,20 @@ fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
             return (from_columns(columns.nrows(), &kept), largest);
         }
         let column = scaled(k);
-        left.iter_mut().zip(column.iter()).for_each(|(l, c)| *l -= c * c);
+        left.iter_mut()
+            .zip(column.iter())
+            .for_each(|(l, c)| *l -= c * c);
         kept.push(column);
     }
     (from_columns(columns.nrows(), &kept), 0.0)
 }
 
 fn from_columns(rows: usize, columns: &[DVector<f64>]) -> DMatrix<f64> {
-    if columns.is_empty() { DMatrix::zeros(rows, 0) } else { DMatrix::from_columns(columns) }
+    if columns.is_empty() {
+        DMatrix::zeros(rows, 0)
+    } else {
+        DMatrix::from_columns(columns)
+    }
 }
 
 /// To a nanometre: an error of an error.
@@ -379,9 +472,18 @@ fn significant(x: f64) -> f64 {
 }
 
 /// The pictures show the tip where they do: with other cameras that is another arc length.
-fn length_change_mm(stereo: &StereoCameras, fit: &PairFit, u: &PairUncertainty, error: &DVector<f64>) -> f64 {
+fn length_change_mm(
+    stereo: &StereoCameras,
+    fit: &PairFit,
+    u: &PairUncertainty,
+    error: &DVector<f64>,
+) -> f64 {
     let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
-    let (pose, state) = stepped(&fit.left_from_base, &fit.state, &(&u.by_calibration * error));
+    let (pose, state) = stepped(
+        &fit.left_from_base,
+        &fit.state,
+        &(&u.by_calibration * error),
+    );
     let end = |state: &CurveState, arc_mm: f64| {
         let points = fit.model.shape(state).points;
         let x = (arc_mm / fit.model.step_mm).clamp(0.0, points.len() as f64 - 1.001);

@@ -4,8 +4,8 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape::curve::{CurveModel, CurveState};
 use crate::shape::curve_fit::{
-    LineObservation, PairSystem, Prior, choose_smoothing, image_line, linearise, measure, observations,
-    stepped, visible, with_prior,
+    LineObservation, PairSystem, Prior, choose_smoothing, image_line, linearise, measure,
+    observations, stepped, visible, with_prior,
 };
 use crate::shape::socp_start::socp_initial_curve;
 use crate::stereo::StereoCameras;
@@ -110,16 +110,36 @@ pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>) -> Result<PairFit, S
 fn pushed_at(model: &CurveModel, state: &CurveState, vertex_mm: &Vector3<f64>) -> Option<f64> {
     let off = |p: &Vector3<f64>| (p - vertex_mm).norm();
     let points = model.shape(state).points;
-    let (k, near) = points.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
+    let (k, near) = points
+        .iter()
+        .enumerate()
+        .min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
     (off(near) < CONTACT_NEAR_MM).then_some(k as f64 * model.step_mm)
 }
 
 /// Follows the curve that the search found through the pieces of both pictures.
 fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, String> {
-    let Scene { stereo, rig, left_from_base, vertex_mm, prior, .. } = *scene;
-    let PairFit { mut model, mut state, mut appearances, polarity, mut noise, .. } = begun;
+    let Scene {
+        stereo,
+        rig,
+        left_from_base,
+        vertex_mm,
+        prior,
+        ..
+    } = *scene;
+    let PairFit {
+        mut model,
+        mut state,
+        mut appearances,
+        polarity,
+        mut noise,
+        ..
+    } = begun;
     let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
-    let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
+    let mut prior = Prior {
+        smoothing: begun.smoothing,
+        ..prior.clone()
+    };
     // A wire that starts elsewhere is fitted with a free root; whether the base moved as well is decided over the folder.
     if begun.root_aside_mm > 0.0 {
         prior.root_sd = ROOT_FREE;
@@ -134,11 +154,23 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     while let Some(&search_px) = windows.get(round) {
         // Blur and width are fitted once the line is approximately right.
         let fit_looks = round == 1 || round == 3;
-        pieces =
-            measure_pieces(scene, &model, &state, length, search_px, &mut appearances, (polarity, fit_looks));
-        all = (0..2).flat_map(|c| observations(c, &pieces[c].0, &pieces[c].1)).collect();
+        pieces = measure_pieces(
+            scene,
+            &model,
+            &state,
+            length,
+            search_px,
+            &mut appearances,
+            (polarity, fit_looks),
+        );
+        all = (0..2)
+            .flat_map(|c| observations(c, &pieces[c].0, &pieces[c].1))
+            .collect();
         if all.len() < 40 {
-            return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
+            return Err(format!(
+                "no wire: only {} pieces of 4 px show a bar",
+                all.len()
+            ));
         }
         if round == 0 {
             // Far from the solution robust weights and evidence for the smoothing are unreliable: the convex programme needs neither.
@@ -161,20 +193,38 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
                 continue;
             }
             // Without a visible end: the last piece seen, or the nominal length where that lies near.
-            length = if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
+            length = if (last - rig.whisker.length_mm).abs() < 2.0 {
+                rig.whisker.length_mm
+            } else {
+                last
+            };
             (length_sd, length_shared) = (1.0, 0.0);
             if round == 4 {
                 warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
             }
         } else {
             let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
-            length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+            length = ends
+                .iter()
+                .map(|e| e.arc_mm * e.sd_mm.powi(-2))
+                .sum::<f64>()
+                / w;
             length_sd = w.powf(-0.5);
-            length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+            length_shared = ends
+                .iter()
+                .map(|e| e.shared_mm * e.sd_mm.powi(-2))
+                .sum::<f64>()
+                / w;
         }
         round += 1;
     }
-    warnings.extend(doubts(&pieces, length, end_seen, noise, rig.whisker.length_mm)?);
+    warnings.extend(doubts(
+        &pieces,
+        length,
+        end_seen,
+        noise,
+        rig.whisker.length_mm,
+    )?);
     let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
     Ok(PairFit {
         model,
@@ -238,7 +288,14 @@ fn gauss_newton(
     prior: &mut Prior,
 ) -> Result<(CurveState, f64), String> {
     for inner in 0..3 {
-        let system = linearise(scene.stereo, scene.left_from_base, model, &state, all, noise);
+        let system = linearise(
+            scene.stereo,
+            scene.left_from_base,
+            model,
+            &state,
+            all,
+            noise,
+        );
         if inner == 1 {
             prior.smoothing = choose_smoothing(&system, prior, &state, model);
         }
@@ -247,7 +304,10 @@ fn gauss_newton(
         for k in 0..6 {
             h[(k, k)] += 1e15;
         }
-        let step = h.cholesky().ok_or("the curve's normal matrix is singular")?.solve(&g);
+        let step = h
+            .cholesky()
+            .ok_or("the curve's normal matrix is singular")?
+            .solve(&g);
         state = stepped(scene.left_from_base, &state, &step).1;
         if inner == 2 {
             noise = consistent_noise(&system, noise, all);
@@ -267,7 +327,15 @@ fn ends_seen(
     let (points, diameter_mm) = (model.shape(state).points, scene.rig.whisker.diameter_mm);
     let of = |camera: usize| {
         let (from, step) = (scene.left_from_base, model.step_mm);
-        let line = image_line(scene.stereo, from, camera, &points, step, f64::INFINITY, diameter_mm);
+        let line = image_line(
+            scene.stereo,
+            from,
+            camera,
+            &points,
+            step,
+            f64::INFINITY,
+            diameter_mm,
+        );
         find_tip(&scene.pictures[camera], &line, appearances[camera], length)
     };
     (0..2).filter_map(of).collect()
@@ -319,7 +387,14 @@ fn doubts(
 
 /// The curve that the search found, before anything is measured.
 fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
-    let Scene { stereo, rig, pictures, left_from_base, prior, .. } = *scene;
+    let Scene {
+        stereo,
+        rig,
+        pictures,
+        left_from_base,
+        prior,
+        ..
+    } = *scene;
     let root_free = prior.root_sd == ROOT_FREE;
     let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, root_free, wide)?;
     let model = CurveModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
@@ -346,7 +421,10 @@ fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
         noise: 1.0,
         smoothing: prior.smoothing,
         polarity,
-        appearances: [Appearance { blur_px: 1.0, width_scale: 1.0 }; 2],
+        appearances: [Appearance {
+            blur_px: 1.0,
+            width_scale: 1.0,
+        }; 2],
         diameter_mm: rig.whisker.diameter_mm,
         root_aside_mm: found.root_mm[0].hypot(found.root_mm[1]),
         warnings: Vec::new(),
@@ -373,7 +451,11 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
         }
     }
     let scatter = (sum / (weight - 40.0).max(1.0)).max(0.25);
-    let rho: f64 = if here > 0.0 { (lag / here).clamp(0.0, 0.8) } else { 0.0 };
+    let rho: f64 = if here > 0.0 {
+        (lag / here).clamp(0.0, 0.8)
+    } else {
+        0.0
+    };
     // Effective number of independent pieces of a first-order process.
     let shared = (1.0 + rho) / (1.0 - rho);
     // Damped, so that noise and smoothing settle together.
@@ -381,21 +463,34 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
 }
 
 /// The first stretch that one picture shows and the other does not: the other camera, start and end, mm.
-fn unseen_stretch(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> Option<(usize, f64, f64)> {
+fn unseen_stretch(
+    pieces: &[(Vec<Piece>, Vec<bool>); 2],
+    length_mm: f64,
+) -> Option<(usize, f64, f64)> {
     let cells = length_mm as usize;
     let long = ((STRETCH_SHARE * length_mm) as usize).max(1);
     let shown = |camera: usize| {
         let mut shows = vec![0.0; cells];
-        for (piece, _) in pieces[camera].0.iter().zip(&pieces[camera].1).filter(|(_, seen)| **seen) {
+        for (piece, _) in pieces[camera]
+            .0
+            .iter()
+            .zip(&pieces[camera].1)
+            .filter(|(_, seen)| **seen)
+        {
             if let Some(cell) = shows.get_mut(piece.station.arc_mm as usize) {
                 *cell = 1.0;
             }
         }
-        shows.windows(long).map(|w| w.iter().sum::<f64>() / long as f64).collect::<Vec<f64>>()
+        shows
+            .windows(long)
+            .map(|w| w.iter().sum::<f64>() / long as f64)
+            .collect::<Vec<f64>>()
     };
     let both = [shown(0), shown(1)];
     (0..2).find_map(|camera| {
-        let lost = |k: &usize| both[camera][*k] < STRETCH_SEEN && both[1 - camera][*k] > 2.0 * STRETCH_SEEN;
+        let lost = |k: &usize| {
+            both[camera][*k] < STRETCH_SEEN && both[1 - camera][*k] > 2.0 * STRETCH_SEEN
+        };
         let from = (0..both[0].len()).find(lost)?;
         let windows = (from..both[0].len()).take_while(lost).count();
         Some((camera, from as f64, (from + windows + long - 1) as f64))
@@ -408,7 +503,8 @@ fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
     let seen = |tail: bool| {
         let of = |(pieces, seen): &(Vec<Piece>, Vec<bool>)| {
             let both = pieces.iter().zip(seen);
-            both.filter(|(p, seen)| **seen && (p.station.arc_mm > from_mm) == tail).count()
+            both.filter(|(p, seen)| **seen && (p.station.arc_mm > from_mm) == tail)
+                .count()
         };
         pieces.iter().map(of).max().unwrap_or(0) as f64
     };

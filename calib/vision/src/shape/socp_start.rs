@@ -73,16 +73,37 @@ pub fn socp_initial_curve(
             let link = (i / STRIDE).min(at.len() - 2);
             let g = (((i - link * STRIDE) as f64 + f) / STRIDE as f64).min(1.0);
             let residual = s.normal.dot(&(s.observed_px - px)) / s.sd_px;
-            Some(PieceEquation { camera: s.camera, link, residual, by_nodes: [along * (1.0 - g), along * g] })
+            Some(PieceEquation {
+                camera: s.camera,
+                link,
+                residual,
+                by_nodes: [along * (1.0 - g), along * g],
+            })
         })
         .collect();
     // The median of a camera's residuals on a link represents all of them: a fifth of the time, and robust.
-    pulls.sort_by(|a, b| (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual)));
-    let pulls: Vec<&PieceEquation> =
-        pulls.chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link)).map(|c| &c[c.len() / 2]).collect();
-    let moved = solve(model, &shape.points, &model.rest_bends(state), &at, &pulls, prior)?;
-    let nodes: Vec<(usize, Vector3<f64>)> =
-        at.iter().zip(moved).map(|(i, by)| (*i, shape.points[*i] + by)).collect();
+    pulls.sort_by(|a, b| {
+        (a.camera, a.link)
+            .cmp(&(b.camera, b.link))
+            .then(a.residual.total_cmp(&b.residual))
+    });
+    let pulls: Vec<&PieceEquation> = pulls
+        .chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link))
+        .map(|c| &c[c.len() / 2])
+        .collect();
+    let moved = solve(
+        model,
+        &shape.points,
+        &model.rest_bends(state),
+        &at,
+        &pulls,
+        prior,
+    )?;
+    let nodes: Vec<(usize, Vector3<f64>)> = at
+        .iter()
+        .zip(moved)
+        .map(|(i, by)| (*i, shape.points[*i] + by))
+        .collect();
     Some(model.through(state, &nodes, NODE_MM, prior.smoothing))
 }
 
@@ -111,9 +132,29 @@ fn solve(
     };
     // The root stands where it was found; the first link leaves it along x.
     for k in 0..3 {
-        fold(&[(k, 1.0)], 0.0, if k == 0 { 1e-3 } else { prior.root_sd[0].min(0.1) });
-        let off = if k == 0 { 0.0 } else { points[at[1]][k] - points[0][k] };
-        fold(&[(k, -1.0), (3 + k, 1.0)], off, if k == 0 { 1.0 } else { prior.root_sd[1] * link_mm });
+        fold(
+            &[(k, 1.0)],
+            0.0,
+            if k == 0 {
+                1e-3
+            } else {
+                prior.root_sd[0].min(0.1)
+            },
+        );
+        let off = if k == 0 {
+            0.0
+        } else {
+            points[at[1]][k] - points[0][k]
+        };
+        fold(
+            &[(k, -1.0), (3 + k, 1.0)],
+            off,
+            if k == 0 {
+                1.0
+            } else {
+                prior.root_sd[1] * link_mm
+            },
+        );
     }
     // The bending beyond the rest shape's changes little from link to link.
     let rough = CURVATURE_CHANGE * link_mm.powi(3);
@@ -123,7 +164,8 @@ fn solve(
     };
     for n in 1..nodes - 2 {
         for k in 0..3 {
-            let terms = [(-1.0, n - 1), (3.0, n), (-3.0, n + 1), (1.0, n + 2)].map(|(w, m)| (3 * m + k, w));
+            let terms =
+                [(-1.0, n - 1), (3.0, n), (-3.0, n + 1), (1.0, n + 2)].map(|(w, m)| (3 * m + k, w));
             fold(&terms, bend(n + 1, k) - bend(n, k), rough);
         }
     }
@@ -172,11 +214,25 @@ fn solve(
         }
         cones.push(SupportedConeT::SecondOrderConeT(4));
     }
-    let settings = DefaultSettings { verbose: false, tol_gap_rel: 1e-6, ..DefaultSettings::default() };
-    let (p, a) = (quadratic.sparse(unknowns, unknowns), rows.sparse(bounds.len(), unknowns));
+    let settings = DefaultSettings {
+        verbose: false,
+        tol_gap_rel: 1e-6,
+        ..DefaultSettings::default()
+    };
+    let (p, a) = (
+        quadratic.sparse(unknowns, unknowns),
+        rows.sparse(bounds.len(), unknowns),
+    );
     let mut solver = DefaultSolver::new(&p, &linear, &a, &bounds, &cones, settings).ok()?;
     solver.solve();
-    let solved = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
-    solved
-        .then(|| solver.solution.x[..moves].chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2])).collect())
+    let solved = matches!(
+        solver.solution.status,
+        SolverStatus::Solved | SolverStatus::AlmostSolved
+    );
+    solved.then(|| {
+        solver.solution.x[..moves]
+            .chunks_exact(3)
+            .map(|c| Vector3::new(c[0], c[1], c[2]))
+            .collect()
+    })
 }

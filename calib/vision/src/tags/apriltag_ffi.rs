@@ -98,7 +98,11 @@ impl Handles {
             }
             (*detector).nthreads = 1;
             sys::apriltag_detector_add_family_bits(detector, family, 2);
-            Some(Self { detector, family, destroy_family })
+            Some(Self {
+                detector,
+                family,
+                destroy_family,
+            })
         }
     }
 }
@@ -117,7 +121,11 @@ pub struct Region {
 impl Region {
     /// All of a picture.
     pub fn whole(picture: &Picture) -> Self {
-        Self { low: [0, 0], high: [picture.width, picture.height], decimate: 1.0 }
+        Self {
+            low: [0, 0],
+            high: [picture.width, picture.height],
+            decimate: 1.0,
+        }
     }
 
     /// The smallest region that holds both, searched as the finer one.
@@ -131,7 +139,10 @@ impl Region {
 
     /// Pixels.
     pub fn area(&self) -> usize {
-        [0, 1].map(|k| self.high[k].saturating_sub(self.low[k])).iter().product()
+        [0, 1]
+            .map(|k| self.high[k].saturating_sub(self.low[k]))
+            .iter()
+            .product()
     }
 }
 
@@ -149,7 +160,10 @@ pub fn detect(
     regions: &[Region],
     min_contrast: u8,
 ) -> Result<Vec<RawTag>, VisionError> {
-    let known = TAG_FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
+    let known = TAG_FAMILIES
+        .into_iter()
+        .find(|f| *f == family_name)
+        .and_then(|f| Some((f, family(f)?)));
     let (name, (create, destroy_family)) = known.ok_or_else(|| {
         VisionError::result(
             "detect tags",
@@ -161,7 +175,10 @@ pub fn detect(
     let stride = picture.width.div_ceil(96) * 96;
     // A row more, since a region's last row may begin anywhere in its own.
     let mut buffer = vec![0u8; stride * (picture.height + 1)];
-    for (row, source) in buffer.chunks_exact_mut(stride).zip(picture.data.chunks_exact(picture.width)) {
+    for (row, source) in buffer
+        .chunks_exact_mut(stride)
+        .zip(picture.data.chunks_exact(picture.width))
+    {
         row[..picture.width].copy_from_slice(source);
     }
     DETECTORS.with_borrow_mut(|all| {
@@ -212,8 +229,10 @@ impl Handles {
             }
             let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
             for k in 0..(*found).size {
-                let element =
-                    (*found).data.add(k as usize * (*found).el_sz).cast::<*mut sys::apriltag_detection_t>();
+                let element = (*found)
+                    .data
+                    .add(k as usize * (*found).el_sz)
+                    .cast::<*mut sys::apriltag_detection_t>();
                 let detection = &**element;
                 tags.push(RawTag {
                     family: family_name.to_string(),
@@ -236,8 +255,13 @@ impl Handles {
 /// # Errors
 /// Where the family or the number is unknown.
 pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
-    let unknown =
-        || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
+    let unknown = || {
+        VisionError::result(
+            "draw a tag",
+            "a tag of a known family",
+            format!("{family_name} {id}"),
+        )
+    };
     let (create, destroy) = family(family_name).ok_or_else(unknown)?;
     // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
     // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
@@ -251,8 +275,11 @@ pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
             return Err(unknown());
         }
         let image = sys::apriltag_to_image(family, id);
-        let (width, height, stride) =
-            ((*image).width as usize, (*image).height as usize, (*image).stride as usize);
+        let (width, height, stride) = (
+            (*image).width as usize,
+            (*image).height as usize,
+            (*image).stride as usize,
+        );
         let mut data = Vec::with_capacity(width * height);
         for y in 0..height {
             for x in 0..width {

@@ -34,7 +34,10 @@ pub struct FolderBase {
 }
 
 fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
-    let known = rig.tags.iter().find(|t| t.id == tag.id && t.family == tag.family)?;
+    let known = rig
+        .tags
+        .iter()
+        .find(|t| t.id == tag.id && t.family == tag.family)?;
     Some(TagObservation {
         camera,
         tag: tag.clone(),
@@ -45,22 +48,37 @@ fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
 
 /// Base tags of one pair alone.
 pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
-    tags.iter().filter_map(|(camera, tag)| observation(rig, *camera, tag)).collect()
+    tags.iter()
+        .filter_map(|(camera, tag)| observation(rig, *camera, tag))
+        .collect()
 }
 
 /// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair shows a base tag.
 pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Option<FolderBase> {
     let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
     for (k, tags) in pairs.iter().enumerate() {
-        for (camera, tag) in tags.iter().filter(|(c, t)| observation(rig, *c, t).is_some()) {
-            groups.entry((*camera, tag.id)).or_default().push((k, tag.clone()));
+        for (camera, tag) in tags
+            .iter()
+            .filter(|(c, t)| observation(rig, *c, t).is_some())
+        {
+            groups
+                .entry((*camera, tag.id))
+                .or_default()
+                .push((k, tag.clone()));
         }
     }
     let mut moved = Vec::new();
     let mut averaged = Vec::new();
     for ((camera, _), seen) in &groups {
         let typical: [Vector2<f64>; 4] = std::array::from_fn(|c| {
-            let axis = |d: usize| median(&seen.iter().map(|(_, t)| t.corners_px[c][d]).collect::<Vec<_>>());
+            let axis = |d: usize| {
+                median(
+                    &seen
+                        .iter()
+                        .map(|(_, t)| t.corners_px[c][d])
+                        .collect::<Vec<_>>(),
+                )
+            };
             Vector2::new(axis(0), axis(1))
         });
         let (still, other): (Vec<_>, Vec<_>) = seen.iter().partition(|(_, t)| {
@@ -70,20 +88,33 @@ pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Opt
             })
         });
         moved.extend(other.iter().map(|(k, _)| *k));
-        let Some((_, first)) = still.first() else { continue };
+        let Some((_, first)) = still.first() else {
+            continue;
+        };
         let n = still.len() as f64;
         let mut mean = first.clone();
         for c in 0..4 {
-            mean.corners_px[c] = still.iter().map(|(_, t)| t.corners_px[c]).sum::<Vector2<f64>>() / n;
-            mean.covariances_px2[c] =
-                still.iter().map(|(_, t)| t.covariances_px2[c]).sum::<nalgebra::Matrix2<f64>>() / (n * n);
+            mean.corners_px[c] = still
+                .iter()
+                .map(|(_, t)| t.corners_px[c])
+                .sum::<Vector2<f64>>()
+                / n;
+            mean.covariances_px2[c] = still
+                .iter()
+                .map(|(_, t)| t.covariances_px2[c])
+                .sum::<nalgebra::Matrix2<f64>>()
+                / (n * n);
         }
         averaged.extend(observation(rig, *camera, &mean));
     }
     moved.sort_unstable();
     moved.dedup();
     let pose = body_pose(stereo, &averaged)?;
-    Some(FolderBase { pose, observations: averaged, moved })
+    Some(FolderBase {
+        pose,
+        observations: averaged,
+        moved,
+    })
 }
 
 /// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures allow it: the stage only shifts the rig.
@@ -108,9 +139,16 @@ pub struct RigPoses {
 
 /// Rig tag poses of all pairs.
 pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
-    let none = || RigPoses { poses: vec![None; pairs.len()], shared_turn: None };
-    let Some(groove) = &rig.groove else { return none() };
-    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else { return none() };
+    let none = || RigPoses {
+        poses: vec![None; pairs.len()],
+        shared_turn: None,
+    };
+    let Some(groove) = &rig.groove else {
+        return none();
+    };
+    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else {
+        return none();
+    };
     let alone: Vec<Option<RigPose>> = pairs
         .iter()
         .map(|tags| {
@@ -120,7 +158,11 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPo
             if residual_rms_px(stereo, &observations, &pose.left_from_body) > TAG_MISFIT_PX {
                 return None;
             }
-            Some(RigPose { left_from_tag: pose.left_from_body, information: pose.information, observations })
+            Some(RigPose {
+                left_from_tag: pose.left_from_body,
+                information: pose.information,
+                observations,
+            })
         })
         .collect();
     share_orientation(alone)
@@ -157,18 +199,33 @@ impl RigPose {
         let turn: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
         let cross: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();
         let shift = i.fixed_view::<3, 3>(3, 3).into_owned().try_inverse()?;
-        Some(TurnBlocks { marginal: turn - cross * shift * cross.transpose(), cross, shift })
+        Some(TurnBlocks {
+            marginal: turn - cross * shift * cross.transpose(),
+            cross,
+            shift,
+        })
     }
 }
 
 fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
-    let Some(reference) = poses.iter().flatten().next().map(|p| p.left_from_tag.rotation) else {
-        return RigPoses { poses, shared_turn: None };
+    let Some(reference) = poses
+        .iter()
+        .flatten()
+        .next()
+        .map(|p| p.left_from_tag.rotation)
+    else {
+        return RigPoses {
+            poses,
+            shared_turn: None,
+        };
     };
     let (mut total, mut pull, mut turns) = (Matrix3::zeros(), Vector3::zeros(), Vec::new());
     for p in poses.iter().flatten() {
         let Some(TurnBlocks { marginal, .. }) = p.blocks() else {
-            return RigPoses { poses, shared_turn: None };
+            return RigPoses {
+                poses,
+                shared_turn: None,
+            };
         };
         let turn = (reference.inverse() * p.left_from_tag.rotation).scaled_axis();
         total += marginal;
@@ -176,22 +233,36 @@ fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
         turns.push((marginal, turn));
     }
     let Some(mean) = total.try_inverse().map(|t| t * pull) else {
-        return RigPoses { poses, shared_turn: None };
+        return RigPoses {
+            poses,
+            shared_turn: None,
+        };
     };
-    let chi2: f64 = turns.iter().map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0]).sum();
+    let chi2: f64 = turns
+        .iter()
+        .map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0])
+        .sum();
     let degrees = 3.0 * (turns.len() as f64 - 1.0);
     // Up to twice the stated noise counts as noise; a rig that turns differs by far more.
     if turns.len() < 2 || chi2 > 4.0 * degrees + 12.0 {
-        return RigPoses { poses, shared_turn: None };
+        return RigPoses {
+            poses,
+            shared_turn: None,
+        };
     }
     let shared = reference * nalgebra::UnitQuaternion::from_scaled_axis(mean);
     for p in poses.iter_mut().flatten() {
-        let Some(TurnBlocks { cross, shift, .. }) = p.blocks() else { continue };
+        let Some(TurnBlocks { cross, shift, .. }) = p.blocks() else {
+            continue;
+        };
         let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
         // The position that minimises chi2 at the shared orientation.
         let by = -(shift * cross.transpose() * turn);
         let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * by;
         p.left_from_tag = Isometry3::from_parts(moved.into(), shared);
     }
-    RigPoses { poses, shared_turn: Some(total) }
+    RigPoses {
+        poses,
+        shared_turn: Some(total),
+    }
 }

@@ -68,10 +68,22 @@ pub enum Search {
 ///
 /// # Errors
 /// Where the family is unknown.
-pub fn detect_tags(picture: &Picture, family: &str, search: Search) -> Result<Vec<RawTag>, VisionError> {
+pub fn detect_tags(
+    picture: &Picture,
+    family: &str,
+    search: Search,
+) -> Result<Vec<RawTag>, VisionError> {
     let whole = Region::whole(picture);
     match search {
-        Search::Halved => detect(picture, family, &[Region { decimate: 2.0, ..whole }], MIN_CONTRAST),
+        Search::Halved => detect(
+            picture,
+            family,
+            &[Region {
+                decimate: 2.0,
+                ..whole
+            }],
+            MIN_CONTRAST,
+        ),
         Search::StrongContrast if DARK_BORDERS.contains(&family) => {
             let (regions, contrast) = tag_regions(picture);
             detect(picture, family, &regions, contrast).map(once_each)
@@ -80,7 +92,9 @@ pub fn detect_tags(picture: &Picture, family: &str, search: Search) -> Result<Ve
             let larger = apart(picture)?;
             let found = detect(&larger, family, &[Region::whole(&larger)], MIN_CONTRAST)?;
             let back = |tag: RawTag| RawTag {
-                corners_px: tag.corners_px.map(|corner| corner.map(|x| 0.5 * (x + 0.5) - 0.5)),
+                corners_px: tag
+                    .corners_px
+                    .map(|corner| corner.map(|x| 0.5 * (x + 0.5) - 0.5)),
                 ..tag
             };
             Ok(found.into_iter().map(back).collect())
@@ -101,7 +115,10 @@ pub fn find_tags(
     search: Search,
 ) -> Result<Vec<Tag>, VisionError> {
     let found = detect_tags(picture, family, search)?;
-    let mut tags: Vec<Tag> = found.into_iter().map(|raw| refine(picture, raw, camera)).collect();
+    let mut tags: Vec<Tag> = found
+        .into_iter()
+        .map(|raw| refine(picture, raw, camera))
+        .collect();
     tags.sort_by_key(|t| t.id);
     Ok(tags)
 }
@@ -112,11 +129,31 @@ fn apart(picture: &Picture) -> Result<Picture, VisionError> {
     let (width, height) = (2 * picture.width, 2 * picture.height);
     let (mut larger, mut opened) = (Mat::default(), Mat::default());
     let size = Size::new(width as i32, height as i32);
-    imgproc::resize(&picture.to_mat()?, &mut larger, size, 0.0, 0.0, imgproc::INTER_LINEAR).doing(doing)?;
-    let square = Mat::ones(3, 3, CV_8UC1).doing(doing)?.to_mat().doing(doing)?;
+    imgproc::resize(
+        &picture.to_mat()?,
+        &mut larger,
+        size,
+        0.0,
+        0.0,
+        imgproc::INTER_LINEAR,
+    )
+    .doing(doing)?;
+    let square = Mat::ones(3, 3, CV_8UC1)
+        .doing(doing)?
+        .to_mat()
+        .doing(doing)?;
     let border = imgproc::morphology_default_border_value().doing(doing)?;
     let anchor = Point::new(-1, -1);
-    imgproc::dilate(&larger, &mut opened, &square, anchor, 1, BORDER_REPLICATE, border).doing(doing)?;
+    imgproc::dilate(
+        &larger,
+        &mut opened,
+        &square,
+        anchor,
+        1,
+        BORDER_REPLICATE,
+        border,
+    )
+    .doing(doing)?;
     Picture::new(width, height, opened.data_bytes().doing(doing)?.to_vec())
 }
 
@@ -131,7 +168,10 @@ fn once_each(mut tags: Vec<RawTag>) -> Vec<RawTag> {
     let mut kept: Vec<RawTag> = Vec::with_capacity(tags.len());
     for tag in tags {
         let near = 0.5 * (corner(&tag, 1) - corner(&tag, 0)).norm();
-        if !kept.iter().any(|k| k.id == tag.id && (middle(k) - middle(&tag)).norm() < near) {
+        if !kept
+            .iter()
+            .any(|k| k.id == tag.id && (middle(k) - middle(&tag)).norm() < near)
+        {
             kept.push(tag);
         }
     }
@@ -139,7 +179,9 @@ fn once_each(mut tags: Vec<RawTag>) -> Vec<RawTag> {
 }
 
 fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
-    let start = raw.corners_px.map(|p| undistorted_px(camera, &Vector2::new(p[0], p[1])));
+    let start = raw
+        .corners_px
+        .map(|p| undistorted_px(camera, &Vector2::new(p[0], p[1])));
     let cells = cells_along_side(&raw.family);
     // By the outline alone a tone curve's shift of all edges is the same as a larger tag; inner edges of cells that are large enough
     // distinguish the two. Small tags have their outline only.

@@ -70,10 +70,19 @@ pub(crate) fn refine_by_edges(
     cells: usize,
     kind: Edges,
 ) -> Option<Corners> {
-    let mut found = Corners { corners: *start, covariances: [Matrix2::zeros(); 4] };
+    let mut found = Corners {
+        corners: *start,
+        covariances: [Matrix2::zeros(); 4],
+    };
     // The first round balances bright against dark only; the second fits the profile to the pixels about its edges.
     for method in [balance as Method, fit] {
-        let view = TagView { picture, camera, h: square(&found.corners)?, cells, method };
+        let view = TagView {
+            picture,
+            camera,
+            h: square(&found.corners)?,
+            cells,
+            method,
+        };
         let cell_px = shortest_side(&found.corners) / cells as f64;
         let edges = match kind {
             Edges::Cells => view.cell_edges(cell_px)?,
@@ -81,12 +90,18 @@ pub(crate) fn refine_by_edges(
         };
         found = solve(&found.corners, &edges, kind)?;
     }
-    let near = found.corners.iter().zip(start).all(|(a, b)| (a - b).norm() < 3.0);
+    let near = found
+        .corners
+        .iter()
+        .zip(start)
+        .all(|(a, b)| (a - b).norm() < 3.0);
     near.then_some(found)
 }
 
 fn shortest_side(corners: &[Vector2<f64>; 4]) -> f64 {
-    (0..4).map(|k| (corners[(k + 1) % 4] - corners[k]).norm()).fold(f64::INFINITY, f64::min)
+    (0..4)
+        .map(|k| (corners[(k + 1) % 4] - corners[k]).norm())
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// The corners of the tag's square (-1..1).
@@ -122,7 +137,8 @@ impl TagView<'_> {
         let pieces = (0..4 * PIECES).filter_map(|k| {
             let (a, b) = (corners[k / PIECES], corners[(k / PIECES + 1) % 4]);
             let along = 0.5 * (b - a);
-            let middle = 0.5 * (a + b) + along * (clear - 1.0 + half * (2 * (k % PIECES) + 1) as f64);
+            let middle =
+                0.5 * (a + b) + along * (clear - 1.0 + half * (2 * (k % PIECES) + 1) as f64);
             self.measure([&middle, &(along * half)], reach)
         });
         Some(pieces.collect()).filter(|pieces: &Vec<_>| pieces.len() >= MIN_PIECES)
@@ -141,7 +157,10 @@ impl TagView<'_> {
         let grey: Vec<f64> = (0..count * count)
             .map(|k| {
                 let (i, j) = ((k % count) as f64 - 0.5, (k / count) as f64 - 0.5);
-                let p = distorted_px(self.camera, &mapped(&self.h, &Vector2::new(place(i), place(j)))?);
+                let p = distorted_px(
+                    self.camera,
+                    &mapped(&self.h, &Vector2::new(place(i), place(j)))?,
+                );
                 Some(self.picture.sample(p.x, p.y))
             })
             .collect::<Option<_>>()?;
@@ -159,12 +178,24 @@ impl TagView<'_> {
                 for upright in [true, false] {
                     let (one, two, middle, along) = if upright {
                         let m = Vector2::new(place(k as f64), place(across as f64 - 0.5));
-                        (colour(k, across), colour(k + 1, across), m, Vector2::new(0.0, 1.0))
+                        (
+                            colour(k, across),
+                            colour(k + 1, across),
+                            m,
+                            Vector2::new(0.0, 1.0),
+                        )
                     } else {
                         let m = Vector2::new(place(across as f64 - 0.5), place(k as f64));
-                        (colour(across, k), colour(across, k + 1), m, Vector2::new(1.0, 0.0))
+                        (
+                            colour(across, k),
+                            colour(across, k + 1),
+                            m,
+                            Vector2::new(1.0, 0.0),
+                        )
                     };
-                    let (Some(one), Some(two)) = (one, two) else { continue };
+                    let (Some(one), Some(two)) = (one, two) else {
+                        continue;
+                    };
                     if one != two {
                         let half = along * (0.5 * ALONG * side);
                         // Half of the next cell at most, and no more than a wide blur needs.
@@ -178,7 +209,10 @@ impl TagView<'_> {
 
     /// Measures an edge by the pixels that lie beside it as far as `reach`, px.
     fn measure(&self, [middle, half]: [&Vector2<f64>; 2], reach: f64) -> Option<CellEdge> {
-        let straight = [mapped(&self.h, &(middle - half))?, mapped(&self.h, &(middle + half))?];
+        let straight = [
+            mapped(&self.h, &(middle - half))?,
+            mapped(&self.h, &(middle + half))?,
+        ];
         let [a, b] = straight.map(|p| distorted_px(self.camera, &p));
         let (origin, length) = (0.5 * (a + b), (b - a).norm());
         let along = (b - a) / length;
@@ -226,8 +260,10 @@ type Method = fn(&[(f64, f64)], f64) -> Option<Profile>;
 /// Levels far from the edge on its two sides.
 fn levels(pixels: &[(f64, f64)], from_px: f64) -> [f64; 2] {
     [-1.0, 1.0].map(|sign| {
-        let (n, sum) =
-            pixels.iter().filter(|p| sign * p.0 > from_px).fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.1));
+        let (n, sum) = pixels
+            .iter()
+            .filter(|p| sign * p.0 > from_px)
+            .fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.1));
         sum / f64::max(n, 1.0)
     })
 }
@@ -237,9 +273,16 @@ fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let [low, high] = levels(pixels, 0.5 * reach);
     let step = high - low;
     // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1 px changes.
-    let lack: f64 = pixels.iter().map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 }).sum();
+    let lack: f64 = pixels
+        .iter()
+        .map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 })
+        .sum();
     let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
-    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, step })
+    (offset_px.abs() < 0.5 * reach).then_some(Profile {
+        offset_px,
+        variance_px2: 0.01,
+        step,
+    })
 }
 
 /// Fits `level + step S((u - d) / s)`.
@@ -256,23 +299,40 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
             m += j * j.transpose();
             g += j * r;
         }
-        Some(NormalEquations { cost, matrix: m, descent: g })
+        Some(NormalEquations {
+            cost,
+            matrix: m,
+            descent: g,
+        })
     };
     let [low, high] = levels(pixels, 0.0);
     let start = Vector4::new(0.0, 0.9f64.ln(), low, high - low);
-    let damping = Damping { max: 1e6, max_steps: 20, ..Damping::default() };
+    let damping = Damping {
+        max: 1e6,
+        max_steps: 20,
+        ..Damping::default()
+    };
     let settled = |step: &Vector4<f64>, _: [f64; 2]| step[0].abs() < FINE_PX;
     let first = (start, linearise(&start)?);
     let found = minimise(first, &damping, linearise, |p, _, step| p + step, settled);
     if found.ending == Ending::Singular {
         return None;
     }
-    let (p, NormalEquations { cost, matrix: m, .. }) = (found.place, found.at);
+    let (
+        p,
+        NormalEquations {
+            cost, matrix: m, ..
+        },
+    ) = (found.place, found.at);
     if p[0].abs() > 0.5 * reach || p[1].exp() > reach || !cost.is_finite() {
         return None;
     }
     let variance_px2 = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
-    Some(Profile { offset_px: p[0], variance_px2, step: p[3] })
+    Some(Profile {
+        offset_px: p[0],
+        variance_px2,
+        step: p[3],
+    })
 }
 
 /// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges' own scatter.
@@ -307,7 +367,11 @@ fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge], kind: Edges) -> Option<C
         for (row, value, variance) in &rows {
             let r = value - row.dot(&x);
             let v = variance + scatter2;
-            let weight = if round == 0 { 1.0 } else { 5.0 / (4.0 + r * r / v) } / v;
+            let weight = if round == 0 {
+                1.0
+            } else {
+                5.0 / (4.0 + r * r / v)
+            } / v;
             m += row * row.transpose() * weight;
             g += row * (weight * r);
             squares.push((r * r, r * r - variance));

@@ -63,17 +63,33 @@ pub fn body_pose(stereo: &StereoCameras, observations: &[TagObservation]) -> Opt
     let mut solved: Vec<BodyPose> = Vec::new();
     for s in observations {
         for pose in planar_solutions(&stereo.cameras[s.camera], s.size_mm, &s.tag) {
-            let in_left = if s.camera == 0 { pose } else { stereo.right_from_left.inverse() * pose };
-            solved.extend(minimise(stereo, observations, in_left * s.body_from_tag.inverse()));
+            let in_left = if s.camera == 0 {
+                pose
+            } else {
+                stereo.right_from_left.inverse() * pose
+            };
+            solved.extend(minimise(
+                stereo,
+                observations,
+                in_left * s.body_from_tag.inverse(),
+            ));
         }
     }
     solved.sort_by(|a, b| a.chi2.total_cmp(&b.chi2));
     let best = solved.first()?.clone();
     let other = solved
         .iter()
-        .find(|s| s.left_from_body.rotation.angle_to(&best.left_from_body.rotation) > 0.01)
+        .find(|s| {
+            s.left_from_body
+                .rotation
+                .angle_to(&best.left_from_body.rotation)
+                > 0.01
+        })
         .map_or(f64::INFINITY, |s| s.chi2 - best.chi2);
-    Some(BodyPose { margin: other, ..best })
+    Some(BodyPose {
+        margin: other,
+        ..best
+    })
 }
 
 /// Refines a pose from a starting point; none where it does not lie in front of the cameras.
@@ -82,10 +98,21 @@ pub fn minimise(
     observations: &[TagObservation],
     start: Isometry3<f64>,
 ) -> Option<BodyPose> {
-    let damping = Damping { start: 1e-4, shrink: 0.1, min: 1e-12, grow: 10.0, max: 1e8, max_steps: 60 };
+    let damping = Damping {
+        start: 1e-4,
+        shrink: 0.1,
+        min: 1e-12,
+        grow: 10.0,
+        max: 1e8,
+        max_steps: 60,
+    };
     let linearised = |pose: &Isometry3<f64>| {
         let (cost, matrix, descent) = linearise(stereo, observations, pose)?;
-        Some(NormalEquations { cost, matrix, descent })
+        Some(NormalEquations {
+            cost,
+            matrix,
+            descent,
+        })
     };
     let found = least_squares::minimise(
         (start, linearised(&start)?),
@@ -97,9 +124,22 @@ pub fn minimise(
     if found.ending == Ending::Singular {
         return None;
     }
-    let (pose, NormalEquations { cost: chi2, matrix: information, .. }) = (found.place, found.at);
+    let (
+        pose,
+        NormalEquations {
+            cost: chi2,
+            matrix: information,
+            ..
+        },
+    ) = (found.place, found.at);
     let redundancy = (8 * observations.len()).saturating_sub(6);
-    Some(BodyPose { left_from_body: pose, information, chi2, redundancy, margin: f64::INFINITY })
+    Some(BodyPose {
+        left_from_body: pose,
+        information,
+        chi2,
+        redundancy,
+        margin: f64::INFINITY,
+    })
 }
 
 /// RMS distance of the corners from those of a pose, px.
@@ -110,7 +150,11 @@ pub fn residual_rms_px(
 ) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for s in observations {
-        let camera_from_body = if s.camera == 0 { *pose } else { stereo.right_from_left * pose };
+        let camera_from_body = if s.camera == 0 {
+            *pose
+        } else {
+            stereo.right_from_left * pose
+        };
         for (corner, p) in s.tag.corners_px.iter().zip(s.object()) {
             let px = stereo.cameras[s.camera].project(&(camera_from_body * Point3::from(p)).coords);
             sum += px.map_or(f64::INFINITY, |px| (px - corner).norm_squared());
@@ -128,14 +172,20 @@ pub fn linearise(
 ) -> Option<(f64, Matrix6<f64>, Vector6<f64>)> {
     let (mut chi2, mut information, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
     for s in observations {
-        let camera_from_body = if s.camera == 0 { *pose } else { stereo.right_from_left * pose };
+        let camera_from_body = if s.camera == 0 {
+            *pose
+        } else {
+            stereo.right_from_left * pose
+        };
         let turn = camera_from_body.rotation.to_rotation_matrix();
         for (k, p) in s.object().iter().enumerate() {
             let x = camera_from_body * Point3::from(*p);
-            let (predicted, by_point, _) = stereo.cameras[s.camera].project_with_jacobian(&x.coords)?;
+            let (predicted, by_point, _) =
+                stereo.cameras[s.camera].project_with_jacobian(&x.coords)?;
             let by_body: Matrix2x3<f64> = by_point * turn.matrix();
             let mut j = nalgebra::Matrix2x6::zeros();
-            j.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_body * hat(p)));
+            j.fixed_view_mut::<2, 3>(0, 0)
+                .copy_from(&(-by_body * hat(p)));
             j.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_body);
             let floor = nalgebra::Matrix2::identity() * CORNER_FLOOR_PX * CORNER_FLOOR_PX;
             let w = (s.tag.covariances_px2[k] + floor).try_inverse()?;
@@ -154,8 +204,9 @@ pub fn gradient_by_calibration(
     observations: &[TagObservation],
     pose: &Isometry3<f64>,
 ) -> DMatrix<f64> {
-    let gradient =
-        |s: &StereoCameras| linearise(s, observations, pose).map_or_else(Vector6::zeros, |found| found.2);
+    let gradient = |s: &StereoCameras| {
+        linearise(s, observations, pose).map_or_else(Vector6::zeros, |found| found.2)
+    };
     let now = gradient(stereo);
     let mut out = DMatrix::zeros(6, stereo.parameters());
     for k in 0..stereo.parameters() {
@@ -170,10 +221,13 @@ fn planar_solutions(camera: &Camera, size_mm: f64, tag: &Tag) -> Vec<Isometry3<f
     let h = 0.5 * size_mm;
     let image: Option<Vec<_>> = tag.corners_px.iter().map(|p| camera.undistort(p)).collect();
     let Some(q) = image else { return Vec::new() };
-    let Some(found) = homography(&tag_corners(2.0).map(|p| p.xy()), &q) else { return Vec::new() };
+    let Some(found) = homography(&tag_corners(2.0).map(|p| p.xy()), &q) else {
+        return Vec::new();
+    };
     let [c0, c1, c2] = [0, 1, 2].map(|k| found.column(k) / found[(2, 2)]);
     let scale = 2.0 / (c0.norm() + c1.norm());
-    let rotation = Matrix3::from_columns(&[c0 * scale, c1 * scale, (c0 * scale).cross(&(c1 * scale))]);
+    let rotation =
+        Matrix3::from_columns(&[c0 * scale, c1 * scale, (c0 * scale).cross(&(c1 * scale))]);
     let first = pose_from_parts(&rotation, &(c2 * scale * h));
     // The second solution mirrors the tag's normal in the line of sight.
     let sight = first.translation.vector.normalize();
@@ -181,5 +235,8 @@ fn planar_solutions(camera: &Camera, size_mm: f64, tag: &Tag) -> Vec<Isometry3<f
     let mirrored = 2.0 * sight.dot(&normal) * sight - normal;
     let second = nalgebra::UnitQuaternion::rotation_between(&normal, &mirrored)
         .map(|turn| Isometry3::from_parts(first.translation, turn * first.rotation));
-    std::iter::once(first).chain(second).filter(|p| p.translation.z > 0.0).collect()
+    std::iter::once(first)
+        .chain(second)
+        .filter(|p| p.translation.z > 0.0)
+        .collect()
 }

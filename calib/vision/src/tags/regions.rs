@@ -64,9 +64,14 @@ fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
                 (*l, *h) = ((*l).min(p), (*h).max(p));
             }
         }
-        let ((lows, low_rest), (highs, high_rest)) = (low.as_chunks::<TILE>(), high.as_chunks::<TILE>());
-        let both =
-            |l: &[u8], h: &[u8]| [l.iter().fold(255, |a, &p| a.min(p)), h.iter().fold(0, |a, &p| a.max(p))];
+        let ((lows, low_rest), (highs, high_rest)) =
+            (low.as_chunks::<TILE>(), high.as_chunks::<TILE>());
+        let both = |l: &[u8], h: &[u8]| {
+            [
+                l.iter().fold(255, |a, &p| a.min(p)),
+                h.iter().fold(0, |a, &p| a.max(p)),
+            ]
+        };
         tiles.extend(lows.iter().zip(highs).map(|(l, h)| both(l, h)));
         if !low_rest.is_empty() {
             tiles.push(both(low_rest, high_rest));
@@ -79,9 +84,15 @@ fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
 fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
     let widest = |a: [u8; 2], b: [u8; 2]| [a[0].min(b[0]), a[1].max(b[1])];
     let mut across = tiles.to_vec();
-    for (out, row) in across.chunks_exact_mut(columns).zip(tiles.chunks_exact(columns)) {
+    for (out, row) in across
+        .chunks_exact_mut(columns)
+        .zip(tiles.chunks_exact(columns))
+    {
         for k in 0..columns {
-            out[k] = row[k.saturating_sub(1)..(k + 2).min(columns)].iter().copied().fold(row[k], widest);
+            out[k] = row[k.saturating_sub(1)..(k + 2).min(columns)]
+                .iter()
+                .copied()
+                .fold(row[k], widest);
         }
     }
     (0..tiles.len())
@@ -93,7 +104,11 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
                 .filter_map(|i| across.get(i))
                 .copied()
                 .fold(across[k], widest);
-            if high - low < contrast { 0 } else { low + (high - low) / 2 }
+            if high - low < contrast {
+                0
+            } else {
+                low + (high - low) / 2
+            }
         })
         .collect()
 }
@@ -101,7 +116,11 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
 /// Range of the tiles from the 1 % to the 99 % quantile, DN, from one tile in seven.
 fn span(tiles: &[[u8; 2]]) -> f64 {
     let hundredth = |mut values: Vec<u8>, brightest: bool| {
-        let k = if brightest { values.len() - 1 - values.len() / 100 } else { values.len() / 100 };
+        let k = if brightest {
+            values.len() - 1 - values.len() / 100
+        } else {
+            values.len() / 100
+        };
         *values.select_nth_unstable(k).1
     };
     let side = |k: usize| tiles.iter().step_by(7).map(|t| t[k]).collect();
@@ -126,7 +145,10 @@ fn next(row: &[u8], mut from: usize, wanted: u8) -> usize {
         }
         from += 8;
     }
-    row[from..].iter().position(|&v| v == wanted).map_or(row.len(), |k| from + k)
+    row[from..]
+        .iter()
+        .position(|&v| v == wanted)
+        .map_or(row.len(), |k| from + k)
 }
 
 /// Connected dark pieces (8 neighbours), from runs of pixels below the thresholds of the tiles.
@@ -138,7 +160,10 @@ fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piec
     for (y, row) in picture.data.chunks_exact(picture.width).enumerate() {
         if y % TILE == 0 {
             let tiles = &thresholds[y / TILE * columns..(y / TILE + 1) * columns];
-            limits.chunks_mut(TILE).zip(tiles).for_each(|(pixels, &limit)| pixels.fill(limit));
+            limits
+                .chunks_mut(TILE)
+                .zip(tiles)
+                .for_each(|(pixels, &limit)| pixels.fill(limit));
         }
         for ((d, &p), &limit) in dark.iter_mut().zip(row).zip(&limits) {
             *d = u8::from(p < limit);
@@ -146,7 +171,11 @@ fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piec
         let mut from = next(&dark, 0, 1);
         while from < dark.len() {
             let to = next(&dark, from, 0);
-            here.push(Run { from, to, piece: usize::MAX });
+            here.push(Run {
+                from,
+                to,
+                piece: usize::MAX,
+            });
             from = next(&dark, to, 1);
         }
         let mut first = 0;
@@ -154,7 +183,11 @@ fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piec
             while first < above.len() && above[first].to < run.from {
                 first += 1;
             }
-            let own = Piece { low: [run.from, y], high: [run.to - 1, y], pixels: run.to - run.from };
+            let own = Piece {
+                low: [run.from, y],
+                high: [run.to - 1, y],
+                pixels: run.to - run.from,
+            };
             for touching in above[first..].iter().take_while(|a| a.from <= run.to) {
                 let other = root(&mut parents, touching.piece);
                 if run.piece == usize::MAX {
@@ -178,7 +211,10 @@ fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piec
         std::mem::swap(&mut above, &mut here);
         here.clear();
     }
-    (0..pieces.len()).filter(|&k| parents[k] == k).map(|k| pieces[k]).collect()
+    (0..pieces.len())
+        .filter(|&k| parents[k] == k)
+        .map(|k| pieces[k])
+        .collect()
 }
 
 /// Regions of strong contrast that may hold a tag, grown by its white margin; those that overlap much are one.
@@ -191,7 +227,8 @@ pub(crate) fn tag_regions(picture: &Picture) -> (Vec<Region>, u8) {
         width.min(height) >= MIN_SIDE
             && width <= SLANT * height
             && height <= SLANT * width
-            && p.pixels as f64 >= (FILL * (width * height) as f64).min((TILE * (width + height)) as f64)
+            && p.pixels as f64
+                >= (FILL * (width * height) as f64).min((TILE * (width + height)) as f64)
     };
     let size = [picture.width, picture.height];
     let grown = |p: Piece| {
@@ -199,17 +236,28 @@ pub(crate) fn tag_regions(picture: &Picture) -> (Vec<Region>, u8) {
         let margin = (MARGIN.0 * width.max(height) as f64) as usize + MARGIN.1;
         let low = p.low.map(|v| v.saturating_sub(margin) / TILE * TILE);
         // A small component within a large one is a candidate by itself.
-        let decimate = COARSE_SIDES.iter().filter(|&&s| width.min(height) >= s).fold(1.0, |d, _| 2.0 * d);
-        Region { low, high: [0, 1].map(|k| (p.high[k] + margin + 1).min(size[k])), decimate }
+        let decimate = COARSE_SIDES
+            .iter()
+            .filter(|&&s| width.min(height) >= s)
+            .fold(1.0, |d, _| 2.0 * d);
+        Region {
+            low,
+            high: [0, 1].map(|k| (p.high[k] + margin + 1).min(size[k])),
+            decimate,
+        }
     };
-    let mut regions: Vec<Region> =
-        dark_pieces(picture, columns, &thresholds).into_iter().filter(like_a_tag).map(grown).collect();
+    let mut regions: Vec<Region> = dark_pieces(picture, columns, &thresholds)
+        .into_iter()
+        .filter(like_a_tag)
+        .map(grown)
+        .collect();
     // From the left: only neighbours can overlap.
     regions.sort_by_key(|r| r.low[0]);
     let mut kept: Vec<Region> = Vec::with_capacity(regions.len());
     for mut region in regions {
-        let alike =
-            |a: &Region, b: &Region| a.decimate == b.decimate && a.joined(b).area() <= a.area() + b.area();
+        let alike = |a: &Region, b: &Region| {
+            a.decimate == b.decimate && a.joined(b).area() <= a.area() + b.area()
+        };
         while let Some(k) = kept.iter().position(|other| alike(&region, other)) {
             region = region.joined(&kept.swap_remove(k));
         }

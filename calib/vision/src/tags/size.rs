@@ -43,14 +43,26 @@ pub(crate) struct TagSizes {
 
 /// Measures all tags of a rig in all pairs. A side that contradicts the rig's is replaced by what the pictures show, with a warning.
 pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> TagSizes {
-    let mut found = TagSizes { rig: rig.clone(), warnings: Vec::new(), elsewhere: vec![None; pairs.len()] };
+    let mut found = TagSizes {
+        rig: rig.clone(),
+        warnings: Vec::new(),
+        elsewhere: vec![None; pairs.len()],
+    };
     let mut changed = Vec::new();
     for (k, tag) in rig.tags.iter().enumerate() {
-        let sides: Vec<Option<Side>> =
-            pairs.iter().map(|tags| side(stereo, tag, &observations_of(tag, tags))).collect();
+        let sides: Vec<Option<Side>> = pairs
+            .iter()
+            .map(|tags| side(stereo, tag, &observations_of(tag, tags)))
+            .collect();
         let seen: Vec<Side> = sides.iter().flatten().copied().collect();
         let typical = median(&seen.iter().map(|s| s.mm).collect::<Vec<_>>());
-        let spread = MAD_TO_SD * median(&seen.iter().map(|s| (s.mm - typical).abs()).collect::<Vec<_>>());
+        let spread = MAD_TO_SD
+            * median(
+                &seen
+                    .iter()
+                    .map(|s| (s.mm - typical).abs())
+                    .collect::<Vec<_>>(),
+            );
         let differs = |s: &Side, from: f64| {
             (s.mm - from).abs() > (MATTERS * from).max(BEYOND_SD * s.sd_mm.hypot(spread))
         };
@@ -65,7 +77,9 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
                 }
             }
         }
-        let Some(cameras_sd) = seen.iter().map(|s| s.cameras_sd_mm).reduce(f64::max) else { continue };
+        let Some(cameras_sd) = seen.iter().map(|s| s.cameras_sd_mm).reduce(f64::max) else {
+            continue;
+        };
         let own = median(&seen.iter().map(|s| s.sd_mm).collect::<Vec<_>>());
         let sd = cameras_sd.hypot(own.max(spread) / (seen.len() as f64).sqrt());
         let off = (typical - tag.size_mm).abs();
@@ -83,8 +97,13 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
             tag.family, tag.id, tag.size_mm
         ));
     }
-    let factors: Vec<f64> = changed.iter().map(|(k, mm, _)| mm / rig.tags[*k].size_mm).collect();
-    let alike = factors.iter().all(|f| (f / factors[0] - 1.0).abs() < MATTERS);
+    let factors: Vec<f64> = changed
+        .iter()
+        .map(|(k, mm, _)| mm / rig.tags[*k].size_mm)
+        .collect();
+    let alike = factors
+        .iter()
+        .all(|f| (f / factors[0] - 1.0).abs() < MATTERS);
     if !changed.is_empty() && alike && changed.len() == rig.tags.len() {
         found.warnings.push(format!(
             "all tags differ by the factor {:.4}: assumed is that the cameras' scale is right; if the board's side was wrong instead, all lengths here are off by it",
@@ -96,14 +115,19 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
 
 /// The side of a tag that both cameras see; none where the corners are no square at one place.
 fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option<Side> {
-    let [Some(left), Some(right)] = [0, 1].map(|camera| seen.iter().find(|s| s.camera == camera)) else {
+    let [Some(left), Some(right)] = [0, 1].map(|camera| seen.iter().find(|s| s.camera == camera))
+    else {
         return None;
     };
     let pair = [left, right];
     let rough = triangulated(stereo, pair)?;
     // A side that differs by the factor f looks the same from f times as far: the pose at the rough side starts the search.
     let sized = |mm: f64| -> Vec<TagObservation> {
-        pair.map(|s| TagObservation { size_mm: mm, ..s.clone() }).to_vec()
+        pair.map(|s| TagObservation {
+            size_mm: mm,
+            ..s.clone()
+        })
+        .to_vec()
     };
     let start = body_pose(stereo, &sized(rough))?;
     let step = 1e-3 * tag.size_mm.min(rough);
@@ -131,9 +155,15 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
             triangulated(&stereo.moved(k, h), pair).map_or(0.0, |moved| (moved - rough) / h)
         }),
     );
-    let cameras_mm2 =
-        stereo.covariance.as_ref().map_or(0.0, |c| (by_cameras.transpose() * c * &by_cameras)[0]);
-    Some(Side { mm, sd_mm: (2.0 * noise / curvature).sqrt(), cameras_sd_mm: cameras_mm2.max(0.0).sqrt() })
+    let cameras_mm2 = stereo
+        .covariance
+        .as_ref()
+        .map_or(0.0, |c| (by_cameras.transpose() * c * &by_cameras)[0]);
+    Some(Side {
+        mm,
+        sd_mm: (2.0 * noise / curvature).sqrt(),
+        cameras_sd_mm: cameras_mm2.max(0.0).sqrt(),
+    })
 }
 
 /// Mean side of the square between the corners' places halfway between both lines of sight, mm.
@@ -142,9 +172,13 @@ fn triangulated(stereo: &StereoCameras, [left, right]: [&TagObservation; 2]) -> 
     let centre = left_from_right.translation.vector;
     let places: Vec<Vector3<f64>> = (0..4)
         .map(|k| {
-            let a = stereo.cameras[0].undistort(&left.tag.corners_px[k])?.push(1.0);
-            let b =
-                left_from_right.rotation * stereo.cameras[1].undistort(&right.tag.corners_px[k])?.push(1.0);
+            let a = stereo.cameras[0]
+                .undistort(&left.tag.corners_px[k])?
+                .push(1.0);
+            let b = left_from_right.rotation
+                * stereo.cameras[1]
+                    .undistort(&right.tag.corners_px[k])?
+                    .push(1.0);
             // a u - (c + b v) across both lines is least.
             let (aa, ab, bb) = (a.dot(&a), a.dot(&b), b.dot(&b));
             let determinant = aa * bb - ab * ab;
@@ -154,5 +188,10 @@ fn triangulated(stereo: &StereoCameras, [left, right]: [&TagObservation; 2]) -> 
             (u > 0.0 && v > 0.0 && place.iter().all(|x| x.is_finite())).then_some(place)
         })
         .collect::<Option<_>>()?;
-    Some((0..4).map(|k| (places[(k + 1) % 4] - places[k]).norm()).sum::<f64>() / 4.0)
+    Some(
+        (0..4)
+            .map(|k| (places[(k + 1) % 4] - places[k]).norm())
+            .sum::<f64>()
+            / 4.0,
+    )
 }

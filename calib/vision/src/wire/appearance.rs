@@ -50,7 +50,8 @@ impl Appearance {
     fn changed(self, step: &Vector2<f64>) -> Self {
         Self {
             blur_px: (self.blur_px * step[0].clamp(-0.3, 0.3).exp()).clamp(BLUR[0], BLUR[1]),
-            width_scale: (self.width_scale * step[1].clamp(-0.2, 0.2).exp()).clamp(WIDTH[0], WIDTH[1]),
+            width_scale: (self.width_scale * step[1].clamp(-0.2, 0.2).exp())
+                .clamp(WIDTH[0], WIDTH[1]),
         }
     }
 }
@@ -73,13 +74,25 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
             let mut pixels = gather(picture, &p.station, near + p.offset_px.abs());
             pixels.retain(|q| (q.0 - p.offset_px).abs() <= near);
             let [left, right] = p.depth;
-            Patch { pixels, width_px, centre: p.offset_px, level: Levels::new(left, right, 0.0, 0.0) }
+            Patch {
+                pixels,
+                width_px,
+                centre: p.offset_px,
+                level: Levels::new(left, right, 0.0, 0.0),
+            }
         })
         .collect();
     // Each piece starts where it settled at the place before.
     let settled: Vec<(f64, Levels)> = patches.iter().map(|p| (p.centre, p.level)).collect();
-    let Some(first) = pooled(&patches, &settled, start) else { return start };
-    let damping = Damping { grow: 10.0, max: 1e6, max_steps: 20, ..Damping::default() };
+    let Some(first) = pooled(&patches, &settled, start) else {
+        return start;
+    };
+    let damping = Damping {
+        grow: 10.0,
+        max: 1e6,
+        max_steps: 20,
+        ..Damping::default()
+    };
     let found = minimise(
         ((start, settled), first),
         &damping,
@@ -96,14 +109,20 @@ fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -
     let fit = |(p, s): (&Patch, &(f64, Levels))| fit_patch(p, *s, appearance);
     let fits: Vec<Option<PatchFit>> = patches.iter().zip(starts).map(fit).collect();
     let settled = fits.iter().zip(starts);
-    let settled = settled.map(|(f, s)| f.as_ref().map_or(*s, |f| (f.centre, f.level))).collect();
+    let settled = settled
+        .map(|(f, s)| f.as_ref().map_or(*s, |f| (f.centre, f.level)))
+        .collect();
     let mut all: Vec<PatchFit> = fits.into_iter().flatten().collect();
     let keep = patches.len() * 3 / 4;
     if all.len() < keep {
         return None;
     }
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    let mut normal = NormalEquations { cost: 0.0, matrix: Matrix2::zeros(), descent: Vector2::zeros() };
+    let mut normal = NormalEquations {
+        cost: 0.0,
+        matrix: Matrix2::zeros(),
+        descent: Vector2::zeros(),
+    };
     for p in &all[..keep] {
         normal.cost += p.cost / keep as f64;
         normal.matrix += p.normal / keep as f64;
@@ -121,7 +140,11 @@ struct PatchFit {
     gradient: Vector2<f64>,
 }
 
-fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearance) -> Option<PatchFit> {
+fn fit_patch(
+    patch: &Patch,
+    (centre, level): (f64, Levels),
+    appearance: Appearance,
+) -> Option<PatchFit> {
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * appearance.width_scale, appearance.blur_px);
     let fit = bar.settle(&patch.pixels, centre, level, 6, false)?;
@@ -132,7 +155,10 @@ fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearan
     let n = patch.pixels.len() as f64;
     // Rows: blur, width; nuisances: centre and levels.
     let (mut normal, mut gradient) = (Matrix2::zeros(), Vector2::zeros());
-    let (mut own, mut pull) = (SMatrix::<f64, 5, 5>::identity() * 1e-9 * n, Nuisance::zeros());
+    let (mut own, mut pull) = (
+        SMatrix::<f64, 5, 5>::identity() * 1e-9 * n,
+        Nuisance::zeros(),
+    );
     // The light across the bar has the same ridge as in `settle`.
     own[(4, 4)] += FIRST_RIDGE;
     let mut cross = SMatrix::<f64, 2, 5>::zeros();

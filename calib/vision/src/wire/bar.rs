@@ -40,7 +40,9 @@ const SMALL_STEP_PX: f64 = 1e-3;
 
 /// Weight of the light across the bar, noise^2 / (its prior sd)^2.
 fn ridge(cost: f64, pixels: usize, level: &Levels) -> f64 {
-    let depth = (0.5 * (level[0] + level[1]) - level[2]).abs().max(2.0 * MIN_NOISE);
+    let depth = (0.5 * (level[0] + level[1]) - level[2])
+        .abs()
+        .max(2.0 * MIN_NOISE);
     let noise2 = (cost / (pixels as f64 - 5.0).max(1.0)).max((MODEL_SHARE * depth).powi(2));
     noise2 / (TILT_SHARE * depth).powi(2)
 }
@@ -52,7 +54,10 @@ pub(crate) fn near_px(width_px: f64, blur_px: f64) -> f64 {
 
 impl Bar {
     pub(crate) fn new(width_px: f64, blur_px: f64) -> Self {
-        Self { half: 0.5 * width_px, inverse: std::f64::consts::FRAC_1_SQRT_2 / blur_px }
+        Self {
+            half: 0.5 * width_px,
+            inverse: std::f64::consts::FRAC_1_SQRT_2 / blur_px,
+        }
     }
 
     /// Step from 0 to 1 at 0 and its derivative.
@@ -81,7 +86,12 @@ impl Bar {
         let (a_width, b_width) = (h * da, -h * db);
         let wider = a_width - b_width;
         let by_width = Levels::new(-a_width, b_width, wider, (wider - bar) * tilt);
-        [Levels::new(1.0 - a, b, bar, bar * tilt), by_centre, by_blur, by_width]
+        [
+            Levels::new(1.0 - a, b, bar, bar * tilt),
+            by_centre,
+            by_blur,
+            by_width,
+        ]
     }
 
     /// Best centre near `start`: Gauss-Newton with the levels eliminated, their part of the slope projected out. The slope is taken
@@ -135,7 +145,12 @@ impl Bar {
             if tilted {
                 weight = ridge(cost, pixels.len(), &level).min(FIRST_RIDGE);
             }
-            settled = Some(Settled { centre, cost, level, projected });
+            settled = Some(Settled {
+                centre,
+                cost,
+                level,
+                projected,
+            });
             // The last step was small: levels and cost are those of the end.
             if round == rounds || last_step < SMALL_STEP_PX {
                 break;
@@ -216,7 +231,8 @@ pub(crate) fn coarse_centre(
         if to >= last {
             break;
         }
-        let [(n0, l), (n1, b), (n2, r)] = [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
+        let [(n0, l), (n1, b), (n2, r)] =
+            [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
         // Empty parts have no mean: comparisons with it fail.
         let explained = n0 * l * l + n1 * b * b + n2 * r * r;
         if (l - b) * (r - b) > 0.0 && explained > largest {
@@ -229,8 +245,9 @@ pub(crate) fn coarse_centre(
 
 /// Least sum of squares of a patch that holds one edge anywhere, or a slope, but no wire.
 pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
-    let (n, y0, yy) =
-        pixels.iter().fold((0.0f64, 0.0, 0.0), |(n, y0, yy), p| (n + 1.0, y0 + p.1, yy + p.1 * p.1));
+    let (n, y0, yy) = pixels.iter().fold((0.0f64, 0.0, 0.0), |(n, y0, yy), p| {
+        (n + 1.0, y0 + p.1, yy + p.1 * p.1)
+    });
     let two = |f: &dyn Fn(f64) -> f64| {
         let (mut s1, mut s2, mut y1) = (0.0, 0.0, 0.0);
         for &(u, value) in pixels {
@@ -256,7 +273,9 @@ pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
     };
     let sharp = (1..last)
         .map(|k| (explained(k), k))
-        .fold((f64::NEG_INFINITY, 1), |best, next| if next.0 > best.0 { next } else { best });
+        .fold((f64::NEG_INFINITY, 1), |best, next| {
+            if next.0 > best.0 { next } else { best }
+        });
     let edge = |place: f64| two(&|u| bar.step(u - place).0);
     let mut place = sharp.1 as f64 * CELL_PX - reach;
     let mut smallest = edge(place);

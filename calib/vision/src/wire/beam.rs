@@ -114,8 +114,13 @@ impl BeamState {
 /// The curves that are started. The bending moment at the root is unknown: every curvature up to 0.048 / mm is started; from roots
 /// up to `aside_mm` from the stated one only a few are.
 fn starts(aside_mm: f64) -> Vec<BeamState> {
-    let grid = |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
-    let (bends, bend_step) = if aside_mm > 0.0 { (1, 3.0 * CURVATURE_STEP) } else { (8, CURVATURE_STEP) };
+    let grid =
+        |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
+    let (bends, bend_step) = if aside_mm > 0.0 {
+        (1, 3.0 * CURVATURE_STEP)
+    } else {
+        (8, CURVATURE_STEP)
+    };
     grid((aside_mm / ASIDE_STEP_MM) as i32)
         .flat_map(|root| grid(bends).map(move |bend| (root, bend)))
         .enumerate()
@@ -133,8 +138,16 @@ fn starts(aside_mm: f64) -> Vec<BeamState> {
 }
 
 /// Grows curves from the root, keeping the best of them, and returns the best; none where no curve has any evidence.
-pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettings) -> Option<BeamResult> {
-    let BeamSettings { beam, aside_mm, any_bend } = settings;
+pub fn beam_search(
+    scene: &Scene<'_>,
+    whisker: &RigWhisker,
+    settings: BeamSettings,
+) -> Option<BeamResult> {
+    let BeamSettings {
+        beam,
+        aside_mm,
+        any_bend,
+    } = settings;
     let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
     // Parent and curvature of every curve kept at the end of every block.
     let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
@@ -166,7 +179,11 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
         if block >= UNBRANCHED {
             let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
             let (score, hidden) = leader.map_or((0.0, true), |c| (c.score, c.hidden));
-            since_gap = if !hidden && score - leading < GAP_GAIN { 0 } else { since_gap + 1 };
+            since_gap = if !hidden && score - leading < GAP_GAIN {
+                0
+            } else {
+                since_gap + 1
+            };
             leading = score;
             // No evidence separates curves in a gap: more of them, with a wider spacing, cross it.
             let seen = if beam >= WIDE_BEAM && since_gap <= GAP_AFTER {
@@ -175,11 +192,20 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
                 (beam, SEEN_CELL)
             };
             let keep_hidden = (first as f64) * STEP_MM < HIDDEN_SHARE * whisker.length_mm;
-            now = branched(scene, &now, first, seen, if keep_hidden { HIDDEN_BEAM } else { 0 });
+            now = branched(
+                scene,
+                &now,
+                first,
+                seen,
+                if keep_hidden { HIDDEN_BEAM } else { 0 },
+            );
         }
         history.push(now.iter().map(|c| (c.parent, c.bend)).collect());
     }
-    let (mut index, best) = now.iter().enumerate().max_by(|a, b| a.1.best.total_cmp(&b.1.best))?;
+    let (mut index, best) = now
+        .iter()
+        .enumerate()
+        .max_by(|a, b| a.1.best.total_cmp(&b.1.best))?;
     if best.best_step == 0 {
         return None;
     }
@@ -197,7 +223,14 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
     let start = &started[index];
     let (path, strength) = traced(scene, whisker, start, &curvatures[..best_step]);
     let root_mm = [start.position.y, start.position.z];
-    Some(BeamResult { curvatures, length_mm: best_step as f64 * STEP_MM, score, strength, root_mm, path })
+    Some(BeamResult {
+        curvatures,
+        length_mm: best_step as f64 * STEP_MM,
+        score,
+        strength,
+        root_mm,
+        path,
+    })
 }
 
 /// Places one a step along a curve, and the typical response of those that show a wire, left and right.
@@ -231,7 +264,11 @@ fn advance(
     let h = STEP_MM / PLACES as f64;
     for place in 0..PLACES {
         let s = step as f64 * STEP_MM + (place as f64 + 0.5) * h;
-        let nominal = if s > whisker.straight_mm { whisker.arc_curvature_per_mm } else { 0.0 };
+        let nominal = if s > whisker.straight_mm {
+            whisker.arc_curvature_per_mm
+        } else {
+            0.0
+        };
         let half = small_turn(&(Vector3::new(0.0, -(c.bend[1] - nominal), c.bend[0]) * (0.5 * h)));
         let middle = c.frame * half;
         let tangent = middle.column(0).into_owned();
@@ -263,10 +300,15 @@ fn branched(
 ) -> Vec<BeamState> {
     let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
     let all = now.iter().enumerate().flat_map(|(k, c)| {
-        changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
+        changes
+            .clone()
+            .map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
     });
     let (mut hidden, mut order): (Vec<Branch>, Vec<Branch>) = all.partition(|b| now[b.1].hidden);
-    let best_first = |x: &Branch, y: &Branch| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3)));
+    let best_first = |x: &Branch, y: &Branch| {
+        y.0.total_cmp(&x.0)
+            .then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3)))
+    };
     // Far fewer are kept than there are: the rest need no order.
     let enough = 6 * beam;
     if order.len() > enough {
@@ -293,7 +335,9 @@ fn branched(
     cells.clear();
     hidden.sort_unstable_by(best_first);
     let children = hidden.into_iter().map(|b| extended(now, b, first));
-    let hidden: Vec<_> = children.filter(|c| cells.insert(cell_of(scene, c, HIDDEN_CELL))).collect();
+    let hidden: Vec<_> = children
+        .filter(|c| cells.insert(cell_of(scene, c, HIDDEN_CELL)))
+        .collect();
     // Every n-th of the hidden curves: the first ones would all bend to one side.
     let every = hidden.len().div_ceil(hidden_beam).max(1);
     kept.extend(hidden.into_iter().step_by(every));
@@ -301,8 +345,10 @@ fn branched(
 }
 
 fn extended(now: &[BeamState], (score, k, a, b): Branch, first: usize) -> BeamState {
-    let mut child =
-        now[k].with_curvature_change(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
+    let mut child = now[k].with_curvature_change(
+        k,
+        [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP],
+    );
     if child.best_step > first {
         child.best += score - child.score;
     }
@@ -316,8 +362,14 @@ fn cell_of(scene: &Scene<'_>, c: &BeamState, (place, turn): (f64, f64)) -> [i32;
     let mut cell = [0; 6];
     let step = |v: f64, size: f64| (v / size).round() as i32;
     for (camera, three) in cell.chunks_exact_mut(3).enumerate() {
-        if let Some((at_mm, angle)) = scene.seen_from(camera, &c.position, &c.frame.column(0).into_owned()) {
-            three.copy_from_slice(&[step(at_mm.x, place), step(at_mm.y, place), step(angle, turn)]);
+        if let Some((at_mm, angle)) =
+            scene.seen_from(camera, &c.position, &c.frame.column(0).into_owned())
+        {
+            three.copy_from_slice(&[
+                step(at_mm.x, place),
+                step(at_mm.y, place),
+                step(angle, turn),
+            ]);
         }
     }
     cell

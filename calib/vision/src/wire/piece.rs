@@ -74,9 +74,10 @@ pub(crate) fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<Pixel> 
     for y in (p.y - span).ceil() as i64..=(p.y + span).floor() as i64 {
         let dy = y as f64 - p.y;
         let (mut from, mut to) = (-span, span);
-        for (slope, start, limit) in
-            [(tangent.x, tangent.y * dy, half), (normal.x, normal.y * dy, reach + sag)]
-        {
+        for (slope, start, limit) in [
+            (tangent.x, tangent.y * dy, half),
+            (normal.x, normal.y * dy, reach + sag),
+        ] {
             if slope.abs() > 1e-6 {
                 let ends = [(-limit - start) / slope, (limit - start) / slope];
                 from = from.max(ends[0].min(ends[1]));
@@ -96,7 +97,12 @@ pub(crate) fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<Pixel> 
 }
 
 /// Fits one piece. `search_px`: how far from the predicted line the centre may lie.
-pub fn fit_piece(picture: &Picture, at: &Station, appearance: Appearance, search_px: f64) -> Option<Piece> {
+pub fn fit_piece(
+    picture: &Picture,
+    at: &Station,
+    appearance: Appearance,
+    search_px: f64,
+) -> Option<Piece> {
     let width = at.width_px * appearance.width_scale;
     let bar = Bar::new(width, appearance.blur_px);
     let near = near_px(width, appearance.blur_px);

@@ -58,7 +58,12 @@ impl<'a> RidgeMap<'a> {
         };
         let columns = picture.width.div_ceil(TILE);
         let tiles = vec![OnceCell::new(); columns * picture.height.div_ceil(TILE)];
-        Self { picture, kernels: [kernel(0), kernel(1), kernel(2)], columns, tiles }
+        Self {
+            picture,
+            kernels: [kernel(0), kernel(1), kernel(2)],
+            columns,
+            tiles,
+        }
     }
 
     fn tile(&self, index: usize) -> &[[f32; 3]] {
@@ -67,14 +72,18 @@ impl<'a> RidgeMap<'a> {
 
     /// Rows first, then columns; the picture's border is continued outwards.
     fn compute(&self, index: usize) -> Vec<[f32; 3]> {
-        let (x0, y0) = ((index % self.columns * TILE) as i64, (index / self.columns * TILE) as i64);
+        let (x0, y0) = (
+            (index % self.columns * TILE) as i64,
+            (index / self.columns * TILE) as i64,
+        );
         let reach = self.kernels[0].len() / 2;
         let side = ROW + 2 * reach;
         let mut source = vec![0.0f32; side];
         // Every row of the source by the three kernels.
         let mut rows = vec![0.0f32; 3 * side * ROW];
         for (j, row) in rows.chunks_exact_mut(3 * ROW).enumerate() {
-            let y = (y0 + j as i64 - reach as i64).clamp(0, self.picture.height as i64 - 1) as usize;
+            let y =
+                (y0 + j as i64 - reach as i64).clamp(0, self.picture.height as i64 - 1) as usize;
             let line = &self.picture.data[y * self.picture.width..(y + 1) * self.picture.width];
             for (i, s) in source.iter_mut().enumerate() {
                 let x = (x0 + i as i64 - reach as i64).clamp(0, line.len() as i64 - 1) as usize;
@@ -115,9 +124,13 @@ impl<'a> RidgeMap<'a> {
         let tile = self.tile(y / TILE * self.columns + x / TILE);
         let at = |i: usize, j: usize| &tile[(y % TILE + j) * ROW + x % TILE + i];
         let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
-        let mix = |k: usize| (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k]);
+        let mix = |k: usize| {
+            (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k])
+        };
         let (nx, ny) = (normal.x as f32, normal.y as f32);
-        Some(f64::from(nx * nx * mix(0) + 2.0 * nx * ny * mix(1) + ny * ny * mix(2)))
+        Some(f64::from(
+            nx * nx * mix(0) + 2.0 * nx * ny * mix(1) + ny * ny * mix(2),
+        ))
     }
 
     /// Responses at places and in directions spread evenly over the picture (an R2 sequence): its responses without a
@@ -170,17 +183,25 @@ impl Evidence {
             .map(|(k, count)| {
                 let z = (k as f64 + 0.5) * 0.1 - 1.0;
                 let d = (z - 1.0) / SPREAD;
-                let wire = 0.1 / (SPREAD * (2.0 * std::f64::consts::PI).sqrt()) * (-0.5 * d * d).exp();
+                let wire =
+                    0.1 / (SPREAD * (2.0 * std::f64::consts::PI).sqrt()) * (-0.5 * d * d).exp();
                 ((wire + 1e-4) / (count / total)).ln().clamp(-4.0, 4.0)
             })
             .collect();
-        Self { polarity, reference, bin, table }
+        Self {
+            polarity,
+            reference,
+            bin,
+            table,
+        }
     }
 
     /// Score of a response; outside the picture counts as hidden.
     pub fn score(&self, response: Option<f64>) -> f64 {
         response.map_or(HIDDEN, |r| {
-            let k = ((self.polarity * r + self.reference) / self.bin).floor().clamp(0.0, 39.0) as usize;
+            let k = ((self.polarity * r + self.reference) / self.bin)
+                .floor()
+                .clamp(0.0, 39.0) as usize;
             self.table[k].max(HIDDEN)
         })
     }

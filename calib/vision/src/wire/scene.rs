@@ -28,10 +28,23 @@ impl<'a> Scene<'a> {
         maps: &'a [RidgeMap<'a>; 2],
         evidence: [Evidence; 2],
     ) -> Self {
-        let parts =
-            |pose: Isometry3<f64>| (*pose.rotation.to_rotation_matrix().matrix(), pose.translation.vector);
-        let camera_from_base = [parts(*left_from_base), parts(stereo.right_from_left * left_from_base)];
-        Self { stereo, camera_from_base, maps, evidence, covered: Default::default() }
+        let parts = |pose: Isometry3<f64>| {
+            (
+                *pose.rotation.to_rotation_matrix().matrix(),
+                pose.translation.vector,
+            )
+        };
+        let camera_from_base = [
+            parts(*left_from_base),
+            parts(stereo.right_from_left * left_from_base),
+        ];
+        Self {
+            stereo,
+            camera_from_base,
+            maps,
+            evidence,
+            covered: Default::default(),
+        }
     }
 
     /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
@@ -41,9 +54,10 @@ impl<'a> Scene<'a> {
             let [columns, rows] = self.cells(camera);
             let mut covered = vec![false; columns * rows];
             for w in path.windows(2) {
-                let (Some((a, _)), Some((b, _))) =
-                    (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
-                else {
+                let (Some((a, _)), Some((b, _))) = (
+                    self.image(camera, &w[0], &Vector3::x()),
+                    self.image(camera, &w[1], &Vector3::x()),
+                ) else {
                     continue;
                 };
                 let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
@@ -63,7 +77,9 @@ impl<'a> Scene<'a> {
 
     /// Cells of a picture, across and down.
     fn cells(&self, camera: usize) -> [usize; 2] {
-        self.stereo.cameras[camera].image_size_px.map(|n| (n as f64 / COVER_PX).ceil() as usize)
+        self.stereo.cameras[camera]
+            .image_size_px
+            .map(|n| (n as f64 / COVER_PX).ceil() as usize)
     }
 
     /// Pixel and unit normal of the wire's image in one camera.
@@ -82,7 +98,8 @@ impl<'a> Scene<'a> {
         let n = Vector2::new(x.x / x.z, x.y / x.z);
         let (q, by_n) = c.distort(&n);
         let run = by_n * Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z);
-        let along = Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
+        let along =
+            Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
         Some((c.pixel(&q), Vector2::new(-along.y, along.x)))
     }
 
@@ -100,7 +117,12 @@ impl<'a> Scene<'a> {
     }
 
     /// How strongly a place answers, where it is likelier a wire than not.
-    pub(crate) fn wire_response(&self, camera: usize, p: &Vector3<f64>, t: &Vector3<f64>) -> Option<f64> {
+    pub(crate) fn wire_response(
+        &self,
+        camera: usize,
+        p: &Vector3<f64>,
+        t: &Vector3<f64>,
+    ) -> Option<f64> {
         let (px, normal) = self.image(camera, p, t)?;
         let response = self.maps[camera].across(&px, &normal)?;
         (self.evidence[camera].score(Some(response)) > 0.0).then_some(response.abs())
@@ -133,7 +155,10 @@ impl<'a> Scene<'a> {
 }
 
 fn cell(px: &Vector2<f64>) -> [i64; 2] {
-    [(px.x / COVER_PX).floor() as i64, (px.y / COVER_PX).floor() as i64]
+    [
+        (px.x / COVER_PX).floor() as i64,
+        (px.y / COVER_PX).floor() as i64,
+    ]
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected
@@ -148,13 +173,17 @@ pub fn expected_strength(
 ) -> [f64; 2] {
     let none = [0, 1].map(|_| Evidence::new(&[], 1.0, polarity));
     let scene = Scene::new(stereo, left_from_base, maps, none);
-    let end = whisker.straight_mm.min(0.3 * whisker.length_mm).clamp(4.0, 8.0);
+    let end = whisker
+        .straight_mm
+        .min(0.3 * whisker.length_mm)
+        .clamp(4.0, 8.0);
     let px_per_mm = stereo.cameras[0].focal_px[0] / left_from_base.translation.z;
     [0, 1].map(|camera| {
         let strongest: Vec<f64> = (0..40)
             .filter_map(|k| {
                 let s = 1.5 + (end - 1.5) * f64::from(k) / 39.0;
-                let (px, normal) = scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
+                let (px, normal) =
+                    scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
                 // Distance that half of the largest starting curvature gives.
                 let reach = 3.0 + (aside_mm + 0.012 * s * s) * px_per_mm;
                 let count = (2.0 * reach) as i64;

@@ -59,8 +59,14 @@ impl Search<'_> {
     fn best(&self, aside_mm: f64) -> Option<FoundWire> {
         let whisker = &self.rig.whisker;
         let strengths = [1.0, -1.0].map(|polarity| {
-            let expected =
-                expected_strength(self.stereo, self.left_from_base, self.maps, whisker, polarity, aside_mm);
+            let expected = expected_strength(
+                self.stereo,
+                self.left_from_base,
+                self.maps,
+                whisker,
+                polarity,
+                aside_mm,
+            );
             (polarity, expected)
         });
         // Beside a bright line lie two fainter dark ones: the stronger polarity is the line's own.
@@ -70,8 +76,13 @@ impl Search<'_> {
         for (polarity, mut strength) in order.map(|k| strengths[k]) {
             // The second search knows how strong the wire of the first one answers.
             for _ in 0..2 {
-                let settings = BeamSettings { beam: self.beam, aside_mm, any_bend: false };
-                let Some(result) = beam_search(&self.scene(strength, polarity), whisker, settings) else {
+                let settings = BeamSettings {
+                    beam: self.beam,
+                    aside_mm,
+                    any_bend: false,
+                };
+                let Some(result) = beam_search(&self.scene(strength, polarity), whisker, settings)
+                else {
                     break;
                 };
                 let settled = (0..2).all(|k| (result.strength[k] / strength[k] - 1.0).abs() < 0.2);
@@ -81,13 +92,20 @@ impl Search<'_> {
                     }
                 }
                 if best.as_ref().is_none_or(|b| result.score > b.result.score) {
-                    best = Some(FoundWire { result, polarity, strength });
+                    best = Some(FoundWire {
+                        result,
+                        polarity,
+                        strength,
+                    });
                 }
                 if settled {
                     break;
                 }
             }
-            if best.as_ref().is_some_and(|b| b.result.score > CONVINCING_SHARE * self.max_score()) {
+            if best
+                .as_ref()
+                .is_some_and(|b| b.result.score > CONVINCING_SHARE * self.max_score())
+            {
                 break;
             }
         }
@@ -101,7 +119,11 @@ impl Search<'_> {
             && let Some(wider) = beam_search(
                 &self.scene(found.strength, found.polarity),
                 whisker,
-                BeamSettings { beam: WIDE_BEAM, aside_mm, any_bend: false },
+                BeamSettings {
+                    beam: WIDE_BEAM,
+                    aside_mm,
+                    any_bend: false,
+                },
             )
             && wider.score > found.result.score
         {
@@ -130,7 +152,10 @@ pub(crate) fn find_wire(
     let width = rig.whisker.diameter_mm * stereo.cameras[0].focal_px[0] / depth;
     // The response to a bar is largest at the scale width / (2 sqrt 3) (Steger 1998, eq. 11); below 1.2 px noise would dominate.
     let scale = (width / 12f64.sqrt()).max(1.2);
-    let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
+    let maps = [
+        RidgeMap::new(&pictures[0], scale),
+        RidgeMap::new(&pictures[1], scale),
+    ];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
     let search = Search {
         stereo,
@@ -149,18 +174,34 @@ pub(crate) fn find_wire(
             best = elsewhere;
         }
     }
-    let FoundWire { result: found, polarity, strength } =
-        best.ok_or("no wire: nothing like a line leaves the root")?;
-    if found.score < 2.0 * MIN_EVIDENCE * found.length_mm || found.length_mm < 0.3 * rig.whisker.length_mm {
+    let FoundWire {
+        result: found,
+        polarity,
+        strength,
+    } = best.ok_or("no wire: nothing like a line leaves the root")?;
+    if found.score < 2.0 * MIN_EVIDENCE * found.length_mm
+        || found.length_mm < 0.3 * rig.whisker.length_mm
+    {
         return Err(format!(
             "no wire: the best line from the root is {:.0} mm long with a log likelihood ratio of {:.0}",
             found.length_mm, found.score
         ));
     }
-    let scene = search.scene(strength, polarity).without(&found.path, COVERED_WIDTHS * width);
+    let scene = search
+        .scene(strength, polarity)
+        .without(&found.path, COVERED_WIDTHS * width);
     let density = |t: &BeamResult| t.score / t.length_mm;
-    let second =
-        |beam| beam_search(&scene, &rig.whisker, BeamSettings { beam, aside_mm: 0.0, any_bend: true });
+    let second = |beam| {
+        beam_search(
+            &scene,
+            &rig.whisker,
+            BeamSettings {
+                beam,
+                aside_mm: 0.0,
+                any_bend: true,
+            },
+        )
+    };
     // A narrow beam first: hardly anything passes it where there is one wire.
     let suspect = second(RIVAL_BEAM).is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
     if suspect

@@ -24,11 +24,22 @@ const WINDOW_PX: f64 = 18.0;
 const FLOOR_PX: f64 = 0.15;
 
 /// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None where the picture does not show it.
-pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, around_mm: f64) -> Option<Tip> {
-    let at =
-        line.iter().min_by(|a, b| (a.arc_mm - around_mm).abs().total_cmp(&(b.arc_mm - around_mm).abs()))?;
+pub fn find_tip(
+    picture: &Picture,
+    line: &[Station],
+    appearance: Appearance,
+    around_mm: f64,
+) -> Option<Tip> {
+    let at = line.iter().min_by(|a, b| {
+        (a.arc_mm - around_mm)
+            .abs()
+            .total_cmp(&(b.arc_mm - around_mm).abs())
+    })?;
     let i = line.iter().position(|s| s == at)?;
-    let (before, after) = (line.get(i.saturating_sub(4))?, line.get((i + 4).min(line.len() - 1))?);
+    let (before, after) = (
+        line.get(i.saturating_sub(4))?,
+        line.get((i + 4).min(line.len() - 1))?,
+    );
     let mm_per_px =
         (after.arc_mm - before.arc_mm) / (after.position_px - before.position_px).norm().max(1e-9);
     let (normal, width) = (at.normal(), at.width_px * appearance.width_scale);
@@ -45,7 +56,11 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
                 let p: Vector2<f64> = centre + normal * u;
                 picture.sample(p.x, p.y)
             };
-            let middle = [-0.25, 0.0, 0.25].iter().map(|f| at_offset(f * width)).sum::<f64>() / 3.0;
+            let middle = [-0.25, 0.0, 0.25]
+                .iter()
+                .map(|f| at_offset(f * width))
+                .sum::<f64>()
+                / 3.0;
             (t, 0.5 * (at_offset(side_px) + at_offset(-side_px)) - middle)
         })
         .collect();
@@ -66,7 +81,11 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
         let part: Vec<f64> = samples.iter().filter(|s| f(s.0)).map(|s| s.1).collect();
         part.iter().sum::<f64>() / part.len().max(1) as f64
     };
-    let mut p = Vector3::new(place, mean(&|t| t < place - 1.0), mean(&|t| t > place + 1.0));
+    let mut p = Vector3::new(
+        place,
+        mean(&|t| t < place - 1.0),
+        mean(&|t| t > place + 1.0),
+    );
     let mut covariance = Matrix3::identity();
     let mut variance = 0.0;
     for _ in 0..15 {
@@ -90,7 +109,10 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
     }
     // The step must be significant against the samples' scatter, and the bar must vanish beyond it.
     let contrast = (p[1] - p[2]).abs();
-    if p[0].abs() > WINDOW_PX - 3.0 || contrast < 4.0 * variance.sqrt() || p[2].abs() > 0.35 * p[1].abs() {
+    if p[0].abs() > WINDOW_PX - 3.0
+        || contrast < 4.0 * variance.sqrt()
+        || p[2].abs() > 0.35 * p[1].abs()
+    {
         return None;
     }
     let sd_px = (variance * covariance[(0, 0)]).sqrt().hypot(FLOOR_PX);

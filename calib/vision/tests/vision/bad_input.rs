@@ -10,14 +10,25 @@ use wcal_vision::camera::OPENCV5;
 use wcal_vision::picture::Picture;
 
 fn board() -> Board {
-    Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 1.0, pattern: Pattern::Chessboard }
+    Board {
+        size: BoardSize {
+            columns: 9,
+            rows: 6,
+        },
+        square_mm: 1.0,
+        pattern: Pattern::Chessboard,
+    }
 }
 
 fn copy_pairs(to: &std::path::Path, names: &[&str]) {
     for name in names {
         for side in ["left", "right"] {
             let file = format!("{side}{name}.jpg");
-            std::fs::copy(common::fixture("opencv_stereo_chessboard").join(&file), to.join(&file)).unwrap();
+            std::fs::copy(
+                common::fixture("opencv_stereo_chessboard").join(&file),
+                to.join(&file),
+            )
+            .unwrap();
         }
     }
 }
@@ -33,7 +44,10 @@ fn run(folder: &std::path::Path) -> Result<StereoDocument, String> {
 fn each_bad_picture_costs_its_own_pair_only() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    copy_pairs(path, &["01", "02", "03", "04", "05", "06", "07", "08", "09"]);
+    copy_pairs(
+        path,
+        &["01", "02", "03", "04", "05", "06", "07", "08", "09"],
+    );
     std::fs::write(path.join("left01.jpg"), b"").unwrap();
     let bytes = std::fs::read(path.join("right02.jpg")).unwrap();
     std::fs::write(path.join("right02.jpg"), &bytes[..bytes.len() / 2]).unwrap();
@@ -41,7 +55,12 @@ fn each_bad_picture_costs_its_own_pair_only() {
     std::fs::copy(path.join("left04.jpg"), path.join("right04.jpg")).unwrap();
     let document = run(path).unwrap();
     let why = |name: &str| {
-        document.rejected_views.iter().find(|r| r.view == name).map(|r| r.why.clone()).unwrap_or_default()
+        document
+            .rejected_views
+            .iter()
+            .find(|r| r.view == name)
+            .map(|r| r.why.clone())
+            .unwrap_or_default()
     };
     assert!(why("left01").contains("zero bytes"), "{}", why("left01"));
     assert!(why("left02").contains("cut off"), "{}", why("left02"));
@@ -63,10 +82,19 @@ fn changed(folder: &std::path::Path, name: &str, change: impl Fn(&mut Picture)) 
 fn every_kind_of_unusable_view_is_named_and_the_rest_is_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    copy_pairs(path, &["01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "12", "13", "14"]);
+    copy_pairs(
+        path,
+        &[
+            "01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "12", "13", "14",
+        ],
+    );
     changed(path, "left01", |p| {
-        let half: Vec<u8> =
-            p.data.chunks(p.width).step_by(2).flat_map(|r| r.iter().copied().step_by(2)).collect();
+        let half: Vec<u8> = p
+            .data
+            .chunks(p.width)
+            .step_by(2)
+            .flat_map(|r| r.iter().copied().step_by(2))
+            .collect();
         *p = Picture::new(p.width / 2, p.height / 2, half).unwrap();
     });
     // 16 bits a pixel.
@@ -78,10 +106,18 @@ fn every_kind_of_unusable_view_is_named_and_the_rest_is_calibrated() {
     changed(path, "left04", |p| p.data.fill(255));
     changed(path, "right05", |p| p.data.fill(0));
     // No board: a plain gradient. A board that is cut off: its right part is painted over.
-    changed(path, "left06", |p| p.data = (0..640 * 480).map(|k| (k % 640 / 4) as u8 + 40).collect());
-    changed(path, "left07", |p| p.data.chunks_mut(640).for_each(|r| r[330..].fill(120)));
+    changed(path, "left06", |p| {
+        p.data = (0..640 * 480).map(|k| (k % 640 / 4) as u8 + 40).collect()
+    });
+    changed(path, "left07", |p| {
+        p.data.chunks_mut(640).for_each(|r| r[330..].fill(120))
+    });
     for side in ["left", "right"] {
-        std::fs::copy(path.join(format!("{side}14.jpg")), path.join(format!("{side}15.jpg"))).unwrap();
+        std::fs::copy(
+            path.join(format!("{side}14.jpg")),
+            path.join(format!("{side}15.jpg")),
+        )
+        .unwrap();
     }
     let document = run(path).unwrap();
     for (name, word) in [
@@ -106,14 +142,21 @@ fn one_view_only_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     copy_pairs(folder.path(), &["01"]);
     let why = run(folder.path()).unwrap_err();
-    assert!(why.contains("at least 3 pairs") && why.contains("1 of 1"), "{why}");
+    assert!(
+        why.contains("at least 3 pairs") && why.contains("1 of 1"),
+        "{why}"
+    );
 }
 
 #[test]
 fn a_folder_without_pictures_and_a_missing_one_are_named() {
     let folder = tempfile::tempdir().unwrap();
     assert!(run(folder.path()).unwrap_err().contains("no such picture"));
-    assert!(run(&folder.path().join("nowhere")).unwrap_err().contains("nowhere"));
+    assert!(
+        run(&folder.path().join("nowhere"))
+            .unwrap_err()
+            .contains("nowhere")
+    );
 }
 
 #[test]
@@ -124,10 +167,17 @@ fn black_and_white_pictures_are_told_apart_and_colours_become_grey() {
     let photo = common::fixture("apriltag_images").join("33369213973_9d9bb4cc96_c.jpg");
     let grey = Picture::read(&photo).unwrap();
     let colours = image::open(&photo).unwrap().into_rgb8();
-    assert!(colours.pixels().any(|p| p[0].abs_diff(p[2]) > 60), "control: the photograph is coloured");
+    assert!(
+        colours.pixels().any(|p| p[0].abs_diff(p[2]) > 60),
+        "control: the photograph is coloured"
+    );
     for (pixel, value) in colours.pixels().zip(&grey.data) {
-        let luma = 0.299 * f64::from(pixel[0]) + 0.587 * f64::from(pixel[1]) + 0.114 * f64::from(pixel[2]);
-        assert!((luma - f64::from(*value)).abs() <= 0.51, "{pixel:?} became {value}");
+        let luma =
+            0.299 * f64::from(pixel[0]) + 0.587 * f64::from(pixel[1]) + 0.114 * f64::from(pixel[2]);
+        assert!(
+            (luma - f64::from(*value)).abs() <= 0.51,
+            "{pixel:?} became {value}"
+        );
     }
     assert!(Picture::new(3, 3, vec![0; 8]).is_err());
 }
@@ -136,10 +186,18 @@ fn black_and_white_pictures_are_told_apart_and_colours_become_grey() {
 fn a_broken_stereo_json_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stereo.json");
-    for (text, word) in [("", "none of these"), ("{}", "wcal-stereo/1"), ("{\"format\": 3}", "wcal-stereo/1")]
-    {
+    for (text, word) in [
+        ("", "none of these"),
+        ("{}", "wcal-stereo/1"),
+        ("{\"format\": 3}", "wcal-stereo/1"),
+    ] {
         std::fs::write(&path, text).unwrap();
-        let error = read_cameras(std::slice::from_ref(&path)).unwrap_err().to_string();
-        assert!(error.contains(word) && error.contains("stereo.json"), "{error}");
+        let error = read_cameras(std::slice::from_ref(&path))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains(word) && error.contains("stereo.json"),
+            "{error}"
+        );
     }
 }

@@ -17,18 +17,32 @@ use wcal_vision::shape::folder::shapes_of_pairs;
 use wcal_vision::stereo::StereoCameras;
 
 fn folder(name: &str) -> String {
-    common::fixture("stereo_bench").join(name).display().to_string()
+    common::fixture("stereo_bench")
+        .join(name)
+        .display()
+        .to_string()
 }
 
 /// The cameras, calibrated once from the board pictures.
 fn stereo() -> &'static StereoCameras {
     static CAMERAS: OnceLock<StereoCameras> = OnceLock::new();
     CAMERAS.get_or_init(|| {
-        let board =
-            Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
-        let (document, _) =
-            calibrate_folders(&folder("board/left"), &folder("board/right"), &board, OPENCV5, &|_| {})
-                .unwrap();
+        let board = Board {
+            size: BoardSize {
+                columns: 9,
+                rows: 6,
+            },
+            square_mm: 6.0,
+            pattern: Pattern::Chessboard,
+        };
+        let (document, _) = calibrate_folders(
+            &folder("board/left"),
+            &folder("board/right"),
+            &board,
+            OPENCV5,
+            &|_| {},
+        )
+        .unwrap();
         document.stereo_cameras().unwrap()
     })
 }
@@ -43,7 +57,11 @@ fn truth() -> Value {
 
 fn run_on(left: &str, right: &str, rig_text: &str) -> ShapesDocument {
     let rig = Rig::parse("rig.toml", rig_text).unwrap();
-    let files = pair_files(&list_pictures(left).unwrap(), &list_pictures(right).unwrap()).unwrap();
+    let files = pair_files(
+        &list_pictures(left).unwrap(),
+        &list_pictures(right).unwrap(),
+    )
+    .unwrap();
     shapes_of_pairs(stereo(), &rig, &files, &|_| {}).document
 }
 
@@ -54,7 +72,10 @@ fn run(rig_text: &str) -> ShapesDocument {
 fn pose(rows: &Value) -> Isometry3<f64> {
     let m = |r: usize, c: usize| rows[r][c].as_f64().unwrap();
     let turn = Matrix3::from_fn(m);
-    Isometry3::from_parts(Vector3::from_fn(|r, _| m(r, 3)).into(), UnitQuaternion::from_matrix(&turn))
+    Isometry3::from_parts(
+        Vector3::from_fn(|r, _| m(r, 3)).into(),
+        UnitQuaternion::from_matrix(&turn),
+    )
 }
 
 fn vector(v: &Value) -> Vector3<f64> {
@@ -69,13 +90,28 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
     let (mut inside, mut all) = (0, 0);
     for pair in &shapes.pairs {
         assert_eq!(pair.status, "ok", "{}: {}", pair.name, pair.why);
-        let t = truth["scene"].as_array().unwrap().iter().find(|t| t["name"] == pair.name.as_str()).unwrap();
-        let line: Vec<Vector3<f64>> = t["centreline"].as_array().unwrap().iter().map(vector).collect();
-        let found: Vec<Vector3<f64>> = pair.centreline_mm.iter().map(|p| Vector3::from(*p)).collect();
+        let t = truth["scene"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|t| t["name"] == pair.name.as_str())
+            .unwrap();
+        let line: Vec<Vector3<f64>> = t["centreline"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(vector)
+            .collect();
+        let found: Vec<Vector3<f64>> = pair
+            .centreline_mm
+            .iter()
+            .map(|p| Vector3::from(*p))
+            .collect();
         // Drawn points, not the chords between them, against the curve; the sd is the 95 % radius across the wire over 2.4477.
         all += line.len();
         let inside_region = |p: &&Vector3<f64>| {
-            let near = |a: &usize, b: &usize| (found[*a] - *p).norm().total_cmp(&(found[*b] - *p).norm());
+            let near =
+                |a: &usize, b: &usize| (found[*a] - *p).norm().total_cmp(&(found[*b] - *p).norm());
             let nearest = (0..found.len()).min_by(near).unwrap();
             common::distance(p, &found) <= 2.4477 * pair.centreline_sd_mm[nearest]
         };
@@ -83,9 +119,19 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
         let rows: Vec<[f64; 4]> = pair.left_from_base.clone();
         let found_pose = pose(&serde_json::to_value(rows).unwrap());
         let off = pose(&truth["cameras"]["left"]["T"]) * found_pose;
-        let (shift, turn) = (off.translation.vector.norm(), off.rotation.angle().to_degrees());
-        assert!(shift <= 0.03 && turn <= 0.05, "{}: base {shift} mm, {turn} deg", pair.name);
-        let rms = (found.iter().map(|p| common::distance(p, &line).powi(2)).sum::<f64>()
+        let (shift, turn) = (
+            off.translation.vector.norm(),
+            off.rotation.angle().to_degrees(),
+        );
+        assert!(
+            shift <= 0.03 && turn <= 0.05,
+            "{}: base {shift} mm, {turn} deg",
+            pair.name
+        );
+        let rms = (found
+            .iter()
+            .map(|p| common::distance(p, &line).powi(2))
+            .sum::<f64>()
             / found.len() as f64)
             .sqrt();
         assert!(rms <= 0.03, "{}: wire {rms} mm", pair.name);
@@ -99,28 +145,46 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
             assert_eq!(g.contact, "vertex");
         }
     }
-    assert!(inside as f64 >= 0.95 * all as f64, "{inside} of {all} inside the stated region");
+    assert!(
+        inside as f64 >= 0.95 * all as f64,
+        "{inside} of {all} inside the stated region"
+    );
     // Negative control: a base tag that is said to stand 1 mm off is noticed, not silently believed.
     let wrong = run(&rig.replace("[0, 0, 1, -9]", "[0, 0, 1, -10]"));
-    assert!(wrong.warnings.iter().any(|w| w.contains("disagree")), "{:?}", wrong.warnings);
+    assert!(
+        wrong.warnings.iter().any(|w| w.contains("disagree")),
+        "{:?}",
+        wrong.warnings
+    );
 }
 
 #[test]
 fn without_the_base_tag_a_pair_is_rejected_with_the_reason() {
-    for (from, to, wanted) in [("id = 0", "id = 17", "tag36h11 17"), ("tag36h11", "tag25h9", "tag25h9 0")] {
+    for (from, to, wanted) in [
+        ("id = 0", "id = 17", "tag36h11 17"),
+        ("tag36h11", "tag25h9", "tag25h9 0"),
+    ] {
         for pair in &run(&rig_text().replace(from, to)).pairs {
             assert_eq!(pair.status, "rejected");
-            assert!(pair.why.contains(&format!("expected the base tag ({wanted})")), "{}", pair.why);
+            assert!(
+                pair.why
+                    .contains(&format!("expected the base tag ({wanted})")),
+                "{}",
+                pair.why
+            );
         }
     }
 }
 
 /// The picture with all but the part about its base tag painted grey: the tag stays, the wire is gone.
 fn without_wire(side: &str, name: &str, tag: &[[f64; 2]; 4]) -> Picture {
-    let mut picture = Picture::read(Path::new(&folder(&format!("scene/{side}/{name}.png")))).unwrap();
+    let mut picture =
+        Picture::read(Path::new(&folder(&format!("scene/{side}/{name}.png")))).unwrap();
     let range = |d: usize| {
         let v = tag.map(|c| c[d]);
-        let (lo, hi) = v.iter().fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        let (lo, hi) = v
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
         (lo - 14.0)..(hi + 14.0)
     };
     let (columns, rows) = (range(0), range(1));
@@ -142,11 +206,28 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
     let rest = seen.pairs.iter().find(|p| p.name == "rest").unwrap();
     for (side, path) in ["left", "right"].iter().zip(&sides) {
         std::fs::create_dir(path).unwrap();
-        std::fs::copy(folder(&format!("scene/{side}/rest.png")), path.join("good.png")).unwrap();
-        let tag = rest.tags.iter().find(|t| t.id == 0 && t.camera == *side).unwrap();
-        common::write_pgm(&path.join("nowire.pgm"), &without_wire(side, "rest", &tag.corners_px));
-        common::write_pgm(&path.join("black.pgm"), &Picture::new(1280, 960, vec![0; 1280 * 960]).unwrap());
-        common::write_pgm(&path.join("white.pgm"), &Picture::new(1280, 960, vec![255; 1280 * 960]).unwrap());
+        std::fs::copy(
+            folder(&format!("scene/{side}/rest.png")),
+            path.join("good.png"),
+        )
+        .unwrap();
+        let tag = rest
+            .tags
+            .iter()
+            .find(|t| t.id == 0 && t.camera == *side)
+            .unwrap();
+        common::write_pgm(
+            &path.join("nowire.pgm"),
+            &without_wire(side, "rest", &tag.corners_px),
+        );
+        common::write_pgm(
+            &path.join("black.pgm"),
+            &Picture::new(1280, 960, vec![0; 1280 * 960]).unwrap(),
+        );
+        common::write_pgm(
+            &path.join("white.pgm"),
+            &Picture::new(1280, 960, vec![255; 1280 * 960]).unwrap(),
+        );
         let photo = common::fixture("apriltag_images").join("33369213973_9d9bb4cc96_c.jpg");
         std::fs::copy(photo, path.join("colour.jpg")).unwrap();
         common::write_pgm(
@@ -158,7 +239,11 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
         std::fs::write(path.join("sixteen.pgm"), sixteen).unwrap();
         let whole = std::fs::read(folder(&format!("scene/{side}/t1.png"))).unwrap();
         std::fs::write(path.join("torn.png"), &whole[..whole.len() / 2]).unwrap();
-        std::fs::write(path.join("empty.png"), if *side == "left" { &b""[..] } else { &b"x"[..] }).unwrap();
+        std::fs::write(
+            path.join("empty.png"),
+            if *side == "left" { &b""[..] } else { &b"x"[..] },
+        )
+        .unwrap();
     }
     // Left and right pictures exchanged: the base tag fits no pose that both cameras share.
     std::fs::copy(folder("scene/right/t5.png"), sides[0].join("swapped.png")).unwrap();

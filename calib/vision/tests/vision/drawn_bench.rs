@@ -30,8 +30,13 @@ fn calibrated(seed: u64) -> StereoCameras {
                     9.0 * (2.1 * t).cos(),
                     285.0 + 15.0 * (0.7 * t).sin(),
                 );
-                let tilt = turn(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.2 * t);
-                Isometry3::from_parts(place.into(), tilt) * Isometry3::translation(-24.0, -15.0, 0.0)
+                let tilt = turn(
+                    0.45 * (1.9 * t).sin(),
+                    0.45 * (1.1 * t + 1.0).cos(),
+                    0.2 * t,
+                );
+                Isometry3::from_parts(place.into(), tilt)
+                    * Isometry3::translation(-24.0, -15.0, 0.0)
             })
             .collect(),
     };
@@ -80,14 +85,23 @@ fn run(
         std::fs::create_dir(side).unwrap();
         for (k, wires) in scenes.iter().enumerate() {
             let wires: Vec<&[Vector3<f64>]> = wires.iter().map(Vec::as_slice).collect();
-            let picture = bench::draw(camera, &wires, 1000 * seed + 2 * k as u64 + camera as u64, style);
+            let picture = bench::draw(
+                camera,
+                &wires,
+                1000 * seed + 2 * k as u64 + camera as u64,
+                style,
+            );
             common::write_pgm(&side.join(format!("{k}.pgm")), &picture);
         }
     }
     let list = |k: usize| list_pictures(&sides[k].display().to_string()).unwrap();
     let files = pair_files(&list(0), &list(1)).unwrap();
     let diameter = format!("diameter_mm = {}", style.diameter_mm);
-    let rig = Rig::parse("rig.toml", &bench::RIG.replace("diameter_mm = 0.3", &diameter)).unwrap();
+    let rig = Rig::parse(
+        "rig.toml",
+        &bench::RIG.replace("diameter_mm = 0.3", &diameter),
+    )
+    .unwrap();
     shapes_of_pairs(cameras, &rig, &files, &|_| {}).document
 }
 
@@ -96,7 +110,11 @@ fn judged(shapes: &ShapesDocument, truths: &[Vec<Vector3<f64>>], factor: f64) ->
     let (mut inside, mut all, mut worst) = (0.0, 0.0, 0.0f64);
     for (pair, truth) in shapes.pairs.iter().zip(truths) {
         assert_eq!(pair.status, "ok", "{}: {}", pair.name, pair.why);
-        let found: Vec<Vector3<f64>> = pair.centreline_mm.iter().map(|p| Vector3::from(*p)).collect();
+        let found: Vec<Vector3<f64>> = pair
+            .centreline_mm
+            .iter()
+            .map(|p| Vector3::from(*p))
+            .collect();
         let (mut squares, mut points) = (0.0, 0.0);
         for (p, sd) in found.iter().zip(&pair.centreline_sd_mm) {
             // The truth's points lie 0.05 mm apart: its chords are off by less than 2e-5 mm.
@@ -127,17 +145,47 @@ fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() 
     assert!(rms <= 0.03, "{rms} mm");
     // Two wires share one calibration and base: a handful of independent errors. Many draws are judged below.
     assert!(inside >= 0.8, "{inside}");
-    assert!(judged(&shapes, &wires, 0.1).0 < 0.5, "a tenth of the stated sd must not do");
+    assert!(
+        judged(&shapes, &wires, 0.1).0 < 0.5,
+        "a tenth of the stated sd must not do"
+    );
 }
 
 #[test]
 fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
     let styles = [
-        (0.03, Style { diameter_mm: 0.18, ..Style::default() }),
+        (
+            0.03,
+            Style {
+                diameter_mm: 0.18,
+                ..Style::default()
+            },
+        ),
         // Uneven light across a wire moves it by a share of its width: 6 px here.
-        (0.05, Style { diameter_mm: 0.5, ..Style::default() }),
-        (0.03, Style { wire_dn: 190.0, highlight_dn: 30.0, background_dn: 70.0, ..Style::default() }),
-        (0.03, Style { blur_px: 1.6, noise_dn: 3.0, ..Style::default() }),
+        (
+            0.05,
+            Style {
+                diameter_mm: 0.5,
+                ..Style::default()
+            },
+        ),
+        (
+            0.03,
+            Style {
+                wire_dn: 190.0,
+                highlight_dn: 30.0,
+                background_dn: 70.0,
+                ..Style::default()
+            },
+        ),
+        (
+            0.03,
+            Style {
+                blur_px: 1.6,
+                noise_dn: 3.0,
+                ..Style::default()
+            },
+        ),
     ];
     for (k, (limit_mm, style)) in styles.into_iter().enumerate() {
         // A wire that bends 22 mm away from its rest shape, which the search has to follow.
@@ -146,14 +194,20 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
         let (_, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= limit_mm, "{style:?}: {rms} mm");
         let length = shapes.pairs[0].length_mm;
-        assert!((length - bench::LENGTH_MM).abs() < 0.05, "{style:?}: {length} mm");
+        assert!(
+            (length - bench::LENGTH_MM).abs() < 0.05,
+            "{style:?}: {length} mm"
+        );
     }
 }
 
 /// A thick wire that was once followed only part of the way and taken for whole, 5.65 mm off: it is right or it is rejected.
 #[test]
 fn a_thick_wire_that_is_lost_is_not_called_ok() {
-    let style = Style { diameter_mm: 0.5, ..Style::default() };
+    let style = Style {
+        diameter_mm: 0.5,
+        ..Style::default()
+    };
     let wire = bench::wire(211);
     let shapes = run(&calibrated(2), &[vec![wire.clone()]], 21, &style);
     let pair = &shapes.pairs[0];
@@ -172,7 +226,11 @@ fn a_line_that_ends_far_from_the_known_length_is_rejected() {
     let shapes = run(&calibrated(2), &[vec![cut]], 30, &Style::default());
     let pair = &shapes.pairs[0];
     assert_eq!(pair.status, "rejected");
-    assert!(pair.why.contains("the wire is 60.0 mm long"), "{}", pair.why);
+    assert!(
+        pair.why.contains("the wire is 60.0 mm long"),
+        "{}",
+        pair.why
+    );
 }
 
 /// A card hides 8 mm from both cameras. These two were once lost there: one runs along the epipolar lines before the card, the other
@@ -180,13 +238,19 @@ fn a_line_that_ends_far_from_the_known_length_is_rejected() {
 #[test]
 fn a_wire_is_taken_up_again_behind_a_card_and_not_made_up() {
     for (seed, covered_mm) in [(3104, [20.0, 28.0]), (3105, [38.0, 46.0])] {
-        let style = Style { covered_mm, ..Style::default() };
+        let style = Style {
+            covered_mm,
+            ..Style::default()
+        };
         let wire = bench::wire(seed);
         let shapes = run(&calibrated(3), &[vec![wire.clone()]], seed, &style);
         let (inside, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= 0.05, "{seed}: {rms} mm");
         assert!(inside >= 0.8, "{seed}: {inside}");
-        assert!((shapes.pairs[0].length_mm - bench::LENGTH_MM).abs() < 0.05, "{seed}");
+        assert!(
+            (shapes.pairs[0].length_mm - bench::LENGTH_MM).abs() < 0.05,
+            "{seed}"
+        );
         let ends = wire[..=(20.0 * (covered_mm[1] - 1.0)) as usize].to_vec();
         let shapes = run(&calibrated(3), &[vec![ends]], seed, &style);
         assert_eq!(shapes.pairs[0].status, "rejected", "{seed}");
@@ -202,13 +266,16 @@ fn the_stated_region_holds_95_percent_of_true_points_over_ten_calibrations() {
         let scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
         let shapes = run(&calibrated(seed), &scenes, 50 + seed, &Style::default());
         let (inside, rms) = judged(&shapes, &wires, 1.0);
-        println!("calibration {seed}: {:.1} % inside, worst RMS {rms:.4} mm", 100.0 * inside);
+        println!(
+            "calibration {seed}: {:.1} % inside, worst RMS {rms:.4} mm",
+            100.0 * inside
+        );
         shares.push(inside);
     }
     let mean = shares.iter().sum::<f64>() / shares.len() as f64;
     println!("all: {:.1} % inside", 100.0 * mean);
     // Points of a folder share their errors: judged by the scatter over calibrations.
-    let spread =
-        shares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (shares.len() * (shares.len() - 1)) as f64;
+    let spread = shares.iter().map(|s| (s - mean).powi(2)).sum::<f64>()
+        / (shares.len() * (shares.len() - 1)) as f64;
     assert!(mean >= 0.95 - 2.0 * spread.sqrt(), "{mean}");
 }

@@ -88,13 +88,21 @@ fn a_fisheye_pair_comes_back_within_its_stated_errors() {
     }
     let moved = state.right_from_left.translation.vector - right_from_left().translation.vector;
     z2.extend((0..3).map(|k| moved[k].powi(2) / covariance[(19 + k, 19 + k)]));
-    let turned = (state.right_from_left.rotation * right_from_left().rotation.inverse()).scaled_axis();
+    let turned =
+        (state.right_from_left.rotation * right_from_left().rotation.inverse()).scaled_axis();
     z2.extend((0..3).map(|k| turned[k].powi(2) / covariance[(16 + k, 16 + k)]));
     // 22 squares of unit normals, correlated: their mean is near 1, none beyond 4 sd.
     let mean = z2.iter().sum::<f64>() / z2.len() as f64;
-    assert!(mean > 0.2 && mean < 3.0 && z2.iter().all(|z| *z < 16.0), "{mean}: {z2:?}");
+    assert!(
+        mean > 0.2 && mean < 3.0 && z2.iter().all(|z| *z < 16.0),
+        "{mean}: {z2:?}"
+    );
     // And in sizes that matter.
-    assert!((state.cameras[0].focal_px[0] - 520.0).abs() < 0.5, "{}", state.cameras[0].focal_px[0]);
+    assert!(
+        (state.cameras[0].focal_px[0] - 520.0).abs() < 0.5,
+        "{}",
+        state.cameras[0].focal_px[0]
+    );
     assert!(moved.norm() < 0.05, "{moved}");
 }
 

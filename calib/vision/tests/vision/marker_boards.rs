@@ -29,20 +29,32 @@ fn charuco() -> Print {
     const PX_A_MM: f64 = 20.0;
     let (width, height) = (60.0 * PX_A_MM, 42.0 * PX_A_MM);
     let mut mat = Mat::default();
-    board.draw(Size::new(width as i32, height as i32), &mut mat, 0, 1).unwrap();
+    board
+        .draw(Size::new(width as i32, height as i32), &mut mat, 0, 1)
+        .unwrap();
     let pixels = mat.data_bytes().unwrap().to_vec();
     Box::new(move |p| {
         let (u, v) = (p.x * PX_A_MM + 0.5 * width, p.y * PX_A_MM + 0.5 * height);
         let inside = (0.0..width).contains(&u) && (0.0..height).contains(&v);
-        if inside { f64::from(pixels[v as usize * width as usize + u as usize]) } else { 255.0 }
+        if inside {
+            f64::from(pixels[v as usize * width as usize + u as usize])
+        } else {
+            255.0
+        }
     })
 }
 
 /// 5 x 4 upright tags of 9 mm with gaps of 3 mm; the first number at the lower left as in Kalibr's grids, whose border may be of two cells and whose
 /// gaps cross in black squares then.
 fn april_grid(first: u32, wide_border: bool) -> Print {
-    let (family, cells) = if wide_border { ("tag36h11-border2", 10.0) } else { ("tag36h11", 8.0) };
-    let tags: Vec<_> = (first..first + 20).map(|k| draw_tag(family, k).unwrap()).collect();
+    let (family, cells) = if wide_border {
+        ("tag36h11-border2", 10.0)
+    } else {
+        ("tag36h11", 8.0)
+    };
+    let tags: Vec<_> = (first..first + 20)
+        .map(|k| draw_tag(family, k).unwrap())
+        .collect();
     Box::new(move |p| {
         let (x, y) = (p.x + 2.0 * 12.0, -p.y + 1.5 * 12.0);
         let crossing = |d: f64| ((d / 12.0 - 0.5) - (d / 12.0 - 0.5).round()).abs() < 1.5 / 12.0;
@@ -58,7 +70,11 @@ fn april_grid(first: u32, wide_border: bool) -> Print {
         let (u, v) = (cell(x - column * 12.0), cell(row * 12.0 - y));
         let inside = (0.0..cells + 2.0).contains(&u) && (0.0..cells + 2.0).contains(&v);
         let tag = &tags[row as usize * 5 + column as usize];
-        if inside { f64::from(tag.data[v as usize * tag.width + u as usize]) } else { 255.0 }
+        if inside {
+            f64::from(tag.data[v as usize * tag.width + u as usize])
+        } else {
+            255.0
+        }
     })
 }
 
@@ -76,9 +92,15 @@ fn on_board(eye: &Camera, pose: &Isometry3<f64>) -> Vec<Vector2<f64>> {
 
 /// Place on the board within a pixel, by its slopes there.
 fn between(places: &[Vector2<f64>], x: f64, y: f64) -> Vector2<f64> {
-    let (i, j) = ((x.round() as usize).min(WIDTH - 2), (y.round() as usize).min(HEIGHT - 2));
+    let (i, j) = (
+        (x.round() as usize).min(WIDTH - 2),
+        (y.round() as usize).min(HEIGHT - 2),
+    );
     let here = places[j * WIDTH + i];
-    let (right, below) = (places[j * WIDTH + i + 1] - here, places[(j + 1) * WIDTH + i] - here);
+    let (right, below) = (
+        places[j * WIDTH + i + 1] - here,
+        places[(j + 1) * WIDTH + i] - here,
+    );
     here + right * (x - i as f64) + below * (y - j as f64)
 }
 
@@ -87,12 +109,23 @@ fn write_pairs(folder: &std::path::Path, print: &Print) {
     (0..PAIRS).into_par_iter().for_each(|k| {
         let t = k as f64;
         // Always turned a little: six samples a pixel would put edges along the rows off by up to a twelfth of one.
-        let tilt = Vector3::new(0.4 * (1.9 * t).sin(), 0.4 * (1.1 * t + 1.0).cos() - 0.2, 0.1 * t + 0.1);
-        let place =
-            Vector3::new(4.0 * (1.3 * t).sin(), 4.0 * (2.1 * t).cos(), 280.0 + 12.0 * (0.7 * t).sin());
+        let tilt = Vector3::new(
+            0.4 * (1.9 * t).sin(),
+            0.4 * (1.1 * t + 1.0).cos() - 0.2,
+            0.1 * t + 0.1,
+        );
+        let place = Vector3::new(
+            4.0 * (1.3 * t).sin(),
+            4.0 * (2.1 * t).cos(),
+            280.0 + 12.0 * (0.7 * t).sin(),
+        );
         let left = Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt));
         for (camera, side) in ["left", "right"].into_iter().enumerate() {
-            let pose = if camera == 0 { left } else { right_from_left() * left };
+            let pose = if camera == 0 {
+                left
+            } else {
+                right_from_left() * left
+            };
             let places = on_board(&cameras()[camera], &pose);
             let picture = common::draw(WIDTH, HEIGHT, 0.75, 1.2, 10 * k + camera as u64, |x, y| {
                 let p = between(&places, x, y);
@@ -114,11 +147,20 @@ fn calibrated(folder: &std::path::Path, board: &Board) -> Result<StereoDocument,
 }
 
 fn assert_as_drawn(document: &StereoDocument) {
-    assert_eq!(document.views.len(), PAIRS as usize, "{:?}", document.rejected_views);
+    assert_eq!(
+        document.views.len(),
+        PAIRS as usize,
+        "{:?}",
+        document.rejected_views
+    );
     assert!(document.rms_px < 0.06, "{}", document.rms_px);
     for (found, drawn) in document.cameras.iter().zip(cameras()) {
         let focal = found.k[0][0];
-        assert!((focal - drawn.focal_px[0]).abs() < 0.002 * focal, "{focal} against {}", drawn.focal_px[0]);
+        assert!(
+            (focal - drawn.focal_px[0]).abs() < 0.002 * focal,
+            "{focal} against {}",
+            drawn.focal_px[0]
+        );
     }
     let m = document.right_from_left;
     let found = Matrix3::from_fn(|i, j| m[i][j]);
@@ -127,33 +169,58 @@ fn assert_as_drawn(document: &StereoDocument) {
     let angle = ((turned.trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
     assert!(angle < 3e-3, "{angle} rad");
     let base = Vector3::new(m[0][3], m[1][3], m[2][3]);
-    assert!((base.norm() - truth.translation.vector.norm()).abs() < 0.2, "{base}");
+    assert!(
+        (base.norm() - truth.translation.vector.norm()).abs() < 0.2,
+        "{base}"
+    );
 }
 
 #[test]
 fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
     let folder = tempfile::tempdir().unwrap();
     write_pairs(folder.path(), &charuco());
-    let board = |marker_mm: f64, dictionary: &str| charuco_board([9, 6], marker_mm, dictionary, false);
+    let board =
+        |marker_mm: f64, dictionary: &str| charuco_board([9, 6], marker_mm, dictionary, false);
     assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
     // The square's side as the marker's, another marker: the ratio of both contradicts the pictures.
     for (marker_mm, contradicted) in [(4.4, false), (4.5, false), (3.2, true), (5.5, true)] {
-        let warnings = calibrated(folder.path(), &board(marker_mm, "DICT_4X4_50")).unwrap().warnings;
-        let found = warnings.iter().any(|w| w.contains("one of --square-mm and --marker-mm is wrong"));
+        let warnings = calibrated(folder.path(), &board(marker_mm, "DICT_4X4_50"))
+            .unwrap()
+            .warnings;
+        let found = warnings
+            .iter()
+            .any(|w| w.contains("one of --square-mm and --marker-mm is wrong"));
         assert_eq!(found, contradicted, "{marker_mm}: {warnings:?}");
     }
     // Negative controls: markers of another dictionary, markers larger than their squares.
     let why = calibrated(folder.path(), &board(4.4, "DICT_6X6_250")).unwrap_err();
     assert!(why.contains("found 0"), "{why}");
-    assert!(calibrated(folder.path(), &board(6.5, "DICT_4X4_50")).unwrap_err().contains("smaller"));
-    assert!(calibrated(folder.path(), &board(4.4, "DICT_9X9")).unwrap_err().contains("DICT_4X4_50"));
+    assert!(
+        calibrated(folder.path(), &board(6.5, "DICT_4X4_50"))
+            .unwrap_err()
+            .contains("smaller")
+    );
+    assert!(
+        calibrated(folder.path(), &board(4.4, "DICT_9X9"))
+            .unwrap_err()
+            .contains("DICT_4X4_50")
+    );
 }
 
-fn charuco_board([columns, rows]: [usize; 2], marker_mm: f64, dictionary: &str, legacy: bool) -> Board {
+fn charuco_board(
+    [columns, rows]: [usize; 2],
+    marker_mm: f64,
+    dictionary: &str,
+    legacy: bool,
+) -> Board {
     Board {
         size: BoardSize { columns, rows },
         square_mm: 6.0,
-        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into(), legacy },
+        pattern: Pattern::Charuco {
+            marker_mm,
+            dictionary: dictionary.into(),
+            legacy,
+        },
     }
 }
 
@@ -181,7 +248,11 @@ fn legacy_charuco() -> Print {
         let (x, y) = (within(u), within(v));
         let inside = (0.0..SIDE as f64).contains(&x) && (0.0..SIDE as f64).contains(&y);
         let before = (0..row).map(|r| 5 - r % 2).sum::<usize>() + column / 2;
-        if inside { f64::from(markers[before][y as usize * SIDE + x as usize]) } else { 255.0 }
+        if inside {
+            f64::from(markers[before][y as usize * SIDE + x as usize])
+        } else {
+            255.0
+        }
     })
 }
 
@@ -196,11 +267,21 @@ fn charuco_boards_of_another_layout_are_named() {
     };
     let as_drawn = calibrated(folder.path(), &stated([8, 5], true)).unwrap();
     assert_as_drawn(&as_drawn);
-    assert!(!as_drawn.warnings.iter().any(|w| w.contains("does not fit")), "{:?}", as_drawn.warnings);
+    assert!(
+        !as_drawn.warnings.iter().any(|w| w.contains("does not fit")),
+        "{:?}",
+        as_drawn.warnings
+    );
     let why = named(&stated([8, 5], false));
-    assert!(why.contains("does not fit") && why.contains("--pattern charuco-legacy"), "{why}");
+    assert!(
+        why.contains("does not fit") && why.contains("--pattern charuco-legacy"),
+        "{why}"
+    );
     let why = named(&stated([5, 8], false));
-    assert!(why.contains("does not fit") && why.contains("--board 8x5"), "{why}");
+    assert!(
+        why.contains("does not fit") && why.contains("--board 8x5"),
+        "{why}"
+    );
     // Another dictionary's numbers are no board.
     let why = named(&charuco_board([8, 5], 4.4, "DICT_5X5_50", true));
     assert!(why.contains("found 0 of 6 pairs"), "{why}");
@@ -211,9 +292,16 @@ fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
     let folder = tempfile::tempdir().unwrap();
     write_pairs(folder.path(), &april_grid(0, false));
     let board = |gap_mm: f64| Board {
-        size: BoardSize { columns: 5, rows: 4 },
+        size: BoardSize {
+            columns: 5,
+            rows: 4,
+        },
         square_mm: 9.0,
-        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into(), order: TagOrder::default() },
+        pattern: Pattern::AprilGrid {
+            gap_mm,
+            family: "tag36h11".into(),
+            order: TagOrder::default(),
+        },
     };
     assert_as_drawn(&calibrated(folder.path(), &board(3.0)).unwrap());
     // Negative control: a gap stated wrongly fits no cameras, or not well.
@@ -232,16 +320,33 @@ fn a_grid_of_kalibr_with_other_numbers_calibrates_both_cameras() {
         pattern: Pattern::AprilGrid {
             gap_mm: 3.0,
             family: "tag36h11".into(),
-            order: TagOrder { first, ..TagOrder::default() },
+            order: TagOrder {
+                first,
+                ..TagOrder::default()
+            },
         },
     };
     let stated = calibrated(folder.path(), &board(5, 40)).unwrap();
     assert_as_drawn(&stated);
-    assert!(!stated.warnings.iter().any(|w| w.contains("first-tag")), "{:?}", stated.warnings);
+    assert!(
+        !stated.warnings.iter().any(|w| w.contains("first-tag")),
+        "{:?}",
+        stated.warnings
+    );
     let found = calibrated(folder.path(), &board(5, 0)).unwrap();
     assert_as_drawn(&found);
-    assert!(found.warnings.iter().any(|w| w.contains("taken as --first-tag 40")), "{:?}", found.warnings);
+    assert!(
+        found
+            .warnings
+            .iter()
+            .any(|w| w.contains("taken as --first-tag 40")),
+        "{:?}",
+        found.warnings
+    );
     // Negative control: numbers that fit no board of the stated size are named.
     let why = calibrated(folder.path(), &board(4, 0)).unwrap_err();
-    assert!(why.contains("tags 40 to 59 are seen") && why.contains("--first-tag"), "{why}");
+    assert!(
+        why.contains("tags 40 to 59 are seen") && why.contains("--first-tag"),
+        "{why}"
+    );
 }

@@ -25,7 +25,11 @@ fn forty_six_of_forty_seven_tags_are_found_in_the_photographs() {
 /// Tags of the list that are found, all of the list, and tags found beyond.
 fn found_in_the_photographs(search: Search) -> (usize, usize, usize) {
     let (mut found, mut listed, mut all) = (0, 0, 0);
-    for name in ["33369213973_9d9bb4cc96_c", "34085369442_304b6bafd9_c", "34139872896_defdb2f8d9_c"] {
+    for name in [
+        "33369213973_9d9bb4cc96_c",
+        "34085369442_304b6bafd9_c",
+        "34139872896_defdb2f8d9_c",
+    ] {
         let folder = common::fixture("apriltag_images");
         let picture = Picture::read(&folder.join(format!("{name}.jpg"))).unwrap();
         let tags = find_tags(&picture, "tag36h11", None, search).unwrap();
@@ -51,14 +55,22 @@ fn found_in_the_photographs(search: Search) -> (usize, usize, usize) {
 }
 
 /// A tag of this side, turned and shifted, with its corners in the order of the library.
-fn drawn(side: f64, angle: f64, centre: Vector2<f64>, noise: f64, seed: u64) -> (Picture, [Vector2<f64>; 4]) {
+fn drawn(
+    side: f64,
+    angle: f64,
+    centre: Vector2<f64>,
+    noise: f64,
+    seed: u64,
+) -> (Picture, [Vector2<f64>; 4]) {
     let cells = draw_tag("tag36h11", 5).unwrap();
     // 10 cells with the white margin, 8 between the corners.
     let (sin, cos) = angle.sin_cos();
     let picture = common::draw(640, 480, 0.8, noise, seed, |x, y| {
         let d = Vector2::new(x, y) - centre;
-        let (u, v) =
-            ((cos * d.x + sin * d.y) / side * 8.0 + 5.0, (-sin * d.x + cos * d.y) / side * 8.0 + 5.0);
+        let (u, v) = (
+            (cos * d.x + sin * d.y) / side * 8.0 + 5.0,
+            (-sin * d.x + cos * d.y) / side * 8.0 + 5.0,
+        );
         if (0.0..10.0).contains(&u) && (0.0..10.0).contains(&v) {
             40.0 + f64::from(cells.data[v as usize * cells.width + u as usize]) / 255.0 * 160.0
         } else {
@@ -82,8 +94,10 @@ fn errors(side: f64, noise: f64, draws: u64) -> Vec<Vector2<f64>> {
             let found = tags[0].corners_px;
             // Orientation may be read modulo the drawing's own convention: the nearest corner counts.
             corners.map(|c| {
-                let nearest =
-                    found.iter().min_by(|a, b| (*a - c).norm().total_cmp(&(*b - c).norm())).unwrap();
+                let nearest = found
+                    .iter()
+                    .min_by(|a, b| (*a - c).norm().total_cmp(&(*b - c).norm()))
+                    .unwrap();
                 nearest - c
             })
         })
@@ -98,10 +112,16 @@ fn pixel_centres_lie_at_integers_and_corners_are_as_accurate_as_the_best() {
         let n = e.len() as f64;
         let rms = (e.iter().map(|e| e.norm_squared()).sum::<f64>() / n).sqrt();
         let bias = e.iter().sum::<Vector2<f64>>() / n;
-        println!("side {side} px: rms {rms:.4} px (goal {limit}), mean offset {:.4} px", bias.norm());
+        println!(
+            "side {side} px: rms {rms:.4} px (goal {limit}), mean offset {:.4} px",
+            bias.norm()
+        );
         assert!(rms < limit, "side {side}: rms {rms}");
         // A half-pixel convention taken wrongly would show here as 0.5.
-        assert!(bias.norm() < 0.006 + 3.0 * rms / n.sqrt(), "side {side}: bias {bias}");
+        assert!(
+            bias.norm() < 0.006 + 3.0 * rms / n.sqrt(),
+            "side {side}: bias {bias}"
+        );
     }
 }
 
@@ -134,17 +154,29 @@ fn raw_corners_follow_the_same_convention() {
         let centre = Vector2::new(320.0 + 0.37 * t, 240.0 - 0.23 * t);
         let (picture, corners) = drawn(120.0, 0.785 * t + 0.1, centre, 1.0, u64::from(k));
         let raw = raw_tags(&picture).remove(0);
-        let mean = raw.corners_px.iter().map(|c| Vector2::new(c[0], c[1])).sum::<Vector2<f64>>() / 4.0;
+        let mean = raw
+            .corners_px
+            .iter()
+            .map(|c| Vector2::new(c[0], c[1]))
+            .sum::<Vector2<f64>>()
+            / 4.0;
         offsets.push(mean - corners.iter().sum::<Vector2<f64>>() / 4.0);
     }
     let bias = offsets.iter().sum::<Vector2<f64>>() / offsets.len() as f64;
-    assert!(bias.amax() < 0.1, "half a pixel would be the other convention: {bias}");
+    assert!(
+        bias.amax() < 0.1,
+        "half a pixel would be the other convention: {bias}"
+    );
 }
 
 #[test]
 fn another_family_is_not_found_and_an_unknown_one_refused() {
     let (picture, _) = drawn(80.0, 0.2, Vector2::new(300.0, 200.0), 1.0, 1);
-    assert!(find_tags(&picture, "tag25h9", None, Search::Whole).unwrap().is_empty());
+    assert!(
+        find_tags(&picture, "tag25h9", None, Search::Whole)
+            .unwrap()
+            .is_empty()
+    );
     assert!(find_tags(&picture, "tag99h99", None, Search::Whole).is_err());
 }
 
@@ -153,14 +185,22 @@ fn another_family_is_not_found_and_an_unknown_one_refused() {
 fn a_tag_in_the_shade_is_left_to_the_search_of_all_the_picture() {
     let cells = draw_tag("tag36h11", 5).unwrap();
     let picture = common::draw(640, 480, 0.8, 1.0, 3, |x, y| {
-        let (left, darker) = if x < 320.0 { (60.0, 1.0) } else { (380.0, 0.12) };
+        let (left, darker) = if x < 320.0 {
+            (60.0, 1.0)
+        } else {
+            (380.0, 0.12)
+        };
         let (u, v) = ((x - left) / 16.0, (y - 160.0) / 16.0);
         if (0.0..10.0).contains(&u) && (0.0..10.0).contains(&v) {
-            20.0 + darker * (f64::from(cells.data[v as usize * cells.width + u as usize]) / 255.0 * 200.0)
+            20.0 + darker
+                * (f64::from(cells.data[v as usize * cells.width + u as usize]) / 255.0 * 200.0)
         } else {
             20.0 + darker * 200.0
         }
     });
     let count = |search| find_tags(&picture, "tag36h11", None, search).unwrap().len();
-    assert_eq!([Search::StrongContrast, Search::Halved, Search::Whole].map(count), [1, 2, 2]);
+    assert_eq!(
+        [Search::StrongContrast, Search::Halved, Search::Whole].map(count),
+        [1, 2, 2]
+    );
 }

@@ -24,9 +24,17 @@ fn truth() -> BundleState {
         .map(|k| {
             let t = f64::from(k);
             let pose = Isometry3::from_parts(
-                Vector3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 280.0 + 15.0 * (0.7 * t).sin())
-                    .into(),
-                turn(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.2 * t),
+                Vector3::new(
+                    8.0 * (1.3 * t).sin(),
+                    6.0 * (2.1 * t).cos(),
+                    280.0 + 15.0 * (0.7 * t).sin(),
+                )
+                .into(),
+                turn(
+                    0.45 * (1.9 * t).sin(),
+                    0.45 * (1.1 * t + 1.0).cos(),
+                    0.2 * t,
+                ),
             );
             pose * centre
         })
@@ -72,24 +80,38 @@ fn coverage(draws: u64, factor: f64) -> Vec<f64> {
     let hits: Vec<Vec<bool>> = (0..draws)
         .into_par_iter()
         .map(|seed| {
-            let solution =
-                solve(&points, &noisy(&state, &points, 0.05, seed), state.clone(), Free::all(false));
+            let solution = solve(
+                &points,
+                &noisy(&state, &points, 0.05, seed),
+                state.clone(),
+                Free::all(false),
+            );
             assert!(solution.converged);
             let sd = |k: usize| factor * solution.shared_covariance[(k, k)].sqrt();
             let mut errors = Vec::new();
             for c in 0..2 {
-                let (found, drawn) = (solution.state.cameras[c].parameters(), state.cameras[c].parameters());
+                let (found, drawn) = (
+                    solution.state.cameras[c].parameters(),
+                    state.cameras[c].parameters(),
+                );
                 errors.extend(found.iter().zip(drawn).map(|(f, d)| f - d));
             }
-            let turned = solution.state.right_from_left.rotation * state.right_from_left.rotation.inverse();
+            let turned =
+                solution.state.right_from_left.rotation * state.right_from_left.rotation.inverse();
             errors.extend(turned.scaled_axis().iter());
-            let moved =
-                solution.state.right_from_left.translation.vector - state.right_from_left.translation.vector;
+            let moved = solution.state.right_from_left.translation.vector
+                - state.right_from_left.translation.vector;
             errors.extend(moved.iter());
-            errors.iter().enumerate().map(|(k, e)| e.abs() <= 1.96 * sd(k)).collect()
+            errors
+                .iter()
+                .enumerate()
+                .map(|(k, e)| e.abs() <= 1.96 * sd(k))
+                .collect()
         })
         .collect();
-    (0..24).map(|k| hits.iter().filter(|h| h[k]).count() as f64 / draws as f64).collect()
+    (0..24)
+        .map(|k| hits.iter().filter(|h| h[k]).count() as f64 / draws as f64)
+        .collect()
 }
 
 #[test]

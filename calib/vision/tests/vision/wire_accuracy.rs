@@ -17,7 +17,11 @@ fn line(width: f64, noise: f64, right: f64, texture: f64, seed: u64) -> Picture 
     common::draw(320, 240, 0.9, noise, seed, |x, y| {
         let u = normal.dot(&(Vector2::new(x, y) - centre));
         let background = 170.0 + texture * (0.05 * x).sin() * (0.04 * y).cos();
-        if u.abs() < 0.5 * width { 80.0 } else { background + if u > 0.0 { right } else { 0.0 } }
+        if u.abs() < 0.5 * width {
+            80.0
+        } else {
+            background + if u > 0.0 { right } else { 0.0 }
+        }
     })
 }
 
@@ -38,7 +42,10 @@ fn pieces(picture: &Picture, width: f64, appearance: Appearance) -> Vec<Piece> {
 }
 
 fn fitted(picture: &Picture, width: f64) -> Vec<Piece> {
-    let start = Appearance { blur_px: 1.2, width_scale: 1.0 };
+    let start = Appearance {
+        blur_px: 1.2,
+        width_scale: 1.0,
+    };
     let appearance = fit_appearance(picture, &pieces(picture, width, start), start);
     pieces(picture, width, appearance)
 }
@@ -60,7 +67,9 @@ fn cramer_rao_px(width: f64, noise: f64) -> f64 {
         let (a, b) = (edge(at(k) + half).0, edge(at(k) - half).0);
         [1.0 - a, b, a - b][j]
     });
-    let slope = DVector::from_fn(count, |k, _| depth * (edge(at(k) + half).1 - edge(at(k) - half).1));
+    let slope = DVector::from_fn(count, |k, _| {
+        depth * (edge(at(k) + half).1 - edge(at(k) - half).1)
+    });
     let taken = levels.clone().svd(true, true).solve(&slope, 1e-12).unwrap();
     noise / (PIECE_PX * STEP_PX * (slope - levels * taken).norm_squared()).sqrt()
 }
@@ -69,13 +78,23 @@ fn cramer_rao_px(width: f64, noise: f64) -> f64 {
 fn errors_reach_the_cramer_rao_bound_and_the_stated_sd_is_that_error() {
     for (width, steger_clean) in [(2.0, 0.025), (3.0, 0.012), (6.0, 0.011)] {
         let clean = fitted(&line(width, 0.0, 0.0, 0.0, 7), width);
-        assert!(rms(&clean) < steger_clean, "width {width}: clean {}", rms(&clean));
+        assert!(
+            rms(&clean) < steger_clean,
+            "width {width}: clean {}",
+            rms(&clean)
+        );
         // Some 360 pieces: their RMS is known to 4 %.
-        let noisy: Vec<Piece> =
-            (7..13).flat_map(|seed| fitted(&line(width, 8.0, 0.0, 0.0, seed), width)).collect();
+        let noisy: Vec<Piece> = (7..13)
+            .flat_map(|seed| fitted(&line(width, 8.0, 0.0, 0.0, seed), width))
+            .collect();
         let bound = cramer_rao_px(width, 8.0);
-        assert!(rms(&noisy) <= 1.2 * bound, "width {width}: {} against {bound}", rms(&noisy));
-        let stated = (noisy.iter().map(|p| p.sd_px.powi(2)).sum::<f64>() / noisy.len() as f64).sqrt();
+        assert!(
+            rms(&noisy) <= 1.2 * bound,
+            "width {width}: {} against {bound}",
+            rms(&noisy)
+        );
+        let stated =
+            (noisy.iter().map(|p| p.sd_px.powi(2)).sum::<f64>() / noisy.len() as f64).sqrt();
         assert!(
             (0.8..1.8).contains(&(stated / rms(&noisy))),
             "width {width}: stated {stated}, {}",
@@ -101,7 +120,10 @@ fn unequal_sides_and_uneven_background_stay_below_a_twentieth_of_a_pixel() {
 #[test]
 fn where_there_is_no_line_there_is_no_evidence() {
     let empty = common::draw(320, 240, 0.9, 3.0, 3, |_, _| 150.0);
-    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
+    let appearance = Appearance {
+        blur_px: 0.9,
+        width_scale: 1.0,
+    };
     let found = pieces(&empty, 3.0, appearance);
     let seen = found.iter().filter(|p| p.evidence > 0.0).count();
     assert!(seen * 20 <= found.len(), "{seen} of {}", found.len());

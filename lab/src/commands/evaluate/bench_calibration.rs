@@ -14,10 +14,15 @@ use wcal_map::{FitOptions, fit_map};
 /// Calibrates the session; the results of `verify` go into a folder beside it.
 pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let session = wcal_session::load(folder)?;
-    let SessionData::Whisker(data) = &session.data else { bail!("expected a whisker's session") };
+    let SessionData::Whisker(data) = &session.data else {
+        bail!("expected a whisker's session")
+    };
     let labels = moment_labels(data, LabelSource::Rod)?;
-    let options =
-        FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
+    let options = FitOptions {
+        labels: labels.source.clone(),
+        fbg: data.fbg.clone(),
+        ..FitOptions::default()
+    };
     let training = training_set(data, &labels).0;
     let map = CalibrationModel::Map(fit_map(&training, &options)?.artefact);
     let results = folder.with_file_name("verify");
@@ -25,7 +30,11 @@ pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let report = verify_session(session, &mut out, verify::searching(seed, None), None, None)?;
     out.finish()?;
     let calibration = results.join("calibration.json");
-    let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
+    let verified = if calibration.exists() {
+        Some(read_calibration(&calibration)?.model)
+    } else {
+        None
+    };
     Ok(BenchCalibration {
         map,
         verified,

@@ -6,9 +6,15 @@ use serde_json::Value;
 
 /// `0.22 [0.18, 0.27]` out of a row, `-` where there is no value.
 fn stated(row: &Value, key: &str) -> String {
-    let Some(value) = row[key].as_f64() else { return "-".to_owned() };
-    let interval: Vec<f64> =
-        row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
+    let Some(value) = row[key].as_f64() else {
+        return "-".to_owned();
+    };
+    let interval: Vec<f64> = row["interval95"][key]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .flat_map(Value::as_f64)
+        .collect();
     match interval[..] {
         [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
         _ => format!("{value:.2}"),
@@ -65,15 +71,23 @@ fn print_methods(scores: &[MethodScores], document: &Value) {
     );
     let scored = scores.iter().filter(|s| !s.objects.is_empty());
     for (s, row) in scored.zip(document["methods"].as_array().into_iter().flatten()) {
-        let cover = s.objects.iter().filter_map(|o| o.all.coverage90).collect::<Vec<_>>();
+        let cover = s
+            .objects
+            .iter()
+            .filter_map(|o| o.all.coverage90)
+            .collect::<Vec<_>>();
         let cover = if cover.is_empty() {
             "-".to_owned()
         } else {
             format!("{:.3}", cover.iter().sum::<f64>() / cover.len() as f64)
         };
-        let [a, b, c, d] =
-            ["rmse_mm", "followed_rmse_mm", "true_contact_rmse_mm", "followed_true_contact_rmse_mm"]
-                .map(|k| stated(row, k));
+        let [a, b, c, d] = [
+            "rmse_mm",
+            "followed_rmse_mm",
+            "true_contact_rmse_mm",
+            "followed_true_contact_rmse_mm",
+        ]
+        .map(|k| stated(row, k));
         println!(
             "{:7} {:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
             s.set,
@@ -87,10 +101,16 @@ fn print_methods(scores: &[MethodScores], document: &Value) {
 fn print_test_objects(document: &Value) {
     let rows = document["test_objects"]["rows"].as_array();
     if rows.is_some() {
-        println!("test objects, which chose no design (surface, true contact, mm; coverage of 90 % regions)");
+        println!(
+            "test objects, which chose no design (surface, true contact, mm; coverage of 90 % regions)"
+        );
     }
     for r in rows.into_iter().flatten() {
-        let speed = if r["speed_known"] == true { "speed known" } else { "speed not known" };
+        let speed = if r["speed_known"] == true {
+            "speed known"
+        } else {
+            "speed not known"
+        };
         println!(
             "  {:8} {:8} {speed:16} {:>20} {:>20} {:>7.3}",
             r["turns"].as_str().unwrap_or(""),

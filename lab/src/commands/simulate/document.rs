@@ -61,9 +61,14 @@ impl Twin {
             short_mm: c.short_mm,
             hausdorff_mm: c.hausdorff_mm(),
         };
-        let Some(sum) = sum else { return Self::default() };
+        let Some(sum) = sum else {
+            return Self::default();
+        };
         let parts = mujoco::convex_parts(dataset, folder).into_iter();
-        Self { against_rod: Some(sum.table()), convex: parts.map(|(name, c)| (name, row(c))).collect() }
+        Self {
+            against_rod: Some(sum.table()),
+            convex: parts.map(|(name, c)| (name, row(c))).collect(),
+        }
     }
 }
 
@@ -157,15 +162,24 @@ pub fn document(
         verdicts: t.verdicts.clone(),
         events: t.events.clone(),
     };
-    let (made, core_s) = totals.values().fold((0, 0.0), |a, t| (a.0 + t.made, a.1 + t.core_s));
+    let (made, core_s) = totals
+        .values()
+        .fold((0, 0.0), |a, t| (a.0 + t.made, a.1 + t.core_s));
     let rate = (core_s > 0.0).then(|| made as f64 / core_s);
     DatasetDocument {
         format: shard::FORMAT,
         simulated: true,
         engine: match mujoco {
             None => format!("rod, quasi-static, {LINKS} links"),
-            Some(MjcfOptions { links, damping_s, step_s, .. }) => {
-                format!("MuJoCo, {links} links, damping {damping_s} s, step {step_s} s, convex parts")
+            Some(MjcfOptions {
+                links,
+                damping_s,
+                step_s,
+                ..
+            }) => {
+                format!(
+                    "MuJoCo, {links} links, damping {damping_s} s, step {step_s} s, convex parts"
+                )
             }
         },
         seed: dataset.seed,
@@ -178,7 +192,10 @@ pub fn document(
         samples: totals.values().map(|t| t.samples).sum(),
         verdicts: summed(|t| &t.verdicts),
         events: summed(|t| &t.events),
-        objects: totals.iter().map(|(name, t)| (name.clone(), row(t))).collect(),
+        objects: totals
+            .iter()
+            .map(|(name, t)| (name.clone(), row(t)))
+            .collect(),
         left_out: faults.left_out,
         notes: faults.notes,
         missing: faults.missing,
@@ -187,22 +204,54 @@ pub fn document(
         twin,
         provenance: Provenance {
             seed: dataset.seed,
-            ..provenance(args.whisker.iter().chain(&args.plan).chain(&args.meshes).map(PathBuf::as_path))
+            ..provenance(
+                args.whisker
+                    .iter()
+                    .chain(&args.plan)
+                    .chain(&args.meshes)
+                    .map(PathBuf::as_path),
+            )
         },
     }
 }
 
 /// The same for people.
 pub fn print(document: &DatasetDocument, totals: &BTreeMap<String, Total>) {
-    println!("{:<32} {:>7} {:>7}  rejected", "object (SIMULATED)", "sweeps", "kept");
+    println!(
+        "{:<32} {:>7} {:>7}  rejected",
+        "object (SIMULATED)", "sweeps", "kept"
+    );
     for (name, total) in totals {
-        let why: Vec<String> =
-            total.verdicts.iter().filter(|(v, _)| *v != "kept").map(|(v, n)| format!("{v} {n}")).collect();
-        println!("{name:<32} {:>7} {:>7}  {}", total.sweeps, total.kept(), why.join(", "));
+        let why: Vec<String> = total
+            .verdicts
+            .iter()
+            .filter(|(v, _)| *v != "kept")
+            .map(|(v, n)| format!("{v} {n}"))
+            .collect();
+        println!(
+            "{name:<32} {:>7} {:>7}  {}",
+            total.sweeps,
+            total.kept(),
+            why.join(", ")
+        );
     }
-    let events: Vec<String> = document.events.iter().map(|(e, n)| format!("{n} {e}")).collect();
-    println!("{} sweeps, {} kept, {} samples", document.sweeps, document.kept, document.samples);
-    println!("events: {}", if events.is_empty() { "none".to_owned() } else { events.join(", ") });
+    let events: Vec<String> = document
+        .events
+        .iter()
+        .map(|(e, n)| format!("{n} {e}"))
+        .collect();
+    println!(
+        "{} sweeps, {} kept, {} samples",
+        document.sweeps, document.kept, document.samples
+    );
+    println!(
+        "events: {}",
+        if events.is_empty() {
+            "none".to_owned()
+        } else {
+            events.join(", ")
+        }
+    );
     if let Some(rate) = document.sweeps_per_core_s {
         println!("{rate:.1} sweeps a second and core");
     }

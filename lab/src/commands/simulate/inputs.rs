@@ -72,7 +72,9 @@ fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
     // The keys are those of a session and of a rig, too; a table of one's own may state no format.
     let found = table.get("format").and_then(toml::Value::as_str);
     if table.contains_key("format") && found != Some(SESSION_FORMAT) && found != Some(RIG_FORMAT) {
-        format::expect(fit_whisker::FORMAT, found).map_err(anyhow::Error::msg).with_context(reading)?;
+        format::expect(fit_whisker::FORMAT, found)
+            .map_err(anyhow::Error::msg)
+            .with_context(reading)?;
     }
     ranges::check(&table, &[RANGES, WHISKER_RANGES]).with_context(reading)?;
     document::toml_as(&text).with_context(reading)
@@ -84,14 +86,21 @@ fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
 /// Where the file cannot be read.
 pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
     let usual = MjcfOptions::default();
-    let Some(found) = path.map(read).transpose()?.and_then(|file| file.dynamics) else { return Ok(usual) };
+    let Some(found) = path.map(read).transpose()?.and_then(|file| file.dynamics) else {
+        return Ok(usual);
+    };
     let touch = Touch {
         time_s: found.contact_time_s,
         width_mm: found.width_mm,
         impedance: found.impedance,
         ..usual.touch
     };
-    Ok(MjcfOptions { damping_s: found.damping_s, armature_s2: found.armature_s2, touch, ..usual })
+    Ok(MjcfOptions {
+        damping_s: found.damping_s,
+        armature_s2: found.armature_s2,
+        touch,
+        ..usual
+    })
 }
 
 /// Whisker of a file, or the nominal one.
@@ -99,13 +108,19 @@ pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
 /// # Errors
 /// Where the file cannot be read.
 pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
-    let Some(path) = path else { return Ok(WhiskerSpec::nominal()) };
+    let Some(path) = path else {
+        return Ok(WhiskerSpec::nominal());
+    };
     let keys = read(path)?.whisker;
     let rest_shape = match (keys.rest_shape, keys.straight_mm, keys.arc_radius_mm) {
-        (Some(points), None, None) => RestShape::Polyline(points.into_iter().map(Vector3::from).collect()),
-        (None, Some(straight_mm), Some(arc_radius_mm)) => {
-            RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm: keys.length_mm }
+        (Some(points), None, None) => {
+            RestShape::Polyline(points.into_iter().map(Vector3::from).collect())
         }
+        (None, Some(straight_mm), Some(arc_radius_mm)) => RestShape::StraightArc {
+            straight_mm,
+            arc_radius_mm,
+            length_mm: keys.length_mm,
+        },
         (points, straight, radius) => {
             let keys = [
                 ("straight_mm", straight.is_some()),
@@ -116,7 +131,11 @@ pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
             bail!(
                 "{}, [whisker]: expected straight_mm and arc_radius_mm, or rest_shape, found {}",
                 path.display(),
-                if found.is_empty() { "neither".to_owned() } else { found.join(" and ") }
+                if found.is_empty() {
+                    "neither".to_owned()
+                } else {
+                    found.join(" and ")
+                }
             );
         }
     };
@@ -128,7 +147,9 @@ pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
         rest_shape,
         gravity_direction: None,
     };
-    whisker.check().with_context(|| format!("{}, [whisker]", path.display()))?;
+    whisker
+        .check()
+        .with_context(|| format!("{}, [whisker]", path.display()))?;
     Ok(whisker)
 }
 
@@ -158,12 +179,19 @@ pub fn objects_of(args: &SimulateArgs) -> anyhow::Result<(Vec<Mesh>, Vec<String>
     let mut names: Vec<&str> = all.iter().map(|m| m.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
-        bail!("expected objects of different names, found {:?} twice", twice[0]);
+        bail!(
+            "expected objects of different names, found {:?} twice",
+            twice[0]
+        );
     }
     ensure!(
         !all.is_empty(),
         "expected an object (--object NAME or --meshes PATH), found none{}",
-        if left_out.is_empty() { String::new() } else { format!(": {}", left_out.join("; ")) }
+        if left_out.is_empty() {
+            String::new()
+        } else {
+            format!(": {}", left_out.join("; "))
+        }
     );
     Ok((all, left_out))
 }
@@ -176,12 +204,22 @@ fn stl_files(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     for entry in std::fs::read_dir(path).with_context(|| format!("reading {}", path.display()))? {
         let file = entry?.path();
         // Finder and others leave "._NAME" beside NAME.
-        let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        if !hidden && file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
+        let hidden = file
+            .file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if !hidden
+            && file
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case("stl"))
+        {
             files.push(file);
         }
     }
-    ensure!(!files.is_empty(), "{}: expected STL files, found none", path.display());
+    ensure!(
+        !files.is_empty(),
+        "{}: expected STL files, found none",
+        path.display()
+    );
     files.sort();
     Ok(files)
 }

@@ -31,11 +31,18 @@ impl Order {
     /// Where nothing can be simulated.
     pub fn new(args: &SimulateArgs, plan: SweepPlan, share: [usize; 2]) -> anyhow::Result<Self> {
         plan.check()?;
-        let (whisker, options) = (whisker(args.whisker.as_deref())?, mjcf_options(args.whisker.as_deref())?);
+        let (whisker, options) = (
+            whisker(args.whisker.as_deref())?,
+            mjcf_options(args.whisker.as_deref())?,
+        );
         let (objects, left_out) = objects_of(args)?;
         let mut notes: Vec<String> = Vec::new();
         for mesh in &objects {
-            notes.extend(mesh.notes.iter().map(|note| format!("{}: {note}", mesh.name)));
+            notes.extend(
+                mesh.notes
+                    .iter()
+                    .map(|note| format!("{}: {note}", mesh.name)),
+            );
         }
         for line in left_out.iter().chain(&notes) {
             eprintln!("simulate: warning: {line}");
@@ -45,8 +52,21 @@ impl Order {
             None => Arc::new(RodSweeps),
             Some(options) => Arc::new(MujocoSweeps::new(options.clone())),
         };
-        let dataset = Dataset { engine, whisker, plan, objects, sweeps: args.sweeps, seed: args.seed, share };
-        Ok(Self { dataset, mujoco, left_out, notes })
+        let dataset = Dataset {
+            engine,
+            whisker,
+            plan,
+            objects,
+            sweeps: args.sweeps,
+            seed: args.seed,
+            share,
+        };
+        Ok(Self {
+            dataset,
+            mujoco,
+            left_out,
+            notes,
+        })
     }
 
     /// Makes what is missing in a folder; `what` names the sweeps in the progress.
@@ -60,14 +80,20 @@ impl Order {
         what: &str,
     ) -> anyhow::Result<BTreeMap<String, Total>> {
         let totals = self.dataset.make(folder, |done, all| {
-            progress.at(&format!("{done} of {all} {what}"), done as f64 / all.max(1) as f64);
+            progress.at(
+                &format!("{done} of {all} {what}"),
+                done as f64 / all.max(1) as f64,
+            );
         })?;
         let again: Vec<&String> = totals.values().flat_map(|t| &t.again).collect();
         for line in again.iter().take(MAX_REPEATS_SHOWN) {
             eprintln!("simulate: made again: {line}");
         }
         if again.len() > MAX_REPEATS_SHOWN {
-            eprintln!("simulate: made again: {} more", again.len() - MAX_REPEATS_SHOWN);
+            eprintln!(
+                "simulate: made again: {} more",
+                again.len() - MAX_REPEATS_SHOWN
+            );
         }
         Ok(totals)
     }
@@ -86,8 +112,9 @@ impl Order {
         for (name, total) in totals {
             notes.extend(total.notes.iter().map(|note| format!("{name}: {note}")));
             if let Some(died) = total.verdicts.get("engine-died") {
-                notes
-                    .push(format!("{name}: the engine died in {died} sweeps: a second run makes them again"));
+                notes.push(format!(
+                    "{name}: the engine died in {died} sweeps: a second run makes them again"
+                ));
             }
             if total.kept() == 0 {
                 notes.push(format!("{name}: none of {} sweeps is kept", total.sweeps));
@@ -106,7 +133,11 @@ impl Order {
         }
         let mujoco = self.mujoco.as_ref();
         let twin = Twin::of(&self.dataset, totals, &args.out);
-        let faults = Faults { left_out: self.left_out.clone(), notes, missing };
+        let faults = Faults {
+            left_out: self.left_out.clone(),
+            notes,
+            missing,
+        };
         let document = document(args, &self.dataset, mujoco, totals, faults, twin);
         let [share, shares] = self.dataset.share;
         let name = if shares == 1 {
@@ -114,7 +145,11 @@ impl Order {
         } else {
             format!("dataset-{}-of-{shares}.json", share + 1)
         };
-        write(&args.out, &name, serde_json::to_string_pretty(&document)?.as_bytes())?;
+        write(
+            &args.out,
+            &name,
+            serde_json::to_string_pretty(&document)?.as_bytes(),
+        )?;
         Ok(document)
     }
 }

@@ -12,8 +12,13 @@ use wcal::picture_output::write;
 /// Version of `slurm/submission.json`.
 const FORMAT: &str = "wcal-slurm/1";
 /// Options of this command that the jobs do not take over; the second tells whether a value follows.
-const OWN: [(&str, bool); 5] =
-    [("--slurm", true), ("--slurm-tasks", true), ("--dry-run", false), ("--json", false), ("--shard", true)];
+const OWN: [(&str, bool); 5] = [
+    ("--slurm", true),
+    ("--slurm-tasks", true),
+    ("--dry-run", false),
+    ("--json", false),
+    ("--shard", true),
+];
 
 /// Options of `wcal-lab simulate --slurm`.
 #[derive(Debug, Default, Args)]
@@ -56,15 +61,22 @@ pub fn submit(
     out: &Path,
     dataset: &Dataset,
 ) -> anyhow::Result<Option<Submission>> {
-    ensure!(args.slurm_tasks > 0, "--slurm-tasks: expected 1 or more, found 0");
-    let header =
-        wcal_core::files::read_text(header).with_context(|| format!("reading {}", header.display()))?;
+    ensure!(
+        args.slurm_tasks > 0,
+        "--slurm-tasks: expected 1 or more, found 0"
+    );
+    let header = wcal_core::files::read_text(header)
+        .with_context(|| format!("reading {}", header.display()))?;
     let here = std::env::current_dir().context("finding the current folder")?;
     let folder = here.join(out).join("slurm");
     let shards = dataset.shards().len();
     // More tasks than shards would do nothing.
     let tasks = args.slurm_tasks.min(shards);
-    let job = Job { here: &here, folder: &folder, header: header.trim() };
+    let job = Job {
+        here: &here,
+        folder: &folder,
+        header: header.trim(),
+    };
     let [array, check] = job.scripts(tasks)?;
     if args.dry_run {
         println!("# slurm/array.sh\n{array}\n# slurm/check.sh\n{check}");
@@ -75,38 +87,75 @@ pub fn submit(
     write(&folder, "check.sh", check.as_bytes())?;
     let array_job = sbatch(&[], &folder.join("array.sh"))?;
     // After any end: the check names what a failed task left out.
-    let check_job = sbatch(&[format!("--dependency=afterany:{array_job}")], &folder.join("check.sh"))?;
-    let submission = Submission { format: FORMAT, array_job, check_job, tasks, shards };
-    write(&folder, "submission.json", serde_json::to_string_pretty(&submission)?.as_bytes())?;
+    let check_job = sbatch(
+        &[format!("--dependency=afterany:{array_job}")],
+        &folder.join("check.sh"),
+    )?;
+    let submission = Submission {
+        format: FORMAT,
+        array_job,
+        check_job,
+        tasks,
+        shards,
+    };
+    write(
+        &folder,
+        "submission.json",
+        serde_json::to_string_pretty(&submission)?.as_bytes(),
+    )?;
     Ok(Some(submission))
 }
 
 impl Submission {
     /// For a person.
     pub fn print(&self) {
-        println!("job array {}: {} shards in {} tasks", self.array_job, self.shards, self.tasks);
-        println!("job {} checks them and writes dataset.json when all tasks have ended", self.check_job);
+        println!(
+            "job array {}: {} shards in {} tasks",
+            self.array_job, self.shards, self.tasks
+        );
+        println!(
+            "job {} checks them and writes dataset.json when all tasks have ended",
+            self.check_job
+        );
     }
 }
 
 /// Two arrays over one folder would make the same shards twice.
 fn refuse_a_second(folder: &Path) -> anyhow::Result<()> {
-    let Ok(text) = wcal_core::files::read_text(folder.join("submission.json")) else { return Ok(()) };
+    let Ok(text) = wcal_core::files::read_text(folder.join("submission.json")) else {
+        return Ok(());
+    };
     let last = wcal_core::document::json(&text)?;
-    for job in ["array_job", "check_job"].iter().filter_map(|key| last[key].as_str()) {
-        let found = Command::new("squeue").args(["--noheader", "--format=%i", "--jobs", job]).output();
+    for job in ["array_job", "check_job"]
+        .iter()
+        .filter_map(|key| last[key].as_str())
+    {
+        let found = Command::new("squeue")
+            .args(["--noheader", "--format=%i", "--jobs", job])
+            .output();
         // A job that ended some minutes ago is unknown: squeue fails, and so it may.
         let queued = found.is_ok_and(|f| f.status.success() && !f.stdout.trim_ascii().is_empty());
-        ensure!(!queued, "expected no job of an earlier submission to this folder in the queue, found {job}");
+        ensure!(
+            !queued,
+            "expected no job of an earlier submission to this folder in the queue, found {job}"
+        );
     }
     Ok(())
 }
 
 fn sbatch(options: &[String], script: &Path) -> anyhow::Result<String> {
-    let done = Command::new("sbatch").arg("--parsable").args(options).arg(script).output();
+    let done = Command::new("sbatch")
+        .arg("--parsable")
+        .args(options)
+        .arg(script)
+        .output();
     let done = done.context("expected Slurm's sbatch on the path, could not start it")?;
     if !done.status.success() {
-        bail!("sbatch {}: {}", script.display(), String::from_utf8_lossy(&done.stderr).trim());
+        bail!(
+            "sbatch {}: {}",
+            script.display(),
+            String::from_utf8_lossy(&done.stderr).trim()
+        );
     }
     // "number" or "number;cluster".
     let text = String::from_utf8_lossy(&done.stdout);
@@ -157,7 +206,12 @@ impl Job<'_> {
 
 fn utf8(path: &Path) -> anyhow::Result<&str> {
     let text = path.to_str().filter(|t| !t.contains(['"', '\n']));
-    text.with_context(|| format!("expected a path without quotes in UTF-8, found {}", path.display()))
+    text.with_context(|| {
+        format!(
+            "expected a path without quotes in UTF-8, found {}",
+            path.display()
+        )
+    })
 }
 
 /// This command's words without the ones about Slurm and shares.
@@ -168,8 +222,13 @@ fn kept(words: &[String]) -> Vec<String> {
             skip = false;
             continue;
         }
-        let (name, value) = word.split_once('=').map_or((word.as_str(), None), |(n, v)| (n, Some(v)));
-        let own = OWN.iter().find(|(n, _)| *n == name).map(|(_, follows)| *follows);
+        let (name, value) = word
+            .split_once('=')
+            .map_or((word.as_str(), None), |(n, v)| (n, Some(v)));
+        let own = OWN
+            .iter()
+            .find(|(n, _)| *n == name)
+            .map(|(_, follows)| *follows);
         match own {
             Some(follows) => skip = follows && value.is_none(),
             None => out.push(word.clone()),
@@ -190,8 +249,7 @@ mod tests {
     #[test]
     fn the_jobs_take_over_what_is_not_about_slurm() {
         let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
-        let given =
-            "simulate --object can --slurm head.sh --slurm-tasks=4 --dry-run --json --shard=1/1 --out o";
+        let given = "simulate --object can --slurm head.sh --slurm-tasks=4 --dry-run --json --shard=1/1 --out o";
         assert_eq!(kept(&words(given)), words("simulate --object can --out o"));
         assert_eq!(quoted("it's"), "'it'\\''s'");
     }

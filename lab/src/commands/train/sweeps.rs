@@ -35,17 +35,27 @@ impl Sweeps {
     /// # Errors
     /// Where a folder holds no dataset, several, or one of another whisker.
     pub fn there(args: &TrainArgs, folder: &Path, whisker: &WhiskerSpec) -> anyhow::Result<Self> {
-        let folders = || std::iter::once(folder).chain(args.additional.iter().map(PathBuf::as_path));
+        let folders =
+            || std::iter::once(folder).chain(args.additional.iter().map(PathBuf::as_path));
         for folder in folders() {
             same_whisker(folder, &format!("{whisker:?}"))?;
             check_one_dataset(folder)?;
         }
         let mut names = BTreeSet::new();
         for folder in folders() {
-            names.extend(manifests(folder)?.into_iter().map(|(_, manifest)| manifest.object));
+            names.extend(
+                manifests(folder)?
+                    .into_iter()
+                    .map(|(_, manifest)| manifest.object),
+            );
         }
         let meshes = surfaces(names, args.meshes.as_deref())?;
-        Ok(Self { folder: folder.to_owned(), additional: args.additional.clone(), meshes, cost: None })
+        Ok(Self {
+            folder: folder.to_owned(),
+            additional: args.additional.clone(),
+            meshes,
+            cost: None,
+        })
     }
 
     /// Makes the three kinds in OUT/sweeps, a folder each, or goes on with them: over the objects of `--meshes`, or over the built-in ones.
@@ -67,13 +77,26 @@ impl Sweeps {
             order.write_document(&simulate, &totals, Vec::new())?;
             made += totals.values().map(|t| t.made).sum::<u64>();
             // Shards remember what they cost, also those of an earlier run.
-            cpu_s += manifests(&simulate.out)?.iter().filter_map(|(_, m)| m.core_s).sum::<f64>();
+            cpu_s += manifests(&simulate.out)?
+                .iter()
+                .filter_map(|(_, m)| m.core_s)
+                .sum::<f64>();
             folders.push(simulate.out.clone());
         }
-        let meshes = order.dataset.objects.into_iter().map(|m| (m.name.clone(), m)).collect();
+        let meshes = order
+            .dataset
+            .objects
+            .into_iter()
+            .map(|m| (m.name.clone(), m))
+            .collect();
         let wall_s = remembered(&args.out, (made > 0).then(|| begin.elapsed().as_secs_f64()))?;
         let cost = wall_s.map(|wall_s| Seconds { wall_s, cpu_s });
-        Ok(Self { folder: folders.remove(0), additional: folders, meshes, cost })
+        Ok(Self {
+            folder: folders.remove(0),
+            additional: folders,
+            meshes,
+            cost,
+        })
     }
 }
 
@@ -83,7 +106,9 @@ fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
     let (folder, name) = (out.join("checkpoint"), "sweeps_wall_s.json");
     let earlier = wcal_core::files::read_text(folder.join(name)).ok();
     let earlier_s: Option<f64> = earlier.and_then(|text| serde_json::from_str(&text).ok());
-    let Some(more_s) = more_s else { return Ok(earlier_s) };
+    let Some(more_s) = more_s else {
+        return Ok(earlier_s);
+    };
     let wall_s = earlier_s.unwrap_or(0.0) + more_s;
     write(&folder, name, wall_s.to_string().as_bytes())?;
     Ok(Some(wall_s))
@@ -93,7 +118,11 @@ fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
 fn arguments(args: &TrainArgs) -> SimulateArgs {
     SimulateArgs {
         engine: Engine::Rod,
-        object: if args.meshes.is_none() { vec!["all".to_owned()] } else { Vec::new() },
+        object: if args.meshes.is_none() {
+            vec!["all".to_owned()]
+        } else {
+            Vec::new()
+        },
         meshes: args.meshes.iter().cloned().collect(),
         sweeps: args.sweeps_each,
         seed: args.seed,
@@ -109,19 +138,28 @@ fn arguments(args: &TrainArgs) -> SimulateArgs {
 }
 
 /// Meshes of the sweeps' objects; none where one of them is not there and no folder was named.
-fn surfaces(names: BTreeSet<String>, folder: Option<&Path>) -> anyhow::Result<BTreeMap<String, Mesh>> {
+fn surfaces(
+    names: BTreeSet<String>,
+    folder: Option<&Path>,
+) -> anyhow::Result<BTreeMap<String, Mesh>> {
     let mut meshes = BTreeMap::new();
     for name in names {
         match objects::named(&name, folder) {
             Ok(mesh) => {
-                mesh.notes.iter().for_each(|note| eprintln!("warning: object {name}: {note}"));
+                mesh.notes
+                    .iter()
+                    .for_each(|note| eprintln!("warning: object {name}: {note}"));
                 meshes.insert(name, mesh);
             }
             Err(_) if folder.is_none() => {
-                eprintln!("train: {name}: surface not known (--meshes): trained on the true contacts alone");
+                eprintln!(
+                    "train: {name}: surface not known (--meshes): trained on the true contacts alone"
+                );
                 return Ok(BTreeMap::new());
             }
-            Err(e) => return Err(e).with_context(|| format!("object {name}: mesh in --meshes DIR")),
+            Err(e) => {
+                return Err(e).with_context(|| format!("object {name}: mesh in --meshes DIR"));
+            }
         }
     }
     Ok(meshes)
@@ -137,8 +175,13 @@ fn same_whisker(sweeps: &Path, expected: &str) -> anyhow::Result<()> {
         );
         return Ok(());
     };
-    let document = wcal_core::document::json(&text).with_context(|| format!("reading {}", path.display()))?;
+    let document =
+        wcal_core::document::json(&text).with_context(|| format!("reading {}", path.display()))?;
     let found = document["whisker"].as_str().unwrap_or("none");
-    ensure!(found == expected, "{}: whisker: expected {expected}, found {found}", path.display());
+    ensure!(
+        found == expected,
+        "{}: whisker: expected {expected}, found {found}",
+        path.display()
+    );
     Ok(())
 }

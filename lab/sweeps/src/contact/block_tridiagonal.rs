@@ -35,7 +35,11 @@ impl BlockFactors {
             negative += negative_eigenvalues(&pivot);
             inverse.push(pivot.try_inverse()?);
         }
-        Some(Self { inverse, carry, negative })
+        Some(Self {
+            inverse,
+            carry,
+            negative,
+        })
     }
 
     /// Solves `A x = b` in place: forward substitution, then backward.
@@ -108,7 +112,14 @@ mod tests {
         }
         BlockFactors::new(&diagonal, &before).unwrap().solve(&mut b);
         assert!(b.iter().zip(&x).all(|(a, b)| (a - b).norm() < 1e-12));
-        let factors = |diagonal: &[Matrix3<f64>]| BlockFactors::new(diagonal, &before).unwrap().negative;
-        assert_eq!([factors(&diagonal), factors(&vec![-Matrix3::identity() * 4.0; 5])], [0, 15]);
+        let factors =
+            |diagonal: &[Matrix3<f64>]| BlockFactors::new(diagonal, &before).unwrap().negative;
+        assert_eq!(
+            [
+                factors(&diagonal),
+                factors(&vec![-Matrix3::identity() * 4.0; 5])
+            ],
+            [0, 15]
+        );
     }
 }

@@ -45,22 +45,30 @@ impl ContactRod {
     ) -> Vec<ContactCandidate> {
         let n = self.links();
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
-        let at =
-            |place: &CurvePoint, within_mm: f64| surface.closest_point(&place.point_mm(links), within_mm);
+        let at = |place: &CurvePoint, within_mm: f64| {
+            surface.closest_point(&place.point_mm(links), within_mm)
+        };
         // Middles of the links, the tip, and closely around what is known to touch.
         let around: Vec<CurvePoint> = before
             .iter()
             .filter(|c| c.force_n > 0.0 || c.plane_constraint)
-            .flat_map(|c| PROBE_OFFSETS_LINKS.iter().flat_map(|d| [c.place.at - d, c.place.at + d]))
+            .flat_map(|c| {
+                PROBE_OFFSETS_LINKS
+                    .iter()
+                    .flat_map(|d| [c.place.at - d, c.place.at + d])
+            })
             .filter(|x| (0.5..n as f64).contains(x))
             .map(|x| CurvePoint::new(x, n))
             .collect();
         let fixed = self.middles.iter().map(|place| (place, true));
-        let mut places: Vec<(&CurvePoint, bool)> =
-            fixed.chain(around.iter().map(|place| (place, false))).collect();
+        let mut places: Vec<(&CurvePoint, bool)> = fixed
+            .chain(around.iter().map(|place| (place, false)))
+            .collect();
         places.sort_by(|a, b| a.0.at.total_cmp(&b.0.at));
-        let closest: Vec<Option<ClosestPoint>> =
-            places.iter().map(|(place, _)| at(place, within_mm)).collect();
+        let closest: Vec<Option<ClosestPoint>> = places
+            .iter()
+            .map(|(place, _)| at(place, within_mm))
+            .collect();
         let slopes: Vec<Option<f64>> = places
             .iter()
             .zip(&closest)
@@ -69,8 +77,11 @@ impl ContactRod {
         // A bracket whose slope goes from falling to rising holds a minimum; a wire along a flat surface touches at the links' middles.
         let mut found: Vec<(CurvePoint, ClosestPoint, bool)> = Vec::new();
         for (k, &(place, middle)) in places.iter().enumerate() {
-            let (Some(here), Some(slope)) = (closest[k], slopes[k]) else { continue };
-            let along = middle && slope.abs() < ALONG_SINE && here.distance_mm < 1.5 * self.radius_mm;
+            let (Some(here), Some(slope)) = (closest[k], slopes[k]) else {
+                continue;
+            };
+            let along =
+                middle && slope.abs() < ALONG_SINE && here.distance_mm < 1.5 * self.radius_mm;
             if along || (k + 1 == places.len() && slope <= 0.0) {
                 found.push((*place, here, false));
             }
@@ -80,7 +91,8 @@ impl ContactRod {
                 && !(middle && places[k + 1].1 && (beyond - slope) * self.link_mm < 8.0 * FLAT_MM)
             {
                 let bracket = [place.at, places[k + 1].0.at];
-                let lowest = self.local_minimum(links, bracket, [slope, *beyond], |s| at(s, 2.0 * within_mm));
+                let lowest = self
+                    .local_minimum(links, bracket, [slope, *beyond], |s| at(s, 2.0 * within_mm));
                 found.extend(lowest.map(|(place, closest)| (place, closest, true)));
             }
         }
@@ -98,7 +110,11 @@ impl ContactRod {
         let mut best = None;
         for k in 0..MAX_EVALUATIONS {
             // The normal turns within hundredths of a millimetre at an edge: every third evaluation halves the bracket.
-            let x = if k % 3 == 2 { (a + b) / 2.0 } else { (fb * a - fa * b) / (fb - fa) };
+            let x = if k % 3 == 2 {
+                (a + b) / 2.0
+            } else {
+                (fb * a - fa * b) / (fb - fa)
+            };
             let place = CurvePoint::new(x, self.links());
             let closest = at(&place)?;
             let slope = closest.normal.dot(&place.tangent(links));

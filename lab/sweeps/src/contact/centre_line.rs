@@ -40,13 +40,22 @@ pub(crate) struct CurvePoint {
 
 /// The spline's coefficients from the one before cell `cell` on, three of them, as shares of the links' directions.
 fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 3]) -> Shares {
-    let mut found = Shares { clamp: 0.0, links: [0.0; WINDOW] };
+    let mut found = Shares {
+        clamp: 0.0,
+        links: [0.0; WINDOW],
+    };
     if first > 0 && cell + 2 < links {
         // Far from both ends, where most places are: the general rule below, written out.
         let [a, b] = [0, 1].map(|k| before.get(k).copied().unwrap_or(0.0));
         let [c, d, e] = local;
         let eighths = |own: f64, neighbours: f64| 1.25 * own - neighbours / 8.0;
-        let near = [eighths(b, a + c), eighths(c, b + d), eighths(d, c + e), eighths(e, d), -e / 8.0];
+        let near = [
+            eighths(b, a + c),
+            eighths(c, b + d),
+            eighths(d, c + e),
+            eighths(e, d),
+            -e / 8.0,
+        ];
         found.links[..5].copy_from_slice(&near);
         return found;
     }
@@ -101,7 +110,11 @@ fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 
 
 /// The links' middles, and the tip.
 pub(crate) fn middles(links: usize) -> Vec<CurvePoint> {
-    (0..links).map(|j| j as f64 + 0.5).chain([links as f64]).map(|at| CurvePoint::new(at, links)).collect()
+    (0..links)
+        .map(|j| j as f64 + 0.5)
+        .chain([links as f64])
+        .map(|at| CurvePoint::new(at, links))
+        .collect()
 }
 
 impl CurvePoint {
@@ -113,8 +126,11 @@ impl CurvePoint {
         let first = if cell < 6 { 0 } else { cell - 2 };
         let count = (cell + 3).min(links) - first;
         let left = 1.0 - v;
-        let mut local =
-            [(1.0 - left.powi(3)) / 6.0, v / 2.0 + v * v / 2.0 - v.powi(3) / 3.0, v.powi(3) / 6.0];
+        let mut local = [
+            (1.0 - left.powi(3)) / 6.0,
+            v / 2.0 + v * v / 2.0 - v.powi(3) / 3.0,
+            v.powi(3) / 6.0,
+        ];
         let mut whole = [1.0; WINDOW + 2];
         let low = first.saturating_sub(1);
         // Whole cells before this one: a sixth of the coefficient before each, four of its own, one of the next.
@@ -134,8 +150,21 @@ impl CurvePoint {
         }
         let mut place = shares(cell, first, links, before, local);
         place.clamp += if first == 0 { clamp } else { CLAMP };
-        let tangent = shares(cell, first, links, &[], [left * left / 2.0, 0.5 + v - v * v, v * v / 2.0]);
-        Self { at, first, count, place, tangent, links }
+        let tangent = shares(
+            cell,
+            first,
+            links,
+            &[],
+            [left * left / 2.0, 0.5 + v - v * v, v * v / 2.0],
+        );
+        Self {
+            at,
+            first,
+            count,
+            place,
+            tangent,
+            links,
+        }
     }
 
     /// Links that move it, with their shares.
@@ -158,12 +187,18 @@ impl CurvePoint {
     }
 
     fn near<'a>(&'a self, shares: &'a Shares) -> impl Iterator<Item = (usize, f64)> + 'a {
-        shares.links[..self.count].iter().enumerate().map(|(k, share)| (self.first + k, *share))
+        shares.links[..self.count]
+            .iter()
+            .enumerate()
+            .map(|(k, share)| (self.first + k, *share))
     }
 
     /// Sum of directions with their shares.
     fn sum(&self, links: &Configuration, shares: &Shares) -> Vector3<f64> {
-        let near: Vector3<f64> = self.near(shares).map(|(j, share)| links.frames[j].column(0) * share).sum();
+        let near: Vector3<f64> = self
+            .near(shares)
+            .map(|(j, share)| links.frames[j].column(0) * share)
+            .sum();
         near + links.clamp.column(0) * shares.clamp
     }
 
@@ -186,7 +221,13 @@ impl CurvePoint {
     pub(crate) fn bend_per_mm(&self, links: &Configuration) -> Vector3<f64> {
         let cell = (self.at as usize).min(self.links - 1);
         let v = self.at - cell as f64;
-        let bend = shares(cell, self.first, self.links, &[], [v - 1.0, 1.0 - 2.0 * v, v]);
+        let bend = shares(
+            cell,
+            self.first,
+            self.links,
+            &[],
+            [v - 1.0, 1.0 - 2.0 * v, v],
+        );
         self.sum(links, &bend) / links.link_mm
     }
 }
@@ -199,9 +240,16 @@ mod tests {
     use wcal_rod::{Section, Shape};
 
     fn rod(links: usize, straight_mm: f64) -> (ContactRod, Shape) {
-        let rest = RestShape::StraightArc { straight_mm, arc_radius_mm: 20.0, length_mm: 60.0 };
+        let rest = RestShape::StraightArc {
+            straight_mm,
+            arc_radius_mm: 20.0,
+            length_mm: 60.0,
+        };
         let shape = Shape::new(&rest, 0.05).unwrap();
-        (ContactRod::new(&Section::round(0.3, 75.0, 28.2), &shape, 0.3, links).unwrap(), shape)
+        (
+            ContactRod::new(&Section::round(0.3, 75.0, 28.2), &shape, 0.3, links).unwrap(),
+            shape,
+        )
     }
 
     /// Farthest that the curve of the wire at rest is from the wire, mm.
@@ -219,7 +267,10 @@ mod tests {
     fn the_curve_of_an_arc_is_of_third_order() {
         let [coarse, middle, fine] = [10, 20, 40].map(|links| off_mm(links, 0.0));
         let order = [coarse / middle, middle / fine].map(f64::log2);
-        assert!(order.iter().all(|o| *o > 2.7) && fine < 2e-3, "{coarse} {middle} {fine}");
+        assert!(
+            order.iter().all(|o| *o > 2.7) && fine < 2e-3,
+            "{coarse} {middle} {fine}"
+        );
         // Links laid end to end leave the arc by more than four times that.
         let (rod, shape) = rod(40, 0.0);
         let rest = rod.at_rest();
@@ -227,7 +278,11 @@ mod tests {
         let plain = (middle - shape.rest_point(20.5 * rod.link_mm)).norm();
         assert!(plain > 4.0 * fine, "{plain} {fine}");
         // Where the bend begins at once, second order remains near there; links end to end are farther off.
-        assert!(off_mm(40, 30.0) < 0.75 * plain, "{} {fine} {plain}", off_mm(40, 30.0));
+        assert!(
+            off_mm(40, 30.0) < 0.75 * plain,
+            "{} {fine} {plain}",
+            off_mm(40, 30.0)
+        );
     }
 
     #[test]
@@ -246,10 +301,14 @@ mod tests {
             let bend = (tangent(at + step) - tangent(at - step)) / (2.0 * step * rod.link_mm);
             assert!((bend - spot(at).bend_per_mm(&rest)).norm() < 1e-5, "{at}");
             let sum = spot(at).places().map(|p| p.1).sum::<f64>() + spot(at).clamp_share();
-            assert!((sum - at).abs() < 1e-12, "a straight wire is as long as it is: {at} {sum}");
+            assert!(
+                (sum - at).abs() < 1e-12,
+                "a straight wire is as long as it is: {at} {sum}"
+            );
         }
         // Negative control: half a link on, the tangent is another.
-        let turned = CurvePoint::new(8.0, links).tangent(&rest) - CurvePoint::new(8.5, links).tangent(&rest);
+        let turned =
+            CurvePoint::new(8.0, links).tangent(&rest) - CurvePoint::new(8.5, links).tangent(&rest);
         assert!(turned.norm() > 1e-2);
     }
 }

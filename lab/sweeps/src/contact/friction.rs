@@ -60,7 +60,8 @@ impl FrictionContact {
     /// Force on the wire, N.
     fn force_n(&self, links: &Configuration) -> Vector3<f64> {
         let (slip, share, _) = self.slip(links);
-        slip.try_normalize(1e-300).map_or_else(Vector3::zeros, |along| -along * (self.limit_n * share))
+        slip.try_normalize(1e-300)
+            .map_or_else(Vector3::zeros, |along| -along * (self.limit_n * share))
     }
 
     fn moment_nmm(&self, links: &Configuration) -> Vector3<f64> {
@@ -73,14 +74,26 @@ impl FrictionContact {
         let (size, stick) = (slip.norm(), self.stick_mm);
         let y = size / stick;
         // Integral of s(y) over the slip.
-        all.energy_nmm +=
-            self.limit_n * if y >= 1.0 { size - stick / 3.0 } else { stick * y * y * (1.0 - y / 3.0) };
+        all.energy_nmm += self.limit_n
+            * if y >= 1.0 {
+                size - stick / 3.0
+            } else {
+                stick * y * y * (1.0 - y / 3.0)
+            };
         let along = slip.try_normalize(1e-12).unwrap_or_else(|| {
-            let x = if self.normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+            let x = if self.normal.x.abs() < 0.9 {
+                Vector3::x()
+            } else {
+                Vector3::y()
+            };
             self.normal.cross(&x).normalize()
         });
         let force = -along * (self.limit_n * share);
-        for (g, row) in all.gradient.iter_mut().zip(rod.displacement_row(links, &self.place, &-force)) {
+        for (g, row) in
+            all.gradient
+                .iter_mut()
+                .zip(rod.displacement_row(links, &self.place, &-force))
+        {
             *g += row;
         }
         for (j, part) in self.place.places() {
@@ -90,19 +103,32 @@ impl FrictionContact {
         // Stiffness along the slip is s'(y) / eps, across it s(y) / |u|.
         let across = if y > 1e-9 { share / size } else { 2.0 / stick };
         for (axis, weight) in [(along, slope), (self.normal.cross(&along), across)] {
-            all.dyads.push((rod.displacement_row(links, &self.place, &axis), self.limit_n * weight));
+            all.dyads.push((
+                rod.displacement_row(links, &self.place, &axis),
+                self.limit_n * weight,
+            ));
         }
     }
 }
 
 impl ContactRod {
-    pub(super) fn frictional_balance(&self, links: &Configuration, friction: &[FrictionContact]) -> Balance {
+    pub(super) fn frictional_balance(
+        &self,
+        links: &Configuration,
+        friction: &[FrictionContact],
+    ) -> Balance {
         let mut all = self.balance(links);
-        friction.iter().for_each(|contact| contact.add(self, links, &mut all));
+        friction
+            .iter()
+            .for_each(|contact| contact.add(self, links, &mut all));
         all
     }
 
-    fn frictional_contacts(&self, contacts: &[Contact], how: &FrictionStep<'_>) -> Vec<FrictionContact> {
+    fn frictional_contacts(
+        &self,
+        contacts: &[Contact],
+        how: &FrictionStep<'_>,
+    ) -> Vec<FrictionContact> {
         let of = |c: &Contact| {
             let place = CurvePoint::new(c.arclength_mm / self.link_mm, self.links());
             FrictionContact {
@@ -113,7 +139,11 @@ impl ContactRod {
                 stick_mm: STICK_SHARE * how.moved_mm.norm().max(1e-9),
             }
         };
-        contacts.iter().filter(|c| c.force_n > 0.0).map(of).collect()
+        contacts
+            .iter()
+            .filter(|c| c.force_n > 0.0)
+            .map(of)
+            .collect()
     }
 
     /// Equilibrium against `surface`, which moved by `how.moved_mm` since the wire was at `how.before` with the contacts `known`, and
@@ -127,14 +157,22 @@ impl ContactRod {
         max_iterations: usize,
     ) -> ContactState {
         let mut friction = self.frictional_contacts(known, how);
-        let (mut start, mut contacts, mut moved) = (how.before.clone(), known.to_vec(), how.moved_mm);
+        let (mut start, mut contacts, mut moved) =
+            (how.before.clone(), known.to_vec(), how.moved_mm);
         let mut iterations = 0;
         let mut round = 0;
         loop {
             let mut state = if penalty {
                 self.solve_penalty_with(surface, &start, max_iterations, &friction)
             } else {
-                self.solve_contact_with(surface, &start, &contacts, &moved, max_iterations, &friction)
+                self.solve_contact_with(
+                    surface,
+                    &start,
+                    &contacts,
+                    &moved,
+                    max_iterations,
+                    &friction,
+                )
             };
             iterations += state.iterations;
             round += 1;
@@ -152,9 +190,12 @@ impl ContactRod {
                 return state;
             }
             if round >= RELAXED && friction.len() == next.len() {
-                next.iter_mut().zip(&friction).for_each(|(n, r)| n.limit_n = (n.limit_n + r.limit_n) / 2.0);
+                next.iter_mut()
+                    .zip(&friction)
+                    .for_each(|(n, r)| n.limit_n = (n.limit_n + r.limit_n) / 2.0);
             }
-            (friction, start, contacts, moved) = (next, state.links, state.contacts, Vector3::zeros());
+            (friction, start, contacts, moved) =
+                (next, state.links, state.contacts, Vector3::zeros());
         }
     }
 }

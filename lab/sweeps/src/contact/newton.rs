@@ -52,7 +52,8 @@ impl Stiffness {
         dyads: Vec<(Turns, f64)>,
     ) -> Option<Self> {
         let factors = BlockFactors::new(diagonal, before)?;
-        let (dyads, weights): (Vec<Turns>, Vec<f64>) = dyads.into_iter().filter(|d| d.1 != 0.0).unzip();
+        let (dyads, weights): (Vec<Turns>, Vec<f64>) =
+            dyads.into_iter().filter(|d| d.1 != 0.0).unzip();
         let solved: Vec<Turns> = dyads
             .iter()
             .map(|d| {
@@ -62,24 +63,39 @@ impl Stiffness {
             })
             .collect();
         if dyads.is_empty() {
-            return (factors.negative == 0).then_some(Self { factors, dyads, solved, small: None });
+            return (factors.negative == 0).then_some(Self {
+                factors,
+                dyads,
+                solved,
+                small: None,
+            });
         }
         let small = DMatrix::from_fn(dyads.len(), dyads.len(), |i, j| {
             dot(&dyads[i], &solved[j]) + if i == j { 1.0 / weights[i] } else { 0.0 }
         });
         let symmetric = (&small + small.transpose()) * 0.5;
-        let negative = symmetric.symmetric_eigenvalues().iter().filter(|v| **v < 0.0).count();
+        let negative = symmetric
+            .symmetric_eigenvalues()
+            .iter()
+            .filter(|v| **v < 0.0)
+            .count();
         if factors.negative + negative != weights.iter().filter(|w| **w < 0.0).count() {
             return None;
         }
-        Some(Self { factors, dyads, solved, small: Some(small.lu()) })
+        Some(Self {
+            factors,
+            dyads,
+            solved,
+            small: Some(small.lu()),
+        })
     }
 
     pub(super) fn solve(&self, mut x: Turns) -> Option<Turns> {
         self.factors.solve(&mut x);
         if let Some(small) = &self.small {
             // Woodbury's identity.
-            let right = DVector::from_iterator(self.dyads.len(), self.dyads.iter().map(|d| dot(d, &x)));
+            let right =
+                DVector::from_iterator(self.dyads.len(), self.dyads.iter().map(|d| dot(d, &x)));
             let shares = small.solve(&right)?;
             for (z, share) in self.solved.iter().zip(shares.iter()) {
                 x.iter_mut().zip(z).for_each(|(x, z)| *x -= z * *share);
@@ -116,7 +132,8 @@ impl ContactCandidate {
         if self.slides {
             let tangent = self.place.tangent(links);
             let turn_per_mm = second * tangent;
-            let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.place.bend_per_mm(links));
+            let opens_per_mm =
+                turn_per_mm.dot(&tangent) + normal.dot(&self.place.bend_per_mm(links));
             if opens_per_mm > MIN_OPENING_PER_MM {
                 let mut both = rod.displacement_row(links, &self.place, &turn_per_mm);
                 for (j, share) in self.place.tangents() {
@@ -155,7 +172,9 @@ impl ContactRod {
     ) -> f64 {
         let mut rest = gradient.to_vec();
         for c in candidates.iter().filter(|c| c.force_n > 0.0) {
-            rest.iter_mut().zip(c.row(self, links)).for_each(|(r, row)| *r -= row * c.force_n);
+            rest.iter_mut()
+                .zip(c.row(self, links))
+                .for_each(|(r, row)| *r -= row * c.force_n);
         }
         let (mut beyond, mut largest) = (Vector3::zeros(), 0.0_f64);
         for moment in rest.iter().rev() {
@@ -178,8 +197,15 @@ impl ContactRod {
         let mut dyads = balance.dyads.clone();
         // Loaded contacts: augmentation on the gap, geometric stiffness of their forces, and of the surface's curvature.
         let rows: Vec<Turns> = candidates.iter().map(|c| c.row(self, links)).collect();
-        for (c, row) in candidates.iter().zip(&rows).filter(|(c, _)| c.force_n > 0.0) {
-            gradient.iter_mut().zip(row).for_each(|(g, r)| *g += r * (AUGMENTATION_N_PER_MM * c.gap_mm));
+        for (c, row) in candidates
+            .iter()
+            .zip(&rows)
+            .filter(|(c, _)| c.force_n > 0.0)
+        {
+            gradient
+                .iter_mut()
+                .zip(row)
+                .for_each(|(g, r)| *g += r * (AUGMENTATION_N_PER_MM * c.gap_mm));
             dyads.push((row.clone(), AUGMENTATION_N_PER_MM));
             let force = c.closest.normal * c.force_n;
             for (j, share) in c.place.places() {
@@ -196,31 +222,45 @@ impl ContactRod {
         // The unconstrained step and the gaps that it would leave.
         let free = stiffness.solve(gradient)?;
         let free: Turns = free.iter().map(|v| -v).collect();
-        let ahead: Vec<f64> =
-            candidates.iter().zip(&rows).map(|(c, row)| c.gap_mm + dot(row, &free)).collect();
+        let ahead: Vec<f64> = candidates
+            .iter()
+            .zip(&rows)
+            .map(|(c, row)| c.gap_mm + dot(row, &free))
+            .collect();
         // Places that the free wire would keep clear of take part only where the others push it onto them.
-        let mut taken: Vec<usize> =
-            (0..candidates.len()).filter(|&k| candidates[k].force_n > 0.0 || ahead[k] < 0.0).collect();
+        let mut taken: Vec<usize> = (0..candidates.len())
+            .filter(|&k| candidates[k].force_n > 0.0 || ahead[k] < 0.0)
+            .collect();
         let mut responses: Vec<Turns> = Vec::new();
         loop {
             for &k in &taken[responses.len()..] {
                 responses.push(stiffness.solve(rows[k].clone())?);
             }
-            let matrix: Vec<Vec<f64>> =
-                taken.iter().map(|&k| responses.iter().map(|z| dot(&rows[k], z)).collect()).collect();
+            let matrix: Vec<Vec<f64>> = taken
+                .iter()
+                .map(|&k| responses.iter().map(|z| dot(&rows[k], z)).collect())
+                .collect();
             let gaps: Vec<f64> = taken.iter().map(|&k| ahead[k]).collect();
-            let forces =
-                solve_complementarity(&matrix, &gaps, taken.iter().map(|&k| candidates[k].force_n).collect());
+            let forces = solve_complementarity(
+                &matrix,
+                &gaps,
+                taken.iter().map(|&k| candidates[k].force_n).collect(),
+            );
             let mut turns = free.clone();
             for (z, force) in responses.iter().zip(&forces).filter(|(_, f)| **f > 0.0) {
                 turns.iter_mut().zip(z).for_each(|(b, z)| *b += z * *force);
             }
             let violated: Vec<usize> = (0..candidates.len())
-                .filter(|k| !taken.contains(k) && candidates[*k].gap_mm + dot(&rows[*k], &turns) < 0.0)
+                .filter(|k| {
+                    !taken.contains(k) && candidates[*k].gap_mm + dot(&rows[*k], &turns) < 0.0
+                })
                 .collect();
             if violated.is_empty() {
                 let mut forces_n = vec![0.0; candidates.len()];
-                taken.iter().zip(&forces).for_each(|(&k, f)| forces_n[k] = *f);
+                taken
+                    .iter()
+                    .zip(&forces)
+                    .for_each(|(&k, f)| forces_n[k] = *f);
                 let finite = turns.iter().all(|t| t.iter().all(|x| x.is_finite()));
                 return finite.then_some(Step { turns, forces_n });
             }
@@ -234,8 +274,13 @@ fn solve_complementarity(matrix: &[Vec<f64>], gaps: &[f64], mut forces: Vec<f64>
     for _ in 0..DUAL_SWEEPS {
         let mut change = 0.0_f64;
         for (k, row) in matrix.iter().enumerate() {
-            let rest: f64 = row.iter().zip(&forces).map(|(m, f)| m * f).sum::<f64>() - row[k] * forces[k];
-            let force = if row[k] > 0.0 { (-(gaps[k] + rest) / row[k]).max(0.0) } else { 0.0 };
+            let rest: f64 =
+                row.iter().zip(&forces).map(|(m, f)| m * f).sum::<f64>() - row[k] * forces[k];
+            let force = if row[k] > 0.0 {
+                (-(gaps[k] + rest) / row[k]).max(0.0)
+            } else {
+                0.0
+            };
             change = change.max((force - forces[k]).abs());
             forces[k] = force;
         }

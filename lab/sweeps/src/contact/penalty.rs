@@ -80,7 +80,11 @@ impl ContactRod {
             let turns: Turns = turns.iter().map(|t| t * scale).collect();
             let next = self.evaluate_penalty(surface, self.rotated(&state.links, &turns), friction);
             if next.energy_nmm <= state.energy_nmm + 1e-13 * (1.0 + state.energy_nmm.abs()) {
-                damping = if damping <= MIN_DAMPING { 0.0 } else { damping / 4.0 };
+                damping = if damping <= MIN_DAMPING {
+                    0.0
+                } else {
+                    damping / 4.0
+                };
                 state = next;
             } else if damping > MAX_DAMPING {
                 let balanced = imbalance < BALANCE_NMM;
@@ -112,7 +116,8 @@ impl ContactRod {
             }
             for k in 0..PLACES {
                 let place = CurvePoint::new(j as f64 + (k as f64 + 0.5) / PLACES as f64, n);
-                let Some(closest) = surface.closest_point(&place.point_mm(&links), self.radius_mm) else {
+                let Some(closest) = surface.closest_point(&place.point_mm(&links), self.radius_mm)
+                else {
                     continue;
                 };
                 let overlap_mm = self.radius_mm - closest.distance_mm;
@@ -129,9 +134,16 @@ impl ContactRod {
                 });
             }
         }
-        let stored: f64 = overlaps.iter().map(|t| 0.5 * t.force_n * t.overlap_mm).sum();
+        let stored: f64 = overlaps
+            .iter()
+            .map(|t| 0.5 * t.force_n * t.overlap_mm)
+            .sum();
         let energy_nmm = self.frictional_balance(&links, friction).energy_nmm + stored;
-        State { links, overlaps, energy_nmm }
+        State {
+            links,
+            overlaps,
+            energy_nmm,
+        }
     }
 
     /// Gradient, and Newton's step; no step where the stiffness is not positive definite at this damping.
@@ -147,7 +159,10 @@ impl ContactRod {
         // A place that overlaps: its force, the force's geometric stiffness, the penalty's own, and the surface's curvature.
         for t in &state.overlaps {
             let row = self.displacement_row(&state.links, &t.place, &t.normal);
-            gradient.iter_mut().zip(&row).for_each(|(g, r)| *g -= r * t.force_n);
+            gradient
+                .iter_mut()
+                .zip(&row)
+                .for_each(|(g, r)| *g -= r * t.force_n);
             for (j, share) in t.place.places() {
                 let arm: Vector3<f64> = state.links.frames[j].column(0) * (share * self.link_mm);
                 diagonal[j] += load_stiffness(&arm, &(t.normal * t.force_n));
@@ -184,7 +199,9 @@ impl ContactRod {
         for t in &state.overlaps {
             match groups.last_mut() {
                 Some(group)
-                    if group.last().is_some_and(|g| t.place.at - g.place.at < 2.5 / PLACES as f64) =>
+                    if group
+                        .last()
+                        .is_some_and(|g| t.place.at - g.place.at < 2.5 / PLACES as f64) =>
                 {
                     group.push(t);
                 }
@@ -193,13 +210,19 @@ impl ContactRod {
         }
         for group in groups {
             let force: Vector3<f64> = group.iter().map(|t| t.normal * t.force_n).sum();
-            let Some(deepest) = group.iter().max_by(|a, b| a.force_n.total_cmp(&b.force_n)) else { continue };
+            let Some(deepest) = group.iter().max_by(|a, b| a.force_n.total_cmp(&b.force_n)) else {
+                continue;
+            };
             // Where the force acts: the mean of the places by what they carry.
             let carried: f64 = group.iter().map(|t| t.force_n).sum();
             let share = |t: &Overlap| t.force_n / carried.max(1e-300);
             contacts.push(Contact {
-                arclength_mm: group.iter().map(|t| t.place.at * share(t)).sum::<f64>() * self.link_mm,
-                centre_mm: group.iter().map(|t| t.place.point_mm(&state.links) * share(t)).sum(),
+                arclength_mm: group.iter().map(|t| t.place.at * share(t)).sum::<f64>()
+                    * self.link_mm,
+                centre_mm: group
+                    .iter()
+                    .map(|t| t.place.point_mm(&state.links) * share(t))
+                    .sum(),
                 point_mm: deepest.point_mm,
                 normal: force.try_normalize(1e-300).unwrap_or(deepest.normal),
                 force_n: force.norm(),
@@ -207,8 +230,18 @@ impl ContactRod {
                 gap_mm: -deepest.overlap_mm,
             });
         }
-        let overlap_mm = state.overlaps.iter().map(|t| t.overlap_mm).fold(0.0, f64::max);
-        ContactState { links: state.links, contacts, converged, iterations, overlap_mm }
+        let overlap_mm = state
+            .overlaps
+            .iter()
+            .map(|t| t.overlap_mm)
+            .fold(0.0, f64::max);
+        ContactState {
+            links: state.links,
+            contacts,
+            converged,
+            iterations,
+            overlap_mm,
+        }
     }
 }
 

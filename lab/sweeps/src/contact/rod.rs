@@ -61,11 +61,26 @@ impl ContactRod {
     ///
     /// # Errors
     /// As [`DiscreteRod::new`].
-    pub fn new(section: &Section, shape: &Shape, diameter_mm: f64, links: usize) -> Result<Self, RodError> {
+    pub fn new(
+        section: &Section,
+        shape: &Shape,
+        diameter_mm: f64,
+        links: usize,
+    ) -> Result<Self, RodError> {
         let laws = DiscreteRod::new(section, shape, diameter_mm, links)?;
         // A joint stands for the wire between the middles of its two links; the first from the clamp to the middle of link 0.
-        let span = |j: usize| if j == 0 { laws.link_mm / 2.0 } else { laws.link_mm };
-        let joint = |(j, &(rest, stiffness))| Joint { rest, stiffness, span_mm: span(j) };
+        let span = |j: usize| {
+            if j == 0 {
+                laws.link_mm / 2.0
+            } else {
+                laws.link_mm
+            }
+        };
+        let joint = |(j, &(rest, stiffness))| Joint {
+            rest,
+            stiffness,
+            span_mm: span(j),
+        };
         Ok(Self {
             link_mm: laws.link_mm,
             radius_mm: laws.radius_mm,
@@ -96,7 +111,10 @@ impl ContactRod {
         self.from_frames(frames)
     }
 
-    #[allow(clippy::wrong_self_convention, reason = "a configuration of this rod from frames")]
+    #[allow(
+        clippy::wrong_self_convention,
+        reason = "a configuration of this rod from frames"
+    )]
     fn from_frames(&self, frames: Vec<Matrix3<f64>>) -> Configuration {
         let mut node = Vector3::zeros();
         let mut nodes_mm = vec![node];
@@ -104,7 +122,12 @@ impl ContactRod {
             node += frame.column(0) * self.link_mm;
             nodes_mm.push(node);
         }
-        Configuration { frames, nodes_mm, clamp: self.clamp, link_mm: self.link_mm }
+        Configuration {
+            frames,
+            nodes_mm,
+            clamp: self.clamp,
+            link_mm: self.link_mm,
+        }
     }
 
     /// The links turned by spatial rotation vectors (rad).
@@ -130,7 +153,11 @@ impl ContactRod {
     }
 
     fn relative(&self, links: &Configuration, j: usize) -> Vector3<f64> {
-        let frame = if j == 0 { &self.clamp } else { &links.frames[j - 1] };
+        let frame = if j == 0 {
+            &self.clamp
+        } else {
+            &links.frames[j - 1]
+        };
         let relative = frame.transpose() * links.frames[j];
         rotation_vector(&relative)
     }
@@ -138,7 +165,8 @@ impl ContactRod {
     /// Spatial moment, stiffness block and energy of a joint.
     fn joint(&self, links: &Configuration, j: usize) -> (Vector3<f64>, Matrix3<f64>, f64) {
         let w = self.relative(links, j);
-        let (stress, tangent, energy) = self.joints[j].response(&(w - self.joints[j].rest), self.softening);
+        let (stress, tangent, energy) =
+            self.joints[j].response(&(w - self.joints[j].rest), self.softening);
         // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame of link j.
         let b = inverse_right_jacobian(&w) * links.frames[j].transpose();
         let bt = b.transpose();
@@ -174,7 +202,13 @@ impl ContactRod {
     /// Dead loads along the wire: what lies beyond a link pulls at its end, its own half at its middle.
     fn add_loads(&self, links: &Configuration, all: &mut Balance) {
         let mut beyond_n = Vector3::zeros();
-        for (j, load) in self.loads_n_per_mm.iter().enumerate().take(self.links()).rev() {
+        for (j, load) in self
+            .loads_n_per_mm
+            .iter()
+            .enumerate()
+            .take(self.links())
+            .rev()
+        {
             let own_n = load * self.link_mm;
             let force = beyond_n + own_n * 0.5;
             beyond_n += own_n;
@@ -194,8 +228,14 @@ impl Joint {
         softening: Option<Softening>,
     ) -> (Vector3<f64>, Matrix3<f64>, f64) {
         let linear = self.stiffness.component_mul(off);
-        let plain = (linear, Matrix3::from_diagonal(&self.stiffness), 0.5 * linear.dot(off));
-        let Some(softening) = softening else { return plain };
+        let plain = (
+            linear,
+            Matrix3::from_diagonal(&self.stiffness),
+            0.5 * linear.dot(off),
+        );
+        let Some(softening) = softening else {
+            return plain;
+        };
         // Bending past the onset, isotropic in the section's plane; torsion stays linear.
         let onset_rad = softening.onset_per_mm() * self.span_mm;
         let bend = Vector3::new(0.0, off.y, off.z);
@@ -208,11 +248,16 @@ impl Joint {
         let [twist, k] = [self.stiffness.x, self.stiffness.y];
         // Secant stiffness across the bend, tangent stiffness along it.
         let bent = Matrix3::from_diagonal(&Vector3::new(0.0, k * gain, k * gain));
-        let energy = 0.5 * twist * off.x * off.x + k * onset_rad * onset_rad * softening.relative_energy(x);
+        let energy =
+            0.5 * twist * off.x * off.x + k * onset_rad * onset_rad * softening.relative_energy(x);
         let tangent = bent
             + along * along.transpose() * (k * (slope - gain))
             + Matrix3::from_diagonal(&Vector3::new(twist, 0.0, 0.0));
-        (Vector3::new(twist * off.x, k * gain * off.y, k * gain * off.z), tangent, energy)
+        (
+            Vector3::new(twist * off.x, k * gain * off.y, k * gain * off.z),
+            tangent,
+            energy,
+        )
     }
 }
 
@@ -224,10 +269,19 @@ pub(crate) fn load_stiffness(arm: &Vector3<f64>, force: &Vector3<f64>) -> Matrix
 
 /// Logarithm of a rotation below half a turn; exact near none, where the arc cosine is not.
 fn rotation_vector(r: &Matrix3<f64>) -> Vector3<f64> {
-    let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    let twice_sine = Vector3::new(
+        r[(2, 1)] - r[(1, 2)],
+        r[(0, 2)] - r[(2, 0)],
+        r[(1, 0)] - r[(0, 1)],
+    );
     let sine = twice_sine.norm() / 2.0;
     let angle = sine.atan2((r.trace() - 1.0) / 2.0);
-    twice_sine * if sine > 1e-12 { angle / (2.0 * sine) } else { 0.5 }
+    twice_sine
+        * if sine > 1e-12 {
+            angle / (2.0 * sine)
+        } else {
+            0.5
+        }
 }
 
 /// J_r^-1(w) = 1 + [w]/2 + k [w]^2, k = 1/w^2 - (1 + cos w) / (2 w sin w).
@@ -258,22 +312,36 @@ mod tests {
     use wcal_rod::{Section, Shape, Softening};
 
     fn rod() -> ContactRod {
-        let rest = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
-        let mut rod =
-            ContactRod::new(&Section::round(0.3, 75.0, 28.2), &Shape::new(&rest, 0.5).unwrap(), 0.3, 12)
-                .unwrap();
-        rod.loads_n_per_mm =
-            (0..12).map(|k| Vector3::new(1e-3, -2e-3, 3e-3) * (1.0 + k as f64 / 6.0)).collect();
+        let rest = RestShape::StraightArc {
+            straight_mm: 30.0,
+            arc_radius_mm: 20.0,
+            length_mm: 60.0,
+        };
+        let mut rod = ContactRod::new(
+            &Section::round(0.3, 75.0, 28.2),
+            &Shape::new(&rest, 0.5).unwrap(),
+            0.3,
+            12,
+        )
+        .unwrap();
+        rod.loads_n_per_mm = (0..12)
+            .map(|k| Vector3::new(1e-3, -2e-3, 3e-3) * (1.0 + k as f64 / 6.0))
+            .collect();
         rod
     }
 
     fn softened(softening: Softening) -> ContactRod {
-        ContactRod { softening: Some(softening), ..rod() }
+        ContactRod {
+            softening: Some(softening),
+            ..rod()
+        }
     }
 
     fn turns(size: f64, seed: usize) -> Vec<Vector3<f64>> {
         let wave = |k: usize| ((k * 37 + seed * 11) as f64).sin() * size;
-        (0..12).map(|j| Vector3::new(wave(3 * j), wave(3 * j + 1), wave(3 * j + 2))).collect()
+        (0..12)
+            .map(|j| Vector3::new(wave(3 * j), wave(3 * j + 1), wave(3 * j + 2)))
+            .collect()
     }
 
     /// Gradient and Hessian against differences of the energy, at a bent place.
@@ -281,8 +349,14 @@ mod tests {
     fn gradient_and_stiffness_are_the_energys() {
         agrees(&rod());
         // Most joints of the bent place are past this onset.
-        agrees(&softened(Softening::Section { onset_per_m: 8.0, hardening: 0.1 }));
-        agrees(&softened(Softening::Bilinear { onset_per_m: 8.0, ratio: 0.4 }));
+        agrees(&softened(Softening::Section {
+            onset_per_m: 8.0,
+            hardening: 0.1,
+        }));
+        agrees(&softened(Softening::Bilinear {
+            onset_per_m: 8.0,
+            ratio: 0.4,
+        }));
     }
 
     fn agrees(rod: &ContactRod) {
@@ -296,8 +370,16 @@ mod tests {
             let by = turns(1.0, seed);
             let t = 1e-4;
             let slope = (energy(t, &by) - energy(-t, &by)) / (2.0 * t);
-            let stated: f64 = balance.gradient.iter().zip(&by).map(|(g, v)| g.dot(v)).sum();
-            assert!((slope - stated).abs() < 1e-4 * stated.abs().max(1.0), "{slope} {stated}");
+            let stated: f64 = balance
+                .gradient
+                .iter()
+                .zip(&by)
+                .map(|(g, v)| g.dot(v))
+                .sum();
+            assert!(
+                (slope - stated).abs() < 1e-4 * stated.abs().max(1.0),
+                "{slope} {stated}"
+            );
             let bend = (energy(t, &by) - 2.0 * energy(0.0, &by) + energy(-t, &by)) / (t * t);
             let mut stated = 0.0;
             for j in 0..12 {
@@ -307,7 +389,10 @@ mod tests {
                 }
             }
             // What is left out is of the size of a joint's turn times its moment.
-            assert!((bend - stated).abs() < 0.02 * stated.abs(), "{bend} {stated}");
+            assert!(
+                (bend - stated).abs() < 0.02 * stated.abs(),
+                "{bend} {stated}"
+            );
         }
     }
 }

@@ -91,7 +91,8 @@ impl ContactRod {
             let share = CurvePoint::new(c.arclength_mm / self.link_mm, self.links()).clamp_share();
             (along * share).cross(&(c.normal * c.force_n + c.friction_n))
         };
-        self.root_spring_nmm(&pressed.links) + pressed.contacts.iter().map(beyond).sum::<Vector3<f64>>()
+        self.root_spring_nmm(&pressed.links)
+            + pressed.contacts.iter().map(beyond).sum::<Vector3<f64>>()
     }
 
     pub(super) fn solve_contact_with<S: Surface>(
@@ -104,7 +105,10 @@ impl ContactRod {
         friction: &[FrictionContact],
     ) -> ContactState {
         // The first step keeps the side of the surface on which the wire was.
-        let mut state = State { links: start.clone(), candidates: self.transported(known, moved_mm) };
+        let mut state = State {
+            links: start.clone(),
+            candidates: self.transported(known, moved_mm),
+        };
         if state.candidates.is_empty() {
             state.candidates = self.candidates(surface, start, &[]);
         }
@@ -112,7 +116,8 @@ impl ContactRod {
         let (mut damping, mut weight, mut chatter_steps) = (0.0_f64, 0.0_f64, 0);
         for iteration in 1..=max_iterations {
             let raised = (damping * 8.0).max(MIN_DAMPING);
-            let Some(step) = self.newton_step(&balance, &state.links, &state.candidates, damping) else {
+            let Some(step) = self.newton_step(&balance, &state.links, &state.candidates, damping)
+            else {
                 damping = raised;
                 if damping > MAX_DAMPING {
                     return self.finish(state, iteration, false);
@@ -127,7 +132,10 @@ impl ContactRod {
             let turns: Vec<_> = step.turns.iter().map(|phi| phi * scale).collect();
             let links = self.rotated(&state.links, &turns);
             let mut carriers = state.candidates.clone();
-            carriers.iter_mut().zip(&step.forces_n).for_each(|(c, f)| c.force_n = *f);
+            carriers
+                .iter_mut()
+                .zip(&step.forces_n)
+                .for_each(|(c, f)| c.force_n = *f);
             let seen = self.candidates(surface, &links, &carriers);
             let candidates = self.carry_over(surface.faceted(), &links, &carriers, seen);
             let next = State { links, candidates };
@@ -145,16 +153,25 @@ impl ContactRod {
                 }
                 continue;
             }
-            damping = if damping <= MIN_DAMPING { 0.0 } else { damping / 8.0 };
+            damping = if damping <= MIN_DAMPING {
+                0.0
+            } else {
+                damping / 8.0
+            };
             state = next;
             balance = next_balance;
             let overlap_mm = state.overlap_mm();
-            chatter_steps =
-                if way_mm < CHATTER_MM && overlap_mm < CHATTER_OVERLAP_MM { chatter_steps + 1 } else { 0 };
-            let still = chatter_steps > MAX_CHATTER_STEPS || (largest < TURN_RAD && overlap_mm < OVERLAP_MM);
+            chatter_steps = if way_mm < CHATTER_MM && overlap_mm < CHATTER_OVERLAP_MM {
+                chatter_steps + 1
+            } else {
+                0
+            };
+            let still = chatter_steps > MAX_CHATTER_STEPS
+                || (largest < TURN_RAD && overlap_mm < OVERLAP_MM);
             if iteration > 1
                 && still
-                && self.imbalance_nmm(&balance.gradient, &state.links, &state.candidates) < BALANCE_NMM
+                && self.imbalance_nmm(&balance.gradient, &state.links, &state.candidates)
+                    < BALANCE_NMM
             {
                 if self.planes_hold(surface, &state) {
                     return self.finish(state, iteration, true);
@@ -172,15 +189,25 @@ impl ContactRod {
     /// Where the wire lies in a notch, or over several edges of a link, the lowest place alone does not tell of the others.
     fn add_planes(&self, state: &mut State, refused: &State) -> bool {
         let mut learned = false;
-        for c in refused.candidates.iter().filter(|c| c.gap_mm < -OVERLAP_MM && !c.plane_constraint) {
+        for c in refused
+            .candidates
+            .iter()
+            .filter(|c| c.gap_mm < -OVERLAP_MM && !c.plane_constraint)
+        {
             let known = |k: &ContactCandidate| {
                 (k.place.at - c.place.at).abs() < SAME_FACET[0]
                     && (k.closest.normal - c.closest.normal).norm() < SAME_FACET[1]
             };
             if state.candidates.len() < MAX_CANDIDATES && !state.candidates.iter().any(known) {
-                let plane =
-                    ContactCandidate { plane_constraint: true, slides: false, force_n: 0.0, ..c.clone() };
-                state.candidates.push(self.plane_constraint_at(&state.links, plane));
+                let plane = ContactCandidate {
+                    plane_constraint: true,
+                    slides: false,
+                    force_n: 0.0,
+                    ..c.clone()
+                };
+                state
+                    .candidates
+                    .push(self.plane_constraint_at(&state.links, plane));
                 learned = true;
             }
         }
@@ -188,7 +215,11 @@ impl ContactRod {
     }
 
     /// The gap to the plane of a place that a refused step met.
-    fn plane_constraint_at(&self, links: &Configuration, mut plane: ContactCandidate) -> ContactCandidate {
+    fn plane_constraint_at(
+        &self,
+        links: &Configuration,
+        mut plane: ContactCandidate,
+    ) -> ContactCandidate {
         let centre_mm = plane.place.point_mm(links);
         plane.gap_mm += plane.closest.normal.dot(&(centre_mm - plane.centre_mm));
         plane.centre_mm = centre_mm;
@@ -220,7 +251,11 @@ impl ContactRod {
             };
             let plane = self.plane_constraint_at(
                 links,
-                ContactCandidate { plane_constraint: true, slides: false, ..c.clone() },
+                ContactCandidate {
+                    plane_constraint: true,
+                    slides: false,
+                    ..c.clone()
+                },
             );
             let touched = plane.gap_mm.abs() < PLANE_MM;
             let known = seen[..places].iter().position(same);
@@ -241,14 +276,18 @@ impl ContactRod {
 
     /// Whether the surface is where the loaded planes are.
     fn planes_hold<S: Surface>(&self, surface: &S, state: &State) -> bool {
-        state.candidates.iter().filter(|c| c.plane_constraint && c.force_n > 0.0).all(|c| {
-            let lies = |at: &Vector3<f64>, mm: f64| {
-                let closest = surface.closest_point(at, 2.0 * self.link_mm);
-                closest.is_some_and(|n| (n.distance_mm - mm).abs() < CHATTER_OVERLAP_MM)
-            };
-            // Past an edge the wire may be as near to the next facet, and the plane's own place is nowhere.
-            lies(&c.centre_mm, self.radius_mm) && lies(&c.closest.point_mm, 0.0)
-        })
+        state
+            .candidates
+            .iter()
+            .filter(|c| c.plane_constraint && c.force_n > 0.0)
+            .all(|c| {
+                let lies = |at: &Vector3<f64>, mm: f64| {
+                    let closest = surface.closest_point(at, 2.0 * self.link_mm);
+                    closest.is_some_and(|n| (n.distance_mm - mm).abs() < CHATTER_OVERLAP_MM)
+                };
+                // Past an edge the wire may be as near to the next facet, and the plane's own place is nowhere.
+                lies(&c.centre_mm, self.radius_mm) && lies(&c.closest.point_mm, 0.0)
+            })
     }
 
     /// Longest way of a node in a step, mm.
@@ -277,7 +316,13 @@ impl ContactRod {
             })
             .collect();
         let overlap_mm = state.overlap_mm();
-        ContactState { links: state.links, contacts, converged, iterations, overlap_mm }
+        ContactState {
+            links: state.links,
+            contacts,
+            converged,
+            iterations,
+            overlap_mm,
+        }
     }
 
     fn transported(&self, known: &[Contact], moved_mm: &Vector3<f64>) -> Vec<ContactCandidate> {

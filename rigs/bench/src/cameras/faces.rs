@@ -34,11 +34,20 @@ impl Paint {
     fn at(&self, p: Vector2<f64>) -> f64 {
         match self {
             Self::Plain(shade) => *shade,
-            Self::Tag { cells, size_mm, shades } => {
-                let cell = |v: f64| ((v * 8.0 / size_mm + 5.0).max(0.0) as usize).min(TAG_CELLS - 1);
+            Self::Tag {
+                cells,
+                size_mm,
+                shades,
+            } => {
+                let cell =
+                    |v: f64| ((v * 8.0 / size_mm + 5.0).max(0.0) as usize).min(TAG_CELLS - 1);
                 shades[usize::from(cells[cell(p.y)][cell(p.x)])]
             }
-            Self::Board { squares, square_mm, shades } => {
+            Self::Board {
+                squares,
+                square_mm,
+                shades,
+            } => {
                 let index = |k: usize| (p[k] / square_mm + 0.5 * squares[k] as f64).floor();
                 let [x, y] = [index(0), index(1)];
                 let inside = |v: f64, n: usize| v >= 0.0 && v < n as f64;
@@ -67,20 +76,29 @@ impl Face {
         let x = (b - a).normalize();
         let z = x.cross(&(c - a)).normalize();
         let axes = nalgebra::Matrix3::from_columns(&[x, z.cross(&x), z]);
-        let turn =
-            nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(axes));
+        let turn = nalgebra::UnitQuaternion::from_rotation_matrix(
+            &nalgebra::Rotation3::from_matrix_unchecked(axes),
+        );
         let base_from_plane = Isometry3::from_parts((*a).into(), turn);
         let flat = |p: &Vector3<f64>| {
             let q = base_from_plane.inverse_transform_point(&Point3::from(*p));
             [q.x, q.y]
         };
-        Some(Self { base_from_plane, corners: points.iter().map(flat).collect(), paint: Paint::Plain(shade) })
+        Some(Self {
+            base_from_plane,
+            corners: points.iter().map(flat).collect(),
+            paint: Paint::Plain(shade),
+        })
     }
 
     /// A rectangle about the plane's origin, `half` mm each way.
     pub fn sheet(base_from_plane: Isometry3<f64>, half: [f64; 2], paint: Paint) -> Self {
         let [a, b] = half;
-        Self { base_from_plane, corners: vec![[-a, -b], [a, -b], [a, b], [-a, b]], paint }
+        Self {
+            base_from_plane,
+            corners: vec![[-a, -b], [a, -b], [a, b], [-a, b]],
+            paint,
+        }
     }
 
     /// The face as a camera sees it.
@@ -105,7 +123,15 @@ impl Face {
                 [nx, ny, -(nx * ax + ny * ay)]
             })
             .collect();
-        SeenFace { origin, u, v, normal, offset: origin.dot(&normal), edges, paint: &self.paint }
+        SeenFace {
+            origin,
+            u,
+            v,
+            normal,
+            offset: origin.dot(&normal),
+            edges,
+            paint: &self.paint,
+        }
     }
 }
 
@@ -130,7 +156,10 @@ impl SeenFace<'_> {
         }
         let off = Vector3::new(ray.x * depth, ray.y * depth, depth) - self.origin;
         let p = Vector2::new(off.dot(&self.u), off.dot(&self.v));
-        let inside = self.edges.iter().all(|[a, b, c]| a * p.x + b * p.y + c >= 0.0);
+        let inside = self
+            .edges
+            .iter()
+            .all(|[a, b, c]| a * p.x + b * p.y + c >= 0.0);
         inside.then(|| (depth, self.paint.at(p)))
     }
 }

@@ -32,9 +32,16 @@ impl Lens {
         distortion: [f64; 5],
         camera_from_base: Isometry3<f64>,
     ) -> Self {
-        let mut lens =
-            Self { size_px, focal_px, centre_px, distortion, camera_from_base, corners: Vec::new() };
-        let corner = |row: usize, column: usize| lens.undistorted(column as f64 - 0.5, row as f64 - 0.5);
+        let mut lens = Self {
+            size_px,
+            focal_px,
+            centre_px,
+            distortion,
+            camera_from_base,
+            corners: Vec::new(),
+        };
+        let corner =
+            |row: usize, column: usize| lens.undistorted(column as f64 - 0.5, row as f64 - 0.5);
         lens.corners = (0..=size_px[1])
             .flat_map(|y| (0..=size_px[0]).map(move |x| (y, x)))
             .map(|(y, x)| corner(y, x))
@@ -44,7 +51,10 @@ impl Lens {
 
     /// The same camera moved by `by` in its own frame.
     pub fn moved(&self, by: &Isometry3<f64>) -> Self {
-        Self { camera_from_base: by * self.camera_from_base, ..self.clone() }
+        Self {
+            camera_from_base: by * self.camera_from_base,
+            ..self.clone()
+        }
     }
 
     fn distorted(&self, p: &Vector2<f64>) -> Vector2<f64> {
@@ -102,7 +112,11 @@ impl Lens {
 }
 
 /// Pose of a camera at `place` (mm, base frame) that looks at `target`, its x axis as near to `right` as can be.
-pub fn look_at(place: &Vector3<f64>, target: &Vector3<f64>, right: &Vector3<f64>) -> Isometry3<f64> {
+pub fn look_at(
+    place: &Vector3<f64>,
+    target: &Vector3<f64>,
+    right: &Vector3<f64>,
+) -> Isometry3<f64> {
     let z = (target - place).normalize();
     let x = (right - z * right.dot(&z)).normalize();
     let y = z.cross(&x);

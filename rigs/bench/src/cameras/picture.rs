@@ -63,9 +63,16 @@ struct ImageSegment {
 /// Picture before noise, grey values row by row, not limited to 255.
 pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
     let [width, height] = lens.size_px;
-    let faces: Vec<SeenFace<'_>> = view.faces.iter().map(|f| f.view(&lens.camera_from_base)).collect();
-    let boxes: Vec<[usize; 4]> =
-        view.faces.iter().map(|f| bounds(lens, &f.base_from_plane, &f.corners)).collect();
+    let faces: Vec<SeenFace<'_>> = view
+        .faces
+        .iter()
+        .map(|f| f.view(&lens.camera_from_base))
+        .collect();
+    let boxes: Vec<[usize; 4]> = view
+        .faces
+        .iter()
+        .map(|f| bounds(lens, &f.base_from_plane, &f.corners))
+        .collect();
     // Nearest surface at every pixel corner: depth and shade.
     let row_length = width + 1;
     let mut corners = vec![(f32::INFINITY, look.background as f32); row_length * (height + 1)];
@@ -88,8 +95,12 @@ pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
         let across = light_across(lens, look, row);
         for column in 0..width {
             let at = row * row_length + column;
-            let around =
-                [corners[at], corners[at + 1], corners[at + row_length], corners[at + row_length + 1]];
+            let around = [
+                corners[at],
+                corners[at + 1],
+                corners[at + row_length],
+                corners[at + row_length + 1],
+            ];
             let flat = around.iter().all(|c| (c.1 - around[0].1).abs() < 1e-4);
             let piece = near[row * width + column] as usize;
             let mean = if piece == 0 {
@@ -101,7 +112,9 @@ pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
             } else {
                 let pieces = &pieces[piece.saturating_sub(2)..(piece + 1).min(pieces.len())];
                 let own = pieces.iter().find(|p| p.ends[0] || p.ends[1]);
-                let before = around.iter().all(|c| f64::from(c.0) > pieces[0].depth_mm + 0.5);
+                let before = around
+                    .iter()
+                    .all(|c| f64::from(c.0) > pieces[0].depth_mm + 0.5);
                 if flat && before && own.is_none() {
                     strip(pieces, look, f64::from(around[0].1), row, column)
                 } else {
@@ -123,14 +136,23 @@ pub fn exposed(clean: &[f32], look: &Appearance, seed: u64) -> Vec<u8> {
         .iter()
         .map(|v| {
             let z: f32 = StandardNormal.sample(&mut rng);
-            (v + z * (read + shot * v.max(0.0)).sqrt()).round().clamp(0.0, 255.0) as u8
+            (v + z * (read + shot * v.max(0.0)).sqrt())
+                .round()
+                .clamp(0.0, 255.0) as u8
         })
         .collect()
 }
 
 /// Pixel corners that a polygon may touch: left, top, right, bottom, both ends taken; an edge bends by less than 8 px.
-fn bounds(lens: &Lens, base_from_plane: &nalgebra::Isometry3<f64>, corners: &[[f64; 2]]) -> [usize; 4] {
-    let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+fn bounds(
+    lens: &Lens,
+    base_from_plane: &nalgebra::Isometry3<f64>,
+    corners: &[[f64; 2]],
+) -> [usize; 4] {
+    let (mut low, mut high) = (
+        Vector2::repeat(f64::INFINITY),
+        Vector2::repeat(f64::NEG_INFINITY),
+    );
     for [a, b] in corners {
         let p = base_from_plane * nalgebra::Point3::new(*a, *b, 0.0);
         if let Some((at, _)) = lens.project(&p.coords) {
@@ -139,7 +161,12 @@ fn bounds(lens: &Lens, base_from_plane: &nalgebra::Isometry3<f64>, corners: &[[f
     }
     let limit = |v: f64, k: usize| v.clamp(0.0, lens.size_px[k] as f64) as usize;
     let pad = 2.0 + 0.01 * lens.size_px[0] as f64;
-    [limit(low.x - pad, 0), limit(low.y - pad, 1), limit(high.x + pad, 0), limit(high.y + pad, 1)]
+    [
+        limit(low.x - pad, 0),
+        limit(low.y - pad, 1),
+        limit(high.x + pad, 0),
+        limit(high.y + pad, 1),
+    ]
 }
 
 /// A point of the image, px, and its depth, mm; none behind the camera.
@@ -154,7 +181,13 @@ fn wire_pieces(lens: &Lens, view: &View) -> Vec<ImageSegment> {
         let ((from, z0), (to, z1)) = (w[0]?, w[1]?);
         let depth_mm = 0.5 * (z0 + z1);
         let half_px = 0.5 * view.diameter_mm * focal / depth_mm;
-        Some(ImageSegment { from, to, half_px, depth_mm, ends: [k == 0, k + 1 == count] })
+        Some(ImageSegment {
+            from,
+            to,
+            half_px,
+            depth_mm,
+            ends: [k == 0, k + 1 == count],
+        })
     };
     seen.windows(2).enumerate().filter_map(piece).collect()
 }
@@ -175,7 +208,9 @@ fn nearest_pieces(lens: &Lens, pieces: &[ImageSegment]) -> Vec<u16> {
             for column in range(0, width) {
                 let p = Vector2::new(column as f64, row as f64);
                 let (off, _) = piece.off(&p);
-                let kept = distance.entry(row * width + column).or_insert(f64::INFINITY);
+                let kept = distance
+                    .entry(row * width + column)
+                    .or_insert(f64::INFINITY);
                 if off.norm() < *kept && off.norm() <= reach {
                     *kept = off.norm();
                     near[row * width + column] = k as u16 + 1;
@@ -210,9 +245,17 @@ fn wire_shade(look: &Appearance, u: f64) -> f64 {
 }
 
 /// Exact mean of a pixel that the wire crosses as a straight strip over a ground of one shade.
-fn strip(pieces: &[ImageSegment], look: &Appearance, ground: f64, row: usize, column: usize) -> f64 {
+fn strip(
+    pieces: &[ImageSegment],
+    look: &Appearance,
+    ground: f64,
+    row: usize,
+    column: usize,
+) -> f64 {
     let p = Vector2::new(column as f64, row as f64);
-    let nearest = pieces.iter().min_by(|a, b| a.off(&p).0.norm().total_cmp(&b.off(&p).0.norm()));
+    let nearest = pieces
+        .iter()
+        .min_by(|a, b| a.off(&p).0.norm().total_cmp(&b.off(&p).0.norm()));
     let Some(piece) = nearest else { return ground };
     let run = (piece.to - piece.from).normalize();
     let distance = piece.across(&p) * piece.half_px;
@@ -253,9 +296,14 @@ fn sampled(
     row: usize,
     column: usize,
 ) -> f64 {
-    let touched = |b: &[usize; 4]| b[0] <= column + 1 && column <= b[2] && b[1] <= row + 1 && row <= b[3];
-    let here: Vec<&SeenFace<'_>> =
-        faces.iter().zip(boxes).filter(|(_, b)| touched(b)).map(|(f, _)| f).collect();
+    let touched =
+        |b: &[usize; 4]| b[0] <= column + 1 && column <= b[2] && b[1] <= row + 1 && row <= b[3];
+    let here: Vec<&SeenFace<'_>> = faces
+        .iter()
+        .zip(boxes)
+        .filter(|(_, b)| touched(b))
+        .map(|(f, _)| f)
+        .collect();
     let mut sum = 0.0;
     for k in 0..SAMPLES {
         let right = (k as f64 + 0.5) / SAMPLES as f64;
@@ -305,7 +353,13 @@ fn light_across(lens: &Lens, look: &Appearance, row: usize) -> RowLight {
     let middle = 0.5 * lens.size_px[0] as f64;
     let down = (row as f64 - 0.5 * lens.size_px[1] as f64) / middle;
     let (slope, fall) = (0.5 * look.uneven[0], 0.5 * look.uneven[1]);
-    RowLight { scale: look.exposure_dn * (1.0 - 0.5 * slope * down), slope, fall, middle, down2: down * down }
+    RowLight {
+        scale: look.exposure_dn * (1.0 - 0.5 * slope * down),
+        slope,
+        fall,
+        middle,
+        down2: down * down,
+    }
 }
 
 /// Gaussian blur, rows then columns; the border repeats.
@@ -316,7 +370,9 @@ fn blurred(light: &[f32], width: usize, height: usize, sd_px: f64) -> Vec<f32> {
     let reach = (3.5 * sd_px).ceil() as usize;
     let weight = |k: usize| (-0.5 * ((k as f64 - reach as f64) / sd_px).powi(2)).exp();
     let total: f64 = (0..=2 * reach).map(weight).sum();
-    let kernel: Vec<f32> = (0..=2 * reach).map(|k| (weight(k) / total) as f32).collect();
+    let kernel: Vec<f32> = (0..=2 * reach)
+        .map(|k| (weight(k) / total) as f32)
+        .collect();
     let mut rows = vec![0.0_f32; light.len()];
     let mut padded = vec![0.0_f32; width + 2 * reach];
     for (from, to) in light.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {

@@ -26,13 +26,32 @@ pub fn default_pair(size_px: [usize; 2]) -> [Lens; 2] {
     let lens = |focal: f64, centre: [f64; 2], distortion: [f64; 5], place: V3| {
         // A pixel of another size keeps the same field of view; the picture's height is cut about its middle.
         let middle = 0.5 * (size_px[1] as f64 - 960.0 * scale);
-        let centre_px = [scale * (centre[0] + 0.5) - 0.5, scale * (centre[1] + 0.5) - 0.5 + middle];
+        let centre_px = [
+            scale * (centre[0] + 0.5) - 0.5,
+            scale * (centre[1] + 0.5) - 0.5 + middle,
+        ];
         let pose = look_at(&place, &target, &V3::new(1.0, 0.0, 1.0));
-        Lens::new(size_px, [scale * focal, scale * (focal - 1.0)], centre_px, distortion, pose)
+        Lens::new(
+            size_px,
+            [scale * focal, scale * (focal - 1.0)],
+            centre_px,
+            distortion,
+            pose,
+        )
     };
     [
-        lens(3453.0, [652.5, 479.2], [-0.139, 0.2, -1.5e-4, 1.9e-4, 0.0], V3::new(-14.4, -288.6, -53.2)),
-        lens(3466.0, [636.3, 470.5], [-0.140, 0.2, 3.6e-4, -0.9e-4, 0.0], V3::new(71.3, -290.2, 30.3)),
+        lens(
+            3453.0,
+            [652.5, 479.2],
+            [-0.139, 0.2, -1.5e-4, 1.9e-4, 0.0],
+            V3::new(-14.4, -288.6, -53.2),
+        ),
+        lens(
+            3466.0,
+            [636.3, 470.5],
+            [-0.140, 0.2, 3.6e-4, -0.9e-4, 0.0],
+            V3::new(71.3, -290.2, 30.3),
+        ),
     ]
 }
 
@@ -47,7 +66,10 @@ pub struct CameraFaults {
 
 impl Default for CameraFaults {
     fn default() -> Self {
-        Self { board_scale: 1.0, rig_tag_moved: Isometry3::identity() }
+        Self {
+            board_scale: 1.0,
+            rig_tag_moved: Isometry3::identity(),
+        }
     }
 }
 
@@ -63,7 +85,10 @@ pub struct Board {
 impl Default for Board {
     /// 9 x 6 inner corners of 6 mm.
     fn default() -> Self {
-        Self { corners: [9, 6], square_mm: 6.0 }
+        Self {
+            corners: [9, 6],
+            square_mm: 6.0,
+        }
     }
 }
 
@@ -122,18 +147,24 @@ impl RigGeometry {
             faces.extend(self.tag(1, declared * self.faults.rig_tag_moved));
             faces.extend(self.groove_block(groove));
         }
-        View { faces, wire, diameter_mm: self.diameter_mm }
+        View {
+            faces,
+            wire,
+            diameter_mm: self.diameter_mm,
+        }
     }
 
     /// The board in attitude `k`: about the middle of both pictures, tilted by up to 28 degrees, no two alike.
     pub fn board_view(&self, k: usize) -> View {
         // Fractional parts of multiples of the plastic number's powers fill the range evenly (Roberts 2018, R_d sequences, d = 4).
-        let spread = |n: i32| ((k as f64 + 1.0) * 0.856_674_883_854_502_9_f64.powi(n)).fract() * 2.0 - 1.0;
+        let spread =
+            |n: i32| ((k as f64 + 1.0) * 0.856_674_883_854_502_9_f64.powi(n)).fract() * 2.0 - 1.0;
         let tilt = V3::new(0.48 * spread(1), 0.48 * spread(2), 0.25 * spread(3));
         // Facing the cameras, its long side along the pictures'.
         let x = V3::new(1.0, 0.0, 1.0).normalize();
-        let shift =
-            x * (13.0 * spread(4)) + V3::y().cross(&x) * (8.0 * spread(2)) + V3::y() * (8.0 * spread(3));
+        let shift = x * (13.0 * spread(4))
+            + V3::y().cross(&x) * (8.0 * spread(2))
+            + V3::y() * (8.0 * spread(3));
         let axes = Matrix3::from_columns(&[x, V3::y().cross(&x), V3::y()]);
         let facing = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         let pose = Isometry3::from_parts(
@@ -143,14 +174,26 @@ impl RigGeometry {
         let squares = self.board.corners.map(|n| n + 1);
         let square_mm = self.board.square_mm * self.faults.board_scale;
         let half = squares.map(|n| (0.5 * n as f64 + 0.7) * square_mm);
-        let paint = Paint::Board { squares, square_mm, shades: INK };
-        View { faces: vec![Face::sheet(pose, half, paint)], wire: Vec::new(), diameter_mm: self.diameter_mm }
+        let paint = Paint::Board {
+            squares,
+            square_mm,
+            shades: INK,
+        };
+        View {
+            faces: vec![Face::sheet(pose, half, paint)],
+            wire: Vec::new(),
+            diameter_mm: self.diameter_mm,
+        }
     }
 
     fn tag(&self, which: usize, base_from_tag: Isometry3<f64>) -> Option<Face> {
         let cells = tag_cells(self.tag_ids[which])?;
         let half = self.tag_size_mm * TAG_CELLS as f64 / 16.0;
-        let paint = Paint::Tag { cells, size_mm: self.tag_size_mm, shades: INK };
+        let paint = Paint::Tag {
+            cells,
+            size_mm: self.tag_size_mm,
+            shades: INK,
+        };
         Some(Face::sheet(base_from_tag, [half; 2], paint))
     }
 
@@ -177,7 +220,12 @@ impl RigGeometry {
         ];
         for (k, &(s, h, light)) in section.iter().enumerate() {
             let (s1, h1, _) = section[(k + 1) % section.len()];
-            let strip = [at(s, h, -1.0), at(s1, h1, -1.0), at(s1, h1, 1.0), at(s, h, 1.0)];
+            let strip = [
+                at(s, h, -1.0),
+                at(s1, h1, -1.0),
+                at(s1, h1, 1.0),
+                at(s, h, 1.0),
+            ];
             faces.extend(Face::through(&strip, BLOCK_SHADE * light));
         }
         for (end, light) in [(-1.0, 0.90), (1.0, 0.88)] {
@@ -201,8 +249,13 @@ impl RigGeometry {
 
 /// An upright box between two corners, lit from the upper left.
 fn block(low: [f64; 3], high: [f64; 3]) -> Vec<Face> {
-    let corner =
-        |k: usize| V3::new([low, high][k & 1][0], [low, high][k >> 1 & 1][1], [low, high][k >> 2 & 1][2]);
+    let corner = |k: usize| {
+        V3::new(
+            [low, high][k & 1][0],
+            [low, high][k >> 1 & 1][1],
+            [low, high][k >> 2 & 1][2],
+        )
+    };
     let sides = [
         ([0, 1, 5, 4], 1.0),
         ([2, 3, 7, 6], 1.0),
@@ -211,5 +264,8 @@ fn block(low: [f64; 3], high: [f64; 3]) -> Vec<Face> {
         ([0, 1, 3, 2], 0.8),
         ([4, 5, 7, 6], 1.1),
     ];
-    sides.iter().filter_map(|(c, light)| Face::through(&c.map(corner), BASE_SHADE * light)).collect()
+    sides
+        .iter()
+        .filter_map(|(c, light)| Face::through(&c.map(corner), BASE_SHADE * light))
+        .collect()
 }

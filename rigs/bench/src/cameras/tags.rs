@@ -16,7 +16,17 @@ const CODES: [u64; 8] = [
 ];
 
 /// Cells (column, row) of a quarter's nine bits, counted from the black border's corner; the other quarters are turned (tag36h11.c).
-const QUARTER: [(usize, usize); 9] = [(1, 1), (2, 1), (3, 1), (4, 1), (5, 1), (2, 2), (3, 2), (4, 2), (3, 3)];
+const QUARTER: [(usize, usize); 9] = [
+    (1, 1),
+    (2, 1),
+    (3, 1),
+    (4, 1),
+    (5, 1),
+    (2, 2),
+    (3, 2),
+    (4, 2),
+    (3, 3),
+];
 
 /// White cells of tag `id`, row by row from the top left; `None` for an id that is not in the table.
 pub fn tag_cells(id: u32) -> Option<[[bool; TAG_CELLS]; TAG_CELLS]> {

@@ -38,7 +38,9 @@ pub fn parse(line: &[u8]) -> Option<Command> {
     let mut header = [None::<u8>; 3];
     for slot in &mut header {
         // `--` requests a reply without id.
-        let Some(number) = words.first().and_then(|w| if w == "--" { Some(0) } else { w.parse().ok() })
+        let Some(number) = words
+            .first()
+            .and_then(|w| if w == "--" { Some(0) } else { w.parse().ok() })
         else {
             break;
         };
@@ -72,12 +74,20 @@ pub struct Answer {
 impl Answer {
     /// Accepted, with data.
     pub fn ok(data: impl Into<String>) -> Self {
-        Self { ok: true, data: data.into(), info: Vec::new() }
+        Self {
+            ok: true,
+            data: data.into(),
+            info: Vec::new(),
+        }
     }
 
     /// Refused, with the protocol's reason.
     pub fn refused(reason: &str) -> Self {
-        Self { ok: false, data: reason.to_owned(), info: Vec::new() }
+        Self {
+            ok: false,
+            data: reason.to_owned(),
+            info: Vec::new(),
+        }
     }
 }
 
@@ -123,24 +133,37 @@ impl Header<'_> {
         // One byte each for the mark and the backslash, three for the checksum.
         let room = |head: &str| MAX_PACKET.saturating_sub(head.len() + 6);
         let (first, mut rest) = split_words(&answer.data, room(&head));
-        packets.push(self.seal('@', &format!("{head} {first}{}", if rest.is_empty() { "" } else { "\\" })));
+        packets.push(self.seal(
+            '@',
+            &format!("{head} {first}{}", if rest.is_empty() { "" } else { "\\" }),
+        ));
         let mut index = 0;
         while !rest.is_empty() {
             index += 1;
             let head = format!("{} cont {index}", self.address());
             let (part, more) = split_words(&rest, room(&head));
-            packets
-                .push(self.seal('#', &format!("{head} {part}{}", if more.is_empty() { "" } else { "\\" })));
+            packets.push(self.seal(
+                '#',
+                &format!("{head} {part}{}", if more.is_empty() { "" } else { "\\" }),
+            ));
             rest = more;
         }
-        packets.extend(answer.info.iter().map(|line| self.seal('#', &format!("{} {line}", self.address()))));
+        packets.extend(
+            answer
+                .info
+                .iter()
+                .map(|line| self.seal('#', &format!("{} {line}", self.address()))),
+        );
         packets
     }
 
     /// An alert: sent without a request.
     pub fn alert(&self) -> String {
         let state = if self.busy { "BUSY" } else { "IDLE" };
-        self.seal('!', &format!("{:02} {} {state} {}", self.device, self.axis, self.flag))
+        self.seal(
+            '!',
+            &format!("{:02} {} {state} {}", self.device, self.axis, self.flag),
+        )
     }
 }
 
@@ -158,7 +181,14 @@ mod tests {
     use super::*;
 
     fn header(checked: bool, id: Option<u8>) -> Header<'static> {
-        Header { device: 1, axis: 1, id, busy: true, flag: "WR", checked }
+        Header {
+            device: 1,
+            axis: 1,
+            id,
+            busy: true,
+            flag: "WR",
+            checked,
+        }
     }
 
     #[test]
@@ -186,7 +216,10 @@ mod tests {
 
     #[test]
     fn replies_follow_the_protocol() {
-        assert_eq!(header(false, None).reply(&Answer::ok("0")), ["@01 1 OK BUSY WR 0\r\n"]);
+        assert_eq!(
+            header(false, None).reply(&Answer::ok("0")),
+            ["@01 1 OK BUSY WR 0\r\n"]
+        );
         let checked = header(true, Some(7)).reply(&Answer::refused("BADDATA"));
         assert!(checked[0].starts_with("@01 1 07 RJ BUSY WR BADDATA:"));
         assert_eq!(header(false, None).alert(), "!01 1 BUSY WR\r\n");
@@ -200,7 +233,13 @@ mod tests {
         let mut joined = String::new();
         for (k, p) in packets.iter().enumerate() {
             let body = p[1..].split(':').next().unwrap().trim_end_matches('\\');
-            joined.push_str(&body.split(' ').skip(if k == 0 { 6 } else { 5 }).collect::<Vec<_>>().join(" "));
+            joined.push_str(
+                &body
+                    .split(' ')
+                    .skip(if k == 0 { 6 } else { 5 })
+                    .collect::<Vec<_>>()
+                    .join(" "),
+            );
             joined.push(' ');
         }
         assert_eq!(joined.trim(), data);

@@ -5,8 +5,10 @@ use crate::zaber::units::Microsteps;
 use std::collections::BTreeSet;
 
 /// Flags in the order in which a unit reports them: faults before warnings before notices.
-const PRIORITY: [&str; 17] =
-    ["FF", "FN", "FZ", "FO", "FD", "FQ", "FS", "FE", "WR", "WH", "WL", "WV", "WT", "WM", "WS", "NC", "NI"];
+const PRIORITY: [&str; 17] = [
+    "FF", "FN", "FZ", "FO", "FD", "FQ", "FS", "FE", "WR", "WH", "WL", "WV", "WT", "WM", "WS", "NC",
+    "NI",
+];
 /// Flags that only a reference search takes away.
 const UNTIL_HOME: [&str; 2] = ["WR", "WH"];
 
@@ -45,7 +47,11 @@ impl Axis {
     /// At `x_mm`, with or without a reference.
     pub fn new(spec: AxisSpec, x_mm: f64, homed: bool) -> Self {
         let motion = Motion::at_rest(x_mm, spec.acceleration_mm_s2);
-        let sticky = if homed { BTreeSet::new() } else { BTreeSet::from(["WR"]) };
+        let sticky = if homed {
+            BTreeSet::new()
+        } else {
+            BTreeSet::from(["WR"])
+        };
         Self {
             speed_mm_s: spec.max_speed_mm_s,
             spec,
@@ -101,12 +107,17 @@ impl Axis {
 
     /// Flags shown, highest priority first.
     pub fn flags(&self) -> Vec<&'static str> {
-        PRIORITY.iter().copied().filter(|f| self.sticky.contains(f)).collect()
+        PRIORITY
+            .iter()
+            .copied()
+            .filter(|f| self.sticky.contains(f))
+            .collect()
     }
 
     /// What `warnings clear` takes away.
     pub fn clear_flags(&mut self) {
-        self.sticky.retain(|f| UNTIL_HOME.contains(f) || *f == "FF" || *f == "FD");
+        self.sticky
+            .retain(|f| UNTIL_HOME.contains(f) || *f == "FF" || *f == "FD");
     }
 
     /// Shows a flag from now on.
@@ -123,13 +134,21 @@ impl Axis {
     }
 
     /// Move to a position in microsteps, at the given speed or the set one (mm/s).
-    pub fn move_to(&mut self, t_s: f64, steps: i64, speed_mm_s: Option<f64>) -> Result<(), Refusal> {
+    pub fn move_to(
+        &mut self,
+        t_s: f64,
+        steps: i64,
+        speed_mm_s: Option<f64>,
+    ) -> Result<(), Refusal> {
         if !(0..=self.spec.limit_steps).contains(&steps) {
             return Err("BADDATA");
         }
         self.begin(t_s)?;
-        let speed = speed_mm_s.unwrap_or(self.speed_mm_s).min(self.spec.max_speed_mm_s);
-        self.motion.go(t_s, self.spec.unit.to_mm(steps as f64), speed);
+        let speed = speed_mm_s
+            .unwrap_or(self.speed_mm_s)
+            .min(self.spec.max_speed_mm_s);
+        self.motion
+            .go(t_s, self.spec.unit.to_mm(steps as f64), speed);
         Ok(())
     }
 
@@ -143,7 +162,11 @@ impl Axis {
             return Ok(());
         }
         self.begin(t_s)?;
-        let end = if speed_mm_s > 0.0 { self.spec.unit.to_mm(self.spec.limit_steps as f64) } else { 0.0 };
+        let end = if speed_mm_s > 0.0 {
+            self.spec.unit.to_mm(self.spec.limit_steps as f64)
+        } else {
+            0.0
+        };
         self.motion.go(t_s, end, speed_mm_s.abs());
         Ok(())
     }
@@ -235,7 +258,12 @@ mod tests {
 
     fn axis(homed: bool) -> Axis {
         let unit = Microsteps { size_um: 0.047_625 };
-        let spec = AxisSpec { unit, limit_steps: 2_133_333, max_speed_mm_s: 7.0, acceleration_mm_s2: 100.0 };
+        let spec = AxisSpec {
+            unit,
+            limit_steps: 2_133_333,
+            max_speed_mm_s: 7.0,
+            acceleration_mm_s2: 100.0,
+        };
         Axis::new(spec, 10.0, homed)
     }
 

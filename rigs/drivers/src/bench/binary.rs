@@ -34,7 +34,11 @@ impl Message {
 
     /// From six bytes.
     pub fn from_bytes(b: [u8; 6]) -> Self {
-        Self { unit: b[0], command: b[1], data: i32::from_le_bytes([b[2], b[3], b[4], b[5]]) }
+        Self {
+            unit: b[0],
+            command: b[1],
+            data: i32::from_le_bytes([b[2], b[3], b[4], b[5]]),
+        }
     }
 }
 
@@ -51,7 +55,13 @@ pub struct BinaryUnit {
 impl BinaryUnit {
     /// A unit with its number and identity; `firmware` is e.g. 513 for 5.13.
     pub fn new(number: u8, device_id: u32, firmware: u32, serial: u32) -> Self {
-        Self { number, device_id, firmware, serial, pending: None }
+        Self {
+            number,
+            device_id,
+            firmware,
+            serial,
+            pending: None,
+        }
     }
 
     /// The answer to the motion command that has ended since, if one has.
@@ -64,9 +74,17 @@ impl BinaryUnit {
         let stalled = axis.flags().contains(&"FS");
         // Firmware 5 answers a stalled home with error 1; moves answer with where the carriage is.
         if stalled && command == 1 {
-            return Some(Message { unit: self.number, command: ERROR, data: 1 });
+            return Some(Message {
+                unit: self.number,
+                command: ERROR,
+                data: 1,
+            });
         }
-        Some(Message { unit: self.number, command, data: axis.steps(t_s) as i32 })
+        Some(Message {
+            unit: self.number,
+            command,
+            data: axis.steps(t_s) as i32,
+        })
     }
 
     /// Executes a message; the immediate answer, if there is one.
@@ -76,9 +94,20 @@ impl BinaryUnit {
         }
         let unit = axis.spec.unit;
         let speed = |data: i32| f64::from(data) * SPEED_STEPS * unit.size_um / 1000.0;
-        let reply =
-            |data: i64| Some(Message { unit: self.number, command: message.command, data: data as i32 });
-        let fail = |code: i32| Some(Message { unit: self.number, command: ERROR, data: code });
+        let reply = |data: i64| {
+            Some(Message {
+                unit: self.number,
+                command: message.command,
+                data: data as i32,
+            })
+        };
+        let fail = |code: i32| {
+            Some(Message {
+                unit: self.number,
+                command: ERROR,
+                data: code,
+            })
+        };
         let started = match message.command {
             0 => {
                 axis.power_cycle(t_s);
@@ -104,13 +133,19 @@ impl BinaryUnit {
             50 => return reply(self.device_id.into()),
             51 => return reply(self.firmware.into()),
             53 => {
-                let setting =
-                    |command: u8, data: i64| Some(Message { unit: self.number, command, data: data as i32 });
+                let setting = |command: u8, data: i64| {
+                    Some(Message {
+                        unit: self.number,
+                        command,
+                        data: data as i32,
+                    })
+                };
                 return match message.data {
                     40 => setting(40, MODE | i64::from(axis.homed()) << 7),
-                    42 => {
-                        setting(42, (axis.speed_mm_s() * 1000.0 / unit.size_um / SPEED_STEPS).round() as i64)
-                    }
+                    42 => setting(
+                        42,
+                        (axis.speed_mm_s() * 1000.0 / unit.size_um / SPEED_STEPS).round() as i64,
+                    ),
                     44 => setting(44, axis.spec.limit_steps),
                     103 if self.firmware >= OWN_HOME_STATUS => setting(103, axis.homed().into()),
                     _ => fail(53),
@@ -140,12 +175,24 @@ mod tests {
 
     fn rig(homed: bool) -> (BinaryUnit, Axis) {
         let unit = Microsteps { size_um: 0.047_625 };
-        let spec = AxisSpec { unit, limit_steps: 2_133_333, max_speed_mm_s: 7.0, acceleration_mm_s2: 100.0 };
-        (BinaryUnit::new(1, 4151, 513, 99), Axis::new(spec, 10.0, homed))
+        let spec = AxisSpec {
+            unit,
+            limit_steps: 2_133_333,
+            max_speed_mm_s: 7.0,
+            acceleration_mm_s2: 100.0,
+        };
+        (
+            BinaryUnit::new(1, 4151, 513, 99),
+            Axis::new(spec, 10.0, homed),
+        )
     }
 
     fn message(command: u8, data: i32) -> Message {
-        Message { unit: 1, command, data }
+        Message {
+            unit: 1,
+            command,
+            data,
+        }
     }
 
     #[test]
@@ -162,27 +209,59 @@ mod tests {
         assert_eq!(unit.update(&mut axis, 0.5), None);
         assert_eq!(unit.update(&mut axis, 5.0), Some(message(20, 420_000)));
         assert_eq!(unit.update(&mut axis, 6.0), None);
-        assert_eq!(unit.execute(&mut axis, message(60, 0), 6.0), Some(message(60, 420_000)));
+        assert_eq!(
+            unit.execute(&mut axis, message(60, 0), 6.0),
+            Some(message(60, 420_000))
+        );
     }
 
     #[test]
     fn the_home_status_is_a_bit_of_the_device_mode_and_a_setting_of_later_firmware() {
         for (homed, mode) in [(false, 0x8), (true, 0x88)] {
             let (mut unit, mut axis) = rig(homed);
-            assert_eq!(unit.execute(&mut axis, message(53, 40), 0.0), Some(message(40, mode)));
-            assert_eq!(unit.execute(&mut axis, message(53, 103), 0.0), Some(message(255, 53)), "5.13");
+            assert_eq!(
+                unit.execute(&mut axis, message(53, 40), 0.0),
+                Some(message(40, mode))
+            );
+            assert_eq!(
+                unit.execute(&mut axis, message(53, 103), 0.0),
+                Some(message(255, 53)),
+                "5.13"
+            );
             let mut later = BinaryUnit::new(1, 4151, 612, 99);
-            assert_eq!(later.execute(&mut axis, message(53, 103), 0.0), Some(message(103, homed.into())));
+            assert_eq!(
+                later.execute(&mut axis, message(53, 103), 0.0),
+                Some(message(103, homed.into()))
+            );
         }
     }
 
     #[test]
     fn targets_out_of_travel_and_unknown_commands_are_errors_and_others_units_are_ignored() {
         let (mut unit, mut axis) = rig(true);
-        assert_eq!(unit.execute(&mut axis, message(20, 99_999_999), 0.0), Some(message(255, 20)));
-        assert_eq!(unit.execute(&mut axis, message(200, 0), 0.0), Some(message(255, 64)));
-        assert_eq!(unit.execute(&mut axis, Message { unit: 2, ..message(60, 0) }, 0.0), None);
+        assert_eq!(
+            unit.execute(&mut axis, message(20, 99_999_999), 0.0),
+            Some(message(255, 20))
+        );
+        assert_eq!(
+            unit.execute(&mut axis, message(200, 0), 0.0),
+            Some(message(255, 64))
+        );
+        assert_eq!(
+            unit.execute(
+                &mut axis,
+                Message {
+                    unit: 2,
+                    ..message(60, 0)
+                },
+                0.0
+            ),
+            None
+        );
         let (mut unit, mut axis) = rig(false);
-        assert_eq!(unit.execute(&mut axis, message(20, 5), 0.0), Some(message(255, 20)));
+        assert_eq!(
+            unit.execute(&mut axis, message(20, 5), 0.0),
+            Some(message(255, 20))
+        );
     }
 }

@@ -32,7 +32,12 @@ pub fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Resu
         let now_s = shared.clock.now_s();
         if now_s < due_s {
             obey(shared, &mut link, &mut heard)?;
-            std::thread::sleep(shared.clock.wall(due_s - now_s).min(Duration::from_millis(20)));
+            std::thread::sleep(
+                shared
+                    .clock
+                    .wall(due_s - now_s)
+                    .min(Duration::from_millis(20)),
+            );
             continue;
         }
         let second = index == 1;
@@ -102,10 +107,16 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
     };
     let state = shared.camera_state();
     let (trajectory, depth_mm, moving) = shared.world().camera_view(due_s, &shared.scenario);
-    let seen =
-        SceneState { trajectory, depth_mm, board: state.board, exposure: state.exposure, moved: state.moved };
+    let seen = SceneState {
+        trajectory,
+        depth_mm,
+        board: state.board,
+        exposure: state.exposure,
+        moved: state.moved,
+    };
     let bin = if moving { spec.moving_binning } else { 1 };
-    let seed = shared.scenario.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (2 * trigger + index as u64);
+    let seed =
+        shared.scenario.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (2 * trigger + index as u64);
     let small = scene.picture(index, &seen, [width / bin, height / bin], seed);
     if bin == 1 {
         return small;
@@ -113,7 +124,10 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
     let (bin, width) = (bin as usize, width as usize);
     let mut grey = Vec::with_capacity(width * height as usize);
     for row in small.chunks_exact(width / bin) {
-        let wide: Vec<u8> = row.iter().flat_map(|v| std::iter::repeat_n(*v, bin)).collect();
+        let wide: Vec<u8> = row
+            .iter()
+            .flat_map(|v| std::iter::repeat_n(*v, bin))
+            .collect();
         (0..bin).for_each(|_| grey.extend_from_slice(&wide));
     }
     grey

@@ -23,18 +23,29 @@ pub struct BenchClock {
 }
 
 fn epoch_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default()
+        .as_secs_f64()
 }
 
 impl BenchClock {
     /// Starts now and runs `speed` times as fast as wall time.
     pub fn start(speed: f64) -> Self {
-        Self { pace: Pace::Wall(now_ns()), start_epoch_s: epoch_s(), speed }
+        Self {
+            pace: Pace::Wall(now_ns()),
+            start_epoch_s: epoch_s(),
+            speed,
+        }
     }
 
     /// Stands until its time is let pass.
     pub fn standing() -> Self {
-        Self { pace: Pace::Let(Mutex::new(0.0)), start_epoch_s: epoch_s(), speed: 1.0 }
+        Self {
+            pace: Pace::Let(Mutex::new(0.0)),
+            start_epoch_s: epoch_s(),
+            speed: 1.0,
+        }
     }
 
     /// Lets time pass, s; nothing where the wall's clock does.

@@ -182,8 +182,13 @@ pub struct ScheduledFault {
 /// What was expected and what was found.
 pub fn parse(line: &str) -> Result<Fault, String> {
     let line = line.trim();
-    let text = if line.starts_with('{') { line.to_owned() } else { format!("{{\"kind\":\"{line}\"}}") };
-    serde_json::from_str(&text).map_err(|e| format!("expected a fault such as stall, found {line:?}: {e}"))
+    let text = if line.starts_with('{') {
+        line.to_owned()
+    } else {
+        format!("{{\"kind\":\"{line}\"}}")
+    };
+    serde_json::from_str(&text)
+        .map_err(|e| format!("expected a fault such as stall, found {line:?}: {e}"))
 }
 
 #[cfg(test)]
@@ -197,7 +202,10 @@ mod tests {
             parse("{\"kind\":\"lost-samples\",\"count\":7}").unwrap(),
             Fault::LostSamples { count: 7 }
         );
-        assert_eq!(parse("{\"kind\":\"board\",\"view\":3}").unwrap(), Fault::Board { view: Some(3) });
+        assert_eq!(
+            parse("{\"kind\":\"board\",\"view\":3}").unwrap(),
+            Fault::Board { view: Some(3) }
+        );
         assert_eq!(parse("board").unwrap(), Fault::Board { view: None });
         assert!(parse("earthquake").is_err() && parse("").is_err() && parse("{").is_err());
     }

@@ -16,7 +16,10 @@ pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     while shared.goes_on() && !shared.interrogator_cable.is_out() {
         if let Some(from) = stream_from {
             let scans = shared.scans_from(from);
-            let out: Vec<u8> = scans.iter().flat_map(|s| response("", &record(shared, s))).collect();
+            let out: Vec<u8> = scans
+                .iter()
+                .flat_map(|s| response("", &record(shared, s)))
+                .collect();
             Wire::send(&mut link, &out)?;
             stream_from = Some(scans.last().map_or(from, |s| s.serial + 1));
             link.set_nonblocking(true)?;
@@ -33,7 +36,8 @@ pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
         }
         while pending.len() >= 8 {
             let command = usize::from(u16::from_le_bytes([pending[2], pending[3]]));
-            let arguments = u32::from_le_bytes([pending[4], pending[5], pending[6], pending[7]]) as usize;
+            let arguments =
+                u32::from_le_bytes([pending[4], pending[5], pending[6], pending[7]]) as usize;
             let total = 8 + command + arguments;
             if pending.len() < total {
                 break;

@@ -59,7 +59,11 @@ impl InProcess {
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
         let shared = BenchState::by_clock(scenario, plant, BenchClock::standing());
         shared.scan();
-        Self { shared, stream: Arc::default(), answers: Arc::new(Mutex::new(answers)) }
+        Self {
+            shared,
+            stream: Arc::default(),
+            answers: Arc::new(Mutex::new(answers)),
+        }
     }
 
     /// A pause of the sweep: its time passes. The first one waits for the thread that reads the stream, or chance would say how many there are.
@@ -104,7 +108,11 @@ impl InProcess {
     }
 
     fn unit(&self, index: usize) -> Unit {
-        Unit { bench: self.clone(), index, commanded_mm: None }
+        Unit {
+            bench: self.clone(),
+            index,
+            commanded_mm: None,
+        }
     }
 }
 
@@ -117,7 +125,10 @@ struct Unit {
 
 impl Unit {
     fn refused(&self, action: &str, found: &str) -> DeviceError {
-        let (kind, device) = (DeviceErrorKind::Rejected, format!("virtual unit {}", self.index + 1));
+        let (kind, device) = (
+            DeviceErrorKind::Rejected,
+            format!("virtual unit {}", self.index + 1),
+        );
         DeviceError::new(kind, device, action, "a command that the unit takes", found)
     }
 
@@ -125,7 +136,10 @@ impl Unit {
     fn axis<T>(&self, f: impl FnOnce(&mut super::axis::Axis, f64) -> T) -> Result<T, DeviceError> {
         let t_s = self.bench.shared.clock.now_s();
         let mut world = self.bench.shared.world();
-        let unit = world.units.get_mut(self.index).ok_or_else(|| self.refused("answer", "no such unit"))?;
+        let unit = world
+            .units
+            .get_mut(self.index)
+            .ok_or_else(|| self.refused("answer", "no such unit"))?;
         unit.axis.update(t_s);
         Ok(f(&mut unit.axis, t_s))
     }
@@ -149,13 +163,17 @@ impl Stage for Unit {
 
     fn start_home(&mut self) -> Result<(), DeviceError> {
         self.commanded_mm = Some(0.0);
-        self.axis(super::axis::Axis::home)?.map_err(|e| self.refused("search the reference", e))
+        self.axis(super::axis::Axis::home)?
+            .map_err(|e| self.refused("search the reference", e))
     }
 
     fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
         let (target_mm, moved) = self.axis(|axis, t_s| {
             let steps = axis.spec.unit.from_mm(target_mm);
-            (axis.spec.unit.to_mm(steps as f64), axis.move_to(t_s, steps, Some(speed_mm_s)))
+            (
+                axis.spec.unit.to_mm(steps as f64),
+                axis.move_to(t_s, steps, Some(speed_mm_s)),
+            )
         })?;
         self.commanded_mm = Some(target_mm);
         moved.map_err(|e| self.refused("move", e))
@@ -165,12 +183,19 @@ impl Stage for Unit {
         self.bench.pass(self.bench.answer_s(HEARD_S));
         let (homed, measured_mm, moving, flags) = self.axis(|axis, t_s| {
             let mm = axis.spec.unit.to_mm(axis.steps(t_s) as f64);
-            (axis.homed() || axis.busy(t_s), mm, axis.busy(t_s), axis.flags())
+            (
+                axis.homed() || axis.busy(t_s),
+                mm,
+                axis.busy(t_s),
+                axis.flags(),
+            )
         })?;
         self.bench.pass(self.bench.answer_s(ANSWERED_S));
         if !homed {
-            let (expected, found) =
-                ("a homed axis", flags.join(" ") + flags.first().map_or("", |f| remedy(f)));
+            let (expected, found) = (
+                "a homed axis",
+                flags.join(" ") + flags.first().map_or("", |f| remedy(f)),
+            );
             let error = self.refused("read position", &found);
             return Err(DeviceError {
                 kind: DeviceErrorKind::NotHomed,
@@ -184,7 +209,10 @@ impl Stage for Unit {
             measured_mm,
             moving,
             flags: flags.iter().map(|f| (*f).to_owned()).collect(),
-            clocks: Clocks { host_s, device_s: None },
+            clocks: Clocks {
+                host_s,
+                device_s: None,
+            },
         })
     }
 
@@ -194,7 +222,11 @@ impl Stage for Unit {
             axis.clear_flags();
             shown
         })?;
-        Ok(shown.into_iter().filter(|flag| is_latched(flag)).map(str::to_owned).collect())
+        Ok(shown
+            .into_iter()
+            .filter(|flag| is_latched(flag))
+            .map(str::to_owned)
+            .collect())
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
@@ -223,7 +255,9 @@ impl Mount for OwnMount {
 
     fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
         match self.unit.read() {
-            Err(e) if e.kind == DeviceErrorKind::NotHomed && allowed.home => self.unit.start_home()?,
+            Err(e) if e.kind == DeviceErrorKind::NotHomed && allowed.home => {
+                self.unit.start_home()?
+            }
             reading => drop(reading?),
         }
         while self.unit.read()?.moving {}
@@ -233,7 +267,9 @@ impl Mount for OwnMount {
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let steps = i64::from(trajectory) * self.steps_per_trajectory;
         let speed_mm_s = self.speed_mm_s;
-        let moved = self.unit.axis(|axis, t_s| axis.move_to(t_s, steps, Some(speed_mm_s)))?;
+        let moved = self
+            .unit
+            .axis(|axis, t_s| axis.move_to(t_s, steps, Some(speed_mm_s)))?;
         moved.map_err(|e| self.unit.refused("turn", e))?;
         while self.unit.read()?.moving {}
         Ok(())
@@ -299,13 +335,18 @@ impl OwnInterrogator {
     fn reading(&self, scan: &super::world::Scan) -> FbgReading {
         let mut peaks: Vec<f64> = scan.peaks_nm.iter().flatten().copied().collect();
         peaks.sort_by(f64::total_cmp);
-        let (host_s, device_s) =
-            (self.bench.host_s(scan.t_s + ARRIVAL_S), self.bench.shared.device_s(scan.t_s));
+        let (host_s, device_s) = (
+            self.bench.host_s(scan.t_s + ARRIVAL_S),
+            self.bench.shared.device_s(scan.t_s),
+        );
         FbgReading {
             serial: scan.serial,
             peaks_nm: vec![peaks],
             health: scan.health,
-            clocks: Clocks { host_s, device_s: Some(device_s) },
+            clocks: Clocks {
+                host_s,
+                device_s: Some(device_s),
+            },
         }
     }
 }
@@ -315,11 +356,26 @@ impl DeviceOpener for InProcess {
         Ok(Box::new(self.unit(0)))
     }
 
-    fn mount(&mut self, rig: &MountRig, _clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
-        let MountRig::Zaber { steps_per_trajectory, speed_mm_s, .. } = rig else { return Ok(None) };
+    fn mount(
+        &mut self,
+        rig: &MountRig,
+        _clock: HostClock,
+    ) -> Result<Option<Box<dyn Mount>>, DeviceError> {
+        let MountRig::Zaber {
+            steps_per_trajectory,
+            speed_mm_s,
+            ..
+        } = rig
+        else {
+            return Ok(None);
+        };
         let unit = self.unit(1);
         let (steps_per_trajectory, speed_mm_s) = (*steps_per_trajectory, *speed_mm_s);
-        Ok(Some(Box::new(OwnMount { unit, steps_per_trajectory, speed_mm_s })))
+        Ok(Some(Box::new(OwnMount {
+            unit,
+            steps_per_trajectory,
+            speed_mm_s,
+        })))
     }
 
     fn interrogator(
@@ -327,13 +383,28 @@ impl DeviceOpener for InProcess {
         _rig: &InterrogatorRig,
         _clock: HostClock,
     ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
-        Ok(Box::new(OwnInterrogator { bench: self.clone(), next: 0 }))
+        Ok(Box::new(OwnInterrogator {
+            bench: self.clone(),
+            next: 0,
+        }))
     }
 
-    fn camera(&mut self, rig: &CameraRig, _clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
-        let (kind, expected) =
-            (DeviceErrorKind::Configuration, "a rig without cameras, or `wcal virtual-bench`");
-        Err(DeviceError::new(kind, "camera", "open", expected, format!("camera {}", rig.name)))
+    fn camera(
+        &mut self,
+        rig: &CameraRig,
+        _clock: HostClock,
+    ) -> Result<Box<dyn Camera + Send>, DeviceError> {
+        let (kind, expected) = (
+            DeviceErrorKind::Configuration,
+            "a rig without cameras, or `wcal virtual-bench`",
+        );
+        Err(DeviceError::new(
+            kind,
+            "camera",
+            "open",
+            expected,
+            format!("camera {}", rig.name),
+        ))
     }
 
     fn repeats(&self) -> u64 {

@@ -109,7 +109,9 @@ impl Cable {
     /// # Errors
     /// What the link reports.
     pub fn pour(&self, wire: &mut dyn Wire, binary: bool) -> io::Result<()> {
-        self.flooded().map_or(Ok(()), |flood| wire.send(&stray(flood, binary).repeat(POURED)))
+        self.flooded().map_or(Ok(()), |flood| {
+            wire.send(&stray(flood, binary).repeat(POURED))
+        })
     }
 
     /// Sends a reply as the cable lets it through.
@@ -133,9 +135,13 @@ impl Cable {
             }
             // The binary protocol has neither info nor lines.
             Some(ReplyFault::Info) if is_binary(bytes) => wire.send(bytes),
-            Some(ReplyFault::Info) => {
-                wire.send(&[&b"#01 1 the unit says more\r\n\r\n\r\n#01 0 and more\r\n"[..], bytes].concat())
-            }
+            Some(ReplyFault::Info) => wire.send(
+                &[
+                    &b"#01 1 the unit says more\r\n\r\n\r\n#01 0 and more\r\n"[..],
+                    bytes,
+                ]
+                .concat(),
+            ),
             Some(ReplyFault::Lose) => Ok(()),
             Some(ReplyFault::Corrupt) => {
                 let mut wrong = bytes.to_vec();
@@ -210,11 +216,19 @@ impl Pty {
         grantpt(&master)?;
         unlockpt(&master)?;
         let path = ptsname(&master, Vec::new())?.to_string_lossy().into_owned();
-        let slave = open(&*path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        let slave = open(
+            &*path,
+            OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC,
+            Mode::empty(),
+        )?;
         let mut settings = tcgetattr(&slave)?;
         settings.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &settings)?;
-        Ok(Self { master, slave, path })
+        Ok(Self {
+            master,
+            slave,
+            path,
+        })
     }
 
     /// Path of the slave, e.g. `/dev/pts/3`.
@@ -225,7 +239,10 @@ impl Pty {
 
 impl Wire for Pty {
     fn receive(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let wait = Timespec { tv_sec: 0, tv_nsec: PATIENCE.as_nanos() as i64 };
+        let wait = Timespec {
+            tv_sec: 0,
+            tv_nsec: PATIENCE.as_nanos() as i64,
+        };
         let mut fds = [PollFd::new(&self.master, PollFlags::IN)];
         if retry_on_intr(|| poll(&mut fds, Some(&wait)))? == 0 {
             return Ok(0);
@@ -235,7 +252,10 @@ impl Wire for Pty {
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         let mut rest = bytes;
-        let wait = Timespec { tv_sec: TAKEN.as_secs() as i64, tv_nsec: 0 };
+        let wait = Timespec {
+            tv_sec: TAKEN.as_secs() as i64,
+            tv_nsec: 0,
+        };
         while !rest.is_empty() {
             // Without a client the terminal fills up, and a write would wait for ever.
             let mut fds = [PollFd::new(&self.master, PollFlags::OUT)];

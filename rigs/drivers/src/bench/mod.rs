@@ -84,11 +84,27 @@ impl VirtualBench {
         let pty = Pty::open()?;
         let stage_pty = pty.path().to_owned();
         threads.push(serve_pty(&shared, pty));
-        let stage_tcp =
-            listen(&shared, &mut threads, PortCable::Stage, |s, mut link| stage_server::serve(s, &mut link))?;
-        let sm130 = listen(&shared, &mut threads, PortCable::Interrogator, sm130_server::serve)?;
-        let commands = listen(&shared, &mut threads, PortCable::Interrogator, hyperion_server::serve)?;
-        let peaks = listen(&shared, &mut threads, PortCable::Interrogator, hyperion_server::serve)?;
+        let stage_tcp = listen(&shared, &mut threads, PortCable::Stage, |s, mut link| {
+            stage_server::serve(s, &mut link)
+        })?;
+        let sm130 = listen(
+            &shared,
+            &mut threads,
+            PortCable::Interrogator,
+            sm130_server::serve,
+        )?;
+        let commands = listen(
+            &shared,
+            &mut threads,
+            PortCable::Interrogator,
+            hyperion_server::serve,
+        )?;
+        let peaks = listen(
+            &shared,
+            &mut threads,
+            PortCable::Interrogator,
+            hyperion_server::serve,
+        )?;
         let mut cameras = Vec::new();
         for index in 0..camera_count {
             let serve = move |s: &BenchState, link| camera_server::serve(s, link, index);
@@ -99,8 +115,20 @@ impl VirtualBench {
         threads.push(scanner(&shared));
         let hyperion = HyperionAddresses { commands, peaks };
         let clock = listen(&shared, &mut threads, PortCable::None, serve_clock)?;
-        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras, speed, clock };
-        Ok(Self { shared, addresses, threads })
+        let addresses = Addresses {
+            stage_pty,
+            stage_tcp,
+            sm130,
+            hyperion,
+            cameras,
+            speed,
+            clock,
+        };
+        Ok(Self {
+            shared,
+            addresses,
+            threads,
+        })
     }
 
     /// Where the devices answer.
@@ -116,7 +144,11 @@ impl VirtualBench {
     /// True stage position (mm) and speed (mm/s) now; for tests of what a fault left behind.
     pub fn true_stage(&self) -> (f64, f64) {
         let t_s = self.shared.clock.now_s();
-        self.shared.world().units.first().map_or((0.0, 0.0), |u| u.axis.at(t_s))
+        self.shared
+            .world()
+            .units
+            .first()
+            .map_or((0.0, 0.0), |u| u.axis.at(t_s))
     }
 
     /// Time for which the bench's clock stood, s of bench time, where that is much: this computer cannot hold its speed.
@@ -190,9 +222,11 @@ where
             if cord != PortCable::None && shared.never_accepts() {
                 // With a full queue the system does not answer to another connection.
                 if queue.is_empty() {
-                    queue = std::iter::from_fn(|| TcpStream::connect_timeout(&address, UNANSWERED).ok())
-                        .take(QUEUE)
-                        .collect();
+                    queue = std::iter::from_fn(|| {
+                        TcpStream::connect_timeout(&address, UNANSWERED).ok()
+                    })
+                    .take(QUEUE)
+                    .collect();
                 }
                 std::thread::sleep(Duration::from_millis(3));
                 continue;
@@ -203,9 +237,14 @@ where
                 Ok((link, _)) if !cord.is_out(&shared) => {
                     let (shared, serve) = (Arc::clone(&shared), serve.clone());
                     clients.push(std::thread::spawn(move || {
-                        let set = link.set_nonblocking(false).and_then(|()| link.set_nodelay(true));
+                        let set = link
+                            .set_nonblocking(false)
+                            .and_then(|()| link.set_nodelay(true));
                         // A client that takes nothing must not hold up the end of the bench.
-                        if set.and_then(|()| link.set_write_timeout(Some(SEND))).is_ok() {
+                        if set
+                            .and_then(|()| link.set_write_timeout(Some(SEND)))
+                            .is_ok()
+                        {
                             // Clients come and go; the end of a link is no event for the bench.
                             let _ = serve(&shared, link);
                         }

@@ -23,7 +23,10 @@ struct MotionSegment {
 impl MotionSegment {
     fn at(&self, t_s: f64) -> (f64, f64) {
         let dt = (t_s - self.t_s).clamp(0.0, self.length_s);
-        (self.x_mm + self.v_mm_s * dt + 0.5 * self.a_mm_s2 * dt * dt, self.v_mm_s + self.a_mm_s2 * dt)
+        (
+            self.x_mm + self.v_mm_s * dt + 0.5 * self.a_mm_s2 * dt * dt,
+            self.v_mm_s + self.a_mm_s2 * dt,
+        )
     }
 
     fn end_s(&self) -> f64 {
@@ -48,12 +51,20 @@ impl Motion {
             v_mm_s: 0.0,
             a_mm_s2: 0.0,
         };
-        Self { pieces: VecDeque::from([MotionSegment { t_s: -1.0, ..rest }]), acceleration_mm_s2 }
+        Self {
+            pieces: VecDeque::from([MotionSegment { t_s: -1.0, ..rest }]),
+            acceleration_mm_s2,
+        }
     }
 
     /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, those at its start.
     pub fn at(&self, t_s: f64) -> (f64, f64) {
-        let piece = self.pieces.iter().rev().find(|p| p.t_s <= t_s).or(self.pieces.front());
+        let piece = self
+            .pieces
+            .iter()
+            .rev()
+            .find(|p| p.t_s <= t_s)
+            .or(self.pieces.front());
         piece.map_or((0.0, 0.0), |p| p.at(t_s))
     }
 
@@ -76,7 +87,12 @@ impl Motion {
     pub fn go(&mut self, t_s: f64, target_mm: f64, speed_mm_s: f64) {
         let (x, v) = self.cut(t_s);
         let a = self.acceleration_mm_s2;
-        let mut plan = Plan { t_s, x_mm: x, v_mm_s: v, pieces: &mut self.pieces };
+        let mut plan = Plan {
+            t_s,
+            x_mm: x,
+            v_mm_s: v,
+            pieces: &mut self.pieces,
+        };
         let braking_mm = v * v / (2.0 * a) * v.signum();
         // Moving away, or too fast to stop in time: come to rest first.
         if v != 0.0 && (target_mm - (x + braking_mm)) * v < 0.0 {
@@ -99,7 +115,12 @@ impl Motion {
     pub fn halt(&mut self, t_s: f64) {
         let (x, v) = self.cut(t_s);
         let a = self.acceleration_mm_s2;
-        let mut plan = Plan { t_s, x_mm: x, v_mm_s: v, pieces: &mut self.pieces };
+        let mut plan = Plan {
+            t_s,
+            x_mm: x,
+            v_mm_s: v,
+            pieces: &mut self.pieces,
+        };
         plan.push(v.abs() / a, -a * v.signum());
         plan.rest(None);
     }
@@ -107,7 +128,13 @@ impl Motion {
     /// Stands still at once, as a stalled motor does.
     pub fn freeze(&mut self, t_s: f64) {
         let (x, _) = self.cut(t_s);
-        Plan { t_s, x_mm: x, v_mm_s: 0.0, pieces: &mut self.pieces }.rest(None);
+        Plan {
+            t_s,
+            x_mm: x,
+            v_mm_s: 0.0,
+            pieces: &mut self.pieces,
+        }
+        .rest(None);
     }
 
     /// State at `t_s`; drops what was planned after it and the distant past.
@@ -139,7 +166,13 @@ impl Plan<'_> {
         if length_s <= 0.0 {
             return;
         }
-        let piece = MotionSegment { t_s: self.t_s, length_s, x_mm: self.x_mm, v_mm_s: self.v_mm_s, a_mm_s2 };
+        let piece = MotionSegment {
+            t_s: self.t_s,
+            length_s,
+            x_mm: self.x_mm,
+            v_mm_s: self.v_mm_s,
+            a_mm_s2,
+        };
         (self.x_mm, self.v_mm_s) = piece.at(piece.end_s());
         self.t_s = piece.end_s();
         self.pieces.push_back(piece);
@@ -182,7 +215,10 @@ mod tests {
         for k in 1..40_000 {
             let now = motion.at(f64::from(k) * 1e-4);
             assert!((now.0 - last.0).abs() < 9e-4, "jump at {k}");
-            assert!((now.1 - last.1).abs() < 50.1e-4, "speed jump at {k}: {last:?} {now:?}");
+            assert!(
+                (now.1 - last.1).abs() < 50.1e-4,
+                "speed jump at {k}: {last:?} {now:?}"
+            );
             last = now;
         }
         assert_eq!(last.1, 0.0);
@@ -192,7 +228,9 @@ mod tests {
     fn a_stall_stops_at_once_and_short_moves_never_reach_full_speed() {
         let mut motion = Motion::at_rest(0.0, 50.0);
         motion.go(0.0, 0.01, 8.0);
-        let fastest = (0..1000).map(|k| motion.at(f64::from(k) * 1e-4).1).fold(0.0, f64::max);
+        let fastest = (0..1000)
+            .map(|k| motion.at(f64::from(k) * 1e-4).1)
+            .fold(0.0, f64::max);
         assert!(fastest < 0.75 && (fastest - (50.0_f64 * 0.01).sqrt()).abs() < 1e-2);
         motion.go(1.0, 5.0, 8.0);
         motion.freeze(1.2);

@@ -39,7 +39,9 @@ pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
     let far = |s: f64| (Vector3::from(rest_point(whisker, s).0) - point).norm();
     let step = whisker.length_mm / PIECES as f64;
     let all = (0..=PIECES).map(|k| step * k as f64);
-    let near = all.min_by(|a, b| far(*a).total_cmp(&far(*b))).unwrap_or(whisker.length_mm);
+    let near = all
+        .min_by(|a, b| far(*a).total_cmp(&far(*b)))
+        .unwrap_or(whisker.length_mm);
     // Golden section between its neighbours: a first contact off by half a step would push before it touches.
     let (mut low, mut high) = ((near - step).max(0.0), (near + step).min(whisker.length_mm));
     const RATIO: f64 = 0.618_033_988_749_895;
@@ -118,7 +120,8 @@ impl Physics {
                 z
             }
         };
-        out[0] = fbg.reference_nominal_nm + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
+        out[0] = fbg.reference_nominal_nm
+            + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
         for g in 0..2 {
             let linear = fbg.k_pm_per_nmm[g][0] * moment[0] + fbg.k_pm_per_nmm[g][1] * moment[1];
             // Second order in the strain at the grating: in the moment along its own axis.
@@ -145,7 +148,9 @@ impl Physics {
             + e.periodic_um * 1e-3 * (std::f64::consts::TAU * stage_mm / SCREW_LEAD_MM).sin();
         // Play operator: the carriage follows the nut only once the play is used up.
         let half = e.backlash_um * 5e-4;
-        self.carriage_mm.unwrap_or(screw).clamp(screw - half, screw + half)
+        self.carriage_mm
+            .unwrap_or(screw)
+            .clamp(screw - half, screw + half)
     }
 
     /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the reference of the play.
@@ -159,7 +164,11 @@ impl Physics {
         self.carriage_mm = Some(carriage);
         let e = &self.scenario.effects;
         // First-order delay of the reading behind the carriage.
-        let share = if e.lag_ms > 0.0 { 1.0 - (-dt * 1e3 / e.lag_ms).exp() } else { 1.0 };
+        let share = if e.lag_ms > 0.0 {
+            1.0 - (-dt * 1e3 / e.lag_ms).exp()
+        } else {
+            1.0
+        };
         let lagged = self.lagged_mm.unwrap_or(carriage);
         let lagged = lagged + share * (carriage - lagged);
         self.lagged_mm = Some(lagged);
@@ -202,7 +211,9 @@ mod tests {
     fn the_same_seed_gives_the_same_scans_and_another_does_not() {
         let run = |seed: u64| {
             let mut p = Physics::new(&scenario(&format!("seed = {seed}")), Box::new(Spring));
-            (0..50).map(|k| p.step(f64::from(k) * 5e-4, 1, 22.0)).collect::<Vec<_>>()
+            (0..50)
+                .map(|k| p.step(f64::from(k) * 5e-4, 1, 22.0))
+                .collect::<Vec<_>>()
         };
         assert_eq!(run(3), run(3));
         assert_ne!(run(3), run(4));
@@ -210,11 +221,17 @@ mod tests {
 
     #[test]
     fn backlash_shows_after_a_reversal_and_only_then() {
-        let quiet = "[interrogator]\nnoise_pm = 0\n[temperature]\ndrift_degc_per_h = 0\nswing_degc = 0\n";
+        let quiet =
+            "[interrogator]\nnoise_pm = 0\n[temperature]\ndrift_degc_per_h = 0\nswing_degc = 0\n";
         let shift = |effects: &str| {
-            let mut p = Physics::new(&scenario(&format!("{quiet}[effects]\n{effects}")), Box::new(Spring));
+            let mut p = Physics::new(
+                &scenario(&format!("{quiet}[effects]\n{effects}")),
+                Box::new(Spring),
+            );
             let path = |k: i32| 20.0 + 0.01 * f64::from(if k <= 200 { k } else { 400 - k });
-            let all: Vec<f64> = (0..=300).map(|k| p.step(f64::from(k) * 0.01, 1, path(k))[1]).collect();
+            let all: Vec<f64> = (0..=300)
+                .map(|k| p.step(f64::from(k) * 0.01, 1, path(k))[1])
+                .collect();
             (all[100], all[300])
         };
         let (up, down) = shift("backlash_um = 40");

@@ -126,21 +126,37 @@ impl Scenario {
             ));
         }
         if ![0, 2].contains(&scenario.cameras.count) {
-            return Err(format!("cameras.count: expected 0 or 2, found {}", scenario.cameras.count));
+            return Err(format!(
+                "cameras.count: expected 0 or 2, found {}",
+                scenario.cameras.count
+            ));
         }
         let w = &scenario.whisker;
         if w.straight_mm > w.length_mm || w.shear_gpa >= w.youngs_gpa {
-            return Err(format!("whisker: expected straight_mm within length_mm and G below E, found {w:?}"));
+            return Err(format!(
+                "whisker: expected straight_mm within length_mm and G below E, found {w:?}"
+            ));
         }
-        if let Some(t) = scenario.trajectory.iter().find(|t| norm(t.direction) < 1e-6) {
-            return Err(format!("trajectory {}: expected a direction, found a zero vector", t.id));
+        if let Some(t) = scenario
+            .trajectory
+            .iter()
+            .find(|t| norm(t.direction) < 1e-6)
+        {
+            return Err(format!(
+                "trajectory {}: expected a direction, found a zero vector",
+                t.id
+            ));
         }
         Ok(scenario)
     }
 
     /// Trajectories, the default nine where none are given.
     pub fn trajectories(&self) -> Vec<TrajectoryScenario> {
-        if self.trajectory.is_empty() { default_trajectories(&self.whisker) } else { self.trajectory.clone() }
+        if self.trajectory.is_empty() {
+            default_trajectories(&self.whisker)
+        } else {
+            self.trajectory.clone()
+        }
     }
 }
 
@@ -192,7 +208,10 @@ pub struct MountScenario {
 
 impl Default for MountScenario {
     fn default() -> Self {
-        Self { present: true, steps_per_trajectory: 10_000 }
+        Self {
+            present: true,
+            steps_per_trajectory: 10_000,
+        }
     }
 }
 
@@ -324,7 +343,11 @@ fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
         for turn_deg in [0.0_f64, -60.0, 60.0] {
             let (sin, cos) = turn_deg.to_radians().sin_cos();
             let direction = [normal[0] * cos, sin, normal[2] * cos];
-            list.push(TrajectoryScenario { id: list.len() as u32 + 1, origin_mm, direction });
+            list.push(TrajectoryScenario {
+                id: list.len() as u32 + 1,
+                origin_mm,
+                direction,
+            });
         }
     }
     list
@@ -346,7 +369,12 @@ pub struct TemperatureScenario {
 
 impl Default for TemperatureScenario {
     fn default() -> Self {
-        Self { start_degc: 21.0, drift_degc_per_h: 0.3, swing_degc: 0.05, swing_period_s: 600.0 }
+        Self {
+            start_degc: 21.0,
+            drift_degc_per_h: 0.3,
+            swing_degc: 0.05,
+            swing_period_s: 600.0,
+        }
     }
 }
 
@@ -381,7 +409,10 @@ pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) 
     let turn = ((s_mm - whisker.straight_mm) / whisker.arc_radius_mm).max(0.0);
     let (sin, cos) = turn.sin_cos();
     let x = s_mm.min(whisker.straight_mm) + whisker.arc_radius_mm * sin;
-    ([x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)], [cos, 0.0, -sin])
+    (
+        [x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)],
+        [cos, 0.0, -sin],
+    )
 }
 
 #[cfg(test)]

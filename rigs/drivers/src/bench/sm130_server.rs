@@ -104,7 +104,10 @@ fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
         "#GET_DATA_RATE_DIVIDER" | "#GET_DATA_INTERLEAVE" | "#GET_NUM_AVERAGES" => "1".to_owned(),
         "#GET_BUFFER_ENABLE" => "1".to_owned(),
         "#GET_BUFFER_COUNT" => "0".to_owned(),
-        name if name.starts_with("#SET_") || name == "#FLUSH_BUFFER" || name == "#SAVE_SETTINGS" => {
+        name if name.starts_with("#SET_")
+            || name == "#FLUSH_BUFFER"
+            || name == "#SAVE_SETTINGS" =>
+        {
             "Setting accepted.".to_owned()
         }
         _ => "Unknown command.".to_owned(),
@@ -114,8 +117,12 @@ fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
 
 /// One data frame, field by field at its offset.
 fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
-    let mut counts: Vec<u32> =
-        scan.peaks_nm.iter().flatten().map(|nm| (nm * GRANULARITY).round() as u32).collect();
+    let mut counts: Vec<u32> = scan
+        .peaks_nm
+        .iter()
+        .flatten()
+        .map(|nm| (nm * GRANULARITY).round() as u32)
+        .collect();
     counts.sort_unstable();
     let mut b = vec![0_u8; 88];
     let mut put = |at: usize, bytes: &[u8]| b[at..at + bytes.len()].copy_from_slice(bytes);
@@ -123,9 +130,18 @@ fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let microseconds = (device_s * 1e6).round() as u64;
     let h = scan.health;
     let bit = |on: bool, value: u8| if on { value } else { 0 };
-    put(0, &[16, 0, 3, 0x20 | bit(h.calibration_fault, 0x40) | bit(h.fan_fault, 0x10)]);
+    put(
+        0,
+        &[
+            16,
+            0,
+            3,
+            0x20 | bit(h.calibration_fault, 0x40) | bit(h.fan_fault, 0x10),
+        ],
+    );
     put(4, &12_345_u16.to_le_bytes());
-    let light = bit(h.soa_thermal, 8) | bit(h.soa_current, 4) | bit(h.tec_over, 2) | bit(h.tec_under, 1);
+    let light =
+        bit(h.soa_thermal, 8) | bit(h.soa_current, 4) | bit(h.tec_over, 2) | bit(h.tec_under, 1);
     put(7, &[light]);
     put(12, &(counts.len() as u16).to_le_bytes());
     put(16, &(counts.len() as u16).to_le_bytes());

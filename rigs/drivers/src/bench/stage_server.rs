@@ -42,7 +42,11 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
             // The time is asked with the lock held: one from before it would put the units back.
             let mut world = shared.world();
             let t_s = shared.clock.now_s();
-            world.units.iter_mut().filter_map(|u| u.update(t_s)).collect()
+            world
+                .units
+                .iter_mut()
+                .filter_map(|u| u.update(t_s))
+                .collect()
         };
         for alert in alerts {
             wire.send(alert.as_bytes())?;
@@ -103,7 +107,9 @@ fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
         {
             let mut world = shared.world();
             let t_s = shared.clock.now_s();
-            let Some(stage) = world.units.first_mut() else { break };
+            let Some(stage) = world.units.first_mut() else {
+                break;
+            };
             answers.extend(face.update(&mut stage.axis, t_s));
             while let Some((six, rest)) = pending.split_first_chunk::<6>() {
                 answers.extend(face.execute(&mut stage.axis, Message::from_bytes(*six), t_s));

@@ -79,13 +79,21 @@ impl Unit {
     /// A unit that has just been switched on.
     pub fn new(address: u8, spec: UnitSpec) -> Self {
         let axis_spec = AxisSpec {
-            unit: Microsteps { size_um: spec.microstep_um },
+            unit: Microsteps {
+                size_um: spec.microstep_um,
+            },
             limit_steps: spec.limit_steps,
             max_speed_mm_s: spec.max_speed_mm_s,
             acceleration_mm_s2: spec.acceleration_mm_s2,
         };
         let axis = Axis::new(axis_spec, spec.start_mm, spec.homed);
-        Self { address, spec, axis, settings: default_settings(), silent_until_s: f64::NEG_INFINITY }
+        Self {
+            address,
+            spec,
+            axis,
+            settings: default_settings(),
+            silent_until_s: f64::NEG_INFINITY,
+        }
     }
 
     /// Speaks to this unit and it is awake.
@@ -96,7 +104,8 @@ impl Unit {
     /// An alert when a motion ended and alerts are on.
     pub fn update(&mut self, t_s: f64) -> Option<String> {
         let ended = self.axis.update(t_s);
-        (ended && self.setting("comm.alert") == 1).then(|| self.header(None, 1, false, t_s, |h| h.alert()))
+        (ended && self.setting("comm.alert") == 1)
+            .then(|| self.header(None, 1, false, t_s, |h| h.alert()))
     }
 
     /// Power lost and back: silent for a second of bench time.
@@ -109,7 +118,11 @@ impl Unit {
     /// Executes a command; the packets to send.
     pub fn execute(&mut self, command: &Command, t_s: f64) -> Vec<String> {
         self.axis.update(t_s);
-        let answer = if command.axis > 1 { Answer::refused("BADAXIS") } else { self.dispatch(command, t_s) };
+        let answer = if command.axis > 1 {
+            Answer::refused("BADAXIS")
+        } else {
+            self.dispatch(command, t_s)
+        };
         let checked = match self.spec.checksums {
             ChecksumHabit::Asked => command.checked || self.setting("comm.checksum") == 1,
             ChecksumHabit::Always => true,
@@ -129,7 +142,14 @@ impl Unit {
     ) -> R {
         let flags = self.axis.flags();
         let flag = flags.first().copied().unwrap_or("--");
-        f(Header { device: self.address, axis, id, busy: self.axis.busy(t_s), flag, checked })
+        f(Header {
+            device: self.address,
+            axis,
+            id,
+            busy: self.axis.busy(t_s),
+            flag,
+            checked,
+        })
     }
 
     fn dispatch(&mut self, command: &Command, t_s: f64) -> Answer {
@@ -146,7 +166,9 @@ impl Unit {
                 Answer::ok("0")
             }
             ["move", rest @ ..] => done(self.do_move(rest, t_s)),
-            ["get", name] => self.get(name, t_s).map_or_else(|| Answer::refused("BADCOMMAND"), Answer::ok),
+            ["get", name] => self
+                .get(name, t_s)
+                .map_or_else(|| Answer::refused("BADCOMMAND"), Answer::ok),
             ["set", name, value] => done(self.set(name, value)),
             ["warnings"] => self.warnings(),
             ["warnings", "clear"] => {
@@ -177,9 +199,16 @@ impl Unit {
             ["help"] => Answer {
                 ok: true,
                 data: "0".to_owned(),
-                info: ["home", "move abs|rel|vel|min|max", "stop", "get", "set", "warnings"]
-                    .map(str::to_owned)
-                    .to_vec(),
+                info: [
+                    "home",
+                    "move abs|rel|vel|min|max",
+                    "stop",
+                    "get",
+                    "set",
+                    "warnings",
+                ]
+                .map(str::to_owned)
+                .to_vec(),
             },
             _ => Answer::refused("BADCOMMAND"),
         }
@@ -189,7 +218,11 @@ impl Unit {
         let number = |text: &str| text.parse::<f64>().map_err(|_| "BADDATA");
         let unit = self.axis.spec.unit;
         // A third word is the speed of this move, a fourth its acceleration (firmware 7).
-        let speed = words.get(2).map(|w| number(w)).transpose()?.map(|d| unit.speed_mm_s(d));
+        let speed = words
+            .get(2)
+            .map(|w| number(w))
+            .transpose()?
+            .map(|d| unit.speed_mm_s(d));
         match words {
             ["abs", target, ..] => {
                 if !self.axis.homed() {
@@ -224,9 +257,9 @@ impl Unit {
             "limit.max" => self.axis.spec.limit_steps.to_string(),
             "limit.min" => "0".to_owned(),
             "maxspeed" => unit.speed_data(self.axis.speed_mm_s()).to_string(),
-            "accel" | "motion.accelonly" | "motion.decelonly" => {
-                unit.acceleration_data(self.axis.acceleration_mm_s2()).to_string()
-            }
+            "accel" | "motion.accelonly" | "motion.decelonly" => unit
+                .acceleration_data(self.axis.acceleration_mm_s2())
+                .to_string(),
             "limit.home.triggered" => u8::from(self.axis.homed()).to_string(),
             "comm.address" => self.address.to_string(),
             other => self.settings.get(other)?.to_string(),
@@ -288,32 +321,74 @@ mod tests {
     #[test]
     fn a_session_with_the_unit() {
         let mut unit = Unit::new(1, UnitSpec::default());
-        assert_eq!(say(&mut unit, "/1 1 move abs 100", 0.0), "@01 1 RJ IDLE WR BADDATA\r\n");
+        assert_eq!(
+            say(&mut unit, "/1 1 move abs 100", 0.0),
+            "@01 1 RJ IDLE WR BADDATA\r\n"
+        );
         assert_eq!(say(&mut unit, "/1 1 home", 0.0), "@01 1 OK BUSY WR 0\r\n");
         assert_eq!(say(&mut unit, "/1 1", 10.0), "@01 1 OK IDLE -- 0\r\n");
-        assert_eq!(say(&mut unit, "/1 1 move abs 209974", 10.0), "@01 1 OK BUSY -- 0\r\n");
-        assert_eq!(say(&mut unit, "/1 1 get pos", 20.0), "@01 1 OK IDLE -- 209974\r\n");
-        assert_eq!(say(&mut unit, "/1 1 move abs 9999999", 20.0), "@01 1 RJ IDLE -- BADDATA\r\n");
-        assert_eq!(say(&mut unit, "/1 2 home", 20.0), "@01 2 RJ IDLE -- BADAXIS\r\n");
-        assert_eq!(say(&mut unit, "/1 1 dance", 20.0), "@01 1 RJ IDLE -- BADCOMMAND\r\n");
-        assert_eq!(say(&mut unit, "/1 get limit.max", 20.0), "@01 0 OK IDLE -- 2133333\r\n");
+        assert_eq!(
+            say(&mut unit, "/1 1 move abs 209974", 10.0),
+            "@01 1 OK BUSY -- 0\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 1 get pos", 20.0),
+            "@01 1 OK IDLE -- 209974\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 1 move abs 9999999", 20.0),
+            "@01 1 RJ IDLE -- BADDATA\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 2 home", 20.0),
+            "@01 2 RJ IDLE -- BADAXIS\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 1 dance", 20.0),
+            "@01 1 RJ IDLE -- BADCOMMAND\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 get limit.max", 20.0),
+            "@01 0 OK IDLE -- 2133333\r\n"
+        );
     }
 
     #[test]
     fn warnings_are_listed_and_cleared_and_stop_interrupts() {
-        let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
+        let mut unit = Unit::new(
+            1,
+            UnitSpec {
+                homed: true,
+                ..UnitSpec::default()
+            },
+        );
         say(&mut unit, "/1 1 move vel 100000", 0.0);
         assert_eq!(say(&mut unit, "/1 1 stop", 1.0), "@01 1 OK BUSY NI 0\r\n");
-        assert_eq!(say(&mut unit, "/1 1 warnings clear", 2.0), "@01 1 OK IDLE -- 01 NI\r\n");
-        assert_eq!(say(&mut unit, "/1 1 warnings", 2.0), "@01 1 OK IDLE -- 00\r\n");
+        assert_eq!(
+            say(&mut unit, "/1 1 warnings clear", 2.0),
+            "@01 1 OK IDLE -- 01 NI\r\n"
+        );
+        assert_eq!(
+            say(&mut unit, "/1 1 warnings", 2.0),
+            "@01 1 OK IDLE -- 00\r\n"
+        );
     }
 
     #[test]
     fn a_stall_is_shown_until_the_flags_are_cleared() {
-        let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
+        let mut unit = Unit::new(
+            1,
+            UnitSpec {
+                homed: true,
+                ..UnitSpec::default()
+            },
+        );
         unit.axis.arm_stall();
         say(&mut unit, "/1 1 move abs 0", 0.0);
-        assert_eq!(say(&mut unit, "/1 1 warnings", 1.0), "@01 1 OK IDLE FS 01 FS\r\n");
+        assert_eq!(
+            say(&mut unit, "/1 1 warnings", 1.0),
+            "@01 1 OK IDLE FS 01 FS\r\n"
+        );
         // Neither a move nor a reference search takes it back.
         say(&mut unit, "/1 1 move abs 1000", 1.0);
         say(&mut unit, "/1 1 home", 20.0);
@@ -328,7 +403,13 @@ mod tests {
 
     #[test]
     fn a_reset_unit_is_silent_and_then_has_no_reference() {
-        let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
+        let mut unit = Unit::new(
+            1,
+            UnitSpec {
+                homed: true,
+                ..UnitSpec::default()
+            },
+        );
         say(&mut unit, "/1 system reset", 5.0);
         let poll = parse(b"/1 1").unwrap();
         assert!(!unit.hears(&poll, 5.5) && unit.hears(&poll, 6.5));
@@ -337,7 +418,13 @@ mod tests {
 
     #[test]
     fn alerts_come_when_a_motion_ends_and_only_when_asked_for() {
-        let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
+        let mut unit = Unit::new(
+            1,
+            UnitSpec {
+                homed: true,
+                ..UnitSpec::default()
+            },
+        );
         say(&mut unit, "/1 1 move abs 1000", 0.0);
         assert_eq!(unit.update(9.0), None);
         say(&mut unit, "/1 set comm.alert 1", 10.0);

@@ -16,7 +16,12 @@ impl UnitClock {
     pub fn at(&self, t_s: f64) -> f64 {
         let t_s = self.stopped_s.map_or(t_s, |stopped_s| t_s.min(stopped_s));
         let (since_s, ppm) = self.drift;
-        let steps_s: f64 = self.steps.iter().filter(|(at_s, _)| t_s >= *at_s).map(|(_, step_s)| step_s).sum();
+        let steps_s: f64 = self
+            .steps
+            .iter()
+            .filter(|(at_s, _)| t_s >= *at_s)
+            .map(|(_, step_s)| step_s)
+            .sum();
         t_s + (t_s - since_s).max(0.0) * ppm * 1e-6 + steps_s
     }
 

@@ -239,8 +239,11 @@ impl BenchState {
     /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are missing.
     pub fn scans_from(&self, from: u64) -> Vec<Scan> {
         let ring = guard(&self.ring);
-        let waiting = |r: &mut Ring| !self.stopping() && r.scans.back().is_none_or(|s| s.serial < from);
-        let waited = self.fresh.wait_timeout_while(ring, Duration::from_millis(20), waiting);
+        let waiting =
+            |r: &mut Ring| !self.stopping() && r.scans.back().is_none_or(|s| s.serial < from);
+        let waited = self
+            .fresh
+            .wait_timeout_while(ring, Duration::from_millis(20), waiting);
         let (ring, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let start = ring.scans.partition_point(|s| s.serial < from);
         ring.scans.range(start..).take(4096).copied().collect()
@@ -277,7 +280,10 @@ impl BenchState {
         }
         let mut ring = guard(&self.ring);
         ring.scans.extend(fresh);
-        let excess = ring.scans.len().saturating_sub(self.scenario.interrogator.buffer);
+        let excess = ring
+            .scans
+            .len()
+            .saturating_sub(self.scenario.interrogator.buffer);
         ring.scans.drain(..excess);
         drop(ring);
         self.fresh.notify_all();
@@ -301,8 +307,12 @@ impl BenchState {
             Fault::LateReply => self.stage_cable.disturb(ReplyFault::Late),
             Fault::ForeignReply => self.stage_cable.disturb(ReplyFault::Foreign),
             Fault::InfoLines => self.stage_cable.disturb(ReplyFault::Info),
-            Fault::AlertFlood { on } => self.stage_cable.flood(on.then_some(UnsolicitedTraffic::Alerts)),
-            Fault::ForeignFlood { on } => self.stage_cable.flood(on.then_some(UnsolicitedTraffic::Foreign)),
+            Fault::AlertFlood { on } => self
+                .stage_cable
+                .flood(on.then_some(UnsolicitedTraffic::Alerts)),
+            Fault::ForeignFlood { on } => self
+                .stage_cable
+                .flood(on.then_some(UnsolicitedTraffic::Foreign)),
             Fault::NeverAccept { on } => self.never_accepts.store(on, Ordering::SeqCst),
             Fault::ClockDrift { ppm } => guard(&self.unit_clock).drift(t_s, ppm),
             Fault::ClockStep { seconds } => guard(&self.unit_clock).step(t_s, seconds),
@@ -355,11 +365,18 @@ impl World {
             *count -= 1;
             peaks_nm[*grating] = Some(f64::NAN);
         }
-        Scan { serial, t_s, peaks_nm, health: self.health }
+        Scan {
+            serial,
+            t_s,
+            peaks_nm,
+            health: self.health,
+        }
     }
 
     fn inject(&mut self, fault: Fault, t_s: f64) {
-        let Some(stage) = self.units.first_mut() else { return };
+        let Some(stage) = self.units.first_mut() else {
+            return;
+        };
         match fault {
             Fault::Stall => stage.axis.arm_stall(),
             Fault::BusyForEver => stage.axis.arm_endless(),

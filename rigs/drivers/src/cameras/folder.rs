@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
+use wcal_core::device::{
+    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
+};
 
 /// Pictures of a folder, first to last.
 #[derive(Debug)]
@@ -21,7 +23,13 @@ impl FolderCamera {
     pub fn open(folder: &Path, period_s: f64) -> Result<Self, DeviceError> {
         let fail = |found: String| {
             let name = format!("camera {}", folder.display());
-            DeviceError::new(DeviceErrorKind::Configuration, name, "open", "numbered .pgm pictures", found)
+            DeviceError::new(
+                DeviceErrorKind::Configuration,
+                name,
+                "open",
+                "numbered .pgm pictures",
+                found,
+            )
         };
         let entries = std::fs::read_dir(folder).map_err(|e| fail(e.to_string()))?;
         let mut files: Vec<(u64, PathBuf)> = entries
@@ -35,7 +43,12 @@ impl FolderCamera {
         if files.is_empty() {
             return Err(fail("none".to_owned()));
         }
-        Ok(Self { folder: folder.to_owned(), files, next: 0, period_s })
+        Ok(Self {
+            folder: folder.to_owned(),
+            files,
+            next: 0,
+            period_s,
+        })
     }
 
     fn name(&self) -> String {
@@ -46,7 +59,9 @@ impl FolderCamera {
 /// The last group of digits.
 fn number_in(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |k| k + 1);
+    let start = stem[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |k| k + 1);
     stem[start..end].parse().ok()
 }
 
@@ -59,24 +74,46 @@ impl Camera for FolderCamera {
         })
     }
 
-    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError> {
+    fn configure(
+        &mut self,
+        exposure_ms: Option<f64>,
+        gain_db: Option<f64>,
+    ) -> Result<(), DeviceError> {
         if exposure_ms.is_none() && gain_db.is_none() {
             return Ok(());
         }
         let kind = DeviceErrorKind::Unsupported;
         let expected = "no exposure and gain: the pictures exist";
-        Err(DeviceError::new(kind, self.name(), "configure", expected, "a setting"))
+        Err(DeviceError::new(
+            kind,
+            self.name(),
+            "configure",
+            expected,
+            "a setting",
+        ))
     }
 
     fn grab(&mut self, _timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let Some((number, path)) = self.files.get(self.next) else {
             let kind = DeviceErrorKind::Disconnected;
-            return Err(DeviceError::new(kind, self.name(), "grab", "a further picture", "the end"));
+            return Err(DeviceError::new(
+                kind,
+                self.name(),
+                "grab",
+                "a further picture",
+                "the end",
+            ));
         };
         self.next += 1;
         let bad = |found: String| {
             let kind = DeviceErrorKind::Protocol;
-            DeviceError::new(kind, format!("camera {}", path.display()), "read", "a P5 picture", found)
+            DeviceError::new(
+                kind,
+                format!("camera {}", path.display()),
+                "read",
+                "a P5 picture",
+                found,
+            )
         };
         let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;
@@ -86,7 +123,10 @@ impl Camera for FolderCamera {
             width_px,
             height_px,
             grey,
-            clocks: Clocks { host_s: taken_s, device_s: Some(taken_s) },
+            clocks: Clocks {
+                host_s: taken_s,
+                device_s: Some(taken_s),
+            },
             ..CameraFrame::default()
         })
     }
@@ -114,7 +154,8 @@ pub fn parse_pgm(bytes: &[u8]) -> Result<(u32, u32, Vec<u8>), String> {
         while bytes.get(at).is_some_and(|b| !b.is_ascii_whitespace()) {
             at += 1;
         }
-        std::str::from_utf8(&bytes[start..at]).map_err(|_| "bytes that are no text in the header".to_owned())
+        std::str::from_utf8(&bytes[start..at])
+            .map_err(|_| "bytes that are no text in the header".to_owned())
     };
     let magic = token()?.to_owned();
     if magic != "P5" {
@@ -152,10 +193,14 @@ mod tests {
         }
         std::fs::write(dir.path().join("notes.txt"), "x").unwrap();
         let mut camera = FolderCamera::open(dir.path(), 0.1).unwrap();
-        let triggers: Vec<u64> =
-            std::iter::from_fn(|| camera.grab(Duration::ZERO).ok()).map(|f| f.trigger).collect();
+        let triggers: Vec<u64> = std::iter::from_fn(|| camera.grab(Duration::ZERO).ok())
+            .map(|f| f.trigger)
+            .collect();
         assert_eq!(triggers, [1, 2, 10]);
-        assert_eq!(camera.grab(Duration::ZERO).unwrap_err().kind, DeviceErrorKind::Disconnected);
+        assert_eq!(
+            camera.grab(Duration::ZERO).unwrap_err().kind,
+            DeviceErrorKind::Disconnected
+        );
         assert!(camera.configure(Some(5.0), None).is_err());
     }
 
@@ -172,6 +217,9 @@ mod tests {
         ] {
             assert!(parse_pgm(bad).is_err(), "{bad:?}");
         }
-        assert_eq!(parse_pgm(b"P5 2 1 255\nab").unwrap(), (2, 1, b"ab".to_vec()));
+        assert_eq!(
+            parse_pgm(b"P5 2 1 255\nab").unwrap(),
+            (2, 1, b"ab".to_vec())
+        );
     }
 }

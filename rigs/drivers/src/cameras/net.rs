@@ -4,7 +4,9 @@ use crate::link::Link;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
-use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
+use wcal_core::device::{
+    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
+};
 
 /// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
 const HEADER: usize = 40;
@@ -25,9 +27,17 @@ impl NetCamera {
     ///
     /// # Errors
     /// `Disconnected` when nothing listens there, `Timeout` when nobody answers.
-    pub fn connect(address: &str, clock: HostClock, interrupt: &Interrupt) -> Result<Self, DeviceError> {
+    pub fn connect(
+        address: &str,
+        clock: HostClock,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
         let link = Link::connect(format!("camera {address}"), address, interrupt)?;
-        Ok(Self { link, clock, buffer: Vec::new() })
+        Ok(Self {
+            link,
+            clock,
+            buffer: Vec::new(),
+        })
     }
 
     /// Length of the frame in the buffer, once its header is there.
@@ -39,7 +49,13 @@ impl NetCamera {
         if &self.buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
             let found = format!("{:?}, {width} x {height}", &self.buffer[..4]);
             let kind = DeviceErrorKind::Protocol;
-            return Err(DeviceError::new(kind, &self.link.name, "grab", "a WCAM header", found));
+            return Err(DeviceError::new(
+                kind,
+                &self.link.name,
+                "grab",
+                "a WCAM header",
+                found,
+            ));
         }
         Ok(Some(HEADER + width as usize * height as usize))
     }
@@ -62,12 +78,25 @@ impl Camera for NetCamera {
         })
     }
 
-    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError> {
+    fn configure(
+        &mut self,
+        exposure_ms: Option<f64>,
+        gain_db: Option<f64>,
+    ) -> Result<(), DeviceError> {
         if exposure_ms.is_none() && gain_db.is_none() {
             return Ok(());
         }
-        let (kind, expected) = (DeviceErrorKind::Unsupported, "no exposure and gain: the stream has none");
-        Err(DeviceError::new(kind, &self.link.name, "configure", expected, "a setting"))
+        let (kind, expected) = (
+            DeviceErrorKind::Unsupported,
+            "no exposure and gain: the stream has none",
+        );
+        Err(DeviceError::new(
+            kind,
+            &self.link.name,
+            "configure",
+            expected,
+            "a setting",
+        ))
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {

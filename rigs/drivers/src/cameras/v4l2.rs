@@ -13,7 +13,9 @@ use std::io::ErrorKind;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
+use wcal_core::device::{
+    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
+};
 
 /// `V4L2_CID_EXPOSURE_AUTO`; 1 is manual (linux/v4l2-controls.h).
 const EXPOSURE_AUTO: u32 = 0x009a_0901;
@@ -79,13 +81,23 @@ impl V4l2Camera {
             move |e: std::io::Error| io_error(&name, action, &e)
         };
         let refuse = |action: &str, expected: String, found: String| {
-            DeviceError::new(DeviceErrorKind::Configuration, &name, action, expected, found)
+            DeviceError::new(
+                DeviceErrorKind::Configuration,
+                &name,
+                action,
+                expected,
+                found,
+            )
         };
         let device = Device::with_path(path).map_err(io("open"))?;
-        let caps =
-            device.query_caps().map_err(|e| refuse("open", "a video device".to_owned(), e.to_string()))?;
+        let caps = device
+            .query_caps()
+            .map_err(|e| refuse("open", "a video device".to_owned(), e.to_string()))?;
         // A UVC camera has a second node that carries no pictures.
-        if !caps.capabilities.contains(Able::VIDEO_CAPTURE | Able::STREAMING) {
+        if !caps
+            .capabilities
+            .contains(Able::VIDEO_CAPTURE | Able::STREAMING)
+        {
             return Err(refuse(
                 "open",
                 "a node that gives pictures".to_owned(),
@@ -93,10 +105,16 @@ impl V4l2Camera {
             ));
         }
         let offered = device.enum_formats().map_err(io("list the formats"))?;
-        let chosen = LAYOUTS.iter().find(|(code, _)| offered.iter().any(|f| f.fourcc == FourCC::new(code)));
+        let chosen = LAYOUTS
+            .iter()
+            .find(|(code, _)| offered.iter().any(|f| f.fourcc == FourCC::new(code)));
         let Some((code, layout)) = chosen else {
             let found: Vec<String> = offered.iter().map(|f| f.fourcc.to_string()).collect();
-            return Err(refuse("choose a format", "GREY or YUYV, uncompressed".to_owned(), found.join(", ")));
+            return Err(refuse(
+                "choose a format",
+                "GREY or YUYV, uncompressed".to_owned(),
+                found.join(", "),
+            ));
         };
         let mut format = device.format().map_err(io("read the format"))?;
         format.fourcc = FourCC::new(code);
@@ -105,38 +123,66 @@ impl V4l2Camera {
         let format = device.set_format(&format).map_err(io("set the format"))?;
         if [format.width, format.height] != asked || format.fourcc != FourCC::new(code) {
             let found = format!("{}x{} {}", format.width, format.height, format.fourcc);
-            return Err(refuse("set the format", format!("{}x{}", asked[0], asked[1]), found));
+            return Err(refuse(
+                "set the format",
+                format!("{}x{}", asked[0], asked[1]),
+                found,
+            ));
         }
         let mut settings = vec![("format".to_owned(), format.fourcc.to_string())];
         if let Some(rate_hz) = wanted.rate_hz {
             let mut parameters = device.params().map_err(io("read the rate"))?;
             parameters.interval = moq_v4l::Fraction::new(1000, (rate_hz * 1000.0).round() as u32);
-            let got = device.set_params(&parameters).map_err(io("set the rate"))?.interval;
+            let got = device
+                .set_params(&parameters)
+                .map_err(io("set the rate"))?
+                .interval;
             let got_hz = f64::from(got.denominator) / f64::from(got.numerator.max(1));
             if (got_hz - rate_hz).abs() > 0.01 * rate_hz {
-                return Err(refuse("set the rate", format!("{rate_hz} Hz"), format!("{got_hz} Hz")));
+                return Err(refuse(
+                    "set the rate",
+                    format!("{rate_hz} Hz"),
+                    format!("{got_hz} Hz"),
+                ));
             }
             settings.push(("rate_hz".to_owned(), got_hz.to_string()));
         }
         let known = device.query_controls().map_err(io("list the controls"))?;
         for (control, value) in &wanted.controls {
-            let Some(description) = known.iter().find(|d| d.name.eq_ignore_ascii_case(control)) else {
+            let Some(description) = known.iter().find(|d| d.name.eq_ignore_ascii_case(control))
+            else {
                 let names: Vec<&str> = known.iter().map(|d| d.name.as_str()).collect();
-                return Err(refuse("set a control", format!("one of {}", names.join(", ")), control.clone()));
+                return Err(refuse(
+                    "set a control",
+                    format!("one of {}", names.join(", ")),
+                    control.clone(),
+                ));
             };
-            let setting = Control { id: description.id, value: Value::Integer(*value) };
-            let range = format!("{control} of {} to {}", description.minimum, description.maximum);
+            let setting = Control {
+                id: description.id,
+                value: Value::Integer(*value),
+            };
+            let range = format!(
+                "{control} of {} to {}",
+                description.minimum, description.maximum
+            );
             device
                 .set_control(setting)
                 .map_err(|e| refuse("set a control", range, format!("{value}: {e}")))?;
             settings.push((control.clone(), value.to_string()));
         }
-        let mut stream =
-            Stream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(io("map its buffers"))?;
+        let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
+            .map_err(io("map its buffers"))?;
         // `next` gives the buffer in hand (the first) back before it takes another: only the others are queued here.
-        let queued = (1..BUFFERS as usize).take_while(|i| stream.queue(*i).is_ok()).count();
+        let queued = (1..BUFFERS as usize)
+            .take_while(|i| stream.queue(*i).is_ok())
+            .count();
         if queued == 0 {
-            return Err(refuse("queue its buffers", "at least 2 buffers".to_owned(), "1".to_owned()));
+            return Err(refuse(
+                "queue its buffers",
+                "at least 2 buffers".to_owned(),
+                "1".to_owned(),
+            ));
         }
         stream.start().map_err(io("start"))?;
         Ok(Self {
@@ -163,7 +209,10 @@ impl V4l2Camera {
 
 impl Camera for V4l2Camera {
     fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
-        let caps = self.device.query_caps().map_err(|e| io_error(&self.name, "identify", &e))?;
+        let caps = self
+            .device
+            .query_caps()
+            .map_err(|e| io_error(&self.name, "identify", &e))?;
         Ok(DeviceIdentity {
             driver: "v4l2".to_owned(),
             model: caps.card,
@@ -173,14 +222,33 @@ impl Camera for V4l2Camera {
         })
     }
 
-    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError> {
+    fn configure(
+        &mut self,
+        exposure_ms: Option<f64>,
+        gain_db: Option<f64>,
+    ) -> Result<(), DeviceError> {
         if gain_db.is_some() {
-            let (kind, expected) =
-                (DeviceErrorKind::Unsupported, "the gain among the controls: V4L2 has no dB");
-            return Err(DeviceError::new(kind, &self.name, "configure", expected, "gain_db"));
+            let (kind, expected) = (
+                DeviceErrorKind::Unsupported,
+                "the gain among the controls: V4L2 has no dB",
+            );
+            return Err(DeviceError::new(
+                kind,
+                &self.name,
+                "configure",
+                expected,
+                "gain_db",
+            ));
         }
-        let Some(exposure_ms) = exposure_ms else { return Ok(()) };
-        let set = |id: u32, value: i64| self.device.set_control(Control { id, value: Value::Integer(value) });
+        let Some(exposure_ms) = exposure_ms else {
+            return Ok(());
+        };
+        let set = |id: u32, value: i64| {
+            self.device.set_control(Control {
+                id,
+                value: Value::Integer(value),
+            })
+        };
         let refuse = |expected: &str| {
             let (name, expected) = (self.name.clone(), expected.to_owned());
             move |e: std::io::Error| {
@@ -197,8 +265,9 @@ impl Camera for V4l2Camera {
         // Not every driver has it; where it is missing the rate does not depend on the light.
         let _ = set(EXPOSURE_AUTO_PRIORITY, 0);
         let tenths = (exposure_ms * 10.0).round() as i64;
-        set(EXPOSURE_ABSOLUTE, tenths)
-            .map_err(refuse(&format!("{exposure_ms} ms within the camera's range")))?;
+        set(EXPOSURE_ABSOLUTE, tenths).map_err(refuse(&format!(
+            "{exposure_ms} ms within the camera's range"
+        )))?;
         self.commanded_exposure_ms = Some(exposure_ms);
         Ok(())
     }
@@ -212,14 +281,21 @@ impl Camera for V4l2Camera {
                 return Err(deadline.error(&self.name, "grab", "a whole picture", "none"));
             }
             let slice_ms = deadline.slice().as_millis().max(1) as i32;
-            match self.device.handle().poll(PollFlags::IN.bits() as i16, slice_ms) {
+            match self
+                .device
+                .handle()
+                .poll(PollFlags::IN.bits() as i16, slice_ms)
+            {
                 Ok(0) => continue,
                 Err(e) if e.kind() == ErrorKind::Interrupted => continue,
                 Err(e) => return Err(io_error(&self.name, "grab", &e)),
                 Ok(_) => {}
             }
             // Asked only when a picture waits: a wait that fails inside `next` would give its buffer back twice.
-            let (bytes, about) = self.stream.next().map_err(|e| io_error(&self.name, "grab", &e))?;
+            let (bytes, about) = self
+                .stream
+                .next()
+                .map_err(|e| io_error(&self.name, "grab", &e))?;
             // A damaged picture keeps its sequence number: the pair finds the gap.
             if about.flags.contains(Flags::ERROR) {
                 continue;
@@ -246,7 +322,10 @@ impl Camera for V4l2Camera {
                 width_px: self.size_px[0],
                 height_px: self.size_px[1],
                 grey,
-                clocks: Clocks { host_s: self.clock.now_s(), device_s: monotonic.then_some(stamp_s) },
+                clocks: Clocks {
+                    host_s: self.clock.now_s(),
+                    device_s: monotonic.then_some(stamp_s),
+                },
             });
         }
     }
@@ -275,17 +354,33 @@ mod tests {
     #[test]
     fn grey_values_are_taken_line_by_line_without_padding_or_colour() {
         let grey = [1, 2, 9, 3, 4, 9];
-        assert_eq!(luminance(&grey, Layout::Grey, [2, 2], 3), Some(vec![1, 2, 3, 4]));
+        assert_eq!(
+            luminance(&grey, Layout::Grey, [2, 2], 3),
+            Some(vec![1, 2, 3, 4])
+        );
         let yuyv = [1, 90, 2, 91, 0, 0, 3, 92, 4, 93];
-        assert_eq!(luminance(&yuyv, Layout::Yuyv, [2, 2], 6), Some(vec![1, 2, 3, 4]));
-        assert_eq!(luminance(&yuyv[..9], Layout::Yuyv, [2, 2], 6), None, "cut off");
+        assert_eq!(
+            luminance(&yuyv, Layout::Yuyv, [2, 2], 6),
+            Some(vec![1, 2, 3, 4])
+        );
+        assert_eq!(
+            luminance(&yuyv[..9], Layout::Yuyv, [2, 2], 6),
+            None,
+            "cut off"
+        );
     }
 
     #[test]
     fn a_missing_or_foreign_device_is_named() {
         let open = |path: &str| {
             let settings = V4l2Settings::default();
-            V4l2Camera::open(path, &settings, HostClock::start(1.0), &Interrupt::default()).err()
+            V4l2Camera::open(
+                path,
+                &settings,
+                HostClock::start(1.0),
+                &Interrupt::default(),
+            )
+            .err()
         };
         let missing = open("/dev/video-none").unwrap();
         assert_eq!(missing.kind, DeviceErrorKind::Disconnected);

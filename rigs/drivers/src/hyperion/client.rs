@@ -33,7 +33,11 @@ struct Channel {
 impl Channel {
     fn connect(address: &str, interrupt: &Interrupt) -> Result<Self, DeviceError> {
         let link = Link::connect(format!("hyperion {address}"), address, interrupt)?;
-        Ok(Self { link, buffer: Vec::new(), owed: 0 })
+        Ok(Self {
+            link,
+            buffer: Vec::new(),
+            owed: 0,
+        })
     }
 
     fn next_response(&mut self, action: &str) -> Result<Option<Response>, DeviceError> {
@@ -45,13 +49,20 @@ impl Channel {
     }
 
     fn protocol(&self, action: &str, found: String) -> DeviceError {
-        DeviceError::new(DeviceErrorKind::Protocol, &self.link.name, action, "a response", found)
+        DeviceError::new(
+            DeviceErrorKind::Protocol,
+            &self.link.name,
+            action,
+            "a response",
+            found,
+        )
     }
 
     /// Sends a command and returns its response. Responses have no number, but come in the order of their commands: those that are late for
     /// earlier ones are left out.
     fn ask(&mut self, command: &str, arguments: &[u8]) -> Result<Response, DeviceError> {
-        self.link.send(&frame::request(command, arguments, false), command)?;
+        self.link
+            .send(&frame::request(command, arguments, false), command)?;
         self.owed += 1;
         let deadline = self.link.deadline(REPLY);
         loop {
@@ -63,9 +74,17 @@ impl Channel {
                 if response.status == 0 {
                     return Ok(response);
                 }
-                let (kind, found) =
-                    (DeviceErrorKind::Rejected, format!("status {}: {}", response.status, response.message));
-                return Err(DeviceError::new(kind, &self.link.name, command, "status 0", found));
+                let (kind, found) = (
+                    DeviceErrorKind::Rejected,
+                    format!("status {}: {}", response.status, response.message),
+                );
+                return Err(DeviceError::new(
+                    kind,
+                    &self.link.name,
+                    command,
+                    "status 0",
+                    found,
+                ));
             }
             let take = |b: &[u8]| self.buffer.extend_from_slice(b);
             if deadline.is_over() || !self.link.receive(command, &deadline, take)? {
@@ -89,7 +108,14 @@ impl Hyperion {
     ) -> Result<Self, DeviceError> {
         let commands = Channel::connect(commands, interrupt)?;
         let (peaks_address, interrupt) = (peaks.to_owned(), interrupt.clone());
-        Ok(Self { commands, peaks_address, peaks: None, clock, rate_hz, interrupt })
+        Ok(Self {
+            commands,
+            peaks_address,
+            peaks: None,
+            clock,
+            rate_hz,
+            interrupt,
+        })
     }
 
     /// One scan on request.
@@ -98,17 +124,28 @@ impl Hyperion {
     /// `Protocol` when the record cannot be decoded, or what the link reports.
     pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
         let response = self.commands.ask("#GetPeaks", b"")?;
-        frame::peaks(&response.content, self.clock.now_s()).map_err(|e| self.commands.protocol("scan", e))
+        frame::peaks(&response.content, self.clock.now_s())
+            .map_err(|e| self.commands.protocol("scan", e))
     }
 }
 
 impl Interrogator for Hyperion {
     fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
-        let mut text = |command: &str| self.commands.ask(command, b"").map(|r| r.message.trim().to_owned());
+        let mut text = |command: &str| {
+            self.commands
+                .ask(command, b"")
+                .map(|r| r.message.trim().to_owned())
+        };
         let serial = text("#GetSerialNumber")?;
         let model = text("#GetInstrumentName")?;
         let firmware = text("#GetFirmwareVersion")?;
-        Ok(DeviceIdentity { driver: "hyperion".to_owned(), model, serial, firmware, settings: Vec::new() })
+        Ok(DeviceIdentity {
+            driver: "hyperion".to_owned(),
+            model,
+            serial,
+            firmware,
+            settings: Vec::new(),
+        })
     }
 
     fn rate_hz(&self) -> f64 {
@@ -126,10 +163,18 @@ impl Interrogator for Hyperion {
         let Some(peaks) = self.peaks.as_mut() else {
             let name = &self.commands.link.name;
             let kind = DeviceErrorKind::Configuration;
-            return Err(DeviceError::new(kind, name, "read the stream", "a started stream", "none"));
+            return Err(DeviceError::new(
+                kind,
+                name,
+                "read the stream",
+                "a started stream",
+                "none",
+            ));
         };
         let deadline = peaks.link.deadline(timeout);
-        peaks.link.receive("read the stream", &deadline, |b| peaks.buffer.extend_from_slice(b))?;
+        peaks.link.receive("read the stream", &deadline, |b| {
+            peaks.buffer.extend_from_slice(b)
+        })?;
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(response) = peaks.next_response("read the stream")? {

@@ -41,7 +41,9 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
     let message = usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
     let content = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
     if content > MAX_LENGTH {
-        return Err(format!("content of at most {MAX_LENGTH} bytes, found {content}"));
+        return Err(format!(
+            "content of at most {MAX_LENGTH} bytes, found {content}"
+        ));
     }
     let total = RESPONSE_HEADER + message + content;
     if bytes.len() < total {
@@ -62,14 +64,25 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
 /// What was expected and what was found.
 pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
     if content.len() < PEAK_HEADER {
-        return Err(format!("at least {PEAK_HEADER} bytes, found {}", content.len()));
+        return Err(format!(
+            "at least {PEAK_HEADER} bytes, found {}",
+            content.len()
+        ));
     }
     let header = usize::from(u16::from_le_bytes([content[0], content[1]]));
     if header < PEAK_HEADER || header > content.len() || !(header - PEAK_HEADER).is_multiple_of(2) {
-        return Err(format!("a header length of {PEAK_HEADER} and two a channel, found {header}"));
+        return Err(format!(
+            "a header length of {PEAK_HEADER} and two a channel, found {header}"
+        ));
     }
-    let u32_at =
-        |at: usize| u32::from_le_bytes([content[at], content[at + 1], content[at + 2], content[at + 3]]);
+    let u32_at = |at: usize| {
+        u32::from_le_bytes([
+            content[at],
+            content[at + 1],
+            content[at + 2],
+            content[at + 3],
+        ])
+    };
     let serial = u64::from(u32_at(8)) | u64::from(u32_at(12)) << 32;
     let (seconds, nanoseconds) = (u32_at(16), u32_at(20));
     let counts: Vec<usize> = content[PEAK_HEADER..header]
@@ -78,17 +91,27 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
         .collect();
     let total: usize = counts.iter().sum();
     if content.len() != header + 8 * total {
-        return Err(format!("{} bytes for {total} peaks, found {}", header + 8 * total, content.len()));
+        return Err(format!(
+            "{} bytes for {total} peaks, found {}",
+            header + 8 * total,
+            content.len()
+        ));
     }
     let mut values = content[header..]
         .chunks_exact(8)
         .map(|b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]));
-    let peaks_nm: Vec<Vec<f64>> = counts.iter().map(|n| values.by_ref().take(*n).collect()).collect();
+    let peaks_nm: Vec<Vec<f64>> = counts
+        .iter()
+        .map(|n| values.by_ref().take(*n).collect())
+        .collect();
     Ok(FbgReading {
         serial,
         peaks_nm,
         health: InterrogatorHealth::default(),
-        clocks: Clocks { host_s, device_s: Some(f64::from(seconds) + f64::from(nanoseconds) * 1e-9) },
+        clocks: Clocks {
+            host_s,
+            device_s: Some(f64::from(seconds) + f64::from(nanoseconds) * 1e-9),
+        },
     })
 }
 
@@ -114,7 +137,10 @@ mod tests {
     fn a_record_decodes() {
         let reading = peaks(&record(), 5.0).unwrap();
         assert_eq!((reading.serial, reading.clocks.device_s), (77, Some(10.25)));
-        assert_eq!(reading.peaks_nm, [vec![1535.5, 1541.25], vec![], vec![1537.0], vec![]]);
+        assert_eq!(
+            reading.peaks_nm,
+            [vec![1535.5, 1541.25], vec![], vec![1537.0], vec![]]
+        );
     }
 
     #[test]
@@ -134,14 +160,20 @@ mod tests {
         bad[32..40].copy_from_slice(&f64::NAN.to_le_bytes());
         let reading = peaks(&bad, 0.0).unwrap();
         assert!(reading.peaks_nm[0][0].is_nan());
-        assert_eq!((reading.peaks_nm[0][1], &reading.peaks_nm[2]), (1541.25, &vec![1537.0]));
+        assert_eq!(
+            (reading.peaks_nm[0][1], &reading.peaks_nm[2]),
+            (1541.25, &vec![1537.0])
+        );
     }
 
     #[test]
     fn responses_come_whole_or_not_at_all() {
         let bytes = [&[0, 0, 2, 0, 3, 0, 0, 0][..], b"ok", b"abc", b"next"].concat();
         let (r, length) = response(&bytes).unwrap().unwrap();
-        assert_eq!((r.status, &*r.message, &*r.content, length), (0, "ok", &b"abc"[..], 13));
+        assert_eq!(
+            (r.status, &*r.message, &*r.content, length),
+            (0, "ok", &b"abc"[..], 13)
+        );
         for cut in 0..13 {
             assert_eq!(response(&bytes[..cut]).unwrap(), None);
         }

@@ -34,7 +34,14 @@ impl Sm130 {
         interrupt: &Interrupt,
     ) -> Result<Self, DeviceError> {
         let link = Link::connect(format!("sm130 {address}"), address, interrupt)?;
-        Ok(Self { link, decoder: StreamDecoder::default(), owed: 0, clock, rate_hz, streaming: false })
+        Ok(Self {
+            link,
+            decoder: StreamDecoder::default(),
+            owed: 0,
+            clock,
+            rate_hz,
+            streaming: false,
+        })
     }
 
     /// Bytes of the stream that belonged to no frame.
@@ -52,13 +59,20 @@ impl Sm130 {
         self.owed += 1;
         let deadline = self.link.deadline(REPLY);
         loop {
-            let found = self.item(command, &deadline, |item| !matches!(item, StreamItem::Frame(_)))?;
+            let found = self.item(command, &deadline, |item| {
+                !matches!(item, StreamItem::Frame(_))
+            })?;
             self.owed -= 1;
             match found {
                 _ if self.owed > 0 => {}
                 StreamItem::Text(text) => return Ok(text),
                 other => {
-                    return Err(self.fail(DeviceErrorKind::Protocol, command, "text", format!("{other:?}")));
+                    return Err(self.fail(
+                        DeviceErrorKind::Protocol,
+                        command,
+                        "text",
+                        format!("{other:?}"),
+                    ));
                 }
             }
         }
@@ -72,11 +86,22 @@ impl Sm130 {
         self.send("#GET_UNBUFFERED_DATA")?;
         match self.item("#GET_UNBUFFERED_DATA", &self.link.deadline(REPLY), |_| true)? {
             StreamItem::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
-            other => Err(self.fail(DeviceErrorKind::Protocol, "scan", "a data frame", format!("{other:?}"))),
+            other => Err(self.fail(
+                DeviceErrorKind::Protocol,
+                "scan",
+                "a data frame",
+                format!("{other:?}"),
+            )),
         }
     }
 
-    fn fail(&self, kind: DeviceErrorKind, action: &str, expected: &str, found: String) -> DeviceError {
+    fn fail(
+        &self,
+        kind: DeviceErrorKind,
+        action: &str,
+        expected: &str,
+        found: String,
+    ) -> DeviceError {
         DeviceError::new(kind, &self.link.name, action, expected, found)
     }
 
@@ -97,7 +122,11 @@ impl Sm130 {
                     return Ok(item);
                 }
             }
-            if deadline.is_over() || !self.link.receive(action, deadline, |b| self.decoder.push(b))? {
+            if deadline.is_over()
+                || !self
+                    .link
+                    .receive(action, deadline, |b| self.decoder.push(b))?
+            {
                 return Err(deadline.error(&self.link.name, action, "a reply", "none"));
             }
         }
@@ -110,12 +139,20 @@ impl Interrogator for Sm130 {
         let model = ask("#IDN?")?;
         let serial = ask("#GET_SN")?;
         let mut settings = Vec::new();
-        for command in ["#GET_CAPABILITIES", "#GET_NUM_DUT_CHANNELS", "#GET_DATA_RATE_DIVIDER"] {
+        for command in [
+            "#GET_CAPABILITIES",
+            "#GET_NUM_DUT_CHANNELS",
+            "#GET_DATA_RATE_DIVIDER",
+        ] {
             settings.push((command[5..].to_lowercase(), ask(command)?));
         }
         Ok(DeviceIdentity {
             driver: "sm130".to_owned(),
-            firmware: model.split_whitespace().last().unwrap_or_default().to_owned(),
+            firmware: model
+                .split_whitespace()
+                .last()
+                .unwrap_or_default()
+                .to_owned(),
             model,
             serial,
             settings,
@@ -130,7 +167,12 @@ impl Interrogator for Sm130 {
         let reply = self.command("#SET_STREAMING_DATA 1")?;
         if !reply.contains("enabled") {
             let expected = "Streaming data enabled.";
-            return Err(self.fail(DeviceErrorKind::Rejected, "start streaming", expected, reply));
+            return Err(self.fail(
+                DeviceErrorKind::Rejected,
+                "start streaming",
+                expected,
+                reply,
+            ));
         }
         self.streaming = true;
         self.decoder.set_streaming(true);
@@ -139,7 +181,8 @@ impl Interrogator for Sm130 {
 
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         let deadline = self.link.deadline(timeout);
-        self.link.receive("read the stream", &deadline, |b| self.decoder.push(b))?;
+        self.link
+            .receive("read the stream", &deadline, |b| self.decoder.push(b))?;
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(item) = self.decoder.next_item() {
@@ -156,7 +199,9 @@ impl Interrogator for Sm130 {
         }
         self.send("#SET_STREAMING_DATA 0")?;
         // What still streams does not prolong the wait; a user who wants an end gets it.
-        self.item("stop streaming", &Deadline::uninterruptible(REPLY), |i| matches!(i, StreamItem::Stopped))?;
+        self.item("stop streaming", &Deadline::uninterruptible(REPLY), |i| {
+            matches!(i, StreamItem::Stopped)
+        })?;
         self.decoder.set_streaming(false);
         Ok(())
     }

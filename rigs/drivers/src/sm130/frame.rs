@@ -40,7 +40,10 @@ impl Frame {
             serial: u64::from(self.serial),
             peaks_nm: self.peaks_nm,
             health: self.health,
-            clocks: Clocks { host_s, device_s: Some(self.device_s) },
+            clocks: Clocks {
+                host_s,
+                device_s: Some(self.device_s),
+            },
         }
     }
 }
@@ -59,12 +62,19 @@ fn u32_at(b: &[u8], at: usize) -> u32 {
 /// What was expected and what was found. `header` must hold at least 88 bytes.
 pub fn frame_length(header: &[u8]) -> Result<usize, String> {
     if header.len() < HEADER {
-        return Err(format!("a header of {HEADER} bytes, found {}", header.len()));
+        return Err(format!(
+            "a header of {HEADER} bytes, found {}",
+            header.len()
+        ));
     }
-    let peaks: usize = (0..CHANNELS).map(|c| usize::from(u16_at(header, 16 + 2 * c))).sum();
+    let peaks: usize = (0..CHANNELS)
+        .map(|c| usize::from(u16_at(header, 16 + 2 * c)))
+        .sum();
     let stated = usize::from(u16_at(header, 12));
     if peaks != stated || peaks > MAX_PEAKS {
-        return Err(format!("{stated} peaks in all, found {peaks} over the channels"));
+        return Err(format!(
+            "{stated} peaks in all, found {peaks} over the channels"
+        ));
     }
     let length = usize::from(u16_at(header, 50));
     // Firmware that leaves the field empty means 88.
@@ -75,7 +85,10 @@ pub fn frame_length(header: &[u8]) -> Result<usize, String> {
         return Err("a granularity above 0, found 0".to_owned());
     }
     if u32_at(header, 32) >= 1_000_000 {
-        return Err(format!("microseconds below 1000000, found {}", u32_at(header, 32)));
+        return Err(format!(
+            "microseconds below 1000000, found {}",
+            u32_at(header, 32)
+        ));
     }
     Ok(HEADER + 4 * peaks)
 }
@@ -100,7 +113,10 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
                 value => f64::from(value) / f64::from(granularity),
             })
             .collect();
-        if let Some(odd) = peaks.iter().find(|nm| !nm.is_nan() && !BAND_NM.contains(*nm)) {
+        if let Some(odd) = peaks
+            .iter()
+            .find(|nm| !nm.is_nan() && !BAND_NM.contains(*nm))
+        {
             return Err(format!("wavelengths in {BAND_NM:?} nm, found {odd}"));
         }
         at += 4 * count;
@@ -153,7 +169,15 @@ pub(crate) mod tests {
     fn a_frame_decodes_to_nanometres_seconds_and_channels() {
         let frame = decode(&sample_frame(7)).unwrap();
         assert_eq!((frame.serial, frame.device_s), (7, 1000.5));
-        assert_eq!(frame.peaks_nm, [vec![1535.758, 1541.174], vec![], vec![1_537.267_123], vec![]]);
+        assert_eq!(
+            frame.peaks_nm,
+            [
+                vec![1535.758, 1541.174],
+                vec![],
+                vec![1_537.267_123],
+                vec![]
+            ]
+        );
         assert!(frame.health.faults().is_empty());
     }
 
@@ -175,7 +199,10 @@ pub(crate) mod tests {
         }
         let mut b = sample_frame(0);
         b[3] = 0x20;
-        assert!(decode(&b).unwrap().health.faults().is_empty(), "start of frame is no fault");
+        assert!(
+            decode(&b).unwrap().health.faults().is_empty(),
+            "start of frame is no fault"
+        );
     }
 
     #[test]
@@ -195,7 +222,10 @@ pub(crate) mod tests {
         no_value[88..92].copy_from_slice(&0_u32.to_le_bytes());
         no_value[92..96].copy_from_slice(&NO_VALUE.to_le_bytes());
         let peaks_nm = decode(&no_value).unwrap().peaks_nm;
-        assert!(peaks_nm[0].iter().all(|nm| nm.is_nan()) && peaks_nm[2] == [1_537.267_123], "{peaks_nm:?}");
+        assert!(
+            peaks_nm[0].iter().all(|nm| nm.is_nan()) && peaks_nm[2] == [1_537.267_123],
+            "{peaks_nm:?}"
+        );
         let mut out_of_band = good;
         out_of_band[88..92].copy_from_slice(&1_u32.to_le_bytes());
         assert!(decode(&out_of_band).unwrap_err().contains("wavelengths"));

@@ -93,9 +93,15 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
     }
     if rest.len() < PREFIX {
         let possible = rest.iter().all(|b| b.is_ascii_digit() || *b == b' ');
-        return if possible { Parsed::NeedMore } else { Parsed::Garbage };
+        return if possible {
+            Parsed::NeedMore
+        } else {
+            Parsed::Garbage
+        };
     }
-    let Some(stated) = prefix_length(&rest[..PREFIX]) else { return Parsed::Garbage };
+    let Some(stated) = prefix_length(&rest[..PREFIX]) else {
+        return Parsed::Garbage;
+    };
     let body = &rest[PREFIX..];
     if stated >= HEADER {
         if body.len() < HEADER {
@@ -127,7 +133,10 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
     let text = &body[..stated];
     // Where the stop token counts as part of the reply, leave it for the next parse.
     let text = text.strip_suffix(STOP_TOKEN).unwrap_or(text);
-    Parsed::Found(PREFIX + text.len(), StreamItem::Text(String::from_utf8_lossy(text).into_owned()))
+    Parsed::Found(
+        PREFIX + text.len(),
+        StreamItem::Text(String::from_utf8_lossy(text).into_owned()),
+    )
 }
 
 fn is_text(b: u8) -> bool {
@@ -138,7 +147,11 @@ fn is_text(b: u8) -> bool {
 fn prefix_length(prefix: &[u8]) -> Option<usize> {
     let digits = std::str::from_utf8(prefix).ok()?.trim_matches(' ');
     // `parse` accepts a sign, which the test of the first bytes alone rejects.
-    digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok()).flatten()
+    digits
+        .bytes()
+        .all(|b| b.is_ascii_digit())
+        .then(|| digits.parse().ok())
+        .flatten()
 }
 
 #[cfg(test)]
@@ -169,10 +182,14 @@ mod tests {
     fn frames_decode_for_every_token_position_padding_and_split() {
         for token in ["inside", "outside", "none"] {
             for spaces in [false, true] {
-                let mut stream: Vec<u8> = (0..20).flat_map(|k| framed(&sample_frame(k), token)).collect();
+                let mut stream: Vec<u8> = (0..20)
+                    .flat_map(|k| framed(&sample_frame(k), token))
+                    .collect();
                 if spaces {
-                    let text =
-                        format!("{:10}", sample_frame(0).len() + if token == "inside" { 8 } else { 0 });
+                    let text = format!(
+                        "{:10}",
+                        sample_frame(0).len() + if token == "inside" { 8 } else { 0 }
+                    );
                     stream[..10].copy_from_slice(text.as_bytes());
                 }
                 for chunk in [1, 2, 3, 7, 97, 98, 99, 1000, 100_000] {
@@ -240,9 +257,15 @@ mod tests {
         stream.extend(STOP_TOKEN);
         let mut decoder = StreamDecoder::default();
         decoder.push(&stream);
-        assert_eq!(decoder.next_item(), Some(StreamItem::Text("Streaming data enabled.\n".to_owned())));
+        assert_eq!(
+            decoder.next_item(),
+            Some(StreamItem::Text("Streaming data enabled.\n".to_owned()))
+        );
         assert!(matches!(decoder.next_item(), Some(StreamItem::Frame(_))));
-        assert_eq!(decoder.next_item(), Some(StreamItem::Text("Streaming data disabled.\n".to_owned())));
+        assert_eq!(
+            decoder.next_item(),
+            Some(StreamItem::Text("Streaming data disabled.\n".to_owned()))
+        );
         assert_eq!(decoder.next_item(), Some(StreamItem::Stopped));
         assert_eq!(decoder.next_item(), None);
     }

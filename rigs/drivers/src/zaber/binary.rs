@@ -12,7 +12,9 @@ use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
+use wcal_core::device::{
+    Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading,
+};
 use zproto::binary::command::untyped as command;
 
 /// Microsteps per second of one unit of speed data.
@@ -72,7 +74,13 @@ impl ZaberBinary {
         Ok(stage)
     }
 
-    fn fail(&self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) -> DeviceError {
+    fn fail(
+        &self,
+        kind: DeviceErrorKind,
+        action: &str,
+        expected: &str,
+        found: &str,
+    ) -> DeviceError {
         self.line.borrow().fail(kind, action, expected, found)
     }
 
@@ -90,7 +98,8 @@ impl ZaberBinary {
     }
 
     fn not_homed(&self, action: &str) -> DeviceError {
-        let found = "no reference (home status 0): `--home` searches it, and moves to the home switch";
+        let found =
+            "no reference (home status 0): `--home` searches it, and moves to the home switch";
         self.fail(DeviceErrorKind::NotHomed, action, "a homed axis", found)
     }
 }
@@ -127,18 +136,27 @@ impl Stage for ZaberBinary {
         let steps = self.unit.from_mm(target_mm);
         if !(0..=i64::from(self.limit_steps)).contains(&steps) || !target_mm.is_finite() {
             let expected = format!("a target in 0..{} microsteps", self.limit_steps);
-            return Err(self.fail(DeviceErrorKind::OutOfRange, &action, &expected, &steps.to_string()));
+            return Err(self.fail(
+                DeviceErrorKind::OutOfRange,
+                &action,
+                &expected,
+                &steps.to_string(),
+            ));
         }
         // A unit that was switched off since has lost it.
         self.homed = self.is_homed()?;
         if !self.homed {
             return Err(self.not_homed(&action));
         }
-        let speed = (speed_mm_s * 1000.0 / self.unit.size_um / SPEED_STEPS).round().max(1.0) as i32;
+        let speed = (speed_mm_s * 1000.0 / self.unit.size_um / SPEED_STEPS)
+            .round()
+            .max(1.0) as i32;
         self.line.borrow_mut().set_speed(speed)?;
         self.commanded_mm = Some(self.unit.to_mm(steps as f64));
         self.target_steps = Some(steps);
-        self.line.borrow_mut().start(command::MOVE_ABSOLUTE, steps as i32)
+        self.line
+            .borrow_mut()
+            .start(command::MOVE_ABSOLUTE, steps as i32)
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
@@ -152,9 +170,18 @@ impl Stage for ZaberBinary {
                 self.homed = self.is_homed()?;
             }
             // This protocol has no stall flag: a motion that ends elsewhere did not get there.
-            if searched && !self.homed || self.target_steps.is_some_and(|target| target != i64::from(steps)) {
+            if searched && !self.homed
+                || self
+                    .target_steps
+                    .is_some_and(|target| target != i64::from(steps))
+            {
                 let found = format!("standing at {steps} microsteps");
-                return Err(self.fail(DeviceErrorKind::Stalled, "read position", "the target", &found));
+                return Err(self.fail(
+                    DeviceErrorKind::Stalled,
+                    "read position",
+                    "the target",
+                    &found,
+                ));
             }
         }
         if !self.homed && !self.homing {
@@ -165,7 +192,10 @@ impl Stage for ZaberBinary {
             measured_mm: self.unit.to_mm(f64::from(steps)),
             moving,
             flags: Vec::new(),
-            clocks: Clocks { host_s, device_s: None },
+            clocks: Clocks {
+                host_s,
+                device_s: None,
+            },
         })
     }
 

@@ -46,14 +46,17 @@ pub struct Chain {
 
 impl std::fmt::Debug for Chain {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Chain").field("name", &self.name).finish_non_exhaustive()
+        f.debug_struct("Chain")
+            .field("name", &self.name)
+            .finish_non_exhaustive()
     }
 }
 
 impl Drop for Chain {
     fn drop(&mut self) {
         let changed = std::mem::take(&mut self.speeds);
-        for ((device, axis), (data, _)) in changed.into_iter().filter(|(_, (_, changed))| *changed) {
+        for ((device, axis), (data, _)) in changed.into_iter().filter(|(_, (_, changed))| *changed)
+        {
             if self.failed {
                 return;
             }
@@ -95,8 +98,14 @@ impl SkippedMessages {
             (self.noise, "lines of noise"),
         ];
         let there = all.iter().filter(|(count, _)| *count > 0);
-        let list: Vec<String> = there.map(|(count, what)| format!("{count} {what}")).collect();
-        if list.is_empty() { "none".to_owned() } else { format!("none among {}", list.join(", ")) }
+        let list: Vec<String> = there
+            .map(|(count, what)| format!("{count} {what}"))
+            .collect();
+        if list.is_empty() {
+            "none".to_owned()
+        } else {
+            format!("none among {}", list.join(", "))
+        }
     }
 }
 
@@ -105,7 +114,11 @@ impl Chain {
     ///
     /// # Errors
     /// `Disconnected` when it cannot be opened, `Timeout` when nobody answers at its address.
-    pub fn open(place: &Port, interrupt: &Interrupt, connect: &Connect) -> Result<Self, DeviceError> {
+    pub fn open(
+        place: &Port,
+        interrupt: &Interrupt,
+        connect: &Connect,
+    ) -> Result<Self, DeviceError> {
         let mut chain = Self {
             port: None,
             place: place.clone(),
@@ -132,10 +145,13 @@ impl Chain {
     ) -> Result<(Self, u32), DeviceError> {
         for anybody in [false, true] {
             for baud in SPEEDS {
-                let mut chain = Self::open(&Port::Serial(path.to_owned(), baud), interrupt, connect)?;
+                let mut chain =
+                    Self::open(&Port::Serial(path.to_owned(), baud), interrupt, connect)?;
                 chain.drain();
                 let answered = match anybody {
-                    false => chain.once((address, 0), "", &Deadline::after(REPLY, interrupt)).map(|_| true),
+                    false => chain
+                        .once((address, 0), "", &Deadline::after(REPLY, interrupt))
+                        .map(|_| true),
                     true => chain.units().map(|units| !units.is_empty()),
                 };
                 match answered {
@@ -145,8 +161,17 @@ impl Chain {
                 }
             }
         }
-        let (kind, expected) = (DeviceErrorKind::Timeout, format!("an answer at one of {SPEEDS:?} baud"));
-        Err(DeviceError::new(kind, format!("stage {path}"), "probe", expected, "silence"))
+        let (kind, expected) = (
+            DeviceErrorKind::Timeout,
+            format!("an answer at one of {SPEEDS:?} baud"),
+        );
+        Err(DeviceError::new(
+            kind,
+            format!("stage {path}"),
+            "probe",
+            expected,
+            "silence",
+        ))
     }
 
     /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All who share the chain go on with the
@@ -157,7 +182,10 @@ impl Chain {
     pub fn reopen(&mut self) -> Result<(), DeviceError> {
         self.close();
         let wire = Wire::open(&self.connect, &self.place, &self.name, &self.interrupt)?;
-        let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
+        let mut port = AsciiPort::open_general_options()
+            .checksums(true)
+            .message_ids(true)
+            .open(wire);
         // Alerts may come at any time; state is always asked for, so they carry nothing new.
         port.set_unexpected_alert_handler(|_| Ok(()));
         (self.port, self.failed) = (Some(port), false);
@@ -199,7 +227,9 @@ impl Chain {
                     units.insert(reply.target().device());
                 }
                 Ok(_) => {}
-                Err(e) if e.kind == DeviceErrorKind::Timeout => return Ok(units.into_iter().collect()),
+                Err(e) if e.kind == DeviceErrorKind::Timeout => {
+                    return Ok(units.into_iter().collect());
+                }
                 Err(e) if e.kind == DeviceErrorKind::Protocol => {}
                 Err(e) => return Err(e),
             }
@@ -217,8 +247,9 @@ impl Chain {
         }
         let command = "get maxspeed";
         let data = self.ask(device, axis, command)?.data;
-        let found =
-            data.parse().map_err(|_| self.error(DeviceErrorKind::Protocol, command, "a number", &data))?;
+        let found = data
+            .parse()
+            .map_err(|_| self.error(DeviceErrorKind::Protocol, command, "a number", &data))?;
         self.speeds.insert((device, axis), (found, false));
         Ok(())
     }
@@ -231,7 +262,8 @@ impl Chain {
         if let Some((found, changed)) = self.speeds.get_mut(&(device, axis)) {
             *changed |= *found != data;
         }
-        self.ask(device, axis, &format!("set maxspeed {data}")).map(|_| ())
+        self.ask(device, axis, &format!("set maxspeed {data}"))
+            .map(|_| ())
     }
 
     fn drain(&mut self) {
@@ -262,7 +294,12 @@ impl Chain {
     ///
     /// # Errors
     /// As there, but never `Interrupted`.
-    pub fn ask_to_stop(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
+    pub fn ask_to_stop(
+        &mut self,
+        device: u8,
+        axis: u8,
+        command: &str,
+    ) -> Result<Answer, DeviceError> {
         self.repeatedly(device, axis, command, &Interrupt::default())
     }
 
@@ -280,19 +317,28 @@ impl Chain {
                 self.drain();
             }
             let done = self.once((device, axis), command, &Deadline::after(REPLY, interrupt));
-            self.failed = done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
+            self.failed = done
+                .as_ref()
+                .is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
             match done {
                 Err(e) if e.kind.may_retry() => last = Some(e),
                 done => return done,
             }
         }
-        Err(last.unwrap_or_else(|| self.error(DeviceErrorKind::Timeout, command, "a reply", "none")))
+        Err(last
+            .unwrap_or_else(|| self.error(DeviceErrorKind::Timeout, command, "a reply", "none")))
     }
 
     fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
         let error = || {
             let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-            DeviceError::new(kind, &self.name, command_name(command), expected, "a port that is closed")
+            DeviceError::new(
+                kind,
+                &self.name,
+                command_name(command),
+                expected,
+                "a port that is closed",
+            )
         };
         self.port.as_mut().ok_or_else(error)
     }
@@ -340,7 +386,8 @@ impl Chain {
         deadline: &Deadline,
     ) -> Result<Answer, DeviceError> {
         let id = self.send((device, axis), command, deadline)?;
-        let meant = |r: &Reply| r.target().device() == device && r.target().axis() == axis && r.id() == id;
+        let meant =
+            |r: &Reply| r.target().device() == device && r.target().axis() == axis && r.id() == id;
         let mut passed = SkippedMessages::default();
         let reply = loop {
             match self.next(command, deadline, &mut passed)? {
@@ -358,7 +405,12 @@ impl Chain {
             return Ok(answer);
         }
         let found = format!("{} with flag {}", answer.data, answer.flag);
-        Err(self.error(DeviceErrorKind::Rejected, command, "an accepted command", &found))
+        Err(self.error(
+            DeviceErrorKind::Rejected,
+            command,
+            "an accepted command",
+            &found,
+        ))
     }
 
     fn translate(
@@ -371,7 +423,12 @@ impl Chain {
         let kind = match error {
             // In a flood the deadline falls into the middle of a line.
             e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
-                return deadline.error(&self.name, command_name(command), "a reply", &passed.text());
+                return deadline.error(
+                    &self.name,
+                    command_name(command),
+                    "a reply",
+                    &passed.text(),
+                );
             }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {
                 DeviceErrorKind::Disconnected
@@ -381,7 +438,13 @@ impl Chain {
         self.error(kind, command, "a reply", error.to_string().trim())
     }
 
-    fn error(&self, kind: DeviceErrorKind, command: &str, expected: &str, found: &str) -> DeviceError {
+    fn error(
+        &self,
+        kind: DeviceErrorKind,
+        command: &str,
+        expected: &str,
+        found: &str,
+    ) -> DeviceError {
         DeviceError::new(kind, &self.name, command_name(command), expected, found)
     }
 }
@@ -414,21 +477,35 @@ mod tests {
             let count = into.len().min(self.2.len());
             into[..count].copy_from_slice(&self.2[..count]);
             self.2.drain(..count);
-            if count == 0 { Err(io::ErrorKind::TimedOut.into()) } else { Ok(count) }
+            if count == 0 {
+                Err(io::ErrorKind::TimedOut.into())
+            } else {
+                Ok(count)
+            }
         }
     }
 
     fn asked(as_unit: (u8, u8), of: (u8, u8)) -> Result<Answer, DeviceError> {
-        let connect: Connect = Rc::new(move |_, _| Ok(Box::new(AnswersAs(as_unit.0, as_unit.1, Vec::new()))));
+        let connect: Connect =
+            Rc::new(move |_, _| Ok(Box::new(AnswersAs(as_unit.0, as_unit.1, Vec::new()))));
         let place = Port::Tcp("test".to_owned());
         Chain::open(&place, &Interrupt::default(), &connect)?.ask(of.0, of.1, "get pos")
     }
 
     #[test]
     fn a_reply_of_another_unit_or_axis_is_no_reply() {
-        for (as_unit, of) in [((2, 1), (1, 1)), ((1, 2), (1, 1)), ((1, 1), (1, 0)), ((7, 0), (0, 0))] {
+        for (as_unit, of) in [
+            ((2, 1), (1, 1)),
+            ((1, 2), (1, 1)),
+            ((1, 1), (1, 0)),
+            ((7, 0), (0, 0)),
+        ] {
             let why = asked(as_unit, of).unwrap_err();
-            assert_eq!(why.kind, DeviceErrorKind::Timeout, "{as_unit:?} for {of:?}: {why}");
+            assert_eq!(
+                why.kind,
+                DeviceErrorKind::Timeout,
+                "{as_unit:?} for {of:?}: {why}"
+            );
         }
         for own in [(1, 1), (1, 0), (3, 2)] {
             assert_eq!(asked(own, own).unwrap().data, "5", "control: {own:?}");

@@ -2,7 +2,10 @@
 
 /// LRC of `bytes` (without the leading `/`, `@`, `#` or `!`).
 pub fn lrc(bytes: &[u8]) -> u8 {
-    bytes.iter().fold(0_u8, |sum, b| sum.wrapping_add(*b)).wrapping_neg()
+    bytes
+        .iter()
+        .fold(0_u8, |sum, b| sum.wrapping_add(*b))
+        .wrapping_neg()
 }
 
 #[cfg(test)]

@@ -19,7 +19,9 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
         "FQ" => (Kind::CriticalFault, "encoder error"),
         "WV" => (Kind::Health, "supply voltage out of range"),
         "WT" => (Kind::Health, "controller too hot"),
-        other if other.starts_with('F') => (Kind::CriticalFault, "a fault this program does not know"),
+        other if other.starts_with('F') => {
+            (Kind::CriticalFault, "a fault this program does not know")
+        }
         other if other.starts_with('W') => (Kind::Health, "a warning this program does not know"),
         _ => return None,
     })
@@ -85,7 +87,9 @@ mod tests {
         }
         // These go when their cause does.
         assert!(
-            ["WV", "WT", "NI", "NC", "--"].iter().all(|flag| remedy(flag).is_empty() && !is_latched(flag))
+            ["WV", "WT", "NI", "NC", "--"]
+                .iter()
+                .all(|flag| remedy(flag).is_empty() && !is_latched(flag))
         );
     }
 
@@ -94,6 +98,9 @@ mod tests {
         let flags = ["WR".to_owned(), "NI".to_owned()];
         assert!(worst(&flags, true).is_none());
         assert_eq!(worst(&flags, false).unwrap().1, DeviceErrorKind::NotHomed);
-        assert_eq!(worst(&["WR".to_owned(), "FS".to_owned()], true).unwrap().0, "FS");
+        assert_eq!(
+            worst(&["WR".to_owned(), "FS".to_owned()], true).unwrap().0,
+            "FS"
+        );
     }
 }

@@ -31,5 +31,11 @@ pub(crate) fn check_travel(device: &str, stated_mm: f64, limit_mm: f64) -> Resul
         "{limit_mm:.3} mm by the unit's limit and the rig's microstep_um ({:+.2} %)",
         100.0 * (limit_mm / stated_mm - 1.0)
     );
-    Err(DeviceError::new(DeviceErrorKind::Configuration, device, "open", expected, found))
+    Err(DeviceError::new(
+        DeviceErrorKind::Configuration,
+        device,
+        "open",
+        expected,
+        found,
+    ))
 }

@@ -40,11 +40,19 @@ impl ZaberMount {
         clock: HostClock,
         interrupt: &Interrupt,
     ) -> Result<Option<Self>, DeviceError> {
-        let MountRig::Zaber { address, steps_per_trajectory, microstep_um, speed_mm_s, travel_mm } = rig
+        let MountRig::Zaber {
+            address,
+            steps_per_trajectory,
+            microstep_um,
+            speed_mm_s,
+            travel_mm,
+        } = rig
         else {
             return Ok(None);
         };
-        let unit = Microsteps { size_um: *microstep_um };
+        let unit = Microsteps {
+            size_um: *microstep_um,
+        };
         let mut stage = ZaberStage::new(chain, *address, 1, unit, clock).map_err(of_mount)?;
         if let Some(stated_mm) = travel_mm {
             check_travel("mount", *stated_mm, stage.travel_mm()?[1])?;
@@ -61,7 +69,8 @@ impl ZaberMount {
 
     /// Where a trajectory is presented, mm of the mount's own scale.
     fn target_mm(&self, trajectory: u32) -> f64 {
-        self.unit.to_mm(i64::from(trajectory) as f64 * self.steps_per_trajectory as f64)
+        self.unit
+            .to_mm(i64::from(trajectory) as f64 * self.steps_per_trajectory as f64)
     }
 
     /// Waits for the end of a motion and gives back where it ended; a mount that does not get there is stopped.
@@ -87,7 +96,10 @@ impl ZaberMount {
 
 /// An error of the mount, which its unit takes for one of the stage: both hang on one line.
 fn of_mount(error: DeviceError) -> DeviceError {
-    DeviceError { device: "mount".to_owned(), ..error }
+    DeviceError {
+        device: "mount".to_owned(),
+        ..error
+    }
 }
 
 impl Mount for ZaberMount {
@@ -109,8 +121,11 @@ impl Mount for ZaberMount {
     }
 
     fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
-        let cleared =
-            if allowed.clear_flags { self.stage.clear_flags().map_err(of_mount)? } else { Vec::new() };
+        let cleared = if allowed.clear_flags {
+            self.stage.clear_flags().map_err(of_mount)?
+        } else {
+            Vec::new()
+        };
         let lost = match self.stage.read() {
             Err(e) if e.kind == DeviceErrorKind::NotHomed && allowed.home => true,
             reading => reading.map(|_| false).map_err(of_mount)?,
@@ -124,7 +139,9 @@ impl Mount for ZaberMount {
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let target_mm = self.target_mm(trajectory);
         let way_mm = target_mm - self.stage.read().map_err(of_mount)?.measured_mm;
-        self.stage.start_move(target_mm, self.speed_mm_s).map_err(of_mount)?;
+        self.stage
+            .start_move(target_mm, self.speed_mm_s)
+            .map_err(of_mount)?;
         let allowed = move_allowance(way_mm, self.speed_mm_s, self.clock_scale);
         let found_mm = self.until_standing(allowed).map_err(of_mount)?;
         // A mount that stands elsewhere presents another trajectory.
@@ -133,7 +150,13 @@ impl Mount for ZaberMount {
         }
         let action = format!("turn to trajectory {trajectory}");
         let (expected, found) = (format!("{target_mm:.4} mm"), format!("{found_mm:.4} mm"));
-        Err(DeviceError::new(DeviceErrorKind::Stalled, "mount", action, expected, found))
+        Err(DeviceError::new(
+            DeviceErrorKind::Stalled,
+            "mount",
+            action,
+            expected,
+            found,
+        ))
     }
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.stage.stop().map_err(of_mount)

@@ -8,11 +8,20 @@ use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Deadline;
-use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
+use wcal_core::device::{
+    Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading,
+};
 
 /// Settings that are read from a unit and kept with the session.
-const SETTINGS: [&str; 7] =
-    ["limit.min", "limit.max", "maxspeed", "accel", "resolution", "comm.alert", "system.voltage"];
+const SETTINGS: [&str; 7] = [
+    "limit.min",
+    "limit.max",
+    "maxspeed",
+    "accel",
+    "resolution",
+    "comm.alert",
+    "system.voltage",
+];
 /// Longest wait for standstill after `stop`.
 const HALT: Duration = Duration::from_secs(3);
 /// Pause between polls: the line carries some 500 questions a second.
@@ -44,8 +53,16 @@ impl ZaberStage {
         unit: Microsteps,
         clock: HostClock,
     ) -> Result<Self, DeviceError> {
-        let mut stage =
-            Self { chain, address, axis, unit, limit_steps: 0, clock, commanded_mm: None, homing: false };
+        let mut stage = Self {
+            chain,
+            address,
+            axis,
+            unit,
+            limit_steps: 0,
+            clock,
+            commanded_mm: None,
+            homing: false,
+        };
         stage.limit_steps = stage.number("get limit.max")?;
         stage.chain.borrow_mut().remember_speed(address, axis)?;
         Ok(stage)
@@ -57,7 +74,9 @@ impl ZaberStage {
     }
 
     fn ask(&mut self, command: &str) -> Result<Answer, DeviceError> {
-        self.chain.borrow_mut().ask(self.address, self.axis, command)
+        self.chain
+            .borrow_mut()
+            .ask(self.address, self.axis, command)
     }
 
     fn number(&mut self, command: &str) -> Result<i64, DeviceError> {
@@ -68,7 +87,13 @@ impl ZaberStage {
             .map_err(|_| self.fail(DeviceErrorKind::Protocol, command, "a number", &answer.data))
     }
 
-    fn fail(&self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) -> DeviceError {
+    fn fail(
+        &self,
+        kind: DeviceErrorKind,
+        action: &str,
+        expected: &str,
+        found: &str,
+    ) -> DeviceError {
         DeviceError::new(kind, self.chain.borrow().name(), action, expected, found)
     }
 
@@ -103,7 +128,12 @@ impl ZaberStage {
 
 /// Flags of the answer to `warnings`, behind their count.
 fn listed(answer: &Answer) -> Vec<String> {
-    answer.data.split_whitespace().skip(1).map(str::to_owned).collect()
+    answer
+        .data
+        .split_whitespace()
+        .skip(1)
+        .map(str::to_owned)
+        .collect()
 }
 
 impl Stage for ZaberStage {
@@ -121,7 +151,13 @@ impl Stage for ZaberStage {
             }
         }
         settings.push(("microstep_um".to_owned(), self.unit.size_um.to_string()));
-        Ok(DeviceIdentity { driver: "zaber-ascii".to_owned(), model, serial, firmware, settings })
+        Ok(DeviceIdentity {
+            driver: "zaber-ascii".to_owned(),
+            model,
+            serial,
+            firmware,
+            settings,
+        })
     }
 
     fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError> {
@@ -138,14 +174,24 @@ impl Stage for ZaberStage {
         let action = format!("move to {target_mm:.4} mm");
         let steps = self.unit.from_mm(target_mm);
         if !(0..=self.limit_steps).contains(&steps) || !target_mm.is_finite() {
-            let limit = format!("a target in 0..{:.3} mm", self.unit.to_mm(self.limit_steps as f64));
-            return Err(self.fail(DeviceErrorKind::OutOfRange, &action, &limit, &format!("{target_mm}")));
+            let limit = format!(
+                "a target in 0..{:.3} mm",
+                self.unit.to_mm(self.limit_steps as f64)
+            );
+            return Err(self.fail(
+                DeviceErrorKind::OutOfRange,
+                &action,
+                &limit,
+                &format!("{target_mm}"),
+            ));
         }
         let answer = self.ask("")?;
         let flags = self.flags(&answer.flag)?;
         self.judge(&action, &flags)?;
         let speed = self.unit.speed_data(speed_mm_s);
-        self.chain.borrow_mut().set_speed(self.address, self.axis, speed)?;
+        self.chain
+            .borrow_mut()
+            .set_speed(self.address, self.axis, speed)?;
         self.ask(&format!("move abs {steps}"))?;
         // What was commanded is the microstep, not the wish.
         self.commanded_mm = Some(self.unit.to_mm(steps as f64));
@@ -156,9 +202,18 @@ impl Stage for ZaberStage {
         let answer = self.ask("get pos")?;
         let host_s = self.clock.now_s();
         // "nan" parses, and would be at every target.
-        let steps: f64 =
-            answer.data.parse().ok().filter(|s: &f64| s.is_finite()).ok_or_else(|| {
-                self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data)
+        let steps: f64 = answer
+            .data
+            .parse()
+            .ok()
+            .filter(|s: &f64| s.is_finite())
+            .ok_or_else(|| {
+                self.fail(
+                    DeviceErrorKind::Protocol,
+                    "read position",
+                    "a number",
+                    &answer.data,
+                )
             })?;
         let flags = self.flags(&answer.flag)?;
         self.judge("read position", &flags)?;
@@ -170,20 +225,29 @@ impl Stage for ZaberStage {
             measured_mm: self.unit.to_mm(steps),
             moving: answer.busy,
             flags,
-            clocks: Clocks { host_s, device_s: None },
+            clocks: Clocks {
+                host_s,
+                device_s: None,
+            },
         })
     }
 
     fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
         let shown = listed(&self.ask("warnings")?);
         self.ask("warnings clear")?;
-        Ok(shown.into_iter().filter(|flag| flags::is_latched(flag)).collect())
+        Ok(shown
+            .into_iter()
+            .filter(|flag| flags::is_latched(flag))
+            .collect())
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
         let ask = |command: &str| {
-            self.chain.borrow_mut().ask_to_stop(self.address, self.axis, command).map(|answer| answer.busy)
+            self.chain
+                .borrow_mut()
+                .ask_to_stop(self.address, self.axis, command)
+                .map(|answer| answer.busy)
         };
         ask("stop")?;
         let deadline = Deadline::uninterruptible(HALT);

@@ -90,10 +90,14 @@ pub fn connect(port: &Port, deadline: &Deadline) -> io::Result<Box<dyn ByteLink>
             Ok(Box::new(stream))
         }
         Port::Serial(path, baud) => {
-            let opened = serialport::new(path, *baud).timeout(deadline.slice()).open_native();
+            let opened = serialport::new(path, *baud)
+                .timeout(deadline.slice())
+                .open_native();
             let mut tty = opened.map_err(|e| match e.kind {
                 // What the crate makes of EBUSY, and of a lock that another process holds.
-                serialport::ErrorKind::NoDevice => io::Error::new(ErrorKind::ResourceBusy, e.description),
+                serialport::ErrorKind::NoDevice => {
+                    io::Error::new(ErrorKind::ResourceBusy, e.description)
+                }
                 _ => e.into(),
             })?;
             // Not every baud rate reaches the port on opening (serialport issue 20); set it again.
@@ -135,7 +139,15 @@ impl Wire {
 
     /// Over an open link; `name` is for messages.
     pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
-        Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, looked: false, name }
+        Self {
+            link,
+            buffer: Vec::new(),
+            at: 0,
+            timeout: None,
+            deadline,
+            looked: false,
+            name,
+        }
     }
 
     /// Begins an exchange: all reading and writing from here on ends with this deadline.
@@ -163,7 +175,8 @@ impl Wire {
     /// Bytes that arrive before the deadline and before the longest pause.
     fn receive(&mut self) -> io::Result<usize> {
         let pause = self.timeout.map(|t| self.deadline.within(t));
-        self.link.receive(&mut self.buffer, pause.as_ref().unwrap_or(&self.deadline))
+        self.link
+            .receive(&mut self.buffer, pause.as_ref().unwrap_or(&self.deadline))
     }
 }
 
@@ -246,6 +259,9 @@ mod tests {
         let mut wire = Wire::over(Box::new(Flood), "unit".to_owned(), over);
         let mut bytes = [0; 400];
         let mut read = || wire.read(&mut bytes).map_err(|e| e.kind());
-        assert_eq!([read(), read(), read()], [Ok(400), Ok(112), Err(ErrorKind::TimedOut)]);
+        assert_eq!(
+            [read(), read(), read()],
+            [Ok(400), Ok(112), Err(ErrorKind::TimedOut)]
+        );
     }
 }

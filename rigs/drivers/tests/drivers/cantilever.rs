@@ -58,17 +58,27 @@ impl Cantilever {
                 })
                 .sum();
             let arm = origin.cross(&push);
-            let path =
-                Path { arm_mm: [arm.y, arm.z], compliance_mm_per_n: compliance, reach_mm: origin.norm() };
+            let path = Path {
+                arm_mm: [arm.y, arm.z],
+                compliance_mm_per_n: compliance,
+                reach_mm: origin.norm(),
+            };
             (t.id, path)
         });
-        Self { paths: paths.collect() }
+        Self {
+            paths: paths.collect(),
+        }
     }
 }
 
 impl Plant for Cantilever {
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2] {
-        let Some((_, path)) = self.paths.iter().find(|(p, _)| *p == id).filter(|_| depth_mm > 0.0) else {
+        let Some((_, path)) = self
+            .paths
+            .iter()
+            .find(|(p, _)| *p == id)
+            .filter(|_| depth_mm > 0.0)
+        else {
             return [0.0; 2];
         };
         let stretch = depth_mm / path.reach_mm;

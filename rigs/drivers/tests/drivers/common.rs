@@ -42,7 +42,11 @@ impl Mount for NoMount {
 
 /// A bench whose `[interrogator]` has `extra` too; no cameras unless `extra` ends in a `[cameras]` table.
 pub fn bench(extra: &str) -> VirtualBench {
-    let cameras = if extra.contains("[cameras]") { "" } else { "\n[cameras]\ncount = 0\n" };
+    let cameras = if extra.contains("[cameras]") {
+        ""
+    } else {
+        "\n[cameras]\ncount = 0\n"
+    };
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n{extra}{cameras}"
     );
@@ -63,9 +67,21 @@ pub fn rig(bench: &VirtualBench) -> String {
     // Cameras are replaced first: all ports look the same.
     let text = match a.cameras.as_slice() {
         [left, right] => text
-            .replacen("source = \"127.0.0.1:PORT\"", &format!("source = \"{left}\""), 1)
-            .replacen("source = \"127.0.0.1:PORT\"", &format!("source = \"{right}\""), 1),
-        _ => text.split("[[camera]]").next().unwrap_or_default().to_owned(),
+            .replacen(
+                "source = \"127.0.0.1:PORT\"",
+                &format!("source = \"{left}\""),
+                1,
+            )
+            .replacen(
+                "source = \"127.0.0.1:PORT\"",
+                &format!("source = \"{right}\""),
+                1,
+            ),
+        _ => text
+            .split("[[camera]]")
+            .next()
+            .unwrap_or_default()
+            .to_owned(),
     };
     text.replace("tcp://127.0.0.1:PORT", &format!("tcp://{}", a.stage_tcp))
         .replace("127.0.0.1:PORT", &a.sm130.to_string())
@@ -110,7 +126,14 @@ pub fn rows(folder: &Path) -> wcal_core::WhiskerData {
 
 /// Mounts what a test needs, as root.
 pub fn mount(arguments: &[&str]) {
-    assert!(Command::new("mount").args(arguments).status().unwrap().success(), "needs root: {arguments:?}");
+    assert!(
+        Command::new("mount")
+            .args(arguments)
+            .status()
+            .unwrap()
+            .success(),
+        "needs root: {arguments:?}"
+    );
 }
 
 /// A disk of its own; unmounted when dropped.
@@ -120,7 +143,14 @@ impl Disk {
     /// `size` as mount(8) takes it.
     pub fn of(size: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        mount(&["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs", dir.path().to_str().unwrap()]);
+        mount(&[
+            "-t",
+            "tmpfs",
+            "-o",
+            &format!("size={size}"),
+            "tmpfs",
+            dir.path().to_str().unwrap(),
+        ]);
         Self(dir)
     }
 

@@ -39,10 +39,22 @@ fn every_stream_of_the_corpus_decodes_however_it_is_cut() {
         for step in [1, 7, 98, 512, bytes.len()] {
             let (frames, skipped) = decode(&bytes, step);
             let serials: Vec<Value> = frames.iter().map(|f| f.serial.into()).collect();
-            assert_eq!(Value::Array(serials), expected["serials"], "{name} by {step}");
-            assert_eq!(Value::from(skipped), expected["skipped"], "{name} by {step}");
+            assert_eq!(
+                Value::Array(serials),
+                expected["serials"],
+                "{name} by {step}"
+            );
+            assert_eq!(
+                Value::from(skipped),
+                expected["skipped"],
+                "{name} by {step}"
+            );
             for (frame, faults) in frames.iter().zip(expected["faults"].as_array().unwrap()) {
-                assert_eq!(serde_json::to_value(frame.health.faults()).unwrap(), *faults, "{name}");
+                assert_eq!(
+                    serde_json::to_value(frame.health.faults()).unwrap(),
+                    *faults,
+                    "{name}"
+                );
             }
             if name.starts_with("token") {
                 assert_eq!(frames[1].peaks_nm[0], [1535.801, 1537.3, 1541.2005]);
@@ -64,7 +76,10 @@ fn a_wrong_byte_costs_at_most_its_own_frame() {
         wrong[5 * length + at] ^= 0x55;
         let serials: Vec<u32> = decode(&wrong, 512).0.iter().map(|f| f.serial).collect();
         let others = (100..112).filter(|s| *s != 105);
-        assert!(others.clone().all(|s| serials.contains(&s)), "byte {at}: {serials:?}");
+        assert!(
+            others.clone().all(|s| serials.contains(&s)),
+            "byte {at}: {serials:?}"
+        );
     }
     let mut wrong = bytes;
     wrong[5 * length] = b'x';

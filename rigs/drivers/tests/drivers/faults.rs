@@ -55,7 +55,10 @@ fn run(
             },
         )
     });
-    assert!(injected.load(Ordering::SeqCst), "{fault:?} was never injected");
+    assert!(
+        injected.load(Ordering::SeqCst),
+        "{fault:?} was never injected"
+    );
     (bench, dir, recorded.unwrap())
 }
 
@@ -73,15 +76,23 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, moving: bool) {
         (Outcome::Survives, Ending::Finished) => {
             // A computer that is busy with other things delays scans, which is said; the fault itself leaves no warning.
             let busy = |w: &String| {
-                w.contains(" scans late, by up to ") || w.starts_with("0 rows with scans missing and ")
+                w.contains(" scans late, by up to ")
+                    || w.starts_with("0 rows with scans missing and ")
             };
             assert!(warnings.iter().all(busy), "{fault:?} {k}: {warnings:?}");
             let expected = if warnings.is_empty() { 0 } else { 3 };
-            assert_eq!(recorded.exit_code(), expected, "{fault:?} {k}: {warnings:?}");
+            assert_eq!(
+                recorded.exit_code(),
+                expected,
+                "{fault:?} {k}: {warnings:?}"
+            );
         }
         (Outcome::Warns(word), Ending::Finished) => {
             assert_eq!(recorded.exit_code(), 3, "{fault:?} {k}");
-            assert!(warnings.iter().any(|w| w.contains(word)), "{fault:?} {k}: {warnings:?}");
+            assert!(
+                warnings.iter().any(|w| w.contains(word)),
+                "{fault:?} {k}: {warnings:?}"
+            );
         }
         (_, ending) => panic!("{fault:?} {k}: expected {outcome:?}, found {ending:?}"),
     }
@@ -91,7 +102,14 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, moving: bool) {
     // The first rest was read before every fault; a finished sweep has all six rows.
     let finished = matches!(recorded.sweep.ending, Ending::Finished);
     let count = rows(&dir.path().join("session")).rows.len();
-    assert!(if finished { count == 6 } else { (1..6).contains(&count) }, "{fault:?} {k}: {count} rows");
+    assert!(
+        if finished {
+            count == 6
+        } else {
+            (1..6).contains(&count)
+        },
+        "{fault:?} {k}: {count} rows"
+    );
 }
 
 fn several(fault: Fault, extra: &str, outcome: Outcome) {
@@ -131,9 +149,13 @@ fn an_unplugged_stage_is_a_disconnection_and_is_stopped_once_reached() {
 
 #[test]
 fn disturbed_replies_are_asked_for_again() {
-    for fault in
-        [Fault::CorruptReply, Fault::SplitReply, Fault::LoseReply, Fault::DoubleReply, Fault::NoiseReply]
-    {
+    for fault in [
+        Fault::CorruptReply,
+        Fault::SplitReply,
+        Fault::LoseReply,
+        Fault::DoubleReply,
+        Fault::NoiseReply,
+    ] {
         several(fault, "", Outcome::Survives);
     }
 }
@@ -153,10 +175,19 @@ fn a_stage_that_stays_busy_stops_the_sweep() {
 /// Without a reply the stop is not confirmed, but it was sent, and the stage stands.
 #[test]
 fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
-    for fault in [Fault::AlertFlood { on: true }, Fault::ForeignFlood { on: true }] {
+    for fault in [
+        Fault::AlertFlood { on: true },
+        Fault::ForeignFlood { on: true },
+    ] {
         let (bench, dir, recorded) = run(fault, "", 4, true);
-        let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{fault:?}") };
-        assert_eq!((cause.kind, stage.stands(), recorded.exit_code()), (Kind::Timeout, false, 1), "{cause}");
+        let Ending::Stopped { cause, stage } = &recorded.sweep.ending else {
+            panic!("{fault:?}")
+        };
+        assert_eq!(
+            (cause.kind, stage.stands(), recorded.exit_code()),
+            (Kind::Timeout, false, 1),
+            "{cause}"
+        );
         assert!(cause.to_string().contains("none among"), "{cause}");
         assert_eq!(bench.true_stage().1, 0.0, "{fault:?}");
         assert!(!rows(&dir.path().join("session")).rows.is_empty());
@@ -191,16 +222,38 @@ fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
 #[test]
 fn a_clock_that_is_set_or_stands_still_stops_the_sweep() {
     for seconds in [-3600.0, -5.0, 5.0, 3600.0] {
-        several(Fault::ClockStep { seconds }, "", Outcome::Stops(Kind::Clock));
+        several(
+            Fault::ClockStep { seconds },
+            "",
+            Outcome::Stops(Kind::Clock),
+        );
     }
-    several(Fault::ClockStop { on: true }, "", Outcome::Stops(Kind::Clock));
+    several(
+        Fault::ClockStop { on: true },
+        "",
+        Outcome::Stops(Kind::Clock),
+    );
 }
 
 #[test]
 fn a_peak_without_a_value_is_counted_and_twenty_in_a_row_are_a_lost_peak() {
     let words = "1 scans with a lost or crossing peak";
-    several(Fault::NanPeak { grating: 2, count: 1 }, "", Outcome::Warns(words));
-    several(Fault::NanPeak { grating: 2, count: 30 }, "", Outcome::Stops(Kind::PeakLost));
+    several(
+        Fault::NanPeak {
+            grating: 2,
+            count: 1,
+        },
+        "",
+        Outcome::Warns(words),
+    );
+    several(
+        Fault::NanPeak {
+            grating: 2,
+            count: 30,
+        },
+        "",
+        Outcome::Stops(Kind::PeakLost),
+    );
 }
 
 /// The user wants an end while no reply comes: the sweep hears it at once, and tries to stop all the same.
@@ -223,7 +276,9 @@ fn an_interrupt_is_heard_while_a_question_waits() {
         },
     )
     .unwrap();
-    let Ending::Stopped { cause, .. } = &recorded.sweep.ending else { panic!("{recorded:?}") };
+    let Ending::Stopped { cause, .. } = &recorded.sweep.ending else {
+        panic!("{recorded:?}")
+    };
     assert_eq!(cause.kind, Kind::Interrupted, "{cause}");
     assert!(cause.to_string().contains("SIGTERM"), "{cause}");
     assert_eq!(bench.true_stage().1, 0.0);
@@ -231,34 +286,89 @@ fn an_interrupt_is_heard_while_a_question_waits() {
 
 #[test]
 fn lost_samples_and_gaps_are_counted_and_a_dead_stream_stops_the_sweep() {
-    several(Fault::LostSamples { count: 37 }, "", Outcome::Warns("37 scans lost in 1 gaps"));
-    several(Fault::StreamGap { seconds: 2.0 }, "buffer = 200", Outcome::Warns("scans lost"));
+    several(
+        Fault::LostSamples { count: 37 },
+        "",
+        Outcome::Warns("37 scans lost in 1 gaps"),
+    );
+    several(
+        Fault::StreamGap { seconds: 2.0 },
+        "buffer = 200",
+        Outcome::Warns("scans lost"),
+    );
     several(Fault::StreamGap { seconds: 1.0 }, "", Outcome::Survives);
     several(Fault::StreamGarbage, "", Outcome::Survives);
-    several(Fault::StreamGap { seconds: 60.0 }, "", Outcome::Stops(Kind::Timeout));
-    several(Fault::UnplugInterrogator, "", Outcome::Stops(Kind::Disconnected));
+    several(
+        Fault::StreamGap { seconds: 60.0 },
+        "",
+        Outcome::Stops(Kind::Timeout),
+    );
+    several(
+        Fault::UnplugInterrogator,
+        "",
+        Outcome::Stops(Kind::Disconnected),
+    );
 }
 
 #[test]
 fn an_interrogator_that_says_it_is_unwell_stops_the_sweep() {
-    several(Fault::CalibrationFault { on: true }, "", Outcome::Stops(Kind::Health));
-    several(Fault::TecFault { on: true }, "", Outcome::Stops(Kind::Health));
-    several(Fault::DataInvalid { on: true }, "", Outcome::Stops(Kind::DataInvalid));
-    several(Fault::PeakLost { grating: 1, on: true }, "", Outcome::Stops(Kind::PeakLost));
-    several(Fault::PeakCrossing { on: true }, "", Outcome::Stops(Kind::PeakLost));
+    several(
+        Fault::CalibrationFault { on: true },
+        "",
+        Outcome::Stops(Kind::Health),
+    );
+    several(
+        Fault::TecFault { on: true },
+        "",
+        Outcome::Stops(Kind::Health),
+    );
+    several(
+        Fault::DataInvalid { on: true },
+        "",
+        Outcome::Stops(Kind::DataInvalid),
+    );
+    several(
+        Fault::PeakLost {
+            grating: 1,
+            on: true,
+        },
+        "",
+        Outcome::Stops(Kind::PeakLost),
+    );
+    several(
+        Fault::PeakCrossing { on: true },
+        "",
+        Outcome::Stops(Kind::PeakLost),
+    );
 }
 
 #[test]
 fn a_frozen_camera_and_a_skewed_pair_stop_the_sweep() {
-    several(Fault::FrozenCamera { on: true }, CAMERAS, Outcome::Stops(Kind::DataInvalid));
-    several(Fault::CameraSkew { ms: 5.0 }, CAMERAS, Outcome::Stops(Kind::DataInvalid));
+    several(
+        Fault::FrozenCamera { on: true },
+        CAMERAS,
+        Outcome::Stops(Kind::DataInvalid),
+    );
+    several(
+        Fault::CameraSkew { ms: 5.0 },
+        CAMERAS,
+        Outcome::Stops(Kind::DataInvalid),
+    );
 }
 
 #[test]
 fn drifts_of_the_clock_and_of_the_signal_are_warned_of() {
-    several(Fault::ClockDrift { ppm: 20_000.0 }, "", Outcome::Warns("clock drifts"));
+    several(
+        Fault::ClockDrift { ppm: 20_000.0 },
+        "",
+        Outcome::Warns("clock drifts"),
+    );
     // Past the gate of 3 pm/s, and slow enough that no peak leaves its window of 0.7 nm while the sweep lasts.
-    several(Fault::SignalDrift { pm_per_s: 8.0 }, "", Outcome::Warns("did not settle"));
+    several(
+        Fault::SignalDrift { pm_per_s: 8.0 },
+        "",
+        Outcome::Warns("did not settle"),
+    );
 }
 
 /// Negative control: without a fault nothing stops and nothing is warned of, cameras included.
@@ -286,7 +396,12 @@ fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
         },
     )
     .unwrap();
-    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
-    assert_eq!((cause.kind, stage.stands(), recorded.exit_code()), (Kind::Disconnected, false, 1));
+    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else {
+        panic!("{recorded:?}")
+    };
+    assert_eq!(
+        (cause.kind, stage.stands(), recorded.exit_code()),
+        (Kind::Disconnected, false, 1)
+    );
     assert!(!rows(&order.folder).rows.is_empty());
 }

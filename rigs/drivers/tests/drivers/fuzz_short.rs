@@ -12,7 +12,9 @@ fn items(bytes: &[u8], step: usize) -> Vec<String> {
     let (mut decoder, mut items) = (StreamDecoder::default(), Vec::new());
     for part in bytes.chunks(step.max(1)) {
         decoder.push(part);
-        items.extend(std::iter::from_fn(|| decoder.next_item()).map(|item: StreamItem| format!("{item:?}")));
+        items.extend(
+            std::iter::from_fn(|| decoder.next_item()).map(|item: StreamItem| format!("{item:?}")),
+        );
     }
     items
 }
@@ -22,7 +24,9 @@ fn damaged_stream() -> impl Strategy<Value = Vec<u8>> {
     let corpus = include_bytes!("../corpus/token_inside.bin");
     vec((0..corpus.len(), any::<u8>()), 0..12).prop_map(|changes| {
         let mut bytes = corpus.to_vec();
-        changes.into_iter().for_each(|(at, value)| bytes[at] = value);
+        changes
+            .into_iter()
+            .for_each(|(at, value)| bytes[at] = value);
         bytes
     })
 }

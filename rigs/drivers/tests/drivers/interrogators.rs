@@ -32,8 +32,13 @@ fn bench(extra: &str) -> VirtualBench {
 }
 
 fn sm130(bench: &VirtualBench) -> Sm130 {
-    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0), &Interrupt::default())
-        .unwrap()
+    Sm130::connect(
+        &bench.addresses().sm130.to_string(),
+        2000.0,
+        HostClock::start(1.0),
+        &Interrupt::default(),
+    )
+    .unwrap()
 }
 
 fn collect(unit: &mut dyn Interrogator, seconds: f64) -> Vec<FbgReading> {
@@ -56,7 +61,10 @@ fn collect_count(unit: &mut dyn Interrogator, count: usize) -> Vec<FbgReading> {
 }
 
 fn gaps(readings: &[FbgReading]) -> u64 {
-    readings.windows(2).map(|w| w[1].serial - w[0].serial - 1).sum()
+    readings
+        .windows(2)
+        .map(|w| w[1].serial - w[0].serial - 1)
+        .sum()
 }
 
 #[test]
@@ -75,7 +83,8 @@ fn two_thousand_scans_a_second_come_without_a_gap_in_every_framing() {
         let readings = collect_count(&mut unit, 600);
         unit.stop().unwrap();
         assert_eq!((gaps(&readings), unit.skipped_bytes()), (0, 0), "{framing}");
-        let spacing = readings[100].clocks.device_s.unwrap() - readings[99].clocks.device_s.unwrap();
+        let spacing =
+            readings[100].clocks.device_s.unwrap() - readings[99].clocks.device_s.unwrap();
         assert!((spacing - 5e-4).abs() < 2e-6);
         // After streaming the unit answers commands again.
         assert_eq!(unit.command("#GET_SN").unwrap().trim(), "VIR130");
@@ -117,15 +126,26 @@ fn lost_in_a_pause(buffer: usize) -> u64 {
     while readings.last().unwrap().serial < until && start.elapsed() < PATIENCE {
         readings.extend(unit.read(Duration::from_millis(50)).unwrap());
     }
-    assert!(readings.last().unwrap().serial >= until, "{} of {until} scans", readings.len());
+    assert!(
+        readings.last().unwrap().serial >= until,
+        "{} of {until} scans",
+        readings.len()
+    );
     gaps(&readings)
 }
 
 #[test]
 fn a_slow_reader_loses_only_what_the_buffer_cannot_hold() {
     let lost = lost_in_a_pause(400);
-    assert!(lost >= 100, "{lost} lost of some 1200 made in the pause, 400 of them held");
-    assert_eq!(lost_in_a_pause(40_000), 0, "a buffer that holds the pause loses nothing");
+    assert!(
+        lost >= 100,
+        "{lost} lost of some 1200 made in the pause, 400 of them held"
+    );
+    assert_eq!(
+        lost_in_a_pause(40_000),
+        0,
+        "a buffer that holds the pause loses nothing"
+    );
 }
 
 #[test]
@@ -138,11 +158,23 @@ fn silence_is_a_timeout_and_nobody_there_is_a_disconnection() {
         while link.read(&mut bytes).is_ok_and(|n| n > 0) {}
         let _ = link.write_all(b"late");
     });
-    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap();
+    let mut unit = Sm130::connect(
+        &address,
+        1000.0,
+        HostClock::start(1.0),
+        &Interrupt::default(),
+    )
+    .unwrap();
     assert_eq!(unit.identity().unwrap_err().kind, DeviceErrorKind::Timeout);
     drop(unit);
     mute.join().unwrap();
-    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap_err();
+    let nobody = Sm130::connect(
+        &address,
+        1000.0,
+        HostClock::start(1.0),
+        &Interrupt::default(),
+    )
+    .unwrap_err();
     assert_eq!(nobody.kind, DeviceErrorKind::Disconnected);
 }
 
@@ -171,7 +203,9 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
 fn pair(bench: &VirtualBench) -> CameraPair {
     let open = |k: usize| -> Box<dyn Camera + Send> {
         let address = bench.addresses().cameras[k].to_string();
-        Box::new(NetCamera::connect(&address, HostClock::start(1.0), &Interrupt::default()).unwrap())
+        Box::new(
+            NetCamera::connect(&address, HostClock::start(1.0), &Interrupt::default()).unwrap(),
+        )
     };
     CameraPair::new([open(0), open(1)], 2.0)
 }
@@ -207,7 +241,9 @@ impl Plant for Told {
 
 impl Scene for Told {
     fn picture(&self, camera: usize, state: &SceneState, size_px: [u32; 2], _: u64) -> Vec<u8> {
-        let mut grey: Vec<u8> = (0..size_px[0] * size_px[1]).map(|k| (k % size_px[0]) as u8).collect();
+        let mut grey: Vec<u8> = (0..size_px[0] * size_px[1])
+            .map(|k| (k % size_px[0]) as u8)
+            .collect();
         grey[0] = state.trajectory as u8;
         grey[1] = (10.0 * state.depth_mm + 200.5) as u8;
         grey[2] = state.board.map_or(255, |k| k as u8);
@@ -231,7 +267,8 @@ fn pictures_show_the_stage_where_it_is_and_the_board_on_command() {
     let mut link = std::net::TcpStream::connect(bench.addresses().cameras[0]).unwrap();
     let board_of = |pair: &mut CameraPair| pair.grab(WAIT).unwrap().frames[1].grey[2];
     // Nonsense and an attitude that there is not change nothing.
-    link.write_all(b"board 3\nboard x\nboard 12\nhello\n").unwrap();
+    link.write_all(b"board 3\nboard x\nboard 12\nhello\n")
+        .unwrap();
     assert!((0..100).any(|_| board_of(&mut pair) == 3));
     assert!((0..5).all(|_| board_of(&mut pair) == 3));
     bench.inject(Fault::Board { view: None });
@@ -245,7 +282,10 @@ fn pictures_show_the_stage_where_it_is_and_the_board_on_command() {
     });
     assert!(binned, "a picture in motion");
     bench.inject(Fault::LostFrames { count: 3 });
-    assert!((0..10).all(|_| pair.grab(WAIT).is_ok()), "lost frames are left out, the others pair");
+    assert!(
+        (0..10).all(|_| pair.grab(WAIT).is_ok()),
+        "lost frames are left out, the others pair"
+    );
 }
 
 #[test]
@@ -255,10 +295,15 @@ fn pairs_past_the_limit_and_a_frozen_camera_are_refused() {
     pair.grab(WAIT).unwrap();
     bench.inject(Fault::CameraSkew { ms: 5.0 });
     let refused = (0..20).find_map(|_| pair.grab(WAIT).err()).unwrap();
-    assert!(refused.kind == DeviceErrorKind::DataInvalid && refused.found.contains("5.0"), "{refused}");
+    assert!(
+        refused.kind == DeviceErrorKind::DataInvalid && refused.found.contains("5.0"),
+        "{refused}"
+    );
     bench.inject(Fault::CameraSkew { ms: 0.0 });
     bench.inject(Fault::FrozenCamera { on: true });
-    let frozen = (0..40).filter_map(|_| pair.grab(WAIT).err()).find(|e| e.expected.contains("new picture"));
+    let frozen = (0..40)
+        .filter_map(|_| pair.grab(WAIT).err())
+        .find(|e| e.expected.contains("new picture"));
     assert!(frozen.is_some());
 }
 
@@ -268,7 +313,11 @@ fn recorded_without_a_gap(bench_s: f64) -> u64 {
     let path = dir.path().join("recording.mcap");
     let recorder = Recorder::create(&path, Default::default()).unwrap();
     let rig = Rig::parse("rig.toml", include_str!("../../../virtual/rig.toml")).unwrap();
-    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), [1.0, 1.0], rig.clock_scale));
+    let monitor = Mutex::new(Monitor::new(
+        ChannelMap::new(&rig),
+        [1.0, 1.0],
+        rig.clock_scale,
+    ));
     let done = AtomicBool::new(false);
     let mut unit = sm130(&bench);
     std::thread::scope(|scope| {
@@ -295,7 +344,10 @@ fn recorded_without_a_gap(bench_s: f64) -> u64 {
         "{bench_s} s: {count} scans, {lost} lost, {} bytes skipped, file {size} bytes",
         unit.skipped_bytes()
     );
-    assert_eq!((end.unwrap(), lost, unit.skipped_bytes()), (End::default(), 0, 0));
+    assert_eq!(
+        (end.unwrap(), lost, unit.skipped_bytes()),
+        (End::default(), 0, 0)
+    );
     count
 }
 
@@ -335,23 +387,39 @@ fn unit(owed: usize, late: Vec<u8>, more: Vec<Vec<u8>>) -> (String, std::thread:
 fn late_replies_of_interrogators_are_left_out() {
     let text = |t: &str| format!("{:010}{t}\n", t.len() + 1).into_bytes();
     let (clock, interrupt) = (HostClock::start(1.0), Interrupt::default());
-    let (address, thread) = unit(6, [text("of the first"), text("of the second")].concat(), Vec::new());
+    let (address, thread) = unit(
+        6,
+        [text("of the first"), text("of the second")].concat(),
+        Vec::new(),
+    );
     let mut sm130 = Sm130::connect(&address, 1000.0, clock, &interrupt).unwrap();
     interrupt.set(Signal::CtrlC);
-    assert_eq!(sm130.command("#A").unwrap_err().kind, DeviceErrorKind::Interrupted);
+    assert_eq!(
+        sm130.command("#A").unwrap_err().kind,
+        DeviceErrorKind::Interrupted
+    );
     drop(interrupt.hold());
     assert_eq!(sm130.command("#B").unwrap().trim(), "of the second");
     thread.join().unwrap();
 
     let response = |t: &str| [&[0, 0, t.len() as u8, 0, 0, 0, 0, 0][..], t.as_bytes()].concat();
     let late = [response("late"), response("serial")].concat();
-    let (address, thread) =
-        unit(2 * (8 + "#GetSerialNumber".len()), late, vec![response("N"), response("F")]);
+    let (address, thread) = unit(
+        2 * (8 + "#GetSerialNumber".len()),
+        late,
+        vec![response("N"), response("F")],
+    );
     let mut hyperion = Hyperion::connect(&address, &address, 1000.0, clock, &interrupt).unwrap();
     interrupt.set(Signal::CtrlC);
-    assert_eq!(hyperion.identity().unwrap_err().kind, DeviceErrorKind::Interrupted);
+    assert_eq!(
+        hyperion.identity().unwrap_err().kind,
+        DeviceErrorKind::Interrupted
+    );
     drop(interrupt.hold());
     let identity = hyperion.identity().unwrap();
-    assert_eq!([&identity.serial, &identity.model, &identity.firmware], ["serial", "N", "F"]);
+    assert_eq!(
+        [&identity.serial, &identity.model, &identity.firmware],
+        ["serial", "N", "F"]
+    );
     thread.join().unwrap();
 }

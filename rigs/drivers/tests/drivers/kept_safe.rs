@@ -20,14 +20,23 @@ use wcal_drivers::bench::faults::Fault;
 
 fn with_progress(order: &RecordRequest, progress: &mut dyn FnMut(&Progress)) -> RecordResult {
     let mut devices = Drivers::default();
-    record(order, &mut devices, &mut NoMount, &Interrupt::default(), &mut std::thread::sleep, progress)
-        .unwrap()
+    record(
+        order,
+        &mut devices,
+        &mut NoMount,
+        &Interrupt::default(),
+        &mut std::thread::sleep,
+        progress,
+    )
+    .unwrap()
 }
 
 /// Trajectory and depth of every row, tenths of a millimetre.
 fn poses(folder: &Path) -> Vec<(Option<u32>, i64)> {
     let rows = rows(folder).rows;
-    rows.iter().map(|r| (r.trajectory, (r.stage_mm.unwrap() * 10.0).round() as i64)).collect()
+    rows.iter()
+        .map(|r| (r.trajectory, (r.stage_mm.unwrap() * 10.0).round() as i64))
+        .collect()
 }
 
 /// The short plan: two trajectories of a rest and two depths.
@@ -52,7 +61,11 @@ fn a_panic_of_the_view_stops_the_stage_and_ends_the_recording() {
     assert!(died.is_err(), "the panic is nobody's to hide");
     assert_eq!(bench.true_stage().1, 0.0);
     // Its lock is free, its rows are there, and the rest is measured.
-    let again = go(&RecordRequest { resume: true, ..request.clone() }).unwrap();
+    let again = go(&RecordRequest {
+        resume: true,
+        ..request.clone()
+    })
+    .unwrap();
     assert_eq!(again.sweep.ending, Ending::Finished);
     each_pose_once(&request.folder);
 }
@@ -73,7 +86,11 @@ impl DeviceOpener for Impatient {
         self.drivers.stage(rig, clock)
     }
 
-    fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
+    fn mount(
+        &mut self,
+        rig: &MountRig,
+        clock: HostClock,
+    ) -> Result<Option<Box<dyn Mount>>, DeviceError> {
         self.drivers.mount(rig, clock)
     }
 
@@ -85,7 +102,11 @@ impl DeviceOpener for Impatient {
         self.drivers.interrogator(rig, clock)
     }
 
-    fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
+    fn camera(
+        &mut self,
+        rig: &CameraRig,
+        clock: HostClock,
+    ) -> Result<Box<dyn Camera + Send>, DeviceError> {
         self.drivers.camera(rig, clock)
     }
 
@@ -99,12 +120,18 @@ fn a_second_ctrl_c_does_not_keep_a_lost_stage_from_being_reached_again() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let request = order(&bench, PLAN, dir.path());
     let interrupt = Interrupt::default();
-    let mut devices =
-        Impatient { drivers: Drivers::new(&interrupt), interrupt: interrupt.clone(), opened: 0 };
+    let mut devices = Impatient {
+        drivers: Drivers::new(&interrupt),
+        interrupt: interrupt.clone(),
+        opened: 0,
+    };
     let mut unplugged = false;
     let recorded = std::thread::scope(|scope| {
         let mut view = |p: &Progress| {
-            if p.step >= 4 && bench.true_stage().1 != 0.0 && !std::mem::replace(&mut unplugged, true) {
+            if p.step >= 4
+                && bench.true_stage().1 != 0.0
+                && !std::mem::replace(&mut unplugged, true)
+            {
                 bench.inject(Fault::UnplugStage);
                 scope.spawn(|| {
                     std::thread::sleep(Duration::from_millis(120));
@@ -112,10 +139,23 @@ fn a_second_ctrl_c_does_not_keep_a_lost_stage_from_being_reached_again() {
                 });
             }
         };
-        record(&request, &mut devices, &mut NoMount, &interrupt, &mut std::thread::sleep, &mut view).unwrap()
+        record(
+            &request,
+            &mut devices,
+            &mut NoMount,
+            &interrupt,
+            &mut std::thread::sleep,
+            &mut view,
+        )
+        .unwrap()
     });
-    assert!(devices.opened > 1, "the stage was opened again: {recorded:?}");
-    let Ending::Stopped { stage, .. } = recorded.sweep.ending else { panic!("{recorded:?}") };
+    assert!(
+        devices.opened > 1,
+        "the stage was opened again: {recorded:?}"
+    );
+    let Ending::Stopped { stage, .. } = recorded.sweep.ending else {
+        panic!("{recorded:?}")
+    };
     assert!(stage.stands());
     assert_eq!(bench.true_stage().1, 0.0);
 }
@@ -149,9 +189,16 @@ fn a_pose_whose_done_was_lost_with_the_power_is_there_once() {
     let cut = cut_after_a_window(&recording);
     std::fs::write(&recording, cut).unwrap();
     let cut_off = wcal_acquisition::reduce::reduce(&request.folder).unwrap();
-    assert!(cut_off.cut_off == 1 && cut_off.rows < 7, "control: it is cut off: {cut_off:?}");
+    assert!(
+        cut_off.cut_off == 1 && cut_off.rows < 7,
+        "control: it is cut off: {cut_off:?}"
+    );
     let second = bench("");
-    let again = go(&RecordRequest { resume: true, ..order(&second, PLAN, dir.path()) }).unwrap();
+    let again = go(&RecordRequest {
+        resume: true,
+        ..order(&second, PLAN, dir.path())
+    })
+    .unwrap();
     assert_eq!(again.sweep.ending, Ending::Finished);
     each_pose_once(&request.folder);
 }
@@ -174,11 +221,24 @@ fn a_stage_that_another_program_moves_stops_the_sweep_by_name() {
             foreign_move(&bench);
         }
     });
-    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
-    assert_eq!((cause.kind, *stage), (Kind::Displaced, StageEnd::Stands), "{cause}");
+    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else {
+        panic!("{recorded:?}")
+    };
+    assert_eq!(
+        (cause.kind, *stage),
+        (Kind::Displaced, StageEnd::Stands),
+        "{cause}"
+    );
     assert!(cause.to_string().contains("another program"), "{cause}");
-    assert!(!poses(&request.folder).iter().any(|(_, mm)| *mm == 30), "no row of the place that it left");
-    let again = go(&RecordRequest { resume: true, ..request.clone() }).unwrap();
+    assert!(
+        !poses(&request.folder).iter().any(|(_, mm)| *mm == 30),
+        "no row of the place that it left"
+    );
+    let again = go(&RecordRequest {
+        resume: true,
+        ..request.clone()
+    })
+    .unwrap();
     assert_eq!(again.sweep.ending, Ending::Finished);
     each_pose_once(&request.folder);
 }
@@ -191,16 +251,21 @@ fn a_row_during_which_the_stage_moved_is_left_out_and_said() {
     go(&request).unwrap();
     let left_out = || {
         let loaded = wcal_session::load(&request.folder).unwrap();
-        let moved =
-            |w: &wcal_session::SessionWarning| matches!(&w.kind, wcal_session::WarningKind::StageMoved);
-        (rows(&request.folder).rows.len(), loaded.warnings.iter().any(moved))
+        let moved = |w: &wcal_session::SessionWarning| {
+            matches!(&w.kind, wcal_session::WarningKind::StageMoved)
+        };
+        (
+            rows(&request.folder).rows.len(),
+            loaded.warnings.iter().any(moved),
+        )
     };
     assert_eq!(left_out(), (6, false), "control");
     let table = request.folder.join("points.csv");
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-    let changed =
-        ["ok", "late"].iter().fold(lines[2].clone(), |l, word| l.replace(&format!(",{word}"), ",moved"));
+    let changed = ["ok", "late"].iter().fold(lines[2].clone(), |l, word| {
+        l.replace(&format!(",{word}"), ",moved")
+    });
     assert_ne!(std::mem::replace(&mut lines[2], changed.clone()), changed);
     std::fs::write(&table, lines.join("\n") + "\n").unwrap();
     assert_eq!(left_out(), (5, true));
@@ -217,16 +282,32 @@ fn a_full_disk_is_named_the_wire_is_free_and_what_was_measured_is_in_the_tables(
             assert!(std::fs::write(&rest, vec![0; 32 << 20]).is_err());
         }
     });
-    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
+    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else {
+        panic!("{recorded:?}")
+    };
     let said = cause.to_string();
-    assert!(said.contains("recording.mcap") && said.to_lowercase().contains("no space left"), "{said}");
+    assert!(
+        said.contains("recording.mcap") && said.to_lowercase().contains("no space left"),
+        "{said}"
+    );
     assert_eq!(*stage, StageEnd::Retracted);
-    assert!((bench.true_stage().0 - 18.0).abs() < 0.01, "{:?}", bench.true_stage());
+    assert!(
+        (bench.true_stage().0 - 18.0).abs() < 0.01,
+        "{:?}",
+        bench.true_stage()
+    );
     let tables = recorded.reduction.unwrap();
-    assert!(tables.rows > 0 && rows(&request.folder).rows.len() == tables.rows, "{tables:?}");
+    assert!(
+        tables.rows > 0 && rows(&request.folder).rows.len() == tables.rows,
+        "{tables:?}"
+    );
     // With room on the disk it goes on.
     std::fs::remove_file(&rest).unwrap();
-    let again = go(&RecordRequest { resume: true, ..request.clone() }).unwrap();
+    let again = go(&RecordRequest {
+        resume: true,
+        ..request.clone()
+    })
+    .unwrap();
     assert_eq!(again.sweep.ending, Ending::Finished);
     each_pose_once(&request.folder);
 }

@@ -46,10 +46,15 @@ fn draw(number: u64) -> Case {
     let mut between = |low: f64, high: f64| (random.random_range(low..high) * 1e3).round() / 1e3;
     // Limits that sometimes leave no room for a sync move, an approach, or the plan itself.
     let zero = between(5.0, 60.0);
-    let limits_mm = [(zero - between(2.5, 5.0)).max(0.0), zero + between(0.2, 6.0)];
+    let limits_mm = [
+        (zero - between(2.5, 5.0)).max(0.0),
+        zero + between(0.2, 6.0),
+    ];
     let (retract, approach) = (-between(0.1, 3.0), between(0.01, 3.0));
     let speed = between(2.0, 20.0);
-    let depths: Vec<f64> = (0..(between(1.0, 4.0) as usize)).map(|_| between(0.05, 2.5)).collect();
+    let depths: Vec<f64> = (0..(between(1.0, 4.0) as usize))
+        .map(|_| between(0.05, 2.5))
+        .collect();
     let sided = ["direct", "one-sided"][usize::from(between(0.0, 1.0) < 0.5)];
     let binary = between(0.0, 1.0) < 0.3;
     let text = include_str!("../../../virtual/rig.toml");
@@ -57,17 +62,36 @@ fn draw(number: u64) -> Case {
         .split("[[camera]]")
         .next()
         .unwrap()
-        .replace("tcp://127.0.0.1:PORT", &format!("tcp://property:{}-{number}", std::process::id()))
+        .replace(
+            "tcp://127.0.0.1:PORT",
+            &format!("tcp://property:{}-{number}", std::process::id()),
+        )
         .replace("clock_scale = 4.0", "clock_scale = 1.0")
         .replace("rate_hz = 2000.0", "rate_hz = 100.0")
-        .replace("soft_limits_mm = [0.0, 40.0]", &format!("soft_limits_mm = {limits_mm:?}"))
+        .replace(
+            "soft_limits_mm = [0.0, 40.0]",
+            &format!("soft_limits_mm = {limits_mm:?}"),
+        )
         .replace("zero_mm = 20.0", &format!("zero_mm = {zero:?}"))
         .replace("speed_mm_s = 8.0", &format!("speed_mm_s = {speed:?}"))
-        .replace("approach = \"direct\"", &format!("approach = \"{sided}\"\napproach_mm = {approach:?}"))
+        .replace(
+            "approach = \"direct\"",
+            &format!("approach = \"{sided}\"\napproach_mm = {approach:?}"),
+        )
         .replace("retract_mm = -2.0", &format!("retract_mm = {retract:?}"));
     let rig = if binary { without_mount(&rig) } else { rig };
-    let flag = |on: bool, line: &str| if on { format!("{line}\n") } else { String::new() };
-    let (sync, back, fly) = (between(0.0, 1.0) < 0.7, between(0.0, 1.0) < 0.5, between(0.0, 1.0) < 0.3);
+    let flag = |on: bool, line: &str| {
+        if on {
+            format!("{line}\n")
+        } else {
+            String::new()
+        }
+    };
+    let (sync, back, fly) = (
+        between(0.0, 1.0) < 0.7,
+        between(0.0, 1.0) < 0.5,
+        between(0.0, 1.0) < 0.3,
+    );
     let plan = format!(
         "format = \"wcal-plan/1\"\nname = \"p\"\nsync_move = {sync}\n[settle]\ngate_pm_per_s = 1e6\nwindow_s = 0.05\ntimeout_s = 0.2\n\
          [[block]]\nrole = \"calibration\"\ntrajectories = [1]\ndepths_mm = {depths:?}\ndwell_s = 0.05\naverage_s = 0.1\n{}{}",
@@ -85,14 +109,22 @@ fn draw(number: u64) -> Case {
         6 => Trouble::Panic,
         _ => Trouble::FullDisk,
     };
-    Case { rig, plan, binary, limits_mm, trouble, at }
+    Case {
+        rig,
+        plan,
+        binary,
+        limits_mm,
+        trouble,
+        at,
+    }
 }
 
 /// A T-series stage has the port to itself.
 fn without_mount(rig: &str) -> String {
     let (head, rest) = rig.split_once("[mount]").unwrap();
     let (_, rest) = rest.split_once("[interrogator]").unwrap();
-    format!("{head}[mount]\nkind = \"manual\"\n[interrogator]{rest}").replace("zaber-ascii", "zaber-binary")
+    format!("{head}[mount]\nkind = \"manual\"\n[interrogator]{rest}")
+        .replace("zaber-ascii", "zaber-binary")
 }
 
 struct ByHand;
@@ -104,7 +136,11 @@ impl wcal_core::device::Mount for ByHand {
 }
 
 fn tap(case: &Case) -> Tap {
-    let binary = if case.binary { "[mount]\npresent = false\n[stage]\nprotocol = \"binary\"\n" } else { "" };
+    let binary = if case.binary {
+        "[mount]\npresent = false\n[stage]\nprotocol = \"binary\"\n"
+    } else {
+        ""
+    };
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\n[interrogator]\nrate_hz = 100\n[cameras]\ncount = 0\n{binary}"
     );
@@ -115,10 +151,17 @@ fn tap(case: &Case) -> Tap {
 
 /// Speeds that the units were given.
 fn speeds(case: &Case, tap: &Tap) -> Vec<i64> {
-    (0..if case.binary { 1 } else { 2 }).map(|unit| tap.speed_data(unit)).collect()
+    (0..if case.binary { 1 } else { 2 })
+        .map(|unit| tap.speed_data(unit))
+        .collect()
 }
 
-fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<RecordResult, String> {
+fn run(
+    case: &Case,
+    tap: &Tap,
+    folder: &Path,
+    interrupt: &Interrupt,
+) -> Result<RecordResult, String> {
     let request = RecordRequest {
         rig: case.rig.clone(),
         plan: case.plan.clone(),
@@ -132,8 +175,22 @@ fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<R
     let mut pause = |time: Duration| tap.pause(time);
     let mut devices = tap.devices(interrupt);
     let done = catch_unwind(AssertUnwindSafe(|| match case.binary {
-        true => record(&request, &mut devices, &mut ByHand, interrupt, &mut pause, &mut |_| {}),
-        false => record(&request, &mut devices, &mut NoMount, interrupt, &mut pause, &mut |_| {}),
+        true => record(
+            &request,
+            &mut devices,
+            &mut ByHand,
+            interrupt,
+            &mut pause,
+            &mut |_| {},
+        ),
+        false => record(
+            &request,
+            &mut devices,
+            &mut NoMount,
+            interrupt,
+            &mut pause,
+            &mut |_| {},
+        ),
     }));
     match done {
         Ok(recorded) => recorded.map_err(|e| e.to_string()),
@@ -146,8 +203,13 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
     let [low, high] = case.limits_mm;
     let past = |mm: f64| !(low - STEP_MM..=high + STEP_MM).contains(&mm);
     let stage = tap.commands().into_iter().filter(|c| c.unit == 1);
-    let moves = stage.filter(|c| matches!(c.order, Order::Move(_))).collect::<Vec<_>>();
-    if let Some(c) = moves.iter().find(|c| matches!(c.order, Order::Move(mm) if past(mm))) {
+    let moves = stage
+        .filter(|c| matches!(c.order, Order::Move(_)))
+        .collect::<Vec<_>>();
+    if let Some(c) = moves
+        .iter()
+        .find(|c| matches!(c.order, Order::Move(mm) if past(mm)))
+    {
         return Some(format!("{c:?}, limits {low}..{high}"));
     }
     if tap.is_moving() {
@@ -172,8 +234,10 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
 #[test]
 fn no_byte_moves_the_stage_past_a_limit_and_no_run_ends_with_it_moving() {
     let asked = |name: &str| std::env::var(name).ok().map(|n| n.parse::<u64>().unwrap());
-    let (first, runs) =
-        (asked("WCAL_PROPERTY_FIRST").unwrap_or(0), asked("WCAL_PROPERTY_RUNS").unwrap_or(200));
+    let (first, runs) = (
+        asked("WCAL_PROPERTY_FIRST").unwrap_or(0),
+        asked("WCAL_PROPERTY_RUNS").unwrap_or(200),
+    );
     let (large, small) = (Disk::of("64m"), Disk::of("150k"));
     // What is drawn on purpose panics: the hook would print each.
     let hook = std::panic::take_hook();
@@ -210,14 +274,20 @@ fn no_byte_moves_the_stage_past_a_limit_and_no_run_ends_with_it_moving() {
         let name = name.split('(').next().unwrap_or_default();
         *counts.entry(format!("{name} {word}")).or_default() += 1;
         failures.extend(
-            wrong(&case, &tap, &result).map(|what| format!("run {number}, {:?}: {what}", case.trouble)),
+            wrong(&case, &tap, &result)
+                .map(|what| format!("run {number}, {:?}: {what}", case.trouble)),
         );
         // A refusal leaves nothing.
         let _ = std::fs::remove_dir_all(&folder);
     }
     std::panic::set_hook(hook);
     println!("{runs} runs: {counts:?}");
-    assert!(failures.is_empty(), "{} of {runs}: {}", failures.len(), failures.join("\n"));
+    assert!(
+        failures.is_empty(),
+        "{} of {runs}: {}",
+        failures.len(),
+        failures.join("\n")
+    );
     // Controls: every kind of end was met.
     for met in [
         "Nothing finished",
@@ -237,7 +307,10 @@ fn no_byte_moves_the_stage_past_a_limit_and_no_run_ends_with_it_moving() {
 fn a_move_past_a_limit_would_be_seen() {
     let dir = tempfile::tempdir().unwrap();
     let case = (0..).map(draw).find(|c| {
-        let free = Case { trouble: Trouble::Nothing, ..c.clone() };
+        let free = Case {
+            trouble: Trouble::Nothing,
+            ..c.clone()
+        };
         let tap = tap(&free);
         let result = run(&free, &tap, &dir.path().join("s"), &Interrupt::default());
         let finished = result.is_ok_and(|r| r.sweep.ending == Ending::Finished);
@@ -249,6 +322,9 @@ fn a_move_past_a_limit_would_be_seen() {
     let result = run(&case, &tap, &dir.path().join("s"), &Interrupt::default());
     assert_eq!(wrong(&case, &tap, &result), None);
     let middle = (case.limits_mm[0] + case.limits_mm[1]) / 2.0;
-    let narrow = Case { limits_mm: [middle - 1e-3, middle], ..case };
+    let narrow = Case {
+        limits_mm: [middle - 1e-3, middle],
+        ..case
+    };
     assert!(wrong(&narrow, &tap, &result).is_some_and(|what| what.contains("Move")));
 }

@@ -43,7 +43,14 @@ fn binary(bench: &VirtualBench) -> ZaberBinary {
 }
 
 fn on(chain: Chain) -> ZaberStage {
-    ZaberStage::new(Rc::new(RefCell::new(chain)), 1, 1, UNIT, HostClock::start(10.0)).unwrap()
+    ZaberStage::new(
+        Rc::new(RefCell::new(chain)),
+        1,
+        1,
+        UNIT,
+        HostClock::start(10.0),
+    )
+    .unwrap()
 }
 
 fn settle(stage: &mut dyn Stage) -> f64 {
@@ -64,19 +71,31 @@ fn an_unreferenced_stage_is_refused_homed_and_then_moves() {
     for path in ["tcp", "pty"] {
         let mut stage = match path {
             "tcp" => tcp(&bench),
-            _ => on(chain(&Port::Serial(bench.addresses().stage_pty.clone(), 115_200))),
+            _ => on(chain(&Port::Serial(
+                bench.addresses().stage_pty.clone(),
+                115_200,
+            ))),
         };
         if path == "tcp" {
-            assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
+            assert_eq!(
+                stage.start_move(5.0, 7.0).unwrap_err().kind,
+                DeviceErrorKind::NotHomed
+            );
             assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::NotHomed);
         }
         stage.start_home().unwrap();
         assert_eq!(settle(&mut stage), 0.0);
         stage.start_move(12.5, 20.0).unwrap();
         assert!((settle(&mut stage) - 12.5).abs() < 2.4e-5);
-        assert_eq!(stage.start_move(120.0, 7.0).unwrap_err().kind, DeviceErrorKind::OutOfRange);
+        assert_eq!(
+            stage.start_move(120.0, 7.0).unwrap_err().kind,
+            DeviceErrorKind::OutOfRange
+        );
         let identity = stage.identity().unwrap();
-        assert_eq!((identity.serial.as_str(), identity.firmware.as_str()), ("67890", "7.38"));
+        assert_eq!(
+            (identity.serial.as_str(), identity.firmware.as_str()),
+            ("67890", "7.38")
+        );
         assert!((stage.travel_mm().unwrap()[1] - 101.6).abs() < 1e-4);
     }
 }
@@ -106,12 +125,19 @@ fn every_flag_has_its_kind() {
 fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
     let bench = bench(HOMED);
     let mut stage = tcp(&bench);
-    for fault in
-        [Fault::LoseReply, Fault::CorruptReply, Fault::SplitReply, Fault::DoubleReply, Fault::NoiseReply]
-    {
+    for fault in [
+        Fault::LoseReply,
+        Fault::CorruptReply,
+        Fault::SplitReply,
+        Fault::DoubleReply,
+        Fault::NoiseReply,
+    ] {
         bench.inject(fault);
         for _ in 0..3 {
-            assert!((stage.read().unwrap().measured_mm - 37.0).abs() < 1e-4, "{fault:?}");
+            assert!(
+                (stage.read().unwrap().measured_mm - 37.0).abs() < 1e-4,
+                "{fault:?}"
+            );
         }
     }
     let repeats = stage.chain().borrow().repeats();
@@ -142,7 +168,10 @@ fn a_late_reply_answers_its_own_question_alone() {
             bench.inject(Fault::InfoLines);
             stage.start_move(target_mm, 20.0).unwrap();
             let found_mm = settle(stage.as_mut());
-            assert!((found_mm - target_mm).abs() < 1e-3, "{protocol}: {found_mm} for {target_mm}");
+            assert!(
+                (found_mm - target_mm).abs() < 1e-3,
+                "{protocol}: {found_mm} for {target_mm}"
+            );
         }
     }
 }
@@ -155,14 +184,24 @@ fn floods_end_with_the_deadline_in_both_protocols() {
             "ascii" => Box::new(tcp(&bench)),
             _ => Box::new(binary(&bench)),
         };
-        for on in [|on| Fault::AlertFlood { on }, |on| Fault::ForeignFlood { on }] as [fn(bool) -> Fault; 2] {
+        for on in [
+            |on| Fault::AlertFlood { on },
+            |on| Fault::ForeignFlood { on },
+        ] as [fn(bool) -> Fault; 2]
+        {
             bench.inject(on(true));
             let why = stage.read().unwrap_err();
-            assert!(why.kind == DeviceErrorKind::Timeout && why.to_string().contains("among"), "{why}");
+            assert!(
+                why.kind == DeviceErrorKind::Timeout && why.to_string().contains("among"),
+                "{why}"
+            );
             assert!(stage.stop().is_err(), "{protocol}: nothing confirms it");
             bench.inject(on(false));
             // Control: without the flood it answers again.
-            assert!((stage.read().unwrap().measured_mm - 37.0).abs() < 1e-3, "{protocol}");
+            assert!(
+                (stage.read().unwrap().measured_mm - 37.0).abs() < 1e-3,
+                "{protocol}"
+            );
         }
     }
 }
@@ -177,7 +216,10 @@ fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
     assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::NotHomed);
     bench.inject(Fault::UnplugStage);
     std::thread::sleep(Duration::from_millis(30));
-    assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::Disconnected);
+    assert_eq!(
+        stage.read().unwrap_err().kind,
+        DeviceErrorKind::Disconnected
+    );
     assert!(stage.stop().is_err());
 }
 
@@ -185,7 +227,12 @@ fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
 fn the_speed_of_the_line_is_found() {
     let bench = bench("[stage]\nbaud = 9600");
     let probe = |bench: &VirtualBench| {
-        Chain::probe(&bench.addresses().stage_pty, 1, &Interrupt::default(), &system())
+        Chain::probe(
+            &bench.addresses().stage_pty,
+            1,
+            &Interrupt::default(),
+            &system(),
+        )
     };
     let (chain, baud) = probe(&bench).unwrap();
     assert_eq!(baud, 9600);
@@ -199,7 +246,10 @@ fn a_binary_stage_homes_moves_and_names_its_stall() {
     let bench = bench("[stage]\nprotocol = \"binary\"");
     let mut stage = binary(&bench);
     assert_eq!(stage.identity().unwrap().serial, "67890");
-    assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
+    assert_eq!(
+        stage.start_move(5.0, 7.0).unwrap_err().kind,
+        DeviceErrorKind::NotHomed
+    );
     stage.start_home().unwrap();
     assert_eq!(settle(&mut stage), 0.0);
     stage.start_move(10.0, 20.0).unwrap();
@@ -223,7 +273,9 @@ fn commands_lose_no_reply(count: u32) -> u64 {
     let start = std::time::Instant::now();
     for k in 0..count {
         if k % 100 == 0 {
-            stage.start_move(30.0 + f64::from(k % 1000) * 0.01, 20.0).unwrap();
+            stage
+                .start_move(30.0 + f64::from(k % 1000) * 0.01, 20.0)
+                .unwrap();
         }
         stage.read().unwrap();
     }
@@ -280,13 +332,21 @@ fn a_serial_port_that_was_lost_is_opened_again() {
         let rig = stage_rig(&bench.addresses().stage_pty, &[("zaber-ascii", driver)]);
         let mut devices = Drivers::default();
         let mut lost = devices.stage(&rig, clock).unwrap();
-        let Err(why) = Drivers::default().stage(&rig, clock) else { panic!("control: the port is locked") };
+        let Err(why) = Drivers::default().stage(&rig, clock) else {
+            panic!("control: the port is locked")
+        };
         let me = format!("in use by process {} (", std::process::id());
         assert!(why.to_string().contains(&me), "{why}");
         let mut again = devices.stage(&rig, clock).unwrap();
-        assert!((again.read().unwrap().measured_mm - 37.0).abs() < 1e-3, "{protocol}");
+        assert!(
+            (again.read().unwrap().measured_mm - 37.0).abs() < 1e-3,
+            "{protocol}"
+        );
         // Whoever has the old one, as the mount has, goes on with the new link.
-        assert!((lost.read().unwrap().measured_mm - 37.0).abs() < 1e-3, "{protocol}");
+        assert!(
+            (lost.read().unwrap().measured_mm - 37.0).abs() < 1e-3,
+            "{protocol}"
+        );
     }
 }
 
@@ -298,14 +358,23 @@ fn a_unit_that_is_not_there_is_named_with_those_that_are() {
     for port in [&tcp, &bench.addresses().stage_pty] {
         let address = [("address = 7", 7), ("address = 2", 2)];
         let rig = |line: &str| stage_rig(port, &[("driver = ", &format!("{line}\ndriver = "))]);
-        let why = Drivers::default().stage(&rig(address[0].0), clock).err().unwrap().to_string();
+        let why = Drivers::default()
+            .stage(&rig(address[0].0), clock)
+            .err()
+            .unwrap()
+            .to_string();
         let told = "stage: open: expected a unit at the rig's address, found no unit at address 7 (units that answer: 1, 2)";
         assert!(why.starts_with(told), "{why}");
         let mut devices = Drivers::default();
         devices.stage(&rig("address = 1"), clock).unwrap();
-        let why = devices.mount(&mount_rig(7), clock).err().unwrap().to_string();
+        let why = devices
+            .mount(&mount_rig(7), clock)
+            .err()
+            .unwrap()
+            .to_string();
         assert!(
-            why.starts_with("mount: open:") && why.contains("no unit at address 7 (units that answer: 1, 2)"),
+            why.starts_with("mount: open:")
+                && why.contains("no unit at address 7 (units that answer: 1, 2)"),
             "{why}"
         );
         // Control: one that is there.
@@ -322,9 +391,19 @@ fn a_binary_unit_of_another_number_is_named() {
         let driver = format!("address = {address}\ndriver = \"zaber-binary\"");
         stage_rig(&tcp, &[("driver = \"zaber-ascii\"", &driver)])
     };
-    let why = Drivers::default().stage(&rig("3"), clock).err().unwrap().to_string();
-    assert!(why.contains("found no unit at address 3 (units that answer: 1)"), "{why}");
-    assert!(Drivers::default().stage(&rig("1"), clock).is_ok(), "control");
+    let why = Drivers::default()
+        .stage(&rig("3"), clock)
+        .err()
+        .unwrap()
+        .to_string();
+    assert!(
+        why.contains("found no unit at address 3 (units that answer: 1)"),
+        "{why}"
+    );
+    assert!(
+        Drivers::default().stage(&rig("1"), clock).is_ok(),
+        "control"
+    );
 }
 
 /// A stage alone at address 5, on a line whose speed is not known: the rig's own address is asked.
@@ -336,33 +415,58 @@ fn probing_asks_the_rigs_own_address() {
     let renumber = |from: u8, to: u8| {
         let mut chain = chain(&Port::Serial(port.clone(), 115_200));
         // The reply has the new address, which is that of another unit.
-        assert_eq!(chain.ask(from, 0, &format!("renumber {to}")).unwrap_err().kind, DeviceErrorKind::Timeout);
+        assert_eq!(
+            chain
+                .ask(from, 0, &format!("renumber {to}"))
+                .unwrap_err()
+                .kind,
+            DeviceErrorKind::Timeout
+        );
     };
     renumber(1, 5);
-    let rig = |address: &str| stage_rig(port, &[("driver = ", &format!("address = {address}\ndriver = "))]);
+    let rig = |address: &str| {
+        stage_rig(
+            port,
+            &[("driver = ", &format!("address = {address}\ndriver = "))],
+        )
+    };
     assert!(Drivers::default().stage(&rig("5"), clock).is_ok());
-    let why = Drivers::default().stage(&rig("1"), clock).err().unwrap().to_string();
-    assert!(why.contains("no unit at address 1 (units that answer: 2, 5)"), "control: {why}");
+    let why = Drivers::default()
+        .stage(&rig("1"), clock)
+        .err()
+        .unwrap()
+        .to_string();
+    assert!(
+        why.contains("no unit at address 1 (units that answer: 2, 5)"),
+        "control: {why}"
+    );
 }
 
 #[test]
 fn a_unit_of_the_other_protocol_is_named() {
     let clock = HostClock::start(10.0);
-    for (protocol, driver, wrong) in
-        [("ascii", "zaber-ascii", "zaber-binary"), ("binary", "zaber-binary", "zaber-ascii")]
-    {
+    for (protocol, driver, wrong) in [
+        ("ascii", "zaber-ascii", "zaber-binary"),
+        ("binary", "zaber-binary", "zaber-ascii"),
+    ] {
         let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\"\n{HOMED}"));
         let tcp = format!("tcp://{}", bench.addresses().stage_tcp);
         for port in [&tcp, &bench.addresses().stage_pty] {
-            let why =
-                Drivers::default().stage(&stage_rig(port, &[("zaber-ascii", wrong)]), clock).err().unwrap();
+            let why = Drivers::default()
+                .stage(&stage_rig(port, &[("zaber-ascii", wrong)]), clock)
+                .err()
+                .unwrap();
             let word = format!("driver = \"{driver}\" under [stage]");
             assert!(
                 why.kind == DeviceErrorKind::Configuration && why.to_string().contains(&word),
                 "{port}: {why}"
             );
             // Control: the right one.
-            assert!(Drivers::default().stage(&stage_rig(port, &[("zaber-ascii", driver)]), clock).is_ok());
+            assert!(
+                Drivers::default()
+                    .stage(&stage_rig(port, &[("zaber-ascii", driver)]), clock)
+                    .is_ok()
+            );
         }
     }
 }

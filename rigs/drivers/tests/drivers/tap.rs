@@ -95,14 +95,21 @@ impl Tap {
     /// A bench by a scenario.
     pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
         let protocol = scenario.stage.protocol;
-        Self { bench: InProcess::new(scenario, plant), state: Arc::default(), protocol }
+        Self {
+            bench: InProcess::new(scenario, plant),
+            state: Arc::default(),
+            protocol,
+        }
     }
 
     /// The drivers of this bench, for `record` or on their own. The port of the rig is not looked at.
     pub fn devices(&self, interrupt: &Interrupt) -> TapDevices {
         let tap = self.clone();
         let connect = Rc::new(move |_: &_, _: &_| tap.open());
-        TapDevices { tap: self.clone(), drivers: Drivers::over(connect, interrupt) }
+        TapDevices {
+            tap: self.clone(),
+            drivers: Drivers::over(connect, interrupt),
+        }
     }
 
     /// The pause of a sweep: bench time passes.
@@ -195,7 +202,14 @@ impl Tap {
                 return Some(TapFault::LosePort(refusals));
             }
             let bytes = bytes.to_vec();
-            state.commands.push(Command { t_s, unit, order, stage_mm, stage_moves, bytes });
+            state.commands.push(Command {
+                t_s,
+                unit,
+                order,
+                stage_mm,
+                stage_moves,
+                bytes,
+            });
             fault
         };
         match fault {
@@ -224,7 +238,9 @@ struct Line {
 
 impl std::fmt::Debug for Line {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Line").field("number", &self.number).finish_non_exhaustive()
+        f.debug_struct("Line")
+            .field("number", &self.number)
+            .finish_non_exhaustive()
     }
 }
 
@@ -256,7 +272,11 @@ fn binary_order(message: Message, axis: &Axis, t_s: f64) -> Order {
         20 => Order::Move(data_mm),
         21 => Order::Move(axis.at(t_s).0 + data_mm),
         22 if message.data == 0 => Order::Stop,
-        22 => Order::Move(if message.data > 0 { unit.to_mm(axis.spec.limit_steps as f64) } else { 0.0 }),
+        22 => Order::Move(if message.data > 0 {
+            unit.to_mm(axis.spec.limit_steps as f64)
+        } else {
+            0.0
+        }),
         // To a stored position.
         18 => Order::Move(f64::NAN),
         23 => Order::Stop,
@@ -282,7 +302,9 @@ impl Line {
         while let Some(end) = self.heard.iter().position(|b| *b == b'\n') {
             let line: Vec<u8> = self.heard.drain(..=end).collect();
             let line = &line[..end];
-            let Some(command) = ascii::parse(line) else { continue };
+            let Some(command) = ascii::parse(line) else {
+                continue;
+            };
             let bench = self.tap.bench.clone();
             let t_s = bench.state().clock.now_s();
             let count = bench.state().world().units.len();
@@ -300,7 +322,9 @@ impl Line {
                 if matches!(fault, Some(TapFault::LosePort(_))) {
                     return false;
                 }
-                let reply = bench.state().world().units[index].execute(&command, t_s).concat();
+                let reply = bench.state().world().units[index]
+                    .execute(&command, t_s)
+                    .concat();
                 self.say(reply.as_bytes(), fault.as_ref());
             }
         }
@@ -360,7 +384,9 @@ impl ByteLink for Line {
         }
         if self.tap.protocol == StageProtocol::Binary {
             let t_s = self.tap.bench.state().clock.now_s();
-            let ended = self.face.update(&mut self.tap.bench.state().world().units[0].axis, t_s);
+            let ended = self
+                .face
+                .update(&mut self.tap.bench.state().world().units[0].axis, t_s);
             self.said.extend(ended.into_iter().flat_map(Message::bytes));
         }
         if self.said.is_empty() {
@@ -390,10 +416,17 @@ pub struct TapDevices {
 impl DeviceOpener for TapDevices {
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError> {
         let stage = self.drivers.stage(rig, clock)?;
-        Ok(Box::new(InBenchTime { stage, tap: self.tap.clone() }))
+        Ok(Box::new(InBenchTime {
+            stage,
+            tap: self.tap.clone(),
+        }))
     }
 
-    fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
+    fn mount(
+        &mut self,
+        rig: &MountRig,
+        clock: HostClock,
+    ) -> Result<Option<Box<dyn Mount>>, DeviceError> {
         self.drivers.mount(rig, clock)
     }
 
@@ -405,7 +438,11 @@ impl DeviceOpener for TapDevices {
         self.tap.bench.clone().interrogator(rig, clock)
     }
 
-    fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
+    fn camera(
+        &mut self,
+        rig: &CameraRig,
+        clock: HostClock,
+    ) -> Result<Box<dyn Camera + Send>, DeviceError> {
         self.tap.bench.clone().camera(rig, clock)
     }
 
@@ -423,7 +460,10 @@ struct InBenchTime {
 impl Stage for InBenchTime {
     fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
         let identity = self.stage.identity()?;
-        Ok(DeviceIdentity { model: format!("virtual {}", identity.model), ..identity })
+        Ok(DeviceIdentity {
+            model: format!("virtual {}", identity.model),
+            ..identity
+        })
     }
 
     fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError> {
@@ -441,7 +481,10 @@ impl Stage for InBenchTime {
     fn read(&mut self) -> Result<StageReading, DeviceError> {
         let reading = self.stage.read()?;
         let clock = &self.tap.bench.state().clock;
-        let clocks = Clocks { host_s: clock.epoch_s(clock.now_s()), ..reading.clocks };
+        let clocks = Clocks {
+            host_s: clock.epoch_s(clock.now_s()),
+            ..reading.clocks
+        };
         Ok(StageReading { clocks, ..reading })
     }
 

@@ -34,9 +34,12 @@ pub fn rig() -> String {
     // Each test has a stage of its own.
     static NUMBER: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(0);
     let number = NUMBER.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
-    text.replace("tcp://127.0.0.1:PORT", &format!("tcp://tap:{}-{number}", std::process::id()))
-        .replace("clock_scale = 4.0", "clock_scale = 1.0")
-        .replace("rate_hz = 2000.0", "rate_hz = 500.0")
+    text.replace(
+        "tcp://127.0.0.1:PORT",
+        &format!("tcp://tap:{}-{number}", std::process::id()),
+    )
+    .replace("clock_scale = 4.0", "clock_scale = 1.0")
+    .replace("rate_hz = 2000.0", "rate_hz = 500.0")
 }
 
 /// The same rig with a binary stage, whose mount is turned by hand.
@@ -59,13 +62,29 @@ pub fn order(rig: &str, folder: &Path) -> RecordRequest {
     }
 }
 
-fn go(tap: &Tap, order: &RecordRequest, interrupt: &Interrupt) -> Result<RecordResult, AcquisitionError> {
+fn go(
+    tap: &Tap,
+    order: &RecordRequest,
+    interrupt: &Interrupt,
+) -> Result<RecordResult, AcquisitionError> {
     let mut pause = |time: Duration| tap.pause(time);
-    record(order, &mut tap.devices(interrupt), &mut NoMount, interrupt, &mut pause, &mut |_| {})
+    record(
+        order,
+        &mut tap.devices(interrupt),
+        &mut NoMount,
+        interrupt,
+        &mut pause,
+        &mut |_| {},
+    )
 }
 
 fn finished(recorded: &RecordResult) {
-    assert_eq!(recorded.sweep.ending, Ending::Finished, "{:?}", recorded.warnings());
+    assert_eq!(
+        recorded.sweep.ending,
+        Ending::Finished,
+        "{:?}",
+        recorded.warnings()
+    );
     assert_eq!(recorded.exit_code(), 0, "{:?}", recorded.warnings());
 }
 
@@ -87,14 +106,28 @@ fn the_mount_moves_only_where_the_stage_is_retracted() {
     assert!(!tap.is_moving());
     let commands = tap.commands();
     let of_mount = moves(&commands, 2);
-    assert_eq!(of_mount.first().unwrap().order, Order::Home, "it had no reference");
-    assert_eq!(of_mount.len(), 4, "one for the sync move, and two trajectories");
+    assert_eq!(
+        of_mount.first().unwrap().order,
+        Order::Home,
+        "it had no reference"
+    );
+    assert_eq!(
+        of_mount.len(),
+        4,
+        "one for the sync move, and two trajectories"
+    );
     for command in of_mount {
-        assert!((command.stage_mm - RETRACTED_MM).abs() < STEP_MM && !command.stage_moves, "{command:?}");
+        assert!(
+            (command.stage_mm - RETRACTED_MM).abs() < STEP_MM && !command.stage_moves,
+            "{command:?}"
+        );
     }
     // Control: the tap sees where the stage is.
     let first = moves(&commands, 1)[0];
-    assert!(first.order == Order::Home && (first.stage_mm - start_mm).abs() < STEP_MM, "{first:?}");
+    assert!(
+        first.order == Order::Home && (first.stage_mm - start_mm).abs() < STEP_MM,
+        "{first:?}"
+    );
     let [low_mm, high_mm] = [0.0, 40.0];
     let within = |c: &&Command| matches!(c.order, Order::Move(mm) if mm < low_mm || mm > high_mm);
     assert!(!moves(&commands, 1).iter().any(within), "soft limits");
@@ -106,8 +139,13 @@ fn without_home_nothing_moves_and_nothing_is_created() {
     let refused = |tap: &Tap, device: &str| {
         let mut order = order(&rig(), folder.path());
         order.home = false;
-        let why = go(tap, &order, &Interrupt::default()).unwrap_err().to_string();
-        assert!(why.starts_with(device) && why.contains("`--home` searches the reference"), "{why}");
+        let why = go(tap, &order, &Interrupt::default())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            why.starts_with(device) && why.contains("`--home` searches the reference"),
+            "{why}"
+        );
         assert!(moves(&tap.commands(), 1).is_empty() && moves(&tap.commands(), 2).is_empty());
         assert!(!order.folder.exists(), "{why}");
     };
@@ -122,7 +160,14 @@ fn a_mount_that_stands_elsewhere_stops_the_sweep() {
         let (tap, folder) = (tap(""), tempfile::tempdir().unwrap());
         // A run without a fault tells which command turns the mount, and is the same up to there.
         let plain = self::tap("");
-        finished(&go(&plain, &order(&rig(), &folder.path().join("a")), &Interrupt::default()).unwrap());
+        finished(
+            &go(
+                &plain,
+                &order(&rig(), &folder.path().join("a")),
+                &Interrupt::default(),
+            )
+            .unwrap(),
+        );
         let turn = |c: &Command| c.unit == 2 && matches!(c.order, Order::Move(_));
         let turned = plain.commands().iter().position(turn).unwrap();
         let bench = tap.bench().clone();
@@ -130,15 +175,24 @@ fn a_mount_that_stands_elsewhere_stops_the_sweep() {
             let t_s = bench.state().clock.now_s();
             let axis = &mut bench.state().world().units[1].axis;
             let steps = axis.steps(t_s);
-            axis.move_to(t_s, if elsewhere { steps + 300 } else { 10_000 }, None).unwrap();
+            axis.move_to(t_s, if elsewhere { steps + 300 } else { 10_000 }, None)
+                .unwrap();
         };
         // While it turns.
         tap.at(turned + 1, TapFault::Do(Box::new(push)));
-        let recorded = go(&tap, &order(&rig(), &folder.path().join("b")), &Interrupt::default()).unwrap();
+        let recorded = go(
+            &tap,
+            &order(&rig(), &folder.path().join("b")),
+            &Interrupt::default(),
+        )
+        .unwrap();
         match (&recorded.sweep.ending, elsewhere) {
             (Ending::Stopped { cause, .. }, true) => {
                 let said = cause.to_string();
-                assert!(said.starts_with("mount: turn to trajectory 1: expected 1.0000 mm, found"), "{said}");
+                assert!(
+                    said.starts_with("mount: turn to trajectory 1: expected 1.0000 mm, found"),
+                    "{said}"
+                );
             }
             (Ending::Finished, false) => {}
             (other, _) => panic!("{other:?}"),
@@ -155,7 +209,10 @@ fn the_units_keep_the_speeds_that_they_had() {
         finished(&go(&tap, &order(&rig(), folder.path()), &interrupt).unwrap());
         assert_eq!(speeds(&tap), before, "finished");
         let set = |c: &&Command| c.bytes.windows(12).any(|w| w == b"set maxspeed");
-        assert!(tap.commands().iter().filter(set).count() > 4, "control: the sweep has changed them");
+        assert!(
+            tap.commands().iter().filter(set).count() > 4,
+            "control: the sweep has changed them"
+        );
         tap.commands().len()
     };
     // A stop by the user, and a port that is lost and found, in mid sweep.
@@ -169,8 +226,18 @@ fn the_units_keep_the_speeds_that_they_had() {
         };
         tap.at(count / 2, fault);
         let recorded = go(&tap, &order(&rig(), folder.path()), &interrupt).unwrap();
-        let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
-        assert_eq!(cause.kind, if lost { Kind::Disconnected } else { Kind::Interrupted }, "{cause}");
+        let Ending::Stopped { cause, stage } = &recorded.sweep.ending else {
+            panic!("{recorded:?}")
+        };
+        assert_eq!(
+            cause.kind,
+            if lost {
+                Kind::Disconnected
+            } else {
+                Kind::Interrupted
+            },
+            "{cause}"
+        );
         assert!(stage.stands() && !tap.is_moving(), "{cause}");
         assert_eq!(speeds(&tap), before, "{cause}");
     }
@@ -183,32 +250,64 @@ fn after_a_stall_the_message_says_what_to_do_and_home_and_resume_do_it() {
     let mut order = order(&rig(), folder.path());
     // In a move of the stage after the first rows.
     let plain = self::tap("");
-    finished(&go(&plain, &self::order(&rig(), &folder.path().join("plain")), &Interrupt::default()).unwrap());
+    finished(
+        &go(
+            &plain,
+            &self::order(&rig(), &folder.path().join("plain")),
+            &Interrupt::default(),
+        )
+        .unwrap(),
+    );
     let commands = plain.commands();
-    let last = commands.iter().rposition(|c| matches!(c.order, Order::Move(mm) if mm > 20.0)).unwrap();
+    let last = commands
+        .iter()
+        .rposition(|c| matches!(c.order, Order::Move(mm) if mm > 20.0))
+        .unwrap();
     tap.at(last, TapFault::Stall);
     let stopped = go(&tap, &order, &Interrupt::default()).unwrap();
-    let Ending::Stopped { cause, .. } = &stopped.sweep.ending else { panic!("{stopped:?}") };
+    let Ending::Stopped { cause, .. } = &stopped.sweep.ending else {
+        panic!("{stopped:?}")
+    };
     assert_eq!(cause.kind, Kind::Stalled, "{cause}");
     let told = tap.commands().len();
     let refused = |order: &RecordRequest| {
-        let why = go(&tap, order, &Interrupt::default()).unwrap_err().to_string();
+        let why = go(&tap, order, &Interrupt::default())
+            .unwrap_err()
+            .to_string();
         assert!(
-            why.contains("FS: stalled and stopped") && why.contains("then `--home --resume SESSION` clears"),
+            why.contains("FS: stalled and stopped")
+                && why.contains("then `--home --resume SESSION` clears"),
             "{why}"
         );
-        assert!(!tap.commands()[told..].iter().any(|c| c.bytes.ends_with(b"clear")), "{why}");
+        assert!(
+            !tap.commands()[told..]
+                .iter()
+                .any(|c| c.bytes.ends_with(b"clear")),
+            "{why}"
+        );
     };
     order.resume = true;
     order.home = false;
     refused(&order);
     // A new session with `--home` does not take back what it did not see.
-    refused(&RecordRequest { resume: false, home: true, folder: folder.path().join("new"), ..order.clone() });
-    assert!(moves(&tap.commands()[told..], 1).is_empty() && moves(&tap.commands()[told..], 2).is_empty());
+    refused(&RecordRequest {
+        resume: false,
+        home: true,
+        folder: folder.path().join("new"),
+        ..order.clone()
+    });
+    assert!(
+        moves(&tap.commands()[told..], 1).is_empty()
+            && moves(&tap.commands()[told..], 2).is_empty()
+    );
     order.home = true;
     finished(&go(&tap, &order, &Interrupt::default()).unwrap());
     let commands = tap.commands().split_off(told);
-    assert_eq!(moves(&commands, 1)[0].order, Order::Home, "the reference is searched anew");
+    assert_eq!(
+        moves(&commands, 1)[0].order,
+        Order::Home,
+        "the reference is searched anew"
+    );
     assert_eq!(rows(&order.folder).rows.len(), 6);
 }
 
@@ -229,32 +328,61 @@ fn a_binary_stage_is_homed_and_runs_a_whole_sweep() {
     let go = |order: &RecordRequest| {
         let mut pause = |time: Duration| tap.pause(time);
         let never = Interrupt::default();
-        record(order, &mut tap.devices(&never), &mut ByHand(turned.clone()), &never, &mut pause, &mut |_| {})
+        record(
+            order,
+            &mut tap.devices(&never),
+            &mut ByHand(turned.clone()),
+            &never,
+            &mut pause,
+            &mut |_| {},
+        )
     };
     let before = tap.speed_data(0);
-    let unhomed = RecordRequest { home: false, ..order.clone() };
+    let unhomed = RecordRequest {
+        home: false,
+        ..order.clone()
+    };
     let why = go(&unhomed).unwrap_err().to_string();
-    assert!(why.contains("`--home` searches it") && !order.folder.exists(), "{why}");
+    assert!(
+        why.contains("`--home` searches it") && !order.folder.exists(),
+        "{why}"
+    );
     assert!(moves(&tap.commands(), 1).is_empty());
     finished(&go(&order).unwrap());
     let commands = tap.commands();
     assert_eq!(moves(&commands, 1)[0].order, Order::Home);
-    assert_eq!((rows(&order.folder).rows.len(), *turned.lock().unwrap()), (3, 2), "once for the sync move");
+    assert_eq!(
+        (rows(&order.folder).rows.len(), *turned.lock().unwrap()),
+        (3, 2),
+        "once for the sync move"
+    );
     assert!(!tap.is_moving() && tap.speed_data(0) == before);
     // It says that it has been homed: the next sweep needs no `--home`.
     let told = commands.len();
     order.folder = folder.path().join("again");
     order.home = false;
     finished(&go(&order).unwrap());
-    assert!(!moves(&tap.commands()[told..], 1).iter().any(|c| c.order == Order::Home));
+    assert!(
+        !moves(&tap.commands()[told..], 1)
+            .iter()
+            .any(|c| c.order == Order::Home)
+    );
 }
 
 /// A microstep size that is wrong by 0.2 % scales every position by as much.
 #[test]
 fn a_travel_that_is_not_the_stated_one_is_refused() {
     for (from, to, device) in [
-        ("microstep_um = 0.047625", "microstep_um = 0.04772025", Some("stage")),
-        ("microstep_um = 0.047625", "microstep_um = 0.04752975", Some("stage")),
+        (
+            "microstep_um = 0.047625",
+            "microstep_um = 0.04772025",
+            Some("stage"),
+        ),
+        (
+            "microstep_um = 0.047625",
+            "microstep_um = 0.04752975",
+            Some("stage"),
+        ),
         ("travel_mm = 1000.0", "travel_mm = 1002.0", Some("mount")),
         ("microstep_um = 0.1", "microstep_um = 0.0998", Some("mount")),
         ("microstep_um = 0.047625", "microstep_um = 0.0476726", None),
@@ -268,8 +396,13 @@ fn a_travel_that_is_not_the_stated_one_is_refused() {
         match device {
             Some(device) => {
                 let why = done.unwrap_err().to_string();
-                assert!(why.starts_with(device) && why.contains("expected the rig's travel of"), "{why}");
-                assert!(moves(&tap.commands(), 1).is_empty() && moves(&tap.commands(), 2).is_empty());
+                assert!(
+                    why.starts_with(device) && why.contains("expected the rig's travel of"),
+                    "{why}"
+                );
+                assert!(
+                    moves(&tap.commands(), 1).is_empty() && moves(&tap.commands(), 2).is_empty()
+                );
             }
             None => finished(&done.unwrap()),
         }
@@ -280,8 +413,16 @@ fn a_travel_that_is_not_the_stated_one_is_refused() {
 #[test]
 fn a_trajectory_past_the_mounts_travel_is_refused() {
     let (tap, folder) = (tap(""), tempfile::tempdir().unwrap());
-    let rig = rig().replace("steps_per_trajectory = 10000", "steps_per_trajectory = 10000000");
-    let why = go(&tap, &order(&rig, folder.path()), &Interrupt::default()).unwrap_err().to_string();
-    assert!(why.starts_with("mount: turn to trajectory 5: expected a target in 0.000..1000.000 mm"), "{why}");
+    let rig = rig().replace(
+        "steps_per_trajectory = 10000",
+        "steps_per_trajectory = 10000000",
+    );
+    let why = go(&tap, &order(&rig, folder.path()), &Interrupt::default())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        why.starts_with("mount: turn to trajectory 5: expected a target in 0.000..1000.000 mm"),
+        "{why}"
+    );
     assert!(moves(&tap.commands(), 1).is_empty());
 }

@@ -6,16 +6,23 @@ use std::process::{Command, Stdio};
 use wcal_drivers::bench::faults;
 
 fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .join(path)
 }
 
 /// The environment's interpreter; made on first use.
 fn python() -> PathBuf {
     let environment = repository("tests/peers/.venv-zaber");
     let python = environment.join("bin/python");
-    let good = |command: &mut Command| assert!(command.status().expect("runs").success(), "{command:?}");
+    let good =
+        |command: &mut Command| assert!(command.status().expect("runs").success(), "{command:?}");
     if !python.exists() {
-        good(Command::new("python3").args(["-m", "venv"]).arg(&environment));
+        good(
+            Command::new("python3")
+                .args(["-m", "venv"])
+                .arg(&environment),
+        );
     }
     good(Command::new(&python).args(["-m", "pip", "install", "-q", "zaber-motion"]));
     python
@@ -38,7 +45,10 @@ fn the_makers_client_works_against_the_virtual_stage() {
         .unwrap();
     let mut answers = client.stdin.take().unwrap();
     let mut rows = Vec::new();
-    for line in BufReader::new(client.stdout.take().unwrap()).lines().map_while(Result::ok) {
+    for line in BufReader::new(client.stdout.take().unwrap())
+        .lines()
+        .map_while(Result::ok)
+    {
         match line.strip_prefix("inject ") {
             Some(fault) => {
                 bench.inject(faults::parse(fault).unwrap());
@@ -49,5 +59,8 @@ fn the_makers_client_works_against_the_virtual_stage() {
     }
     println!("{}", rows.join("\n"));
     assert!(client.wait().unwrap().success());
-    assert!(rows.len() > 50 && rows.iter().all(|r| r.starts_with("ok")), "{rows:?}");
+    assert!(
+        rows.len() > 50 && rows.iter().all(|r| r.starts_with("ok")),
+        "{rows:?}"
+    );
 }

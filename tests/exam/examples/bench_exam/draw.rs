@@ -41,20 +41,44 @@ const fn effect(
     largest: f64,
     parameter: &'static str,
 ) -> Effect {
-    Effect { id, key, per_key, largest, parameter }
+    Effect {
+        id,
+        key,
+        per_key,
+        largest,
+        parameter,
+    }
 }
 
 /// Largest sizes: what is usual for each. A quadratic share is of some 75 pm/(N mm).
 pub const EFFECTS: [Effect; 10] = [
     effect("stage-backlash", "backlash_um", 1e-3, 100.0, "backlash_mm"),
     effect("time-lag", "lag_ms", 1e-3, 300.0, "lag_s"),
-    effect("zero-drift", "zero_drift_pm_per_min", 1.0, 2.0, "drift_pm_per_min_1"),
+    effect(
+        "zero-drift",
+        "zero_drift_pm_per_min",
+        1.0,
+        2.0,
+        "drift_pm_per_min_1",
+    ),
     effect("creep", "creep_fraction", 1.0, 0.06, "creep_fraction"),
     effect("fbg-nonlinearity", "quadratic_fraction", 75.0, 0.04, ""),
-    effect("base-compliance", "root_turn_rad_per_nmm", 1.0, 0.06, "compliance_rad_per_nmm"),
+    effect(
+        "base-compliance",
+        "root_turn_rad_per_nmm",
+        1.0,
+        0.06,
+        "compliance_rad_per_nmm",
+    ),
     effect("contact-offset", "groove_offset_mm", 1.0, 1.0, ""),
     effect("stage-periodic", "periodic_um", 1e-3, 50.0, ""),
-    effect("temperature-mismatch", "temperature_pm_per_degc", 1.0, 10.0, "mismatch_pm_per_degc_1"),
+    effect(
+        "temperature-mismatch",
+        "temperature_pm_per_degc",
+        1.0,
+        10.0,
+        "mismatch_pm_per_degc_1",
+    ),
     effect("stage-scale", "stage_scale", 1.0, 0.02, "relative_scale"),
 ];
 
@@ -64,8 +88,13 @@ pub type Smallest = BTreeMap<String, Option<f64>>;
 /// The sizes that a verify.json states.
 pub fn smallest(verify: &Value) -> Smallest {
     let rows = verify["detectable"].as_array().into_iter().flatten();
-    let shown = |row: &Value| (row["status"] == "testable").then(|| row["smallest"].as_f64()).flatten();
-    rows.filter_map(|row| Some((row["id"].as_str()?.to_owned(), shown(row)))).collect()
+    let shown = |row: &Value| {
+        (row["status"] == "testable")
+            .then(|| row["smallest"].as_f64())
+            .flatten()
+    };
+    rows.filter_map(|row| Some((row["id"].as_str()?.to_owned(), shown(row))))
+        .collect()
 }
 
 /// An effect with what was drawn for it.
@@ -89,7 +118,11 @@ impl Act {
         rng: &mut ChaCha8Rng,
     ) -> Self {
         let per_rate = (REFERENCE_HZ / rate_hz).sqrt();
-        let least = smallest.get(effect.id).copied().flatten().map(|s| s / effect.per_key * per_rate);
+        let least = smallest
+            .get(effect.id)
+            .copied()
+            .flatten()
+            .map(|s| s / effect.per_key * per_rate);
         // The bench's play counts from loading, and the paper's poses are all approached so.
         let hidden = plan == "paper-27" && effect.id == "stage-backlash";
         let least = least.filter(|s| *s * SPAN <= effect.largest && !hidden);
@@ -105,7 +138,11 @@ impl Act {
             effect,
             size,
             shown: least.is_some(),
-            detail: if effect.id == "creep" { 10.0 * 6f64.powf(v) } else { std::f64::consts::TAU * v },
+            detail: if effect.id == "creep" {
+                10.0 * 6f64.powf(v)
+            } else {
+                std::f64::consts::TAU * v
+            },
         }
     }
 
@@ -130,9 +167,10 @@ impl Act {
         let size = self.size * self.effect.per_key;
         match self.effect.id {
             "creep" => vec![("creep_fraction", size), ("time_constant_s", self.detail)],
-            "contact-offset" => {
-                ["offset_x_mm", "offset_y_mm", "offset_z_mm"].into_iter().zip(self.offset_mm()).collect()
-            }
+            "contact-offset" => ["offset_x_mm", "offset_y_mm", "offset_z_mm"]
+                .into_iter()
+                .zip(self.offset_mm())
+                .collect(),
             // The lead of the bench's screw; sine and cosine follow from where the stage's zero is.
             "stage-periodic" => vec![("pitch_mm", 0.6096)],
             _ if self.effect.parameter.is_empty() => Vec::new(),
@@ -142,8 +180,16 @@ impl Act {
 
     /// In words.
     pub fn words(&self) -> String {
-        let detail = if self.effect.id == "creep" { format!(" {:.0} s", self.detail) } else { String::new() };
-        let shown = if self.shown { "" } else { " (not shown by the plan)" };
+        let detail = if self.effect.id == "creep" {
+            format!(" {:.0} s", self.detail)
+        } else {
+            String::new()
+        };
+        let shown = if self.shown {
+            ""
+        } else {
+            " (not shown by the plan)"
+        };
         format!("{} {:.3e}{detail}{shown}", self.effect.key, self.size)
     }
 }
@@ -177,7 +223,15 @@ pub struct Draw {
 
 /// A session without an effect at the reference's rate.
 pub fn reference(seed: u64, plan: &'static str) -> Draw {
-    Draw { k: 0, seed, plan, rate_hz: REFERENCE_HZ, pictures: false, acts: Vec::new(), outside: None }
+    Draw {
+        k: 0,
+        seed,
+        plan,
+        rate_hz: REFERENCE_HZ,
+        pictures: false,
+        acts: Vec::new(),
+        outside: None,
+    }
 }
 
 /// Draw `k` of a set. Of ten draws of a plan two are without an effect, two have two, one has something outside the catalogue, and five have one:
@@ -187,8 +241,15 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
     let rate_hz = [200.0, 500.0, 1000.0, 2000.0][rng.random_range(0..4)];
     let mut act = |e: &'static Effect| Act::new(e, plan, rate_hz, smallest, &mut rng);
     let (place, singles) = ((number % 10) as usize, (number / 10 * 5) as usize);
-    let mut drawn =
-        Draw { k, seed: seed + k, plan, rate_hz, pictures: false, acts: Vec::new(), outside: None };
+    let mut drawn = Draw {
+        k,
+        seed: seed + k,
+        plan,
+        rate_hz,
+        pictures: false,
+        acts: Vec::new(),
+        outside: None,
+    };
     match place {
         0 | 5 => {}
         2 | 7 => {
@@ -208,16 +269,23 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
             let least = |id: &str| {
                 smallest.get(id).copied().flatten().unwrap_or(0.1) * (REFERENCE_HZ / rate_hz).sqrt()
             };
-            let (middle_s, depth_mm, trajectories) = (if plan == "rich" { 900.0 } else { 70.0 }, 3.0, 9f64);
+            let (middle_s, depth_mm, trajectories) =
+                (if plan == "rich" { 900.0 } else { 70.0 }, 3.0, 9f64);
             drawn.outside = Some(if rng.random() {
                 Outside::Drift([middle_s, HALFWAY * u * least("zero-drift") / 60.0])
             } else {
                 // An offset of one trajectory at its middle depth.
-                Outside::Turned((u * trajectories.sqrt() * least("contact-offset") / depth_mm).min(0.2))
+                Outside::Turned(
+                    (u * trajectories.sqrt() * least("contact-offset") / depth_mm).min(0.2),
+                )
             });
         }
         _ => {
-            let single = singles + [1, 3, 6, 8, 9].iter().position(|p| *p == place).unwrap_or(0);
+            let single = singles
+                + [1, 3, 6, 8, 9]
+                    .iter()
+                    .position(|p| *p == place)
+                    .unwrap_or(0);
             drawn.acts = vec![act(&EFFECTS[(single + seed as usize) % EFFECTS.len()])];
         }
     }
@@ -245,19 +313,29 @@ impl Draw {
             }
             Some(Outside::Turned(rad)) => format!("trajectory 5 turned by {rad:.4} rad"),
             None if self.acts.is_empty() => "none".to_owned(),
-            None => self.acts.iter().map(Act::words).collect::<Vec<_>>().join(", "),
+            None => self
+                .acts
+                .iter()
+                .map(Act::words)
+                .collect::<Vec<_>>()
+                .join(", "),
         }
     }
 
     /// scenario.toml at `speed`; `trajectories` of the rig file.
     pub fn scenario(&self, speed: f64, trajectories: &[toml::Value]) -> String {
         let effects: Vec<String> = self.acts.iter().map(Act::lines).collect();
-        let mismatch =
-            self.acts.iter().find(|a| a.effect.id == "temperature-mismatch").map_or(0.0, |a| a.size);
+        let mismatch = self
+            .acts
+            .iter()
+            .find(|a| a.effect.id == "temperature-mismatch")
+            .map_or(0.0, |a| a.size);
         let more = match self.outside {
             None => String::new(),
             Some(Outside::Drift([at_s, pm_per_s])) => {
-                format!("[[fault]]\nat_s = {at_s}\nkind = \"signal-drift\"\npm_per_s = {pm_per_s}\n")
+                format!(
+                    "[[fault]]\nat_s = {at_s}\nkind = \"signal-drift\"\npm_per_s = {pm_per_s}\n"
+                )
             }
             Some(Outside::Turned(rad)) => trajectories.iter().map(|t| turned(t, rad)).collect(),
         };
@@ -287,16 +365,29 @@ impl Draw {
 
     /// Names of what the plan shows.
     pub fn names(&self) -> Vec<&'static str> {
-        self.acts.iter().filter(|a| a.shown).map(|a| a.effect.id).collect()
+        self.acts
+            .iter()
+            .filter(|a| a.shown)
+            .map(|a| a.effect.id)
+            .collect()
     }
 }
 
 /// A trajectory of the scenario; number 5 turned about the base's x axis.
 fn turned(t: &toml::Value, rad: f64) -> String {
     let numbers = |key: &str| -> Vec<f64> {
-        t[key].as_array().into_iter().flatten().filter_map(toml::Value::as_float).collect()
+        t[key]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(toml::Value::as_float)
+            .collect()
     };
-    let (id, origin, mut d) = (t["id"].as_integer().unwrap_or(0), numbers("origin_mm"), numbers("direction"));
+    let (id, origin, mut d) = (
+        t["id"].as_integer().unwrap_or(0),
+        numbers("origin_mm"),
+        numbers("direction"),
+    );
     if id == 5 {
         let (sin, cos) = rad.sin_cos();
         (d[1], d[2]) = (cos * d[1] - sin * d[2], sin * d[1] + cos * d[2]);

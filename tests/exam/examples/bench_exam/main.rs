@@ -5,7 +5,11 @@
 //!
 //! First a session of each plan without an effect tells the smallest detectable sizes; the others are drawn by them (draw.rs). `--benches` run
 //! beside each other. Sessions that `--keep` holds already are verified anew, not recorded again.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "an example talks to its user"
+)]
 
 #[path = "../../../support/board_pictures.rs"]
 mod board_pictures;
@@ -37,7 +41,10 @@ struct Options {
 
 fn options() -> anyhow::Result<Options> {
     // The program lies beside the folder of the examples.
-    let beside = std::env::current_exe()?.parent().and_then(Path::parent).map(|p| p.join("wcal"));
+    let beside = std::env::current_exe()?
+        .parent()
+        .and_then(Path::parent)
+        .map(|p| p.join("wcal"));
     let mut o = Options {
         draws: 40,
         seed: 1,
@@ -49,7 +56,11 @@ fn options() -> anyhow::Result<Options> {
     };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
-        let mut value = || words.next().with_context(|| format!("{word}: expected a value, found the end"));
+        let mut value = || {
+            words
+                .next()
+                .with_context(|| format!("{word}: expected a value, found the end"))
+        };
         match word.as_str() {
             "--draws" => o.draws = value()?.parse().context("--draws: expected a number")?,
             "--seed" => o.seed = value()?.parse().context("--seed: expected a number")?,
@@ -57,14 +68,19 @@ fn options() -> anyhow::Result<Options> {
                 "both" => {}
                 asked => {
                     o.plans.retain(|p| *p == asked);
-                    ensure!(!o.plans.is_empty(), "--plan: expected rich, paper-27 or both, found {asked}");
+                    ensure!(
+                        !o.plans.is_empty(),
+                        "--plan: expected rich, paper-27 or both, found {asked}"
+                    );
                 }
             },
             "--benches" => o.benches = value()?.parse().context("--benches: expected a number")?,
             "--wcal" => o.wcal = value()?.into(),
             "--keep" => o.keep = Some(value()?.into()),
             "--json" => o.json = Some(value()?.into()),
-            other => bail!("unknown option {other}; see the head of tests/exam/examples/bench_exam/main.rs"),
+            other => bail!(
+                "unknown option {other}; see the head of tests/exam/examples/bench_exam/main.rs"
+            ),
         }
     }
     Ok(o)
@@ -98,20 +114,35 @@ fn sit_all(o: &Options, draws: &[Draw], place: &Path, prefix: &str) -> Vec<Answe
             scope.spawn(work);
         }
     });
-    answers.into_inner().map(|all| all.into_values().collect()).unwrap_or_default()
+    answers
+        .into_inner()
+        .map(|all| all.into_values().collect())
+        .unwrap_or_default()
 }
 
 fn main() -> anyhow::Result<ExitCode> {
     let o = options()?;
     let start = Instant::now();
     let temporary = tempfile::tempdir()?;
-    let place = o.keep.clone().unwrap_or_else(|| temporary.path().to_owned());
-    let references: Vec<Draw> =
-        o.plans.iter().zip(0..).map(|(plan, k)| Draw { k, ..reference(o.seed, plan) }).collect();
+    let place = o
+        .keep
+        .clone()
+        .unwrap_or_else(|| temporary.path().to_owned());
+    let references: Vec<Draw> = o
+        .plans
+        .iter()
+        .zip(0..)
+        .map(|(plan, k)| Draw {
+            k,
+            ..reference(o.seed, plan)
+        })
+        .collect();
     let told = sit_all(&o, &references, &place, "reference-");
     let mut sizes: Vec<Smallest> = Vec::new();
     for answer in &told {
-        let (v, _) = answer.as_ref().map_err(|e| anyhow::anyhow!("a session without an effect: {e:#}"))?;
+        let (v, _) = answer
+            .as_ref()
+            .map_err(|e| anyhow::anyhow!("a session without an effect: {e:#}"))?;
         sizes.push(smallest(v));
     }
     let plans = o.plans.len() as u64;
@@ -121,12 +152,27 @@ fn main() -> anyhow::Result<ExitCode> {
     };
     let draws: Vec<Draw> = (0..o.draws).map(of).collect();
     let answers = sit_all(&o, &draws, &place, "");
-    let all = references.iter().zip(&told).chain(draws.iter().zip(&answers));
-    let scores: Vec<Score> =
-        all.filter_map(|(d, a)| a.as_ref().ok().map(|(v, seconds)| score(d, v, *seconds))).collect();
-    let (asked, seconds) = (references.len() + draws.len(), start.elapsed().as_secs_f64());
-    println!("\nSIMULATED, {} answers of {asked} sessions, seed {}, {seconds:.0} s", scores.len(), o.seed);
-    println!("smallest detectable sizes at {} Hz: {}", draw::REFERENCE_HZ, serde_json::to_string(&sizes)?);
+    let all = references
+        .iter()
+        .zip(&told)
+        .chain(draws.iter().zip(&answers));
+    let scores: Vec<Score> = all
+        .filter_map(|(d, a)| a.as_ref().ok().map(|(v, seconds)| score(d, v, *seconds)))
+        .collect();
+    let (asked, seconds) = (
+        references.len() + draws.len(),
+        start.elapsed().as_secs_f64(),
+    );
+    println!(
+        "\nSIMULATED, {} answers of {asked} sessions, seed {}, {seconds:.0} s",
+        scores.len(),
+        o.seed
+    );
+    println!(
+        "smallest detectable sizes at {} Hz: {}",
+        draw::REFERENCE_HZ,
+        serde_json::to_string(&sizes)?
+    );
     let rows = table(&scores);
     if let Some(path) = &o.json {
         let lines: Vec<&String> = scores.iter().map(|s| &s.line).collect();

@@ -29,7 +29,8 @@ impl Bench {
             .spawn()
             .with_context(|| format!("starting {}", o.wcal.display()))?;
         let mut line = String::new();
-        BufReader::new(child.stdout.take().context("no output of the bench")?).read_line(&mut line)?;
+        BufReader::new(child.stdout.take().context("no output of the bench")?)
+            .read_line(&mut line)?;
         fs::write(folder.join("bench.json"), line)?;
         Ok(Self(child))
     }
@@ -44,9 +45,16 @@ impl Drop for Bench {
 
 /// Runs the program in `folder`; its exit code. What it said is in `said.txt`.
 fn wcal(o: &Options, folder: &Path, arguments: &[&str]) -> anyhow::Result<Option<i32>> {
-    let said = fs::File::options().create(true).append(true).open(folder.join("said.txt"))?;
+    let said = fs::File::options()
+        .create(true)
+        .append(true)
+        .open(folder.join("said.txt"))?;
     let mut command = Command::new(&o.wcal);
-    command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(said);
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .stdout(Stdio::null())
+        .stderr(said);
     // Beside each other they would share the cores anyway.
     command.env("RAYON_NUM_THREADS", "1");
     Ok(command.status()?.code())
@@ -57,35 +65,82 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
     let root = &Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let rig = fs::read_to_string(root.join("rigs/virtual/rig.toml"))?;
     let table: toml::Table = rig.parse()?;
-    let trajectories = table["trajectory"].as_array().context("no trajectories in the rig")?;
-    fs::write(folder.join("scenario.toml"), d.scenario(SPEED_WITH_CAMERAS, trajectories))?;
+    let trajectories = table["trajectory"]
+        .as_array()
+        .context("no trajectories in the rig")?;
+    fs::write(
+        folder.join("scenario.toml"),
+        d.scenario(SPEED_WITH_CAMERAS, trajectories),
+    )?;
     // The cameras stand at the end of the file.
     let without = rig.split("[[camera]]").next().unwrap_or_default();
     let rig = if d.pictures { &rig } else { without };
     let rate = format!("rate_hz = {:.1}", d.rate_hz);
-    fs::write(folder.join("rig.toml"), rig.replace("rate_hz = 2000.0", &rate))?;
+    fs::write(
+        folder.join("rig.toml"),
+        rig.replace("rate_hz = 2000.0", &rate),
+    )?;
     let plan = fs::read_to_string(root.join("rigs/plans").join(format!("{}.toml", d.plan)))?;
     fs::write(folder.join("plan.toml"), plan)?;
-    let sweep = ["stage-sweep", "--rig", "rig.toml", "--plan", "plan.toml", "--home", "--out", "session"];
+    let sweep = [
+        "stage-sweep",
+        "--rig",
+        "rig.toml",
+        "--plan",
+        "plan.toml",
+        "--home",
+        "--out",
+        "session",
+    ];
     let swept = if d.pictures {
         let bench = Bench::start(o, folder)?;
         let told: Value = serde_json::from_slice(&fs::read(folder.join("bench.json"))?)?;
         let cameras = [0, 1].map(|k| told["cameras"][k].as_str().unwrap_or_default());
         board_pictures(cameras, &folder.join("board"), 12)?;
-        let swept = wcal(o, folder, &[&sweep[..], &["--bench", "bench.json"]].concat());
+        let swept = wcal(
+            o,
+            folder,
+            &[&sweep[..], &["--bench", "bench.json"]].concat(),
+        );
         drop(bench);
         swept?
     } else {
-        wcal(o, folder, &[&sweep[..], &["--scenario", "scenario.toml"]].concat())?
+        wcal(
+            o,
+            folder,
+            &[&sweep[..], &["--scenario", "scenario.toml"]].concat(),
+        )?
     };
-    ensure!(matches!(swept, Some(0 | 3)), "the sweep ended with {swept:?}");
+    ensure!(
+        matches!(swept, Some(0 | 3)),
+        "the sweep ended with {swept:?}"
+    );
     if d.pictures {
         let sides = ["board/left", "board/right"];
         let board = ["--board", "9x6", "--square-mm", "6", "--out", "cameras"];
-        let code = wcal(o, folder, &[&["stereo-calibrate"], &sides[..], &board[..]].concat())?;
-        ensure!(matches!(code, Some(0 | 3)), "stereo-calibrate ended with {code:?}");
-        let code = wcal(o, folder, &["stereo-shape", "session", "--cameras", "cameras/stereo.json"])?;
-        ensure!(matches!(code, Some(0 | 3)), "stereo-shape ended with {code:?}");
+        let code = wcal(
+            o,
+            folder,
+            &[&["stereo-calibrate"], &sides[..], &board[..]].concat(),
+        )?;
+        ensure!(
+            matches!(code, Some(0 | 3)),
+            "stereo-calibrate ended with {code:?}"
+        );
+        let code = wcal(
+            o,
+            folder,
+            &[
+                "stereo-shape",
+                "session",
+                "--cameras",
+                "cameras/stereo.json",
+            ],
+        )?;
+        ensure!(
+            matches!(code, Some(0 | 3)),
+            "stereo-shape ended with {code:?}"
+        );
     }
     // The raw streams are large, and the tables are made.
     let _ = fs::remove_file(folder.join("session/recording.mcap"));
@@ -96,12 +151,15 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
 /// verify.json of a draw; a session that was recorded before is verified anew.
 pub fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     fs::create_dir_all(folder)?;
-    let same = |file: &str| fs::read_to_string(folder.join(file)).is_ok_and(|text| text == d.summary());
+    let same =
+        |file: &str| fs::read_to_string(folder.join(file)).is_ok_and(|text| text == d.summary());
     if !same("recorded") {
         let _ = fs::remove_dir_all(folder.join("session"));
         record(o, d, folder)?;
     }
     let _ = fs::remove_dir_all(folder.join("verify"));
     wcal(o, folder, &["verify", "session", "--out", "verify"])?;
-    Ok(serde_json::from_slice(&fs::read(folder.join("verify/verify.json"))?)?)
+    Ok(serde_json::from_slice(&fs::read(
+        folder.join("verify/verify.json"),
+    )?)?)
 }

@@ -11,7 +11,13 @@ fn orders_cover_the_catalogue_and_repeat() {
     let mut names: Vec<&str> = all
         .iter()
         .filter_map(|o| match o {
-            Order::Whisker(Request { want: CaseKind::Effects(k), .. }, ..) => Some(k[0].name().0),
+            Order::Whisker(
+                Request {
+                    want: CaseKind::Effects(k),
+                    ..
+                },
+                ..,
+            ) => Some(k[0].name().0),
             _ => None,
         })
         .collect();
@@ -31,7 +37,9 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
     let mut designs = std::collections::BTreeSet::new();
     let mut wires = std::collections::BTreeSet::new();
     for order in orders("noise-null", 66, 5, None, false) {
-        let Order::Whisker(request, noise, make) = order else { panic!("a whisker's order") };
+        let Order::Whisker(request, noise, make) = order else {
+            panic!("a whisker's order")
+        };
         assert_eq!(request.want, CaseKind::Null);
         noises.insert(noise.name());
         designs.insert(format!("{:?}", request.design));
@@ -39,7 +47,16 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
     }
     assert_eq!((noises.len(), designs.len(), wires.len()), (11, 5, 2));
     for order in orders("noise-single", 66, 5, None, false) {
-        let Order::Whisker(Request { want: CaseKind::Effects(kinds), design, .. }, noise, _) = order else {
+        let Order::Whisker(
+            Request {
+                want: CaseKind::Effects(kinds),
+                design,
+                ..
+            },
+            noise,
+            _,
+        ) = order
+        else {
             panic!("an effect")
         };
         assert!(kinds.len() == 1 && !kinds[0].is_unknown() && design != Design::Paper);
@@ -57,13 +74,22 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
     };
     let nulls = lines("scalar-null");
     assert!(nulls.iter().all(|r| r.effect.is_none()) && nulls.iter().any(|r| r.axis));
-    assert!(ScalarNoise::ALL.iter().all(|n| nulls.iter().any(|r| r.noise == *n)));
+    assert!(
+        ScalarNoise::ALL
+            .iter()
+            .all(|n| nulls.iter().any(|r| r.noise == *n))
+    );
     assert!(lines("scalar-single").iter().all(|r| r.effect.is_some()));
     let all = orders("all", 30, 5, None, false);
     assert!(all.iter().any(|o| matches!(o, Order::Scalar(_))));
-    assert!(all.iter().any(|o| matches!(o, Order::Whisker(_, n, _) if *n != Noise::Gaussian)));
+    assert!(
+        all.iter()
+            .any(|o| matches!(o, Order::Whisker(_, n, _) if *n != Noise::Gaussian))
+    );
     // A drawn order tells its truth.
     assert!(MIXES.contains(&"noise-null"));
-    let Drawn::Scalar(case) = Order::Scalar(nulls[0]).draw().unwrap() else { panic!("a line") };
+    let Drawn::Scalar(case) = Order::Scalar(nulls[0]).draw().unwrap() else {
+        panic!("a line")
+    };
     assert_eq!(Drawn::Scalar(case).truth().unwrap()["label"], "null");
 }

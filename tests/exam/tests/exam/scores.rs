@@ -6,12 +6,19 @@ use wcal_exam::{
 };
 use wcal_plant::scalar;
 use wcal_plant::{
-    Case, CaseKind, Design, EffectSize, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest,
-    draw, draw_under,
+    Case, CaseKind, Design, EffectSize, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise,
+    ScalarRequest, draw, draw_under,
 };
 
 fn case(want: CaseKind) -> Case {
-    draw(&Request { seed: 21, design: Design::Paper, want, target_sigma: 12.0, rivals: false }).unwrap()
+    draw(&Request {
+        seed: 21,
+        design: Design::Paper,
+        want,
+        target_sigma: 12.0,
+        rivals: false,
+    })
+    .unwrap()
 }
 
 fn mark(case: &Case, verdict: &str, effects: Value, alternatives: Value) -> Mark {
@@ -23,32 +30,83 @@ fn mark(case: &Case, verdict: &str, effects: Value, alternatives: Value) -> Mark
 fn marks_follow_the_practice_scorer() {
     let null = case(CaseKind::Null);
     assert_eq!(mark(&null, "adequate", json!([]), json!([])), Mark::Right);
-    assert_eq!(mark(&null, "effect", json!([{"id": "creep"}]), json!([])), Mark::False);
-    assert_eq!(mark(&null, "unknown-effect", json!([]), json!([])), Mark::False);
+    assert_eq!(
+        mark(&null, "effect", json!([{"id": "creep"}]), json!([])),
+        Mark::False
+    );
+    assert_eq!(
+        mark(&null, "unknown-effect", json!([]), json!([])),
+        Mark::False
+    );
 
     let single = case(CaseKind::Effects(vec![Kind::DriftLinear]));
     let drift = json!([{"id": "zero-drift", "class": ["zero-drift"]}]);
     let in_class = json!([{"id": "creep", "class": ["creep", "zero-drift"]}]);
-    assert_eq!(mark(&single, "effect", drift.clone(), json!([])), Mark::Right);
+    assert_eq!(
+        mark(&single, "effect", drift.clone(), json!([])),
+        Mark::Right
+    );
     assert_eq!(mark(&single, "effect", in_class, json!([])), Mark::Right);
     assert_eq!(
-        mark(&single, "effect", json!([{"id": "zero-drift"}, {"id": "creep"}]), json!([])),
+        mark(
+            &single,
+            "effect",
+            json!([{"id": "zero-drift"}, {"id": "creep"}]),
+            json!([])
+        ),
         Mark::Part
     );
-    assert_eq!(mark(&single, "effect", json!([{"id": "creep"}]), json!([])), Mark::Wrong);
-    assert_eq!(mark(&single, "ambiguous", json!([]), json!([["creep"], ["zero-drift"]])), Mark::AmbiguousIn);
-    assert_eq!(mark(&single, "ambiguous", json!([]), json!([["creep"], ["dead-zone"]])), Mark::Wrong);
-    assert_eq!(mark(&single, "adequate", json!([]), json!([])), Mark::Missed);
-    assert_eq!(mark(&single, "unknown-effect", json!([]), json!([])), Mark::Unknown);
-    assert_eq!(mark(&single, "refused", json!([]), json!([])), Mark::Refused);
+    assert_eq!(
+        mark(&single, "effect", json!([{"id": "creep"}]), json!([])),
+        Mark::Wrong
+    );
+    assert_eq!(
+        mark(
+            &single,
+            "ambiguous",
+            json!([]),
+            json!([["creep"], ["zero-drift"]])
+        ),
+        Mark::AmbiguousIn
+    );
+    assert_eq!(
+        mark(
+            &single,
+            "ambiguous",
+            json!([]),
+            json!([["creep"], ["dead-zone"]])
+        ),
+        Mark::Wrong
+    );
+    assert_eq!(
+        mark(&single, "adequate", json!([]), json!([])),
+        Mark::Missed
+    );
+    assert_eq!(
+        mark(&single, "unknown-effect", json!([]), json!([])),
+        Mark::Unknown
+    );
+    assert_eq!(
+        mark(&single, "refused", json!([]), json!([])),
+        Mark::Refused
+    );
 
     let unknown = case(CaseKind::Effects(vec![Kind::UnknownStepTime]));
-    assert_eq!(mark(&unknown, "unknown-effect", json!([]), json!([])), Mark::Right);
+    assert_eq!(
+        mark(&unknown, "unknown-effect", json!([]), json!([])),
+        Mark::Right
+    );
     assert_eq!(mark(&unknown, "effect", drift, json!([])), Mark::Wrong);
     let document = json!({"verdict": "unknown-effect", "unknown": {"driver": "t_s"}});
-    assert_eq!(score("c", &unknown, &document, "", 0.0, None).driver_right, Some(true));
+    assert_eq!(
+        score("c", &unknown, &document, "", 0.0, None).driver_right,
+        Some(true)
+    );
     let document = json!({"verdict": "unknown-effect", "unknown": {"driver": "direction"}});
-    assert_eq!(score("c", &unknown, &document, "", 0.0, None).driver_right, Some(false));
+    assert_eq!(
+        score("c", &unknown, &document, "", 0.0, None).driver_right,
+        Some(false)
+    );
 }
 
 #[test]
@@ -73,16 +131,48 @@ fn held_out_errors_are_those_put_in() {
         text
     };
     let document = json!({"verdict": "adequate"});
-    let o = score("c", &case, &document, &predictions(0.01, 0.006, 0), 0.0, Some(0));
+    let o = score(
+        "c",
+        &case,
+        &document,
+        &predictions(0.01, 0.006, 0),
+        0.0,
+        Some(0),
+    );
     let k = case.truth.k;
     let floor = case.truth.new_pose_noise_pm / (k[0][0] * k[1][1] - k[0][1] * k[1][0]).abs().sqrt();
     assert!((o.after_ratio.unwrap() * floor - 0.01).abs() < 1e-9);
     assert!((o.before_ratio.unwrap() * floor - 0.02).abs() < 1e-9);
     assert_eq!(o.covered, Some((84, 84)));
-    assert_eq!(score("c", &case, &document, &predictions(0.01, 0.005, 0), 0.0, None).covered, Some((0, 84)));
+    assert_eq!(
+        score(
+            "c",
+            &case,
+            &document,
+            &predictions(0.01, 0.005, 0),
+            0.0,
+            None
+        )
+        .covered,
+        Some((0, 84))
+    );
     // A table that lacks a row, or is none at all, gives no ratio.
-    assert_eq!(score("c", &case, &document, &predictions(0.01, 0.006, 3), 0.0, None).after_ratio, None);
-    assert_eq!(score("c", &case, &document, "no,table\nhere,1\n", 0.0, None).after_ratio, None);
+    assert_eq!(
+        score(
+            "c",
+            &case,
+            &document,
+            &predictions(0.01, 0.006, 3),
+            0.0,
+            None
+        )
+        .after_ratio,
+        None
+    );
+    assert_eq!(
+        score("c", &case, &document, "no,table\nhere,1\n", 0.0, None).after_ratio,
+        None
+    );
 }
 
 #[test]
@@ -109,20 +199,38 @@ fn exam_runs_a_program_and_sums_up() {
     )
     .unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let examiner =
-        Examiner { program, folder: folder.path().join("exam"), jobs: 2, timeout_s: 2.0, follow_up: false };
-    let orders: Vec<Order> =
-        [CaseKind::Null, CaseKind::Null, CaseKind::Null, CaseKind::Effects(vec![Kind::DriftLinear])]
-            .into_iter()
-            .enumerate()
-            .map(|(i, want)| {
-                let seed = i as u64;
-                let request =
-                    Request { seed, design: Design::Paper, want, target_sigma: 12.0, rivals: false };
-                Order::Whisker(request, Noise::Gaussian, Make::Usual)
-            })
-            .collect();
-    let outcomes: Vec<_> = examiner.examine(&orders, &|_| {}).into_iter().map(Result::unwrap).collect();
+    let examiner = Examiner {
+        program,
+        folder: folder.path().join("exam"),
+        jobs: 2,
+        timeout_s: 2.0,
+        follow_up: false,
+    };
+    let orders: Vec<Order> = [
+        CaseKind::Null,
+        CaseKind::Null,
+        CaseKind::Null,
+        CaseKind::Effects(vec![Kind::DriftLinear]),
+    ]
+    .into_iter()
+    .enumerate()
+    .map(|(i, want)| {
+        let seed = i as u64;
+        let request = Request {
+            seed,
+            design: Design::Paper,
+            want,
+            target_sigma: 12.0,
+            rivals: false,
+        };
+        Order::Whisker(request, Noise::Gaussian, Make::Usual)
+    })
+    .collect();
+    let outcomes: Vec<_> = examiner
+        .examine(&orders, &|_| {})
+        .into_iter()
+        .map(Result::unwrap)
+        .collect();
     let marks: Vec<Mark> = outcomes.iter().map(|o| o.kind).collect();
     assert_eq!(marks, [Mark::Right, Mark::Crash, Mark::Crash, Mark::Missed]);
     assert!(outcomes[1].why.contains("verify.json") && outcomes[2].why.contains("no answer"));
@@ -138,7 +246,13 @@ fn exam_runs_a_program_and_sums_up() {
 #[test]
 fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
     let case = draw_under(
-        &Request { seed: 1, design: Design::Rich, want: CaseKind::Null, target_sigma: 12.0, rivals: false },
+        &Request {
+            seed: 1,
+            design: Design::Rich,
+            want: CaseKind::Null,
+            target_sigma: 12.0,
+            rivals: false,
+        },
         Noise::Gaussian,
         Make::Usual,
     )
@@ -148,50 +262,102 @@ fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
     assert_eq!(right.kind, Mark::Right);
     let named = |hits: usize, of: usize| -> Goal {
         let kind = |k: usize| if k < hits { Mark::False } else { Mark::Right };
-        let outcomes: Vec<_> = (0..of).map(|k| Outcome { kind: kind(k), ..right.clone() }).collect();
-        summarise(&outcomes).into_iter().find(|g| g.score == "false attribution on nulls").unwrap()
+        let outcomes: Vec<_> = (0..of)
+            .map(|k| Outcome {
+                kind: kind(k),
+                ..right.clone()
+            })
+            .collect();
+        summarise(&outcomes)
+            .into_iter()
+            .find(|g| g.score == "false attribution on nulls")
+            .unwrap()
     };
-    for (hits, of, met) in
-        [(0, 1, None), (0, 40, None), (0, 100, Some(true)), (2, 100, None), (50, 100, Some(false))]
-    {
+    for (hits, of, met) in [
+        (0, 1, None),
+        (0, 40, None),
+        (0, 100, Some(true)),
+        (2, 100, None),
+        (50, 100, Some(false)),
+    ] {
         let goal = named(hits, of);
-        assert_eq!((goal.met, goal.open()), (met, met.is_none()), "{hits} of {of}: {goal:?}");
+        assert_eq!(
+            (goal.met, goal.open()),
+            (met, met.is_none()),
+            "{hits} of {of}: {goal:?}"
+        );
     }
     // Quantiles are bounded by order statistics: a few values bound none.
     let ratios = |ratio: f64, of: usize| -> Goal {
-        let outcomes: Vec<_> =
-            (0..of).map(|_| Outcome { after_ratio: Some(ratio), ..right.clone() }).collect();
+        let outcomes: Vec<_> = (0..of)
+            .map(|_| Outcome {
+                after_ratio: Some(ratio),
+                ..right.clone()
+            })
+            .collect();
         summarise(&outcomes)
             .into_iter()
             .find(|g| g.score == "held-out error after / floor, 95th percentile")
             .unwrap()
     };
     assert_eq!((ratios(1.0, 1).met, ratios(1.0, 20).met), (None, None));
-    assert_eq!((ratios(1.0, 200).met, ratios(1.5, 200).met), (Some(true), Some(false)));
+    assert_eq!(
+        (ratios(1.0, 200).met, ratios(1.5, 200).met),
+        (Some(true), Some(false))
+    );
 }
 
 #[test]
 fn answers_on_noise_are_scored_by_what_was_put_in() {
     let noisy = |noise: Noise, seed: u64| {
-        let design = if noise == Noise::Pose { Design::Repeats } else { Design::Paper };
-        let request = Request { seed, design, want: CaseKind::Null, target_sigma: 12.0, rivals: false };
+        let design = if noise == Noise::Pose {
+            Design::Repeats
+        } else {
+            Design::Paper
+        };
+        let request = Request {
+            seed,
+            design,
+            want: CaseKind::Null,
+            target_sigma: 12.0,
+            rivals: false,
+        };
         draw_under(&request, noise, Make::Usual).unwrap()
     };
     let judge = |case: &Case, document: Value| score("c", case, &document, "", 0.0, Some(0));
     // A gross reading: marked alone, by the list or by the note, or named as an outlier; not missed, not with others.
-    let gross = (0..).map(|s| noisy(Noise::OneGross, s)).find(|c| c.truth.flagged[0].source == "points.csv");
+    let gross = (0..)
+        .map(|s| noisy(Noise::OneGross, s))
+        .find(|c| c.truth.flagged[0].source == "points.csv");
     let gross = gross.unwrap();
     let point = gross.truth.flagged[0].point;
     let list = json!([{"source": "points.csv", "point": point}]);
-    let note =
-        json!([format!("Readings marked and left out of the fit (kept in the table): points {point}.")]);
+    let note = json!([format!(
+        "Readings marked and left out of the fit (kept in the table): points {point}."
+    )]);
     let outliers = json!([{"id": "slip-outliers", "class": ["slip-outliers"]}]);
     for (document, kind, flags) in [
-        (json!({"verdict": "adequate", "flagged": list}), Mark::Right, true),
-        (json!({"verdict": "adequate", "notes": note}), Mark::Right, true),
-        (json!({"verdict": "effect", "effects": outliers, "flagged": list}), Mark::Right, true),
+        (
+            json!({"verdict": "adequate", "flagged": list}),
+            Mark::Right,
+            true,
+        ),
+        (
+            json!({"verdict": "adequate", "notes": note}),
+            Mark::Right,
+            true,
+        ),
+        (
+            json!({"verdict": "effect", "effects": outliers, "flagged": list}),
+            Mark::Right,
+            true,
+        ),
         (json!({"verdict": "adequate"}), Mark::Missed, false),
-        (json!({"verdict": "effect", "effects": [{"id": "creep"}], "flagged": list}), Mark::False, true),
+        (
+            json!({"verdict": "effect", "effects": [{"id": "creep"}], "flagged": list}),
+            Mark::False,
+            true,
+        ),
         (
             json!({"verdict": "adequate", "flagged": [list[0], {"source": "points.csv", "point": point + 1}]}),
             Mark::Right,
@@ -207,8 +373,14 @@ fn answers_on_noise_are_scored_by_what_was_put_in() {
         assert_eq!((o.kind, o.flags_right), (kind, Some(flags)), "{document}");
     }
     let plain = noisy(Noise::Gaussian, 3);
-    assert_eq!(judge(&plain, json!({"verdict": "effect", "effects": outliers})).kind, Mark::False);
-    assert_eq!(judge(&plain, json!({"verdict": "adequate", "flagged": list})).flags_right, Some(false));
+    assert_eq!(
+        judge(&plain, json!({"verdict": "effect", "effects": outliers})).kind,
+        Mark::False
+    );
+    assert_eq!(
+        judge(&plain, json!({"verdict": "adequate", "flagged": list})).flags_right,
+        Some(false)
+    );
 
     // Parts and floor: as objects with intervals, bare, or not stated.
     let pose = noisy(Noise::Pose, 4);
@@ -218,13 +390,24 @@ fn answers_on_noise_are_scored_by_what_was_put_in() {
         json!({"verdict": "adequate", "noise_floor": {"wavelength_pm": t.new_pose_noise_pm}, "noise": {
             "repeat": t.repeat_noise_pm, "pose": {"value": value, "interval95": [0.9 * value, 1.1 * value]}, "correlated": null}})
     };
-    for (factor, near, inside) in
-        [(1.05, true, true), (1.25, true, false), (1.4, false, false), (0.7, false, false)]
-    {
+    for (factor, near, inside) in [
+        (1.05, true, true),
+        (1.25, true, false),
+        (1.4, false, false),
+        (0.7, false, false),
+    ] {
         let o = judge(&pose, said(factor));
         let part = o.parts.iter().find(|p| p.name == "pose").unwrap();
-        assert_eq!((part.within(1.3), part.inside), (near, Some(inside)), "{factor}");
-        assert!(o.parts.iter().any(|p| p.name == "repeat" && p.within(1.001) && p.inside.is_none()));
+        assert_eq!(
+            (part.within(1.3), part.inside),
+            (near, Some(inside)),
+            "{factor}"
+        );
+        assert!(
+            o.parts
+                .iter()
+                .any(|p| p.name == "repeat" && p.within(1.001) && p.inside.is_none())
+        );
         assert!((o.floor_ratio.unwrap() - 1.0).abs() < 1e-9);
     }
     assert!((t.new_pose_noise_pm / t.noise.pose_pm.hypot(t.noise.repeat_pm) - 1.0).abs() < 0.01);
@@ -239,7 +422,10 @@ fn answers_on_noise_are_scored_by_what_was_put_in() {
     ]);
     let row = |name: &str| rows.iter().find(|r| r.noise == name).unwrap();
     assert_eq!(row("pose").adequate, (2, 3));
-    assert_eq!((row("pose").unknown, row("pose").false_names), ((1, 3), (0, 3)));
+    assert_eq!(
+        (row("pose").unknown, row("pose").false_names),
+        ((1, 3), (0, 3))
+    );
     let (_, near, inside) = row("pose").parts.iter().find(|p| p.0 == "pose").unwrap();
     assert_eq!((*near, *inside), ((1, 3), (1, 2)));
     assert_eq!(row("gaussian").false_names, (1, 1));
@@ -276,12 +462,31 @@ fn held_out_scores_leave_gross_readings_out() {
     let mut text = String::from(
         "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,moment_1_sd_nmm,moment_2_sd_nmm\n",
     );
-    for (r, m) in case.readings.iter().filter(|r| r.planned.holdout).zip(&case.truth.holdout_moments_nmm) {
-        let off = if r.point == case.truth.flagged[0].point { 9.0 } else { 0.0 };
+    for (r, m) in case
+        .readings
+        .iter()
+        .filter(|r| r.planned.holdout)
+        .zip(&case.truth.holdout_moments_nmm)
+    {
+        let off = if r.point == case.truth.flagged[0].point {
+            9.0
+        } else {
+            0.0
+        };
         let [a, b] = [m[0] + off, m[1]];
-        text += &format!("holdout.csv,{},{},{a},{b},{a},{b},0.01,0.01\n", r.point, r.planned.role);
+        text += &format!(
+            "holdout.csv,{},{},{a},{b},{a},{b},0.01,0.01\n",
+            r.point, r.planned.role
+        );
     }
-    let o = score("c", &case, &json!({"verdict": "adequate"}), &text, 0.0, Some(0));
+    let o = score(
+        "c",
+        &case,
+        &json!({"verdict": "adequate"}),
+        &text,
+        0.0,
+        Some(0),
+    );
     assert_eq!(o.covered, Some((82, 82)));
     assert!(o.after_ratio.unwrap() < 1e-6);
 }
@@ -306,11 +511,20 @@ fn answers_on_lines_are_scored() {
     let periodic = json!({"verdict": "effect", "effects": [{"id": "periodic"}]});
     assert_eq!(mark(&null, periodic.clone()), Mark::False);
     assert_eq!(mark(&drift, periodic), Mark::Wrong);
-    assert_eq!(mark(&drift, json!({"verdict": "effect", "effects": [{"id": "drift"}]})), Mark::Right);
+    assert_eq!(
+        mark(
+            &drift,
+            json!({"verdict": "effect", "effects": [{"id": "drift"}]})
+        ),
+        Mark::Right
+    );
     let both = json!({"verdict": "effect", "effects": [{"id": "drift"}, {"id": "periodic"}]});
     assert_eq!(mark(&drift, both), Mark::Part);
     assert_eq!(
-        mark(&drift, json!({"verdict": "ambiguous", "alternatives": [["step"], ["drift"]]})),
+        mark(
+            &drift,
+            json!({"verdict": "ambiguous", "alternatives": [["step"], ["drift"]]})
+        ),
         Mark::AmbiguousIn
     );
     assert_eq!(mark(&drift, json!({"verdict": "adequate"})), Mark::Missed);
@@ -318,7 +532,11 @@ fn answers_on_lines_are_scored() {
     let stated = json!({"verdict": "adequate", "noise_floor": {"response": sd}, "noise": {"correlated": {"sd": {"value": sd}}}});
     let o = score_scalar("c", &null, &stated, "", 0.0, None);
     assert_eq!(o.floor_ratio, Some(1.0));
-    assert!(o.parts.iter().any(|p| p.name == "correlated.sd" && p.within(1.01)));
+    assert!(
+        o.parts
+            .iter()
+            .any(|p| p.name == "correlated.sd" && p.within(1.01))
+    );
     // Held-out readings inside the stated deviations.
     let with_holdout = (0..).map(|seed| {
         let noise = ScalarNoise::White;
@@ -332,18 +550,38 @@ fn answers_on_lines_are_scored() {
             noise_seed: None,
         })
     });
-    let case = with_holdout.into_iter().find(|c| c.readings.iter().any(|r| r.holdout)).unwrap();
+    let case = with_holdout
+        .into_iter()
+        .find(|c| c.readings.iter().any(|r| r.holdout))
+        .unwrap();
     let table = |off: f64| {
         let rows = case.readings.iter().filter(|r| r.holdout);
-        let lines: Vec<String> =
-            rows.map(|r| format!("holdout.csv,{},holdout,{},0,{},1.0,", r.point, r.y, r.y + off)).collect();
+        let lines: Vec<String> = rows
+            .map(|r| {
+                format!(
+                    "holdout.csv,{},holdout,{},0,{},1.0,",
+                    r.point,
+                    r.y,
+                    r.y + off
+                )
+            })
+            .collect();
         format!(
             "source,point,role,error_um_measured,error_um_before,error_um_after,error_um_sd,rejected\n{}\n",
             lines.join("\n")
         )
     };
     let n = case.readings.iter().filter(|r| r.holdout).count();
-    let covered =
-        |off| score_scalar("c", &case, &json!({"verdict": "adequate"}), &table(off), 0.0, None).covered;
+    let covered = |off| {
+        score_scalar(
+            "c",
+            &case,
+            &json!({"verdict": "adequate"}),
+            &table(off),
+            0.0,
+            None,
+        )
+        .covered
+    };
     assert_eq!((covered(1.9), covered(2.0)), (Some((n, n)), Some((0, n))));
 }

@@ -55,7 +55,11 @@ impl Outline {
     pub fn closest(&self, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
         match *self {
             Self::Ellipse { a_mm, b_mm } => ellipse(a_mm, b_mm, at),
-            Self::RoundedBox { a_mm, b_mm, edge_mm } => rounded(a_mm - edge_mm, b_mm - edge_mm, edge_mm, at),
+            Self::RoundedBox {
+                a_mm,
+                b_mm,
+                edge_mm,
+            } => rounded(a_mm - edge_mm, b_mm - edge_mm, edge_mm, at),
         }
     }
 
@@ -66,8 +70,15 @@ impl Outline {
             let (sin, cos) = angle.sin_cos();
             match *self {
                 Self::Ellipse { a_mm, b_mm } => Vector2::new(a_mm * cos, b_mm * sin),
-                Self::RoundedBox { a_mm, b_mm, edge_mm } => {
-                    let corner = Vector2::new((a_mm - edge_mm).copysign(cos), (b_mm - edge_mm).copysign(sin));
+                Self::RoundedBox {
+                    a_mm,
+                    b_mm,
+                    edge_mm,
+                } => {
+                    let corner = Vector2::new(
+                        (a_mm - edge_mm).copysign(cos),
+                        (b_mm - edge_mm).copysign(sin),
+                    );
                     corner + Vector2::new(cos, sin) * edge_mm
                 }
             }
@@ -92,7 +103,11 @@ fn ellipse(a: f64, b: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
         }
         let rate = (b * b - a * a) * (cos * cos - sin * sin) + p.x * a * cos + p.y * b * sin;
         let newton = t - slope / rate;
-        let next = if rate > 0.0 && (low..=high).contains(&newton) { newton } else { 0.5 * (low + high) };
+        let next = if rate > 0.0 && (low..=high).contains(&newton) {
+            newton
+        } else {
+            0.5 * (low + high)
+        };
         let step = (next - t).abs();
         t = next;
         if step < 1e-15 {
@@ -102,7 +117,10 @@ fn ellipse(a: f64, b: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
     let (sin, cos) = t.sin_cos();
     let normal = Vector2::new(b * cos, a * sin).normalize();
     let distance = (p - Vector2::new(a * cos, b * sin)).dot(&normal);
-    (distance, Vector2::new(normal.x.copysign(at.x), normal.y.copysign(at.y)))
+    (
+        distance,
+        Vector2::new(normal.x.copysign(at.x), normal.y.copysign(at.y)),
+    )
 }
 
 fn rounded(a: f64, b: f64, edge: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
@@ -114,7 +132,10 @@ fn rounded(a: f64, b: f64, edge: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) 
     } else {
         (over.y, Vector2::y())
     };
-    (distance - edge, Vector2::new(normal.x.copysign(at.x), normal.y.copysign(at.y)))
+    (
+        distance - edge,
+        Vector2::new(normal.x.copysign(at.x), normal.y.copysign(at.y)),
+    )
 }
 
 impl Body {
@@ -125,7 +146,10 @@ impl Body {
                 let r = rng.random_range(6.0..25.0);
                 Outline::Ellipse { a_mm: r, b_mm: r }
             }
-            1 => Outline::Ellipse { a_mm: rng.random_range(6.0..25.0), b_mm: rng.random_range(6.0..25.0) },
+            1 => Outline::Ellipse {
+                a_mm: rng.random_range(6.0..25.0),
+                b_mm: rng.random_range(6.0..25.0),
+            },
             _ => Outline::RoundedBox {
                 a_mm: rng.random_range(8.0..20.0),
                 b_mm: rng.random_range(8.0..20.0),
@@ -137,7 +161,12 @@ impl Body {
             * Rotation3::from_axis_angle(&Vector3::z_axis(), about_z)
             * within)
             .into();
-        let mut body = Self { outline, centre_mm: Vector3::zeros(), turn, half_mm: 60.0 };
+        let mut body = Self {
+            outline,
+            centre_mm: Vector3::zeros(),
+            turn,
+            half_mm: 60.0,
+        };
         // How near to the root the body reaches, as a share of the free wire's reach.
         let near = rng.random_range(0.55..0.88) * wire.rest(wire.length_mm).0.x;
         let extent = 1e4 - body.closest(&Vector3::new(-1e4, 0.0, 0.0)).0;
@@ -158,7 +187,9 @@ impl Body {
         let at = |p: &Vector2<f64>, w: f64| self.centre_mm + self.turn * Vector3::new(p.x, w, p.y);
         let mut out = String::new();
         let mut facet = |corners: [Vector3<f64>; 3]| {
-            let n = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
+            let n = (corners[1] - corners[0])
+                .cross(&(corners[2] - corners[0]))
+                .normalize();
             let _ = write!(out, "facet normal {} {} {}\nouter loop\n", n.x, n.y, n.z);
             for c in corners {
                 let _ = writeln!(out, "vertex {} {} {}", c.x, c.y, c.z);

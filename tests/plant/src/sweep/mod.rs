@@ -113,7 +113,11 @@ impl Scene {
         let body = Body::draw(rng, &wire, c, a);
         let drift = |rng: &mut dyn Rng| rng.random_range(-0.5..0.5);
         Self {
-            friction: if rng.random_bool(0.3) { 0.0 } else { rng.random_range(0.0..0.3) },
+            friction: if rng.random_bool(0.3) {
+                0.0
+            } else {
+                rng.random_range(0.0..0.3)
+            },
             noise_pm: gain * rng.random_range(0.05..0.4),
             drift_pm: [drift(rng), drift(rng)],
             speed_mm_s: rng.random_range(3.0..6.0),
@@ -132,8 +136,9 @@ impl Scene {
         // Without friction: where about it slips off is enough.
         let mut slide = Slide::new(&wire, &self.body, 0.0, start);
         let mut touched = false;
-        let off_mm =
-            (0..(MAX_WAY_MM / SNAP_STEP_MM) as u32).map(|k| SNAP_STEP_MM * f64::from(k)).find(|way| {
+        let off_mm = (0..(MAX_WAY_MM / SNAP_STEP_MM) as u32)
+            .map(|k| SNAP_STEP_MM * f64::from(k))
+            .find(|way| {
                 let left = slide.advance(&(start + self.direction * *way)).is_err();
                 let was = std::mem::replace(&mut touched, slide.touch.is_some());
                 left || (was && !touched)
@@ -141,7 +146,12 @@ impl Scene {
         let [a, c] = [0.18, 0.18].map(|most: f64| rng.random_range(-most..most));
         let mut beyond = Body::draw(rng, &wire, c, a);
         let depth_mm = rng.random_range(SNAP_DEPTH_MM[0]..SNAP_DEPTH_MM[1]);
-        let first = Self { body: beyond.clone(), ..self.clone() }.start(&wire)? + self.direction * LEAD_MM;
+        let first = Self {
+            body: beyond.clone(),
+            ..self.clone()
+        }
+        .start(&wire)?
+            + self.direction * LEAD_MM;
         // The free wire lies so deep in it where it leaves the first.
         beyond.centre_mm += start + self.direction * (off_mm - depth_mm) - first;
         self.beyond = Some(beyond);
@@ -167,7 +177,10 @@ impl Scene {
         let wire = self.bench.wire();
         let start = self.start(&wire)?;
         let mut slide = Slide::new(&wire, &self.body, self.friction, start);
-        let mut second = self.beyond.as_ref().map(|b| Slide::new(&wire, b, self.friction, start));
+        let mut second = self
+            .beyond
+            .as_ref()
+            .map(|b| Slide::new(&wire, b, self.friction, start));
         let bodies = || std::iter::once(&self.body).chain(&self.beyond);
         let max_moment = wire.ei_nmm2 * MAX_BEND_PER_MM;
         let (mut readings, mut touches, mut free) = (Vec::new(), 0, 0);
@@ -176,7 +189,10 @@ impl Scene {
             let way = self.speed_mm_s * t_s + 0.1 * (0.7 * t_s).sin();
             let base_mm = start + self.direction * way;
             slide.advance(&base_mm).ok()?;
-            if let Some(next) = second.as_mut().filter(|_| slide.touch.is_none() && touches > 0) {
+            if let Some(next) = second
+                .as_mut()
+                .filter(|_| slide.touch.is_none() && touches > 0)
+            {
                 // The wire comes from the first body's side, as if it had met the second alone.
                 next.advance(&base_mm).ok()?;
                 (slide, second) = (second?, None);
@@ -194,8 +210,16 @@ impl Scene {
                 }
                 None => free += 1,
             }
-            let moment_nmm = slide.touch.map_or([0.0; 2], |t| [t.moment_nmm.y, t.moment_nmm.z]);
-            readings.push(SweepReading { t_s, base_mm, fbg_nm: [0.0; 2], moment_nmm, touch: slide.touch });
+            let moment_nmm = slide
+                .touch
+                .map_or([0.0; 2], |t| [t.moment_nmm.y, t.moment_nmm.z]);
+            readings.push(SweepReading {
+                t_s,
+                base_mm,
+                fbg_nm: [0.0; 2],
+                moment_nmm,
+                touch: slide.touch,
+            });
             if touches > 0 && free >= FREE_READINGS {
                 break;
             }
@@ -242,12 +266,22 @@ impl SweepCase {
     fn of(seed: u64, scene: impl Fn(&mut ChaCha8Rng) -> Option<Scene>) -> Result<Self, PlantError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         for rejected in 0..MAX_DRAWS {
-            let Some(scene) = scene(&mut rng) else { continue };
+            let Some(scene) = scene(&mut rng) else {
+                continue;
+            };
             if let Some(readings) = scene.run(&mut rng) {
-                return Ok(Self { seed, rejected, scene, readings });
+                return Ok(Self {
+                    seed,
+                    rejected,
+                    scene,
+                    readings,
+                });
             }
         }
-        Err(WireError::NoEquilibrium { residual: f64::INFINITY }.into())
+        Err(WireError::NoEquilibrium {
+            residual: f64::INFINITY,
+        }
+        .into())
     }
 
     /// The 27 poses of the same sensor.
@@ -291,15 +325,26 @@ impl SweepCase {
                 r.t_s,
                 crate::bench::REFERENCE_DEGC
             );
-            let _ = writeln!(base, "{:.6},{:.5},{:.5},{:.5}", r.t_s, r.base_mm.x, r.base_mm.y, r.base_mm.z);
+            let _ = writeln!(
+                base,
+                "{:.6},{:.5},{:.5},{:.5}",
+                r.t_s, r.base_mm.x, r.base_mm.y, r.base_mm.z
+            );
             let place = r.touch.as_ref().map_or_else(
                 || "0,,,,,".to_owned(),
                 |t| {
                     let p = t.axis_mm;
-                    format!("1,{:.4},{:.5},{:.5},{:.5},{:.3}", t.arclength_mm, p.x, p.y, p.z, t.mobilised)
+                    format!(
+                        "1,{:.4},{:.5},{:.5},{:.5},{:.3}",
+                        t.arclength_mm, p.x, p.y, p.z, t.mobilised
+                    )
                 },
             );
-            let _ = writeln!(truth, "{k},{:.6},{place},{:.6},{:.6}", r.t_s, r.moment_nmm[0], r.moment_nmm[1]);
+            let _ = writeln!(
+                truth,
+                "{k},{:.6},{place},{:.6},{:.6}",
+                r.t_s, r.moment_nmm[0], r.moment_nmm[1]
+            );
         }
         put(&folder.join("SIMULATED"), "")?;
         put(&folder.join("readings.csv"), &readings)?;
@@ -307,6 +352,9 @@ impl SweepCase {
         put(&folder.join("truth.csv"), &truth)?;
         let bodies = [Some(&self.scene.body), self.scene.beyond.as_ref()];
         let facets: String = bodies.into_iter().flatten().map(Body::facets).collect();
-        put(&folder.join("object.stl"), &format!("solid body\n{facets}endsolid body\n"))
+        put(
+            &folder.join("object.stl"),
+            &format!("solid body\n{facets}endsolid body\n"),
+        )
     }
 }

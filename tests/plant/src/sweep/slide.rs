@@ -68,7 +68,13 @@ pub struct Slide<'a> {
 impl<'a> Slide<'a> {
     /// A free wire with its base at a place in the world.
     pub fn new(wire: &'a Wire, body: &'a Body, friction: f64, base_mm: V3) -> Self {
-        Self { wire, body, friction, base_mm, touch: None }
+        Self {
+            wire,
+            body,
+            friction,
+            base_mm,
+            touch: None,
+        }
     }
 
     /// Smallest gap between the free wire and the body, mm, and the arc length there.
@@ -87,7 +93,11 @@ impl<'a> Slide<'a> {
         }
         // The tip itself is a place, not a limit.
         let (middle, tip) = (0.5 * (low + high), self.wire.length_mm);
-        if gap(tip) <= gap(middle) { (gap(tip), tip) } else { (gap(middle), middle) }
+        if gap(tip) <= gap(middle) {
+            (gap(tip), tip)
+        } else {
+            (gap(middle), middle)
+        }
     }
 
     /// Moves the base to a place in the world.
@@ -128,7 +138,8 @@ impl<'a> Slide<'a> {
     }
 
     fn at_tip(&self) -> bool {
-        self.touch.is_some_and(|t| t.arclength_mm > self.wire.length_mm - TIP_MM)
+        self.touch
+            .is_some_and(|t| t.arclength_mm > self.wire.length_mm - TIP_MM)
     }
 
     /// First touch on the way to a place of the base; none where there is none.
@@ -181,15 +192,29 @@ impl<'a> Slide<'a> {
         let force = self.pull(&world, s, &normal, last).0 * f;
         let (r, t) = self.wire.march(&place, &force, s, 2);
         let gap = r - place;
-        let last_row = if tip { s - self.wire.length_mm } else { 10.0 * normal.dot(&t) };
-        V5::new(gap.x, gap.y, gap.z, distance - self.wire.radius_mm(), last_row)
+        let last_row = if tip {
+            s - self.wire.length_mm
+        } else {
+            10.0 * normal.dot(&t)
+        };
+        V5::new(
+            gap.x,
+            gap.y,
+            gap.z,
+            distance - self.wire.radius_mm(),
+            last_row,
+        )
     }
 
     /// Newton's iteration with differences, its derivative kept while the residual falls fast.
     fn solve(&self, base_mm: &V3, last: &Touch, tip: bool) -> Result<Touch, PlantError> {
         let moved = last.world_mm - base_mm;
         let place = 0.5 * (moved + last.axis_mm);
-        let s = if tip { self.wire.length_mm } else { last.arclength_mm };
+        let s = if tip {
+            self.wire.length_mm
+        } else {
+            last.arclength_mm
+        };
         let mut x = V5::new(place.x, place.y, place.z, last.normal_n, s);
         let of = |x: &V5| self.residual(x, base_mm, last, tip);
         let mut g = of(&x);
@@ -204,7 +229,11 @@ impl<'a> Slide<'a> {
                 None => {
                     let mut j = SMatrix::<f64, 5, 5>::zeros();
                     for k in 0..5 {
-                        let h = if k == 3 { 1e-6 * x[3].abs().max(1e-4) } else { 1e-6 };
+                        let h = if k == 3 {
+                            1e-6 * x[3].abs().max(1e-4)
+                        } else {
+                            1e-6
+                        };
                         let mut y = x;
                         y[k] += h;
                         j.set_column(k, &((of(&y) - g) / h));
@@ -261,7 +290,9 @@ impl<'a> Slide<'a> {
     pub fn overlap_mm(&self, body: &Body) -> f64 {
         let line = match &self.touch {
             None => {
-                return -Slide::new(self.wire, body, self.friction, self.base_mm).free_gap(&self.base_mm).0;
+                return -Slide::new(self.wire, body, self.friction, self.base_mm)
+                    .free_gap(&self.base_mm)
+                    .0;
             }
             Some(t) => {
                 let held = crate::rod::Equilibrium {

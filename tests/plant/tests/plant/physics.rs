@@ -26,7 +26,10 @@ fn elastica(ei: f64, force: f64, turn: f64) -> ([f64; 2], f64) {
     }
     // From the contact's frame (tangent, normal) into the root's.
     let (c, s) = (turn.cos(), turn.sin());
-    ([c * along + s * across, s * along - c * across], (2.0 * force * ei * s).sqrt())
+    (
+        [c * along + s * across, s * along - c * across],
+        (2.0 * force * ei * s).sqrt(),
+    )
 }
 
 #[test]
@@ -42,8 +45,16 @@ fn cantilever_agrees_with_the_elastica() {
             e = wire.solve(&p, 0.0, &e, &mut None).unwrap();
         }
         assert!((point.cross(&e.force_n) - e.moment_nmm).norm() < 1e-10);
-        assert!((e.force_n.norm() / force - 1.0).abs() < 1e-6, "{} {force}", e.force_n.norm());
-        assert!((-e.moment_nmm.y / moment - 1.0).abs() < 1e-6, "{} {moment}", e.moment_nmm.y);
+        assert!(
+            (e.force_n.norm() / force - 1.0).abs() < 1e-6,
+            "{} {force}",
+            e.force_n.norm()
+        );
+        assert!(
+            (-e.moment_nmm.y / moment - 1.0).abs() < 1e-6,
+            "{} {moment}",
+            e.moment_nmm.y
+        );
         // Negative control: a stiffer wire is found out.
         assert!((1.01 * e.force_n.norm() / force - 1.0).abs() > 1e-3);
     }
@@ -58,7 +69,9 @@ fn extrapolated_scheme_is_fourth_order() {
         let push = Vector3::new(-tangent.z, 0.0, tangent.x) * 0.6 + Vector3::y() * 0.8;
         let mut e = wire.touch(38.0, &push);
         for i in 1..=8 {
-            e = wire.solve(&(origin + push * f64::from(i)), 0.0, &e, &mut None).unwrap();
+            e = wire
+                .solve(&(origin + push * f64::from(i)), 0.0, &e, &mut None)
+                .unwrap();
         }
         e.moment_nmm
     };
@@ -77,7 +90,11 @@ fn tables_hold_one_part_in_a_hundred_thousand() {
     let wire = bench.wire();
     let mut fine = wire.clone();
     fine.elements = [36, 28];
-    for t in bench.trajectories().iter().filter(|t| [1, 5, 9, 102, 106].contains(&t.id)) {
+    for t in bench
+        .trajectories()
+        .iter()
+        .filter(|t| [1, 5, 9, 102, 106].contains(&t.id))
+    {
         let table = Table::build(&wire, &t.path, t.reach_mm, &friction_drags(), 11).unwrap();
         for drag in [-0.37, 0.0, 0.21] {
             let exact = Table::build(&fine, &t.path, t.reach_mm, &[drag], 26).unwrap();
@@ -87,7 +104,11 @@ fn tables_hold_one_part_in_a_hundred_thousand() {
                 let x = t.reach_mm * f64::from(i) / 40.0;
                 let (a, b) = (table.at(x, drag), exact.at(x, drag));
                 let error = (a[0] - b[0]).hypot(a[1] - b[1]) / top;
-                assert!(error < 1e-5, "trajectory {} stage {x} drag {drag}: {error:.1e}", t.id);
+                assert!(
+                    error < 1e-5,
+                    "trajectory {} stage {x} drag {drag}: {error:.1e}",
+                    t.id
+                );
             }
         }
     }
@@ -145,7 +166,8 @@ fn practice_errors(case: &str, effects: bool) -> f64 {
             "case-007" => wire.root_compliance = [0.02560939268661749; 2],
             "case-008" => friction = 0.17458044643838683,
             "case-011" => {
-                offset_mm = Vector3::new(0.018431133502527702, 0.06488728790552971, 0.229263670367781);
+                offset_mm =
+                    Vector3::new(0.018431133502527702, 0.06488728790552971, 0.229263670367781);
             }
             _ => {}
         }
@@ -157,8 +179,12 @@ fn practice_errors(case: &str, effects: bool) -> f64 {
         let mut path = t.path;
         path.offset_mm = offset_mm;
         let drag = friction * f64::from(*direction);
-        let m = Table::build(&wire, &path, t.reach_mm, &[drag], 12).unwrap().at(*stage, drag);
-        worst = worst.max((m[0] - truth[0]).abs()).max((m[1] - truth[1]).abs());
+        let m = Table::build(&wire, &path, t.reach_mm, &[drag], 12)
+            .unwrap()
+            .at(*stage, drag);
+        worst = worst
+            .max((m[0] - truth[0]).abs())
+            .max((m[1] - truth[1]).abs());
     }
     worst
 }
@@ -220,9 +246,13 @@ fn softened_wire_carries_less_moment_but_never_beyond_the_plateau() {
         offset_mm: Vector3::zeros(),
     };
     let linear = Table::build(&wire, &path, 5.2, &[0.0], 12).unwrap();
-    for law in
-        [MomentLaw::Bilinear { onset_per_mm: 0.03, ratio: 0.6 }, MomentLaw::Plateau { onset_per_mm: 0.03 }]
-    {
+    for law in [
+        MomentLaw::Bilinear {
+            onset_per_mm: 0.03,
+            ratio: 0.6,
+        },
+        MomentLaw::Plateau { onset_per_mm: 0.03 },
+    ] {
         wire.law = law;
         let soft = Table::build(&wire, &path, 5.2, &[0.0], 20).unwrap();
         let onset = 0.03 * wire.ei_nmm2;

@@ -9,8 +9,16 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
         let start = std::time::Instant::now();
         let case = SweepCase::draw(seed).unwrap();
         let wire = case.scene.bench.wire();
-        let peak = case.readings.iter().map(|r| r.moment_nmm[0].hypot(r.moment_nmm[1])).fold(0.0, f64::max);
-        let touches: Vec<_> = case.readings.iter().filter_map(|r| r.touch.map(|t| (r, t))).collect();
+        let peak = case
+            .readings
+            .iter()
+            .map(|r| r.moment_nmm[0].hypot(r.moment_nmm[1]))
+            .fold(0.0, f64::max);
+        let touches: Vec<_> = case
+            .readings
+            .iter()
+            .filter_map(|r| r.touch.map(|t| (r, t)))
+            .collect();
         println!(
             "{seed}: {} of {} readings, {} rejected, mu {:.2}, peak {peak:.2} N mm, noise {:.4}, arcs {:.1} .. {:.1} of {:.0}, {:?}, {:.0} Hz, {:.1} s",
             touches.len(),
@@ -31,7 +39,8 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
             // Within the cone of the body's own normal; the wire lies along the surface, but at its tip.
             let across = t.force_n - normal * t.force_n.dot(&normal);
             assert!(
-                t.normal_n > 0.0 && across.norm() <= case.scene.friction * t.normal_n * (1.0 + 1e-9) + 1e-12
+                t.normal_n > 0.0
+                    && across.norm() <= case.scene.friction * t.normal_n * (1.0 + 1e-9) + 1e-12
             );
             let tip = t.arclength_mm > wire.length_mm - 1e-6;
             assert!(tip && normal.dot(&t.tangent) < 1e-6 || normal.dot(&t.tangent).abs() < 1e-6);
@@ -45,7 +54,11 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
                 };
                 let e = wire.solve(&t.axis_mm, 0.0, &start, &mut None).unwrap();
                 let off = (e.moment_nmm - t.moment_nmm).norm();
-                assert!(off < 0.01 * t.moment_nmm.norm() + 1e-4, "{off} {:?}", t.moment_nmm);
+                assert!(
+                    off < 0.01 * t.moment_nmm.norm() + 1e-4,
+                    "{off} {:?}",
+                    t.moment_nmm
+                );
             }
             rows += 1;
             slides += usize::from(t.mobilised > 0.95);
@@ -53,7 +66,9 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
             tips += usize::from(tip);
         }
     }
-    println!("{rows} contacts: {slides} slide, {sticks} stick or have no friction, {tips} at the tip");
+    println!(
+        "{rows} contacts: {slides} slide, {sticks} stick or have no friction, {tips} at the tip"
+    );
     assert!(rows > 200 && slides > 50 && tips > 3);
 }
 
@@ -61,10 +76,18 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
 #[test]
 fn another_body_is_not_touched_there() {
     let mut case = SweepCase::draw(1).unwrap();
-    let place = case.readings.iter().find_map(|r| r.touch.map(|t| t.axis_mm + r.base_mm)).unwrap();
+    let place = case
+        .readings
+        .iter()
+        .find_map(|r| r.touch.map(|t| t.axis_mm + r.base_mm))
+        .unwrap();
     let near = case.scene.body.closest(&place).0;
     case.scene.body.centre_mm.x += 1.0;
     case.scene.body.centre_mm.z += 1.0;
     assert!((case.scene.body.closest(&place).0 - near).abs() > 0.1);
-    assert_eq!(SweepCase::draw(1).unwrap().readings.len(), case.readings.len(), "seeded");
+    assert_eq!(
+        SweepCase::draw(1).unwrap().readings.len(),
+        case.readings.len(),
+        "seeded"
+    );
 }

@@ -52,7 +52,9 @@ pub(super) struct Reading<'a> {
 impl Reading<'_> {
     /// Place of the two unknowns of a creeping contact in the state, and how far one standard deviation of each moves the point, mm.
     fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
-        let [.., a, b] = self.row.shared_displacement_mm[..] else { return None };
+        let [.., a, b] = self.row.shared_displacement_mm[..] else {
+            return None;
+        };
         (self.settings.creep_sd > 0.0).then_some((COMMON + self.row.shared_nmm.len() - 2, [a, b]))
     }
 }
@@ -118,7 +120,9 @@ impl Linearised {
         if reading.settings.correlated.is_none() {
             return Matrix2::zeros();
         }
-        let factor = self.slope.fixed_columns::<2>(COMMON + reading.row.shared_nmm.len() + 1);
+        let factor = self
+            .slope
+            .fixed_columns::<2>(COMMON + reading.row.shared_nmm.len() + 1);
         factor * self.correlated * factor.transpose()
     }
 }
@@ -161,11 +165,13 @@ impl NodeFilter {
     /// The first loaded reading: the onset that explains it best starts the iteration and is the middle of its prior.
     pub fn start(&mut self, reading: &Reading<'_>) {
         let y = Vector2::from(reading.row.moment_nmm);
-        let trials = (0..TRIALS).map(|k| FIRST_DEPTH_MM * f64::from(1 << k)).filter_map(|depth| {
-            let place = self.wire_mm + reading.push * depth;
-            let (held, _) = reading.field.held_and_rate(&place, 0.0)?;
-            Some((depth, (Vector2::from(held.moment_nmm) - y).norm()))
-        });
+        let trials = (0..TRIALS)
+            .map(|k| FIRST_DEPTH_MM * f64::from(1 << k))
+            .filter_map(|depth| {
+                let place = self.wire_mm + reading.push * depth;
+                let (held, _) = reading.field.held_and_rate(&place, 0.0)?;
+                Some((depth, (Vector2::from(held.moment_nmm) - y).norm()))
+            });
         let best = trials.min_by(|a, b| a.1.total_cmp(&b.1));
         self.mean[ONSET] = -best.map_or(FIRST_DEPTH_MM, |b| b.0);
         self.iterate(reading, FIRST_ITERATIONS, true);
@@ -187,7 +193,10 @@ impl NodeFilter {
             );
         }
         // Readings of one pose bound the onset once.
-        if self.bounded_mm.is_some_and(|at| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM) {
+        if self
+            .bounded_mm
+            .is_some_and(|at| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM)
+        {
             return self.iterate(reading, ITERATIONS, depth_mm > 0.0);
         }
         let mut held = self.clone();
@@ -206,7 +215,8 @@ impl NodeFilter {
         let ln = larger + ((self.ln - larger).exp() + (other.ln - larger).exp()).ln();
         let [a, b] = [self.ln, other.ln].map(|l| (l - ln).exp());
         let off = &other.mean - &self.mean;
-        self.covariance = &self.covariance * a + &other.covariance * b + &off * off.transpose() * (a * b);
+        self.covariance =
+            &self.covariance * a + &other.covariance * b + &off * off.transpose() * (a * b);
         self.mean += off * b;
         self.ln = ln;
         self.regular_ln = self.regular_ln.max(other.regular_ln);
@@ -220,7 +230,11 @@ impl NodeFilter {
 
     /// State of the contact with its covariance.
     pub fn state(&self) -> (State, Matrix2<f64>) {
-        let state = State { s_mm: self.s_mm, onset_mm: self.mean[ONSET], gap_mm: self.mean[GAP] };
+        let state = State {
+            s_mm: self.s_mm,
+            onset_mm: self.mean[ONSET],
+            gap_mm: self.mean[GAP],
+        };
         (state, self.covariance.fixed_view::<2, 2>(0, 0).into())
     }
 
@@ -244,9 +258,12 @@ impl NodeFilter {
     }
 
     fn place_mm(&self, reading: &Reading<'_>, z: &DVector<f64>) -> Vector3<f64> {
-        let crept =
-            reading.creep().map_or_else(Vector3::zeros, |(at, way)| way[0] * z[at] + way[1] * z[at + 1]);
-        reading.turn * (self.touch_mm(z) - reading.push * z[ONSET]) + reading.displacement_mm + crept
+        let crept = reading.creep().map_or_else(Vector3::zeros, |(at, way)| {
+            way[0] * z[at] + way[1] * z[at + 1]
+        });
+        reading.turn * (self.touch_mm(z) - reading.push * z[ONSET])
+            + reading.displacement_mm
+            + crept
     }
 
     /// Moments, slope and contact of the held wire; none where it has no equilibrium.
@@ -264,8 +281,15 @@ impl NodeFilter {
         // Stick and slip from the reading before, or from first touch; the slope is that without friction.
         let depth = (place - touch).dot(&reading.push);
         let start = (self.s_mm, place - reading.push * (depth - depth.min(1e-3)));
-        let (mut s, from) = self.contact.filter(|_| !reading.touched_anew).unwrap_or(start);
-        let share = if reading.row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
+        let (mut s, from) = self
+            .contact
+            .filter(|_| !reading.touched_anew)
+            .unwrap_or(start);
+        let share = if reading.row.velocity_mm_s.norm() > 0.0 {
+            mu.moving_share
+        } else {
+            1.0
+        };
         let steps = ((place - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
         let mut held = None;
         for n in 1..=steps {
@@ -276,22 +300,36 @@ impl NodeFilter {
     }
 
     /// With the wire held, or free.
-    fn linearised(&self, reading: &Reading<'_>, z: &DVector<f64>, held: bool) -> Option<Linearised> {
-        let Reading { field, settings, row, .. } = reading;
+    fn linearised(
+        &self,
+        reading: &Reading<'_>,
+        z: &DVector<f64>,
+        held: bool,
+    ) -> Option<Linearised> {
+        let Reading {
+            field,
+            settings,
+            row,
+            ..
+        } = reading;
         let common = row.shared_nmm.len();
         let mut slope = Matrix2xX::zeros(z.len());
         for (j, h) in row.shared_nmm.iter().enumerate() {
             slope.set_column(COMMON + j, &Vector2::from(*h));
         }
         if let Some(noise) = &settings.correlated {
-            slope.fixed_columns_mut::<2>(COMMON + common + 1).copy_from(&noise.factor(row)?);
+            slope
+                .fixed_columns_mut::<2>(COMMON + common + 1)
+                .copy_from(&noise.factor(row)?);
         }
         let (place, touch) = (self.place_mm(reading, z), self.touch_mm(z));
         let mut found = Linearised {
             state: z.clone(),
             moment_nmm: Vector2::zeros(),
             slope,
-            own: settings.correlated.map_or(row.noise_nmm2, |c| c.own_nmm2(row)),
+            own: settings
+                .correlated
+                .map_or(row.noise_nmm2, |c| c.own_nmm2(row)),
             correlated: settings.correlated.map_or(Matrix2::zeros(), |c| c.draw()),
             contact: None,
         };
@@ -301,12 +339,18 @@ impl NodeFilter {
         let (held, rate) = self.held(reading, &place, &touch)?;
         found.moment_nmm = Vector2::from(held.moment_nmm);
         found.contact = Some((held.arclength_mm, place));
-        found.slope.set_column(ONSET, &(rate * (reading.turn * -reading.push)));
-        found.slope.set_column(GAP, &(rate * (reading.turn * self.across)));
+        found
+            .slope
+            .set_column(ONSET, &(rate * (reading.turn * -reading.push)));
+        found
+            .slope
+            .set_column(GAP, &(rate * (reading.turn * self.across)));
         // The last common unknown but for those of a creeping point.
         if settings.stiffness_sd > 0.0 {
             let at = COMMON + common - 1 - if settings.creep_sd > 0.0 { 2 } else { 0 };
-            found.slope.set_column(at, &(found.moment_nmm * settings.stiffness_sd));
+            found
+                .slope
+                .set_column(at, &(found.moment_nmm * settings.stiffness_sd));
         }
         // Errors of the displacement enter through dm/dP.
         for (j, way) in row.shared_displacement_mm.iter().enumerate() {
@@ -321,7 +365,9 @@ impl NodeFilter {
             let mut column = found.slope.column_mut(COMMON + j);
             column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
         }
-        found.slope.set_column(COMMON + common, &(rate * row.velocity_mm_s));
+        found
+            .slope
+            .set_column(COMMON + common, &(rate * row.velocity_mm_s));
         // Motion and table; where readings of one pose share a draw of the noise, they share these too.
         let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
         let by_pose = rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2))
@@ -338,7 +384,10 @@ impl NodeFilter {
         if reading.settings.correlated.is_none() {
             return;
         }
-        let (rho, at) = (reading.correlation, COMMON + reading.row.shared_nmm.len() + 1);
+        let (rho, at) = (
+            reading.correlation,
+            COMMON + reading.row.shared_nmm.len() + 1,
+        );
         self.mean.rows_mut(at, 2).scale_mut(rho);
         self.covariance.rows_mut(at, 2).scale_mut(rho);
         self.covariance.columns_mut(at, 2).scale_mut(rho);
@@ -349,7 +398,9 @@ impl NodeFilter {
 
     /// Iterated Kalman update with the mixture of regular readings, noisy ones, and such that are anything.
     fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
-        let Some(mut at) = self.linearised(reading, &self.mean, held) else { return self.unexplained() };
+        let Some(mut at) = self.linearised(reading, &self.mean, held) else {
+            return self.unexplained();
+        };
         self.carry_correlated(reading, &at.correlated);
         let (before, y) = (self.mean.clone(), Vector2::from(reading.row.moment_nmm));
         let mut z = before.clone();
@@ -359,15 +410,20 @@ impl NodeFilter {
             // Innovation at the prior mean by the slope at the present one; what moves the point (onset, gap, creep) acts on more than a line.
             let innovation = y - at.moment_nmm - &at.slope * &before
                 + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0)
-                + creep
-                    .map_or_else(Vector2::zeros, |k| at.slope.fixed_columns::<2>(k) * z.fixed_rows::<2>(k));
+                + creep.map_or_else(Vector2::zeros, |k| {
+                    at.slope.fixed_columns::<2>(k) * z.fixed_rows::<2>(k)
+                });
             let to_state = &at.slope * &self.covariance;
             let known = &to_state * at.slope.transpose();
             let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);
             // All of the reading's noise, the correlated part included: what an outlier has more of.
             let noise = at.own + at.noise_of_draw(reading);
-            let (regular, noisy) = (known + at.own, known + at.own + noise * (NOISY * NOISY - 1.0));
-            let (Some(inverse), Some(inverse_noisy)) = (regular.try_inverse(), noisy.try_inverse()) else {
+            let (regular, noisy) = (
+                known + at.own,
+                known + at.own + noise * (NOISY * NOISY - 1.0),
+            );
+            let (Some(inverse), Some(inverse_noisy)) = (regular.try_inverse(), noisy.try_inverse())
+            else {
                 return self.unexplained();
             };
             // Mahalanobis distances of the innovation as a regular reading and as a noisy one.
@@ -381,7 +437,9 @@ impl NodeFilter {
             ];
             // A step by the other two alone: where the slope is still that of a distant state, a regular reading looks like anything.
             let used = regular + noise * (1.0 / inverse_variance(&parts).0 - 1.0);
-            let Some(inverse_used) = used.try_inverse() else { return self.unexplained() };
+            let Some(inverse_used) = used.try_inverse() else {
+                return self.unexplained();
+            };
             let next = &before + to_state.transpose() * inverse_used * innovation;
             let step = (next.fixed_rows::<2>(0) - z.fixed_rows::<2>(0)).norm();
             z = next;
@@ -389,7 +447,9 @@ impl NodeFilter {
                 parts[2] = ln_share - (std::f64::consts::PI * MAX_NMM * MAX_NMM).ln();
                 let (weight, ln) = inverse_variance(&parts);
                 let used = regular + noise * (1.0 / weight - 1.0);
-                let Some(inverse_used) = used.try_inverse() else { return self.unexplained() };
+                let Some(inverse_used) = used.try_inverse() else {
+                    return self.unexplained();
+                };
                 let gain = to_state.transpose() * inverse_used;
                 self.mean = before + &gain * innovation;
                 self.covariance -= gain * to_state;
@@ -444,7 +504,9 @@ impl NodeFilter {
         let size = self.mean.len();
         let kept = |i: usize| if i < size { i } else { i - 2 };
         self.mean = DVector::from_fn(size + 2, |i, _| self.mean[kept(i)]);
-        self.covariance = DMatrix::from_fn(size + 2, size + 2, |i, j| self.covariance[(kept(i), kept(j))]);
+        self.covariance = DMatrix::from_fn(size + 2, size + 2, |i, j| {
+            self.covariance[(kept(i), kept(j))]
+        });
     }
 
     /// After the lead: forwards in time from the first loaded reading.

@@ -7,7 +7,8 @@
 
 use super::inputs::NoiseInputs;
 use super::likelihood::{
-    MeanModel, RestrictedLikelihood, best_of, pattern_search, restricted_likelihood, studentised_residuals,
+    MeanModel, RestrictedLikelihood, best_of, pattern_search, restricted_likelihood,
+    studentised_residuals,
 };
 use super::parts::Noise;
 use super::spread_model::{SpreadModel, fit_variance_function};
@@ -54,10 +55,16 @@ pub fn estimate(
     let n = inputs.settings.len();
     let common = estimate_averaging_floor(model, inputs, counted);
     let known = inputs.own(common);
-    let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { known[i] } else { 0.0 }).collect();
+    let mask: Vec<f64> = (0..n)
+        .map(|i| if counted.counts(i) { known[i] } else { 0.0 })
+        .collect();
     let law = fit_variance_function(model, inputs, &Weights::independent(mask.clone()), seed);
     let relative = |law: &Option<SpreadModel>| match law {
-        Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
+        Some(l) => mask
+            .iter()
+            .zip(l.relative_sd(inputs))
+            .map(|(m, sd)| m / sd)
+            .collect(),
         None => mask.clone(),
     };
     let (mut weights, mut correlated, mut pose) =
@@ -66,13 +73,20 @@ pub fn estimate(
     if law.is_some() && weights.shared().is_some() {
         // What readings share can look like a law of the spread: it must hold among whitened readings, too.
         let (plain, c, p) = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
-        if plain.shared().is_some() && fit_variance_function(model, inputs, &plain, seed).is_none() {
+        if plain.shared().is_some() && fit_variance_function(model, inputs, &plain, seed).is_none()
+        {
             (weights, correlated, pose, law) = (plain, c, p, None);
         }
     }
     // The readings that do not count keep their spread, so that they can be taken back.
-    let own = law.as_ref().map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
-    let every: Vec<f64> = own.iter().zip(&known).map(|(sd, known)| known / sd).collect();
+    let own = law
+        .as_ref()
+        .map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
+    let every: Vec<f64> = own
+        .iter()
+        .zip(&known)
+        .map(|(sd, known)| known / sd)
+        .collect();
     let every = match weights.shared() {
         Some(shared) => Weights::sharing(every, shared.clone()),
         None => Weights::independent(every),
@@ -82,7 +96,10 @@ pub fn estimate(
     let s = (m.ssr / m.dof).sqrt();
     let whitened = studentised_residuals(model, &weights, s);
     Some(Noise {
-        repeat: NoisePart { value: s, interval95: sd_interval95(s, m.dof)? },
+        repeat: NoisePart {
+            value: s,
+            interval95: sd_interval95(s, m.dof)?,
+        },
         pose,
         correlated,
         law,
@@ -104,14 +121,25 @@ fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &W
     }
     let cost = |common: f64| {
         let mut own = inputs.own(common);
-        own.iter_mut().enumerate().filter(|(i, _)| !counted.counts(*i)).for_each(|(_, w)| *w = 0.0);
-        restricted_likelihood(model, &Weights::independent(own)).map_or(f64::INFINITY, |m| m.restricted)
+        own.iter_mut()
+            .enumerate()
+            .filter(|(i, _)| !counted.counts(*i))
+            .for_each(|(_, w)| *w = 0.0);
+        restricted_likelihood(model, &Weights::independent(own))
+            .map_or(f64::INFINITY, |m| m.restricted)
     };
     let range = COMMON.map(f64::ln);
     let starts = [0.1, 0.35, 0.6, 0.85].map(|k| range[0] + (range[1] - range[0]) * k);
-    let nearest = starts.into_iter().map(|x| (cost(x.exp()), x)).min_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((_, start)) = nearest else { return 0.0 };
-    let (x, least) = pattern_search([start], [1.0], [range[0]], [range[1]], &|v: &[f64; 1]| cost(v[0].exp()));
+    let nearest = starts
+        .into_iter()
+        .map(|x| (cost(x.exp()), x))
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, start)) = nearest else {
+        return 0.0;
+    };
+    let (x, least) = pattern_search([start], [1.0], [range[0]], [range[1]], &|v: &[f64; 1]| {
+        cost(v[0].exp())
+    });
     if cost(0.0) <= least { 0.0 } else { x[0].exp() }
 }
 
@@ -120,7 +148,11 @@ type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
 
 /// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
 /// the spread and is where nothing suits better.
-pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<RestrictedLikelihood> {
+pub fn best_misfit(
+    model: &MeanModel,
+    inputs: &NoiseInputs,
+    noise: &Noise,
+) -> Option<RestrictedLikelihood> {
     let relative = noise.weights.relative().to_vec();
     let at = |v: &[f64; 3]| {
         let shared = inputs.shared(Some([v[0].exp(), v[1].exp()]), v[2].exp());
@@ -129,8 +161,13 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
     let plain = restricted_likelihood(model, &noise.weights)?;
     let independent = Weights::independent(relative.clone());
     let can_pose = inputs.held_repeats(&independent) >= MIN_HELD_REPEATS;
-    let clock = inputs.clock.as_ref().filter(|_| independent.active() >= MIN_CORRELATED);
-    let Some(tau) = clock.and_then(|c| time_constants(c)) else { return Some(plain) };
+    let clock = inputs
+        .clock
+        .as_ref()
+        .filter(|_| independent.active() >= MIN_CORRELATED);
+    let Some(tau) = clock.and_then(|c| time_constants(c)) else {
+        return Some(plain);
+    };
     let ratio = RATIOS.map(f64::ln);
     let shared = noise.weights.shared();
     let pose = shared.map_or(0.0, |s| s.pose).max(RATIOS[0]).ln();
@@ -141,14 +178,27 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
     let place = |k: f64| tau[0] + (tau[1] - tau[0]) * k;
     let starts: Vec<[f64; 3]> = match known {
         Some([r, t]) => vec![[r, t, pose]],
-        None => [0.15, 0.45, 0.8].iter().flat_map(|k| [-1.0, 0.5].map(|r| [r, place(*k), pose])).collect(),
+        None => [0.15, 0.45, 0.8]
+            .iter()
+            .flat_map(|k| [-1.0, 0.5].map(|r| [r, place(*k), pose]))
+            .collect(),
     };
-    let start = starts.into_iter().map(|v| (cost(&v), v)).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+    let start = starts
+        .into_iter()
+        .map(|v| (cost(&v), v))
+        .min_by(|a, b| a.0.total_cmp(&b.0))?
+        .1;
     let (low, high) = (
         [ratio[0], tau[0], if can_pose { ratio[0] } else { pose }],
         [ratio[1], tau[1], if can_pose { ratio[1] } else { pose }],
     );
-    let (best, _) = pattern_search(start, [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }], low, high, &cost);
+    let (best, _) = pattern_search(
+        start,
+        [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }],
+        low,
+        high,
+        &cost,
+    );
     at(&best).filter(|m| m.plain < plain.plain).or(Some(plain))
 }
 
@@ -181,26 +231,38 @@ fn estimate_variance_components(
     // Pose scatter alone, correlation alone, both.
     let pose_alone = can_pose.then(|| {
         best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {
-            pattern_search([*r], [0.7], [ratio[0]], [ratio[1]], &|v| cost(None, v[0].exp()))
+            pattern_search([*r], [0.7], [ratio[0]], [ratio[1]], &|v| {
+                cost(None, v[0].exp())
+            })
         })
     });
     let correlated_alone = tau.map(|tau| {
         let starts: Vec<[f64; 2]> = (0..4)
             .flat_map(|k| {
-                [-0.7, 0.7, 2.0].map(|r| [r, tau[0] + (tau[1] - tau[0]) * (0.5 + f64::from(k)) / 4.0])
+                [-0.7, 0.7, 2.0]
+                    .map(|r| [r, tau[0] + (tau[1] - tau[0]) * (0.5 + f64::from(k)) / 4.0])
             })
             .collect();
-        let coarse = starts.iter().map(|v| (cost(Some([v[0].exp(), v[1].exp()]), 0.0), *v));
-        let start = coarse.min_by(|a, b| a.0.total_cmp(&b.0)).map_or([0.0, tau[0]], |c| c.1);
-        pattern_search(start, [0.5, 0.5], [ratio[0], tau[0]], [ratio[1], tau[1]], &|v| {
-            cost(Some([v[0].exp(), v[1].exp()]), 0.0)
-        })
+        let coarse = starts
+            .iter()
+            .map(|v| (cost(Some([v[0].exp(), v[1].exp()]), 0.0), *v));
+        let start = coarse
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or([0.0, tau[0]], |c| c.1);
+        pattern_search(
+            start,
+            [0.5, 0.5],
+            [ratio[0], tau[0]],
+            [ratio[1], tau[1]],
+            &|v| cost(Some([v[0].exp(), v[1].exp()]), 0.0),
+        )
     });
     let mut found: (f64, Option<[f64; 2]>, f64) = (plain, None, 0.0);
     if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > gain_at_bound(NOISE_PART)) {
         found = (c, None, v[0].exp());
     }
-    if let Some((v, c)) = correlated_alone.filter(|(_, c)| plain - c > correlated_gain && *c < found.0 - 2.0)
+    if let Some((v, c)) =
+        correlated_alone.filter(|(_, c)| plain - c > correlated_gain && *c < found.0 - 2.0)
     {
         found = (c, Some(v.map(f64::exp)), 0.0);
     }
@@ -211,16 +273,26 @@ fn estimate_variance_components(
             if found.2 > 0.0 { found.2.ln() } else { -0.7 },
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
-        let both =
-            pattern_search(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
-        let needed = if found.1.is_some() { gain_at_bound(NOISE_PART) } else { correlated_gain };
+        let both = pattern_search(start, [0.5; 3], low, high, &|v| {
+            cost(Some([v[0].exp(), v[1].exp()]), v[2].exp())
+        });
+        let needed = if found.1.is_some() {
+            gain_at_bound(NOISE_PART)
+        } else {
+            correlated_gain
+        };
         if found.0 - both.1 > needed {
-            found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
+            found = (
+                both.1,
+                Some([both.0[0].exp(), both.0[1].exp()]),
+                both.0[2].exp(),
+            );
         }
     }
     let (_, correlated, pose) = found;
     let sd_at = |correlated: Option<[f64; 2]>, pose: f64| {
-        restricted_likelihood(model, &at(correlated, pose)).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
+        restricted_likelihood(model, &at(correlated, pose))
+            .map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
     };
     let s = sd_at(correlated, pose);
     // Profile likelihood: where -2 log L has risen by what one parameter gains by chance.
@@ -242,11 +314,20 @@ fn estimate_variance_components(
     let pose_part = can_pose.then(|| {
         let f = |x: f64| (cost(correlated, x), sd_at(correlated, x));
         let [low, high] = interval(pose, &f);
-        NoisePart { value: pose * s, interval95: [if pose > 0.0 { low } else { 0.0 }, high] }
+        NoisePart {
+            value: pose * s,
+            interval95: [if pose > 0.0 { low } else { 0.0 }, high],
+        }
     });
     let correlated_part = correlated.map(|[r, tau]| {
         let f = |x: f64| (cost(Some([x, tau]), pose), sd_at(Some([x, tau]), pose));
-        (NoisePart { value: r * s, interval95: interval(r, &f) }, tau)
+        (
+            NoisePart {
+                value: r * s,
+                interval95: interval(r, &f),
+            },
+            tau,
+        )
     });
     Some((at(correlated, pose), correlated_part, pose_part))
 }
@@ -305,8 +386,20 @@ mod tests {
     }
 
     fn estimated(s: &Simulated) -> Noise {
-        let model = MeanModel { design: &s.design, tangents: &[], residual: &s.residual, extra: Vec::new() };
-        estimate(&model, &s.inputs, &Weights::equal(120), correlated_gain(), 1).unwrap()
+        let model = MeanModel {
+            design: &s.design,
+            tangents: &[],
+            residual: &s.residual,
+            extra: Vec::new(),
+        };
+        estimate(
+            &model,
+            &s.inputs,
+            &Weights::equal(120),
+            correlated_gain(),
+            1,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -317,13 +410,22 @@ mod tests {
             let pose = n.pose.unwrap();
             poses += usize::from((2.3..3.9).contains(&pose.value) && n.correlated.is_none());
             let n = estimated(&simulated(0.0, Some([2.0, 400.0]), 1.0, seed));
-            slow += usize::from(n.correlated.is_some_and(|(sd, _)| (0.8..5.0).contains(&sd.value)));
+            slow += usize::from(
+                n.correlated
+                    .is_some_and(|(sd, _)| (0.8..5.0).contains(&sd.value)),
+            );
             let n = estimated(&simulated(0.0, None, 4.0, seed));
-            laws += usize::from(n.law.is_some_and(|l| (0.9..1.9).contains(&l.spread.exponent)));
+            laws += usize::from(
+                n.law
+                    .is_some_and(|l| (0.9..1.9).contains(&l.spread.exponent)),
+            );
             let n = estimated(&simulated(0.0, None, 1.0, seed));
             clean += usize::from(n.weights.shared().is_none() && n.law.is_none());
         }
-        assert!(poses >= 18 && slow >= 18 && laws >= 18 && clean >= 19, "{poses} {slow} {laws} {clean}");
+        assert!(
+            poses >= 18 && slow >= 18 && laws >= 18 && clean >= 19,
+            "{poses} {slow} {laws} {clean}"
+        );
     }
 
     #[test]
@@ -333,10 +435,15 @@ mod tests {
             let held = (0..400).filter(|seed| {
                 let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(*seed);
                 let residual = DMatrix::from_fn(n, 1, |_, _| StandardNormal.sample(&mut rng));
-                let model =
-                    MeanModel { design: &design, tangents: &[], residual: &residual, extra: Vec::new() };
+                let model = MeanModel {
+                    design: &design,
+                    tangents: &[],
+                    residual: &residual,
+                    extra: Vec::new(),
+                };
                 let inputs = NoiseInputs::none(n);
-                let noise = estimate(&model, &inputs, &Weights::equal(n), correlated_gain(), 1).unwrap();
+                let noise =
+                    estimate(&model, &inputs, &Weights::equal(n), correlated_gain(), 1).unwrap();
                 let [low, high] = noise.repeat.interval95;
                 (low..high).contains(&1.0)
             });

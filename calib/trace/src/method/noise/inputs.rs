@@ -30,7 +30,11 @@ pub struct NoiseInputs {
 impl NoiseInputs {
     /// Unit of the clock.
     pub fn clock_unit(&self) -> &'static str {
-        if self.counts_readings || self.clock.is_none() { "readings" } else { "s" }
+        if self.counts_readings || self.clock.is_none() {
+            "readings"
+        } else {
+            "s"
+        }
     }
 
     /// Readings of which nothing is known.
@@ -64,8 +68,17 @@ impl NoiseInputs {
 
     pub(super) fn shared(&self, correlated: Option<[f64; 2]>, pose: f64) -> SharedNoise {
         let n = self.settings.len();
-        let clock = self.clock.clone().unwrap_or_else(|| Arc::new((0..n).map(|k| k as f64).collect()));
-        SharedNoise { clock, settings: self.settings.clone(), posed: self.posed.clone(), correlated, pose }
+        let clock = self
+            .clock
+            .clone()
+            .unwrap_or_else(|| Arc::new((0..n).map(|k| k as f64).collect()));
+        SharedNoise {
+            clock,
+            settings: self.settings.clone(),
+            posed: self.posed.clone(),
+            correlated,
+            pose,
+        }
     }
 
     /// Readings beyond the first of each pose setting: what tells pose scatter from repeat noise.

@@ -42,7 +42,9 @@ impl<'a> MeanModel<'a> {
     /// Every column that is free in each channel.
     fn columns(&self) -> DMatrix<f64> {
         let own = self.design.ncols();
-        DMatrix::from_fn(self.design.nrows(), own + self.extra.len(), |i, j| match j.checked_sub(own) {
+        DMatrix::from_fn(self.design.nrows(), own + self.extra.len(), |i, j| match j
+            .checked_sub(own)
+        {
             None => self.design[(i, j)],
             Some(k) => self.extra[k][i],
         })
@@ -91,8 +93,15 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     let mut log_x = channels as f64 * (log_det + log_scale);
     let mut ssr = r.norm_squared();
     // A tangent may be nothing at all: the place of a step moves no reading at first.
-    let tangents: Vec<DMatrix<f64>> = model.tangents.iter().map(|t| off(&weights.apply(t))).collect();
-    let live: Vec<&DMatrix<f64>> = tangents.iter().filter(|t| t.norm_squared() > 1e-200).collect();
+    let tangents: Vec<DMatrix<f64>> = model
+        .tangents
+        .iter()
+        .map(|t| off(&weights.apply(t)))
+        .collect();
+    let live: Vec<&DMatrix<f64>> = tangents
+        .iter()
+        .filter(|t| t.norm_squared() > 1e-200)
+        .collect();
     let m = live.len();
     if m > 0 {
         // The determinant of X'X factorises: tangents enter by their part off the design (Schur complement).
@@ -102,7 +111,12 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
         let right = DVector::from_fn(m, |a, _| live[a].dot(&r) / size[a]);
         let chol = small.cholesky()?;
         ssr -= right.dot(&chol.solve(&right));
-        log_x += chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum::<f64>()
+        log_x += chol
+            .l_dirty()
+            .diagonal()
+            .iter()
+            .map(|v| 2.0 * v.ln())
+            .sum::<f64>()
             + size.iter().map(|s| 2.0 * s.ln()).sum::<f64>();
     }
     let values = (weights.active() * channels) as f64;
@@ -160,17 +174,26 @@ pub(super) fn best_of<const K: usize>(
     run: impl Fn(&f64) -> ([f64; K], f64),
 ) -> ([f64; K], f64) {
     let all = starts.iter().map(run).collect::<Vec<_>>();
-    all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or(([0.0; K], f64::INFINITY))
+    all.into_iter()
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .unwrap_or(([0.0; K], f64::INFINITY))
 }
 
 /// Whitened residuals in standard deviations, each over the share of its variance that the whole mean model leaves, channel by channel; only
 /// readings that count.
 pub(super) fn studentised_residuals(model: &MeanModel, weights: &Weights, s: f64) -> Vec<f64> {
-    studentised_by_channel(model, weights, s).into_iter().flat_map(|(_, z)| z).collect()
+    studentised_by_channel(model, weights, s)
+        .into_iter()
+        .flat_map(|(_, z)| z)
+        .collect()
 }
 
 /// Reading and its standardised residuals in every channel.
-pub(super) fn studentised_by_channel(model: &MeanModel, weights: &Weights, s: f64) -> Vec<(usize, Vec<f64>)> {
+pub(super) fn studentised_by_channel(
+    model: &MeanModel,
+    weights: &Weights,
+    s: f64,
+) -> Vec<(usize, Vec<f64>)> {
     let (n, channels) = model.residual.shape();
     // Every column is free in each channel; a tangent moves all of them at once.
     let columns = weights.apply(&model.columns());
@@ -180,7 +203,11 @@ pub(super) fn studentised_by_channel(model: &MeanModel, weights: &Weights, s: f6
         stack(&direction)
     };
     let tangents = model.tangents.iter().map(|t| stack(&weights.apply(t)));
-    let basis = Basis::of((0..columns.ncols() * channels).map(in_channel).chain(tangents));
+    let basis = Basis::of(
+        (0..columns.ncols() * channels)
+            .map(in_channel)
+            .chain(tangents),
+    );
     let left = basis.project_off(&stack(&weights.apply(model.residual)));
     let of = |i: usize| {
         let studentised = |k: usize| left[k] / (s * basis.unexplained_sd(k));
@@ -209,10 +236,21 @@ mod tests {
                 z + 7.0 * driver[i]
             });
             let (extra, tangents) = known(&driver);
-            let model = MeanModel { design: &design, tangents: &tangents, residual: &residual, extra };
+            let model = MeanModel {
+                design: &design,
+                tangents: &tangents,
+                residual: &residual,
+                extra,
+            };
             let weights = Weights::equal(n);
             let m = restricted_likelihood(&model, &weights).unwrap();
-            tails(&studentised_residuals(&model, &weights, (m.ssr / m.dof).sqrt())).unwrap().heavy
+            tails(&studentised_residuals(
+                &model,
+                &weights,
+                (m.ssr / m.dof).sqrt(),
+            ))
+            .unwrap()
+            .heavy
         };
         (0..60).filter(|seed| one(*seed)).count()
     }
@@ -220,9 +258,17 @@ mod tests {
     #[test]
     fn tails_are_those_of_what_the_whole_model_leaves() {
         let column = heavy(|d| (vec![d.iter().copied().collect()], Vec::new()));
-        let tangent = heavy(|d| (Vec::new(), vec![DMatrix::from_column_slice(d.len(), 1, d.as_slice())]));
+        let tangent = heavy(|d| {
+            (
+                Vec::new(),
+                vec![DMatrix::from_column_slice(d.len(), 1, d.as_slice())],
+            )
+        });
         let unknown = heavy(|_| (Vec::new(), Vec::new()));
         // At a level of 0.01 four or more come by chance once in 300 such tests. Control: what nothing knows looks heavy.
-        assert!(column <= 3 && tangent <= 3 && unknown >= 50, "{column} {tangent} {unknown}");
+        assert!(
+            column <= 3 && tangent <= 3 && unknown >= 50,
+            "{column} {tangent} {unknown}"
+        );
     }
 }

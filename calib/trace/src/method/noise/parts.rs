@@ -36,7 +36,10 @@ pub struct Noise {
 impl Noise {
     /// No noise at all, on `n` readings.
     pub fn none(n: usize) -> Self {
-        let nothing = NoisePart { value: 0.0, interval95: [0.0; 2] };
+        let nothing = NoisePart {
+            value: 0.0,
+            interval95: [0.0; 2],
+        };
         Self {
             weights: Weights::equal(n),
             repeat: nothing,
@@ -51,19 +54,36 @@ impl Noise {
 
     /// The same noise with its shared parts at the upper ends of their intervals.
     pub fn at_upper_ends(&self) -> Self {
-        let upper = |e: NoisePart| NoisePart { value: e.interval95[1].max(e.value), ..e };
+        let upper = |e: NoisePart| NoisePart {
+            value: e.interval95[1].max(e.value),
+            ..e
+        };
         let pose = self.pose.filter(|p| p.value > 0.0).map(upper);
-        Self { pose, correlated: self.correlated.map(|(e, tau)| (upper(e), tau)), ..self.clone() }
+        Self {
+            pose,
+            correlated: self.correlated.map(|(e, tau)| (upper(e), tau)),
+            ..self.clone()
+        }
     }
 
     /// Weights of other readings of the same session (sealed ones among them) under this noise.
     pub fn weights_of(&self, inputs: &NoiseInputs) -> Weights {
-        let own =
-            self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
-        let relative = own.iter().zip(inputs.own(self.common)).map(|(sd, known)| known / sd).collect();
+        let own = self.law.as_ref().map_or_else(
+            || vec![1.0; inputs.settings.len()],
+            |l| l.relative_sd(inputs),
+        );
+        let relative = own
+            .iter()
+            .zip(inputs.own(self.common))
+            .map(|(sd, known)| known / sd)
+            .collect();
         let size = |e: &NoisePart| e.value / self.repeat.value;
         let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);
-        let pose = self.pose.as_ref().filter(|p| p.value > 0.0).map_or(0.0, size);
+        let pose = self
+            .pose
+            .as_ref()
+            .filter(|p| p.value > 0.0)
+            .map_or(0.0, size);
         Weights::sharing(relative, inputs.shared(correlated, pose))
     }
 
@@ -76,6 +96,8 @@ impl Noise {
     /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
     pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let weights = self.weights_of(inputs);
-        (0..inputs.settings.len()).map(|i| self.repeat.value * weights.total_sd(i)).collect()
+        (0..inputs.settings.len())
+            .map(|i| self.repeat.value * weights.total_sd(i))
+            .collect()
     }
 }

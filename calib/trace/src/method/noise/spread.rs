@@ -59,10 +59,16 @@ fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     let z = centred(z);
     let zz = dot(&z, &z);
     let mut b = 0.0;
-    let mut a = 0.5 * (residual.iter().map(|r| r * r).sum::<f64>() / n).max(1e-300).ln();
+    let mut a = 0.5
+        * (residual.iter().map(|r| r * r).sum::<f64>() / n)
+            .max(1e-300)
+            .ln();
     for _ in 0..60 {
-        let w: Vec<f64> =
-            residual.iter().zip(&z).map(|(r, z)| r * r * (-2.0 * (a + b * z)).exp() - 1.0).collect();
+        let w: Vec<f64> = residual
+            .iter()
+            .zip(&z)
+            .map(|(r, z)| r * r * (-2.0 * (a + b * z)).exp() - 1.0)
+            .collect();
         // Fisher scoring: level and slope of log sigma are orthogonal where z is centred.
         let (da, db) = (0.5 * w.iter().sum::<f64>() / n, 0.5 * dot(&w, &z) / zz);
         // Short steps: the first ones overshoot where single residuals are large.
@@ -72,8 +78,11 @@ fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
             break;
         }
     }
-    let nll =
-        residual.iter().zip(&z).map(|(r, z)| a + b * z + 0.5 * r * r * (-2.0 * (a + b * z)).exp()).sum();
+    let nll = residual
+        .iter()
+        .zip(&z)
+        .map(|(r, z)| a + b * z + 0.5 * r * r * (-2.0 * (a + b * z)).exp())
+        .sum();
     (b, (0.5 / zz).sqrt(), nll)
 }
 
@@ -91,7 +100,12 @@ pub fn heteroscedasticity_test(
     }
     let z = centred(u);
     // The cube root of a squared Gaussian is nearly Gaussian (Wilson & Hilferty): a correlation of it is not ruled by single residuals.
-    let mut size = centred(&residual.iter().map(|r| (r * r).cbrt()).collect::<Vec<f64>>());
+    let mut size = centred(
+        &residual
+            .iter()
+            .map(|r| (r * r).cbrt())
+            .collect::<Vec<f64>>(),
+    );
     let scale = (dot(&z, &z) * dot(&size, &size)).sqrt();
     if !(scale > 0.0) {
         return None;
@@ -141,7 +155,9 @@ mod tests {
     /// Simulated residuals with sd ~ x^power at x = 1..4.
     fn simulated(n: usize, power: f64, seed: u64) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let x: Vec<f64> = (0..n).map(|k| 1.0 + 3.0 * k as f64 / (n - 1) as f64).collect();
+        let x: Vec<f64> = (0..n)
+            .map(|k| 1.0 + 3.0 * k as f64 / (n - 1) as f64)
+            .collect();
         let r = x
             .iter()
             .map(|x| {
@@ -159,8 +175,13 @@ mod tests {
         for seed in 0..60 {
             let (r, x, u) = simulated(100, 1.0, seed);
             let s = heteroscedasticity_test(&r, Some(&x), &u, 400, seed).unwrap();
-            assert!(s.p_value < 0.05 && s.correlation > 0.0, "seed {seed}: {}", s.p_value);
-            let (b, se, _) = fit_log_linear_variance(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
+            assert!(
+                s.p_value < 0.05 && s.correlation > 0.0,
+                "seed {seed}: {}",
+                s.p_value
+            );
+            let (b, se, _) =
+                fit_log_linear_variance(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
             covered += u32::from((b - 1.0).abs() < NORMAL_95 * se);
         }
         assert!(covered >= 52, "claimed intervals covered {covered} of 60");
@@ -171,7 +192,9 @@ mod tests {
         let p: Vec<f64> = (0..300)
             .map(|seed| {
                 let (r, x, u) = simulated(40, 0.0, 1000 + seed);
-                heteroscedasticity_test(&r, Some(&x), &u, 400, seed).unwrap().p_value
+                heteroscedasticity_test(&r, Some(&x), &u, 400, seed)
+                    .unwrap()
+                    .p_value
             })
             .collect();
         let low = p.iter().filter(|p| **p < 0.05).count();

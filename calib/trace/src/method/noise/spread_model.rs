@@ -31,11 +31,20 @@ const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
 impl SpreadModel {
     /// Relative standard deviations of readings.
     pub fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
-        let values = inputs.spread.iter().find(|(name, _)| *name == self.follows).map(|(_, v)| v);
+        let values = inputs
+            .spread
+            .iter()
+            .find(|(name, _)| *name == self.follows)
+            .map(|(_, v)| v);
         let of = |v: &f64| {
-            (self.spread.exponent * (v - self.typical)).exp().clamp(SPREAD_RANGE[0], SPREAD_RANGE[1])
+            (self.spread.exponent * (v - self.typical))
+                .exp()
+                .clamp(SPREAD_RANGE[0], SPREAD_RANGE[1])
         };
-        values.map_or_else(|| vec![1.0; inputs.settings.len()], |v| v.iter().map(of).collect())
+        values.map_or_else(
+            || vec![1.0; inputs.settings.len()],
+            |v| v.iter().map(of).collect(),
+        )
     }
 }
 
@@ -53,21 +62,38 @@ pub(super) fn fit_variance_function(
     let channels = model.residual.ncols();
     let mut best: Option<(f64, SpreadModel)> = None;
     for (name, values) in &inputs.spread {
-        let u: Vec<f64> = rows.iter().flat_map(|(i, _)| vec![values[*i]; channels]).collect();
+        let u: Vec<f64> = rows
+            .iter()
+            .flat_map(|(i, _)| vec![values[*i]; channels])
+            .collect();
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
-        let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
+        let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else {
+            continue;
+        };
         if spread.p_value > SPREAD / inputs.spread.len() as f64 {
             continue;
         }
         // 1 for a typical loaded reading.
-        let loaded = (0..values.len()).filter(|&i| inputs.posed[i]).map(|i| values[i]);
+        let loaded = (0..values.len())
+            .filter(|&i| inputs.posed[i])
+            .map(|i| values[i]);
         let typical = median(loaded).unwrap_or(0.0);
-        let law = SpreadModel { follows: name.clone(), spread, typical };
+        let law = SpreadModel {
+            follows: name.clone(),
+            spread,
+            typical,
+        };
         let own = law.relative_sd(inputs);
-        let relative =
-            (0..values.len()).map(|i| if weights.counts(i) { weights.of(i) / own[i] } else { 0.0 });
-        let cost = restricted_likelihood(model, &Weights::independent(relative.collect()))?.restricted;
+        let relative = (0..values.len()).map(|i| {
+            if weights.counts(i) {
+                weights.of(i) / own[i]
+            } else {
+                0.0
+            }
+        });
+        let cost =
+            restricted_likelihood(model, &Weights::independent(relative.collect()))?.restricted;
         if best.as_ref().is_none_or(|b| cost < b.0) {
             best = Some((cost, law));
         }

@@ -108,7 +108,10 @@ type Fits = [(f64, (f64, f64)); NU.len()];
 /// All tails, and the largest log likelihood.
 fn fits(z: &[f64], censored: usize) -> (Fits, f64) {
     let fits = NU.map(|nu| (nu, likelihood(nu, z, censored)));
-    (fits, fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max))
+    (
+        fits,
+        fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max),
+    )
 }
 
 /// Tails of sorted standardised residuals.
@@ -118,7 +121,10 @@ fn fit_sorted(sorted: &[f64]) -> Tails {
     let bound = gain_at_bound(0.05);
     let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= bound;
     let gaussian = fits[NU.len() - 1].1.0;
-    let top = fits.iter().max_by(|a, b| a.1.0.total_cmp(&b.1.0)).unwrap_or(&fits[NU.len() - 1]);
+    let top = fits
+        .iter()
+        .max_by(|a, b| a.1.0.total_cmp(&b.1.0))
+        .unwrap_or(&fits[NU.len() - 1]);
     let heaviest = fits.iter().find(within).unwrap_or(top);
     let lightest = fits.iter().rev().find(within).unwrap_or(top);
     Tails {
@@ -141,7 +147,10 @@ pub fn tails(residuals: &[f64]) -> Option<Tails> {
     sorted.sort_by(f64::total_cmp);
     (sorted[sorted.len() / 2] > 0.0).then(|| {
         let all = fit_sorted(&sorted);
-        Tails { by_one: all.heavy && !fit_sorted(&sorted[..sorted.len() - 1]).heavy, ..all }
+        Tails {
+            by_one: all.heavy && !fit_sorted(&sorted[..sorted.len() - 1]).heavy,
+            ..all
+        }
     })
 }
 
@@ -170,7 +179,12 @@ pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<Extr
     }
     // Values that a Gaussian gives without any effort need no fit.
     let effortless = 3.0 * sorted[n / 2] / 0.674;
-    let looks = sorted.iter().rev().take(most.min(n / 4)).take_while(|z| **z >= effortless).count();
+    let looks = sorted
+        .iter()
+        .rev()
+        .take(most.min(n / 4))
+        .take_while(|z| **z >= effortless)
+        .count();
     for k in (1..=looks).rev() {
         let largest = sorted[n - k];
         let (fits, best) = fits(&sorted[..n - k], k);
@@ -186,7 +200,11 @@ pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<Extr
         let p_value = sum / whole;
         // Each number of values is a look of its own (Bonferroni).
         if p_value < level / looks as f64 {
-            return Some(ExtremeValues { beyond: largest, count: k, p_value: p_value.max(1e-300) });
+            return Some(ExtremeValues {
+                beyond: largest,
+                count: k,
+                p_value: p_value.max(1e-300),
+            });
         }
     }
     None
@@ -201,7 +219,11 @@ mod tests {
     fn draws(nu: Option<f64>, n: usize, seed: u64) -> Vec<f64> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         match nu {
-            Some(nu) => StudentT::new(nu).unwrap().sample_iter(&mut rng).take(n).collect(),
+            Some(nu) => StudentT::new(nu)
+                .unwrap()
+                .sample_iter(&mut rng)
+                .take(n)
+                .collect(),
             None => (0..n).map(|_| StandardNormal.sample(&mut rng)).collect(),
         }
     }
@@ -209,7 +231,9 @@ mod tests {
     /// Share of `samples` in which something is flagged although nothing was added; degrees of freedom in turn.
     fn flagged(nus: &[Option<f64>], n: usize, level: f64, samples: u64) -> f64 {
         let nu = |s: u64| nus[s as usize % nus.len()];
-        let hits = (0..samples).filter(|s| extreme_values(&draws(nu(*s), n, *s), 8, level).is_some()).count();
+        let hits = (0..samples)
+            .filter(|s| extreme_values(&draws(nu(*s), n, *s), 8, level).is_some())
+            .count();
         hits as f64 / samples as f64
     }
 
@@ -256,7 +280,11 @@ mod tests {
 
     #[test]
     fn tails_are_named_where_they_are_heavy() {
-        let named = |nu, n| (0..100).filter(|s| tails(&draws(nu, n, *s)).unwrap().heavy).count();
+        let named = |nu, n| {
+            (0..100)
+                .filter(|s| tails(&draws(nu, n, *s)).unwrap().heavy)
+                .count()
+        };
         assert!(
             named(Some(4.0), 600) >= 90 && named(None, 600) <= 3,
             "{} {}",

@@ -64,7 +64,12 @@ impl Weights {
 
     /// Independent readings with these weights (1 / relative standard deviation; 0 = does not count).
     pub fn independent(relative: Vec<f64>) -> Self {
-        Self { own: relative.clone(), relative, shared: None, filter: Vec::new() }
+        Self {
+            own: relative.clone(),
+            relative,
+            shared: None,
+            filter: Vec::new(),
+        }
     }
 
     /// Readings that share part of their noise.
@@ -73,13 +78,22 @@ impl Weights {
             return Self::independent(relative);
         }
         let filter = innovations(&relative, &shared);
-        Self { own: relative.clone(), relative, shared: Some(shared), filter }
+        Self {
+            own: relative.clone(),
+            relative,
+            shared: Some(shared),
+            filter,
+        }
     }
 
     /// The same noise where only readings with `keep` count.
     pub fn masked(&self, keep: impl Fn(usize) -> bool) -> Self {
-        let relative =
-            self.relative.iter().enumerate().map(|(i, w)| if keep(i) { *w } else { 0.0 }).collect();
+        let relative = self
+            .relative
+            .iter()
+            .enumerate()
+            .map(|(i, w)| if keep(i) { *w } else { 0.0 })
+            .collect();
         self.with(relative)
     }
 
@@ -89,8 +103,16 @@ impl Weights {
     }
 
     fn with(&self, relative: Vec<f64>) -> Self {
-        let filter = self.shared.as_ref().map_or_else(Vec::new, |s| innovations(&relative, s));
-        Self { own: self.own.clone(), relative, shared: self.shared.clone(), filter }
+        let filter = self
+            .shared
+            .as_ref()
+            .map_or_else(Vec::new, |s| innovations(&relative, s));
+        Self {
+            own: self.own.clone(),
+            relative,
+            shared: self.shared.clone(),
+            filter,
+        }
     }
 
     /// Weight of a reading by itself, 1 / h; 0 where it does not count.
@@ -130,7 +152,11 @@ impl Weights {
 
     /// Standard deviation of a new reading at a new pose and another time, in units of `s`, for each reading's law.
     pub fn total_sd(&self, i: usize) -> f64 {
-        let own = if self.own[i] > 0.0 { 1.0 / self.own[i] } else { 1.0 };
+        let own = if self.own[i] > 0.0 {
+            1.0 / self.own[i]
+        } else {
+            1.0
+        };
         let shared = self.shared.as_ref().map_or(0.0, |s| {
             let pose = if s.posed[i] { s.pose } else { 0.0 };
             s.correlated.map_or(0.0, |c| c[0] * c[0]) + pose * pose
@@ -157,7 +183,10 @@ impl Weights {
 
     fn whiten(&self, column: &mut [f64]) {
         if self.shared.is_none() {
-            column.iter_mut().zip(&self.relative).for_each(|(v, w)| *v *= w);
+            column
+                .iter_mut()
+                .zip(&self.relative)
+                .for_each(|(v, w)| *v *= w);
             return;
         }
         let (mut correlated, mut pose) = (0.0, 0.0);
@@ -182,9 +211,17 @@ impl Weights {
     pub fn log_determinant(&self) -> f64 {
         // Whitening is triangular: the determinant is the product of the innovations' variances.
         if self.shared.is_some() {
-            self.filter.iter().filter(|f| f.scale > 0.0).map(|f| -2.0 * f.scale.ln()).sum()
+            self.filter
+                .iter()
+                .filter(|f| f.scale > 0.0)
+                .map(|f| -2.0 * f.scale.ln())
+                .sum()
         } else {
-            self.relative.iter().filter(|w| **w > 0.0).map(|w| -2.0 * w.ln()).sum()
+            self.relative
+                .iter()
+                .filter(|w| **w > 0.0)
+                .map(|w| -2.0 * w.ln())
+                .sum()
         }
     }
 
@@ -192,11 +229,15 @@ impl Weights {
     pub fn covariance(&self, rows: &[usize]) -> DMatrix<f64> {
         DMatrix::from_fn(rows.len(), rows.len(), |a, b| {
             let (i, j) = (rows[a], rows[b]);
-            let own = if a == b { self.own[i].max(1e-6).powi(-2) } else { 0.0 };
+            let own = if a == b {
+                self.own[i].max(1e-6).powi(-2)
+            } else {
+                0.0
+            };
             let Some(s) = &self.shared else { return own };
-            let correlated = s
-                .correlated
-                .map_or(0.0, |[sd, tau]| sd * sd * (-(s.clock[i] - s.clock[j]).abs() / tau).exp());
+            let correlated = s.correlated.map_or(0.0, |[sd, tau]| {
+                sd * sd * (-(s.clock[i] - s.clock[j]).abs() / tau).exp()
+            });
             let same = s.settings[i] == s.settings[j] && s.posed[i] && s.posed[j];
             own + correlated + if same { s.pose * s.pose } else { 0.0 }
         })
@@ -211,7 +252,11 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
     let [mut cc, mut cp, mut pp] = [stationary, 0.0, of_pose];
     (0..relative.len())
         .map(|i| {
-            let dt = if i == 0 { f64::INFINITY } else { (shared.clock[i] - shared.clock[i - 1]).max(0.0) };
+            let dt = if i == 0 {
+                f64::INFINITY
+            } else {
+                (shared.clock[i] - shared.clock[i - 1]).max(0.0)
+            };
             // Prediction: the correlated part forgets with the time between, a pose set anew is another draw.
             let decay = (-dt / tau).exp();
             let new_setting = i == 0 || shared.settings[i] != shared.settings[i - 1];
@@ -222,7 +267,13 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             }
             let posed = f64::from(u8::from(shared.posed[i]));
             if relative[i] <= 0.0 {
-                return Innovation { decay, new_setting, posed, gain: [0.0; 2], scale: 0.0 };
+                return Innovation {
+                    decay,
+                    new_setting,
+                    posed,
+                    gain: [0.0; 2],
+                    scale: 0.0,
+                };
             }
             // Update: covariance of the states with the reading, gain, and what is left of their own.
             let (c, p) = (cc + posed * cp, cp + posed * pp);
@@ -231,7 +282,13 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             cc -= gain[0] * c;
             cp -= gain[0] * p;
             pp -= gain[1] * p;
-            Innovation { decay, new_setting, posed, gain, scale: 1.0 / variance.sqrt() }
+            Innovation {
+                decay,
+                new_setting,
+                posed,
+                gain,
+                scale: 1.0 / variance.sqrt(),
+            }
         })
         .collect()
 }
@@ -265,9 +322,14 @@ mod tests {
             assert!((covariance.determinant().ln() - weights.log_determinant()).abs() < 1e-9);
             // Negative control: readings taken for independent are not white.
             let plain = Weights::independent(weights.relative().to_vec());
-            let p = plain.apply(&DMatrix::identity(9, 9)).select_rows(&rows).select_columns(&rows);
+            let p = plain
+                .apply(&DMatrix::identity(9, 9))
+                .select_rows(&rows)
+                .select_columns(&rows);
             assert!(
-                (&p * covariance * p.transpose() - DMatrix::identity(rows.len(), rows.len())).norm() > 1.0
+                (&p * covariance * p.transpose() - DMatrix::identity(rows.len(), rows.len()))
+                    .norm()
+                    > 1.0
             );
         }
     }

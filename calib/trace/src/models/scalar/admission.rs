@@ -24,7 +24,10 @@ pub(super) fn refusal(
     };
     let least = MIN_ROWS.max(parameters + 2);
     if points.len() < least {
-        return Some(format!("{} readings; at least {least} are needed", points.len()));
+        return Some(format!(
+            "{} readings; at least {least} are needed",
+            points.len()
+        ));
     }
     let rows = &thin(points.to_vec())[..];
     if let Some(why) = not_finite(rows, &()).or_else(|| sealed.refusal(&(), not_finite)) {
@@ -35,11 +38,9 @@ pub(super) fn refusal(
     x.dedup();
     if x.len() < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
         let count = x.len();
-        return Some(
-            declared.format_text(&format!(
-                "{count} different stimuli do not determine {parameters} coefficients"
-            )),
-        );
+        return Some(declared.format_text(&format!(
+            "{count} different stimuli do not determine {parameters} coefficients"
+        )));
     }
     clock_fault(points.iter().map(|r| r.t_s))
         .or_else(|| {
@@ -55,15 +56,20 @@ pub(super) fn refusal(
 /// The first reading that is no number.
 fn not_finite(rows: &[ScalarRow], (): &()) -> Option<String> {
     let bad = rows.iter().find(|r| !r.x.is_finite() || !r.y.is_finite())?;
-    Some(format!("reading {} of {} is not a finite number", bad.origin.2, bad.origin.0))
+    Some(format!(
+        "reading {} of {} is not a finite number",
+        bad.origin.2, bad.origin.0
+    ))
 }
 
 /// One value throughout, where the declared model follows the stimulus.
 fn constant_response(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     let first = rows.first()?.y;
-    let stuck =
-        matches!(declared, Declared::Polynomial(degree) if degree > 0) && rows.iter().all(|r| r.y == first);
-    stuck.then(|| format!("the response is {first} in every reading: no sensitivity to the stimulus"))
+    let stuck = matches!(declared, Declared::Polynomial(degree) if degree > 0)
+        && rows.iter().all(|r| r.y == first);
+    stuck.then(|| {
+        format!("the response is {first} in every reading: no sensitivity to the stimulus")
+    })
 }
 
 /// Where the clock of a table in file order runs backwards, in words.
@@ -139,14 +145,24 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     if total <= MAX_ROWS {
         return rows;
     }
-    let [lo, hi] = rows.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], r| [a.min(r.x), b.max(r.x)]);
-    let bin = |x: f64| (((x - lo) / (hi - lo).max(1e-300)) * BINS as f64).min(BINS as f64 - 1.0) as usize;
+    let [lo, hi] = rows
+        .iter()
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], r| {
+            [a.min(r.x), b.max(r.x)]
+        });
+    let bin =
+        |x: f64| (((x - lo) / (hi - lo).max(1e-300)) * BINS as f64).min(BINS as f64 - 1.0) as usize;
     let mut strata: BTreeMap<(usize, i8, u32), Vec<usize>> = BTreeMap::new();
     for (k, r) in rows.iter().enumerate() {
         // Without a column the direction is that of the step from the row before.
         let step = k.checked_sub(1).map_or(0.0, |j| r.x - rows[j].x);
-        let direction = r.direction.unwrap_or(if step == 0.0 { 0.0 } else { step.signum() });
-        strata.entry((bin(r.x), direction as i8, r.cycle.unwrap_or(0))).or_default().push(k);
+        let direction = r
+            .direction
+            .unwrap_or(if step == 0.0 { 0.0 } else { step.signum() });
+        strata
+            .entry((bin(r.x), direction as i8, r.cycle.unwrap_or(0)))
+            .or_default()
+            .push(k);
     }
     let mut kept = vec![false; total];
     for (s, members) in strata.values().enumerate() {
@@ -167,7 +183,12 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
 pub(super) fn number(rows: &mut [ScalarRow]) {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     if rows.iter().all(|r| r.t_s.is_some()) {
-        order.sort_by(|&a, &b| rows[a].t_s.unwrap_or(0.0).total_cmp(&rows[b].t_s.unwrap_or(0.0)));
+        order.sort_by(|&a, &b| {
+            rows[a]
+                .t_s
+                .unwrap_or(0.0)
+                .total_cmp(&rows[b].t_s.unwrap_or(0.0))
+        });
     }
     for (place, k) in order.into_iter().enumerate() {
         rows[k].place = Some(place);
@@ -181,7 +202,10 @@ mod tests {
 
     fn rows(n: usize) -> Vec<ScalarRow> {
         let direction = |k: usize| Some(if k.is_multiple_of(2) { 1.0 } else { -1.0 });
-        let row = |k: usize| ScalarRow { direction: direction(k), ..bare(k, (k / 2 % 50) as f64, 0.0) };
+        let row = |k: usize| ScalarRow {
+            direction: direction(k),
+            ..bare(k, (k / 2 % 50) as f64, 0.0)
+        };
         (0..n).map(row).collect()
     }
 
@@ -192,7 +216,11 @@ mod tests {
         let kept = thin(all.clone());
         let up = kept.iter().filter(|r| r.direction == Some(1.0)).count();
         assert!(kept.len() <= 1100 && kept.len() >= 800, "{}", kept.len());
-        assert!(up.abs_diff(kept.len() - up) < kept.len() / 10, "{up} of {}", kept.len());
+        assert!(
+            up.abs_diff(kept.len() - up) < kept.len() / 10,
+            "{up} of {}",
+            kept.len()
+        );
         assert!(kept.iter().all(|r| r.place == Some(r.origin.2 as usize)));
         // Control: every second row has one direction only.
         assert!(all.iter().step_by(2).all(|r| r.direction == Some(1.0)));

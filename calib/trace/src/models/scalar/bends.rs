@@ -54,7 +54,8 @@ impl LeftOut {
             let u = &system.frame.u;
             let [low, high] = range((0..u.len()).filter(|&i| kept.counts(i)).map(|i| u[i]));
             let asked = |i: usize| !inside || (low..=high).contains(&u[i]);
-            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && asked(i))
+            for i in (0..errors.len())
+                .filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && asked(i))
             {
                 errors[i] = left[(i, 0)] * weights.of(i);
             }
@@ -68,7 +69,8 @@ impl LeftOut {
 
     /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the errors.
     fn is_behind(&self, best: &Self, noise: &DMatrix<f64>, z: f64) -> bool {
-        let difference = DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
+        let difference =
+            DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
         self.squares() - best.squares() > 2.0 * z * difference.dot(&(noise * &difference)).sqrt()
     }
 }
@@ -80,14 +82,18 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
         return;
     }
     let terms = &found.accepted().fit.terms;
-    let bends = terms.iter().filter(|t| system.effects[t.effect].bend).count();
+    let bends = terms
+        .iter()
+        .filter(|t| system.effects[t.effect].bend)
+        .count();
     // A smooth curve is a bend, and a wave or another bend for what is left of it: pieces of a law that the catalogue does not have.
     let of_stimulus = |t: &&EffectTerm| {
         let of = &system.effects[t.effect];
         of.bend || of.waves_of_stimulus.contains(&of.effect.law(t.law).name)
     };
-    let in_pieces =
-        bends > 0 && terms.iter().filter(of_stimulus).count() > 1 && !is_polynomial(system, found.accepted());
+    let in_pieces = bends > 0
+        && terms.iter().filter(of_stimulus).count() > 1
+        && !is_polynomial(system, found.accepted());
     // The errors of an axis have a table of their own.
     let may_be_smooth = system.frame.declared != Declared::Axis;
     if let Some(noise) = slow_noise(system, found.accepted(), options.seed) {
@@ -103,13 +109,18 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
 /// Noise that is correlated in time, where the time and the stimulus are one line.
 fn slow_noise(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Noise> {
     let swept = system.frame.swept_once();
-    swept.then(|| noise_for_predictions(system, h, seed)).flatten().filter(|n| n.correlated.is_some())
+    swept
+        .then(|| noise_for_predictions(system, h, seed))
+        .flatten()
+        .filter(|n| n.correlated.is_some())
 }
 
 /// Takes the bends that stand in place of every bend that was found.
 fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, options: &Options) {
     let found = &mut explained.found;
-    let Some(first) = outcome.remaining.first().cloned() else { return };
+    let Some(first) = outcome.remaining.first().cloned() else {
+        return;
+    };
     if !outcome.competed.contains(&keys(&found.best)) {
         return;
     }
@@ -119,8 +130,12 @@ fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, opti
         found.last_test = omnibus_test(system, &first.fit, &first.weights, options);
         found.best = first;
     }
-    found.refitted.retain(|h| !outcome.competed.contains(&keys(h)));
-    found.refitted.splice(0..0, outcome.remaining.iter().cloned());
+    found
+        .refitted
+        .retain(|h| !outcome.competed.contains(&keys(h)));
+    found
+        .refitted
+        .splice(0..0, outcome.remaining.iter().cloned());
     found.survivors = outcome.remaining.into_iter().chain(other).collect();
 }
 
@@ -132,16 +147,25 @@ fn keys(h: &Hypothesis) -> Vec<usize> {
 
 /// Only powers of the stimulus.
 fn is_polynomial(system: &ScalarSystem, h: &Hypothesis) -> bool {
-    let bends = h.fit.terms.iter().map(|t| &system.effects[t.effect]).filter(|e| e.bend);
+    let bends = h
+        .fit
+        .terms
+        .iter()
+        .map(|t| &system.effects[t.effect])
+        .filter(|e| e.bend);
     bends.into_iter().all(|e| e.degree.is_some())
 }
 
 /// Something is left that follows the stimulus alone: repeats say so, or the strongest driver.
 fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
     let found = &explained.found;
-    let lack = system.pure_error(found.accepted()).is_some_and(|l| l.is_significant());
+    let lack = system
+        .pure_error(found.accepted())
+        .is_some_and(|l| l.is_significant());
     let driver = |d: &str| d == "stimulus";
-    let left = found.failed_adequacy_test().and_then(|t| t.covariates.first());
+    let left = found
+        .failed_adequacy_test()
+        .and_then(|t| t.covariates.first());
     lack || left.is_some_and(|d| driver(&d.covariate))
 }
 
@@ -182,13 +206,23 @@ impl<'a> Contest<'a> {
             independent: Weights::independent(h.weights.relative().to_vec()),
             folds: system.folds(h),
             noise: covariance,
-            z: z(if noise.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RIVAL }),
+            z: z(if noise.correlated.is_some() {
+                RETAIN_BESIDE_CORRELATED
+            } else {
+                RIVAL
+            }),
             inside: false,
         }
     }
 
     fn left_out(&self, terms: &[EffectTerm]) -> Option<LeftOut> {
-        LeftOut::of(self.system, terms, &self.independent, &self.folds, self.inside)
+        LeftOut::of(
+            self.system,
+            terms,
+            &self.independent,
+            &self.folds,
+            self.inside,
+        )
     }
 
     /// Every bend that may stand in this place, refitted, with what it leaves of readings left out.
@@ -201,11 +235,15 @@ impl<'a> Contest<'a> {
         let observable = |e: &usize| system.effects[*e].bend && system.not_observable(*e).is_none();
         let mut fits: Vec<Fit> = Vec::new();
         for effect in (0..system.catalogue().len()).filter(observable) {
-            let signatures = signatures_of_effect(system, effect, &plain, &self.independent, &basis);
+            let signatures =
+                signatures_of_effect(system, effect, &plain, &self.independent, &basis);
             for (law, form) in system.catalogue()[effect].laws.iter().enumerate() {
                 let own = signatures.iter().filter(|s| s.term.law == law);
-                let best = own.max_by(|a: &&Signature, b| a.gain(&residual).total_cmp(&b.gain(&residual)));
-                let Some(start) = best.map(|s| s.start(&residual, form)) else { continue };
+                let best =
+                    own.max_by(|a: &&Signature, b| a.gain(&residual).total_cmp(&b.gain(&residual)));
+                let Some(start) = best.map(|s| s.start(&residual, form)) else {
+                    continue;
+                };
                 let terms: Vec<EffectTerm> = self.others.iter().cloned().chain([start]).collect();
                 let fitted = fit(system, &terms, &self.independent, 3 * REFIT_STEPS);
                 fits.extend(fitted.filter(|f| self.hypothesis(f.clone()).is_admissible(system)));
@@ -213,13 +251,22 @@ impl<'a> Contest<'a> {
         }
         let least = fits.iter().map(|f| f.ssr).fold(f64::INFINITY, f64::min);
         fits.retain(|f| {
-            f.ssr <= MUCH_MORE * least && system.unidentified_term(&self.hypothesis(f.clone())).is_none()
+            f.ssr <= MUCH_MORE * least
+                && system
+                    .unidentified_term(&self.hypothesis(f.clone()))
+                    .is_none()
         });
-        fits.into_iter().filter_map(|f| self.left_out(&f.terms).map(|e| (f, e))).collect()
+        fits.into_iter()
+            .filter_map(|f| self.left_out(&f.terms).map(|e| (f, e)))
+            .collect()
     }
 
     fn hypothesis(&self, fit: Fit) -> Hypothesis {
-        Hypothesis { fit, weights: self.independent.clone(), ..self.of.clone() }
+        Hypothesis {
+            fit,
+            weights: self.independent.clone(),
+            ..self.of.clone()
+        }
     }
 
     /// The bends that the readings do not speak against, one law of each. The plainest stands alone where none predicts better.
@@ -227,9 +274,15 @@ impl<'a> Contest<'a> {
         let mut all = self.bends();
         all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
         let mut set: Vec<Hypothesis> = Vec::new();
-        for (f, _) in all.iter().filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, self.z)) {
+        for (f, _) in all
+            .iter()
+            .filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, self.z))
+        {
             let own = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS);
-            let own = own.map(|fit| Hypothesis { fit, ..self.of.clone() });
+            let own = own.map(|fit| Hypothesis {
+                fit,
+                ..self.of.clone()
+            });
             set.extend(own.filter(|h| set.iter().all(|s| keys(s) != keys(h))));
         }
         let best = set.first().map(keys);
@@ -238,8 +291,14 @@ impl<'a> Contest<'a> {
         if set.first().map(keys) == best {
             set.truncate(1);
         }
-        let competed = all.into_iter().map(|(f, _)| keys(&self.hypothesis(f))).collect();
-        Outcome { remaining: set, competed }
+        let competed = all
+            .into_iter()
+            .map(|(f, _)| keys(&self.hypothesis(f)))
+            .collect();
+        Outcome {
+            remaining: set,
+            competed,
+        }
     }
 }
 
@@ -251,28 +310,51 @@ struct Outcome {
 
 /// Bends that predict readings left out, where noise that is correlated in time is a bend by another name: those that stand, and the noise alone where it
 /// took the place of a bend and the noise beside a bend lets its lead be chance.
-fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &Noise, options: &Options) {
+fn beside_slow_noise(
+    system: &ScalarSystem,
+    explained: &mut Explained,
+    noise: &Noise,
+    options: &Options,
+) {
     let accepted = explained.found.accepted().clone();
     let contest = Contest::of(system, &accepted, noise, false);
     let bent = contest.others.len() < accepted.fit.terms.len();
-    let Some(plain) = contest.left_out(&contest.others) else { return };
+    let Some(plain) = contest.left_out(&contest.others) else {
+        return;
+    };
     let better = |h: &Hypothesis| {
-        let beside = Contest::of(system, h, &noise_for_predictions(system, h, options.seed)?, false);
+        let beside = Contest::of(
+            system,
+            h,
+            &noise_for_predictions(system, h, options.seed)?,
+            false,
+        );
         Some(plain.is_behind(&contest.left_out(&h.fit.terms)?, &beside.noise, z(RIVAL)))
     };
     let set = contest.outcome().remaining;
-    let Some(first) = set.first().filter(|_| bent || set.iter().any(|h| better(h).unwrap_or(false))) else {
+    let Some(first) = set
+        .first()
+        .filter(|_| bent || set.iter().any(|h| better(h).unwrap_or(false)))
+    else {
         return;
     };
-    let Some(noise) = noise_for_predictions(system, first, options.seed) else { return };
+    let Some(noise) = noise_for_predictions(system, first, options.seed) else {
+        return;
+    };
     let of = |terms: &[EffectTerm]| {
         let fit = fit(system, terms, &noise.weights, REFIT_STEPS)?;
-        Some(Hypothesis { fit, weights: noise.weights.clone(), ..accepted.clone() })
+        Some(Hypothesis {
+            fit,
+            weights: noise.weights.clone(),
+            ..accepted.clone()
+        })
     };
     let mut set: Vec<Hypothesis> = set.iter().filter_map(|h| of(&h.fit.terms)).collect();
     set.extend(of(&contest.others).filter(|_| !bent));
     let found = &mut explained.found;
-    let (Some(base), Some(best)) = (of(&[]), set.first().cloned()) else { return };
+    let (Some(base), Some(best)) = (of(&[]), set.first().cloned()) else {
+        return;
+    };
     found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
     found.covariate_beats_catalogue = false;
     found.refitted = set.clone();
@@ -282,24 +364,52 @@ fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &N
 
 /// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them, or any
 /// of what laws `in_pieces` leave.
-fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, in_pieces: bool, options: &Options) {
+fn prefer_polynomial(
+    system: &ScalarSystem,
+    explained: &mut Explained,
+    in_pieces: bool,
+    options: &Options,
+) {
     let found = &explained.found;
-    let contest = Contest { inside: true, ..Contest::of(system, found.accepted(), &explained.noise, false) };
+    let contest = Contest {
+        inside: true,
+        ..Contest::of(system, found.accepted(), &explained.noise, false)
+    };
     let effects = &system.effects;
-    let Some(effect) = effects.iter().position(|e| e.effect.id == POLYNOMIAL) else { return };
+    let Some(effect) = effects.iter().position(|e| e.effect.id == POLYNOMIAL) else {
+        return;
+    };
     let of_degree = |(law, form): (usize, &EffectModel)| {
         // Half of the places are left to say whether it holds between them.
         let enough = !form.linear.is_empty() && 2 * form.linear.len() + 4 <= system.frame.levels();
-        let term = EffectTerm { effect, law, values: Vec::new() };
+        let term = EffectTerm {
+            effect,
+            law,
+            values: Vec::new(),
+        };
         let terms: Vec<EffectTerm> = contest.others.iter().cloned().chain([term]).collect();
         enough.then(|| Some((contest.left_out(&terms)?, terms)))?
     };
-    let all: Vec<_> = effects[effect].effect.refinements.iter().enumerate().filter_map(of_degree).collect();
-    let Some((best, _)) = all.iter().min_by(|a, b| a.0.squares().total_cmp(&b.0.squares())) else { return };
+    let all: Vec<_> = effects[effect]
+        .effect
+        .refinements
+        .iter()
+        .enumerate()
+        .filter_map(of_degree)
+        .collect();
+    let Some((best, _)) = all
+        .iter()
+        .min_by(|a, b| a.0.squares().total_cmp(&b.0.squares()))
+    else {
+        return;
+    };
     // What the best one leaves is the noise: what the laws leave is none.
-    let noise =
-        DMatrix::identity(best.errors.len(), best.errors.len()) * (best.squares() / best.errors.len() as f64);
-    let Some((errors, terms)) = all.iter().find(|(e, _)| !e.is_behind(best, &noise, z(RIVAL))) else {
+    let noise = DMatrix::identity(best.errors.len(), best.errors.len())
+        * (best.squares() / best.errors.len() as f64);
+    let Some((errors, terms)) = all
+        .iter()
+        .find(|(e, _)| !e.is_behind(best, &noise, z(RIVAL)))
+    else {
         return;
     };
     let laws = contest.left_out(&found.accepted().fit.terms);
@@ -307,8 +417,8 @@ fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, in_pieces
     if laws.is_none_or(|laws| errors.squares() >= most * laws.squares()) {
         return;
     }
-    let Some(fit) =
-        fit(system, terms, &contest.independent, REFIT_STEPS).filter(|f| f.status != Status::RankDeficient)
+    let Some(fit) = fit(system, terms, &contest.independent, REFIT_STEPS)
+        .filter(|f| f.status != Status::RankDeficient)
     else {
         return;
     };

@@ -49,12 +49,23 @@ struct Strata {
 
 impl Strata {
     /// A term gains where it says something of its own: within cells, or for a law of the stimulus between them.
-    fn explains_between_strata(&self, fits: [&Fit; 2], weights: &Weights, by_clock: bool, x: &[f64]) -> bool {
-        let cells = if by_clock { &self.protocol } else { &self.cells };
+    fn explains_between_strata(
+        &self,
+        fits: [&Fit; 2],
+        weights: &Weights,
+        by_clock: bool,
+        x: &[f64],
+    ) -> bool {
+        let cells = if by_clock {
+            &self.protocol
+        } else {
+            &self.cells
+        };
         let [with, without] = fits.map(|fit| split(fit, weights, cells, x));
         extra_sum_of_squares_p(without.within, with.within).is_some_and(|p| p < WITHIN_STRATA)
             || (!by_clock
-                && extra_sum_of_squares_p(without.between, with.between).is_some_and(|p| p < BETWEEN_STRATA))
+                && extra_sum_of_squares_p(without.between, with.between)
+                    .is_some_and(|p| p < BETWEEN_STRATA))
     }
 }
 
@@ -66,16 +77,19 @@ impl ScalarSystem {
         // Laws with memory of the stimulus need the time, but follow the protocol; the settling of an earlier load does not.
         let by_stimulus = effect.has_memory && law.name != "settling";
         !by_stimulus
-            && law
-                .needs
-                .iter()
-                .any(|n| matches!(n, LawRequirement::Clock | LawRequirement::Order | LawRequirement::Time))
+            && law.needs.iter().any(|n| {
+                matches!(
+                    n,
+                    LawRequirement::Clock | LawRequirement::Order | LawRequirement::Time
+                )
+            })
     }
 
     /// The law depends on the stimulus of earlier times (lag, creep).
     fn remembers_in_time(&self, term: &EffectTerm) -> bool {
         let effect = &self.catalogue()[term.effect];
-        let by_time = |n: &LawRequirement| matches!(n, LawRequirement::Clock | LawRequirement::Time);
+        let by_time =
+            |n: &LawRequirement| matches!(n, LawRequirement::Clock | LawRequirement::Time);
         effect.has_memory && effect.law(term.law).needs.iter().any(by_time)
     }
 
@@ -86,11 +100,19 @@ impl ScalarSystem {
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
             let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k)?.fit);
-            let terms: Vec<EffectTerm> = h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
+            let terms: Vec<EffectTerm> =
+                h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
             let by_clock = self.runs_with_the_clock(term);
-            let why = |why: String| Some(NotIdentified { effect: term.effect, why });
+            let why = |why: String| {
+                Some(NotIdentified {
+                    effect: term.effect,
+                    why,
+                })
+            };
             if let Some(plainer) = self.not_told_from(&terms, term, h) {
-                return why(format!("on this range it cannot be distinguished from {plainer}"));
+                return why(format!(
+                    "on this range it cannot be distinguished from {plainer}"
+                ));
             }
             if !term.values.is_empty() && self.spans_too_few_periods(&terms, term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
@@ -107,11 +129,17 @@ impl ScalarSystem {
             }
             let (levels, value) = self.driving_levels(term, &h.weights);
             if let Some(level) = influential_set(&h.fit, &without, &levels) {
-                return why(format!("it rests on one level ({})", value(&self.frame.rows[levels[level][0]])));
+                return why(format!(
+                    "it rests on one level ({})",
+                    value(&self.frame.rows[levels[level][0]])
+                ));
             }
             // A cycle is a stretch of the clock: a law over the clock may live in one.
             let cycle = influential_set(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
-            why(format!("it rests on one cycle ({})", self.frame.groups[cycles[cycle][0]]))
+            why(format!(
+                "it rests on one cycle ({})",
+                self.frame.groups[cycles[cycle][0]]
+            ))
         })
     }
 
@@ -126,31 +154,46 @@ impl ScalarSystem {
         let law = self.catalogue()[term.effect].law(term.law);
         let plainer = (self.effects[term.effect].looks_like)(law, &self.frame)?;
         let effect = self.catalogue().iter().position(|e| e.id == plainer)?;
-        let plain = EffectTerm { effect, law: 0, values: Vec::new() };
+        let plain = EffectTerm {
+            effect,
+            law: 0,
+            values: Vec::new(),
+        };
         let with = |more: &[&EffectTerm]| {
-            let terms: Vec<EffectTerm> = others.iter().chain(more.iter().copied()).cloned().collect();
+            let terms: Vec<EffectTerm> =
+                others.iter().chain(more.iter().copied()).cloned().collect();
             fit(self, &terms, &h.weights, REFIT_STEPS)
         };
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
-        let gains =
-            |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < CONTRADICTED);
+        let gains = |from: &Fit| {
+            f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < CONTRADICTED)
+        };
         (!gains(&alone) || gains(&h.fit)).then_some(plainer)
     }
 
     /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
     /// number of places make of a slow bend over time a fast wave over the stimulus.
-    fn spans_too_few_periods(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
+    fn spans_too_few_periods(
+        &self,
+        others: &[EffectTerm],
+        term: &EffectTerm,
+        h: &Hypothesis,
+    ) -> bool {
         let effect = &self.effects[term.effect];
         let shaped = |law: usize| effect.effect.laws[law].parameters.len() == 1;
         let better = |law: usize, shape: f64| {
-            let other = EffectTerm { effect: term.effect, law, values: vec![shape] };
+            let other = EffectTerm {
+                effect: term.effect,
+                law,
+                values: vec![shape],
+            };
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
-            fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
+            fit(self, &terms, &h.weights, 0)
+                .is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
-        effect
-            .spans_too_few_periods
-            .iter()
-            .any(|shape| (0..effect.effect.laws.len()).any(|law| shaped(law) && better(law, *shape)))
+        effect.spans_too_few_periods.iter().any(|shape| {
+            (0..effect.effect.laws.len()).any(|law| shaped(law) && better(law, *shape))
+        })
     }
 
     /// Strata of the design; none where no cell is repeated.
@@ -163,7 +206,11 @@ impl ScalarSystem {
         }
         // A law of the clock that follows stimulus and way repeats with the protocol, whether the way has a column or not.
         let protocol = protocol_keys(&self.frame);
-        let protocol = if repeated(&protocol, h.weights.relative()) { protocol } else { cells.clone() };
+        let protocol = if repeated(&protocol, h.weights.relative()) {
+            protocol
+        } else {
+            cells.clone()
+        };
         Some(Strata { cells, protocol })
     }
 
@@ -176,8 +223,11 @@ impl ScalarSystem {
         weights: &Weights,
     ) -> (Vec<Vec<usize>>, impl Fn(&ScalarRow) -> f64) {
         let column = self.catalogue()[term.effect].by_column.then_some(term.law);
-        let value =
-            move |row: &ScalarRow| column.and_then(|k| row.covariates.get(k).copied()).unwrap_or(row.x);
+        let value = move |row: &ScalarRow| {
+            column
+                .and_then(|k| row.covariates.get(k).copied())
+                .unwrap_or(row.x)
+        };
         let size = |i: &usize| value(&self.frame.rows[*i]).abs();
         let mut rows = members(&level_keys(&self.frame, column), weights.relative());
         let least = UNLOADED * rows.iter().map(|r| size(&r[0])).fold(0.0, f64::max);
@@ -193,7 +243,11 @@ impl ScalarSystem {
         const MIN_CYCLES: usize = 4;
         let keys: Vec<u64> = self.frame.groups.iter().map(|g| u64::from(*g)).collect();
         let cycles = members(&keys, weights.relative());
-        if cycles.len() < MIN_CYCLES { Vec::new() } else { cycles }
+        if cycles.len() < MIN_CYCLES {
+            Vec::new()
+        } else {
+            cycles
+        }
     }
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.
@@ -216,9 +270,16 @@ impl ScalarSystem {
         let n = cells.len();
         let old = &h.fit.raw_design;
         let added = DMatrix::from_fn(n, old.ncols() + columns.len(), |i, j| {
-            if j < old.ncols() { old[(i, j)] } else { columns[j - old.ncols()][i] }
+            if j < old.ncols() {
+                old[(i, j)]
+            } else {
+                columns[j - old.ncols()][i]
+            }
         });
-        let richer = Fit { raw_design: added, ..h.fit.clone() };
+        let richer = Fit {
+            raw_design: added,
+            ..h.fit.clone()
+        };
         extra_sum_of_squares_p(
             split(&h.fit, &h.weights, &cells, &self.frame.read_u).within,
             split(&richer, &h.weights, &cells, &self.frame.read_u).within,

@@ -47,18 +47,31 @@ pub fn place_keys(frame: &Frame) -> Vec<u64> {
 /// One key a setting of the stimulus, or of the further column `column`.
 pub fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
     let of_column = column.and_then(|k| Some(settings(frame.covariates.get(k)?.as_ref()?)));
-    of_column.as_ref().unwrap_or(&frame.setting).iter().map(|k| *k as u64).collect()
+    of_column
+        .as_ref()
+        .unwrap_or(&frame.setting)
+        .iter()
+        .map(|k| *k as u64)
+        .collect()
 }
 
 fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
     let n = frame.rows.len();
     // A column that is another at every reading is watched, not set: it says nothing of what ought to agree.
     let set = |of: &Vec<usize>| 2 * (of.iter().max().map_or(0, |m| m + 1)) <= n;
-    let columns: Vec<Vec<usize>> =
-        frame.covariates.iter().flatten().map(|c| settings(c)).filter(set).collect();
+    let columns: Vec<Vec<usize>> = frame
+        .covariates
+        .iter()
+        .flatten()
+        .map(|c| settings(c))
+        .filter(set)
+        .collect();
     let inputs = |i: usize| {
         let down = usize::from(direction.is_some_and(|d| d[i] < 0.0));
-        [frame.setting[i], down].into_iter().chain(columns.iter().map(move |c| c[i])).collect::<Vec<usize>>()
+        [frame.setting[i], down]
+            .into_iter()
+            .chain(columns.iter().map(move |c| c[i]))
+            .collect::<Vec<usize>>()
     };
     let mut seen: BTreeMap<Vec<usize>, u64> = BTreeMap::new();
     (0..n)
@@ -79,13 +92,24 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     let keys = replicate_keys(frame);
     let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
     rows.sort_by_key(|&i| keys[i]);
-    let cells: Vec<&[usize]> =
-        rows.chunk_by(|&a, &b| keys[a] == keys[b]).filter(|cell| cell.len() > 1).collect();
+    let cells: Vec<&[usize]> = rows
+        .chunk_by(|&a, &b| keys[a] == keys[b])
+        .filter(|cell| cell.len() > 1)
+        .collect();
     let dof: usize = cells.iter().map(|cell| cell.len() - 1).sum();
     let whole = (1.0 + noise.shared_variance()).sqrt();
     // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM F.2.2.1).
-    let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
-    let floor = |sd: f64, source| Floor { sd: (sd * whole).max(step / 12f64.sqrt()), source };
+    let step = system
+        .noise_inputs()
+        .step
+        .first()
+        .copied()
+        .flatten()
+        .unwrap_or(0.0);
+    let floor = |sd: f64, source| Floor {
+        sd: (sd * whole).max(step / 12f64.sqrt()),
+        source,
+    };
     if dof >= MIN_DOF {
         return Some(floor(scatter.repeat_sd(cells.into_iter())?, "replicates"));
     }
@@ -115,11 +139,18 @@ impl Scatter<'_> {
             let count = set.len() as f64;
             let weighted = |i: usize| self.h.weights.of(i) * self.h.fit.raw_residual[(i, 0)];
             let mean = set.iter().map(|&i| weighted(i)).sum::<f64>() / count;
-            found += set.iter().map(|&i| (weighted(i) - mean).powi(2)).sum::<f64>();
+            found += set
+                .iter()
+                .map(|&i| (weighted(i) - mean).powi(2))
+                .sum::<f64>();
             // E sum (r - mean)^2 = tr C - 1'C 1 / n.
             let mut c = self.shape.covariance(set);
-            c.row_iter_mut().zip(set).for_each(|(mut row, &i)| row *= self.h.weights.of(i));
-            c.column_iter_mut().zip(set).for_each(|(mut column, &i)| column *= self.h.weights.of(i));
+            c.row_iter_mut()
+                .zip(set)
+                .for_each(|(mut row, &i)| row *= self.h.weights.of(i));
+            c.column_iter_mut()
+                .zip(set)
+                .for_each(|(mut column, &i)| column *= self.h.weights.of(i));
             expected += c.trace() - c.sum() / count;
         }
         (expected > 0.0).then(|| (found / expected).sqrt())

@@ -188,7 +188,9 @@ impl Scaling {
     /// Normalisation by the rows to be fitted.
     pub fn of(rows: &[ScalarRow]) -> Self {
         let [lo, hi] = range(rows.iter().map(|r| r.x));
-        let time = all(rows, |r| r.t_s).map(|t| range(t.into_iter())).filter(|[a, b]| b > a);
+        let time = all(rows, |r| r.t_s)
+            .map(|t| range(t.into_iter()))
+            .filter(|[a, b]| b > a);
         let temperature = all(rows, |r| r.temperature_degc).filter(|t| {
             let [a, b] = range(t.iter().copied());
             b > a
@@ -218,10 +220,15 @@ impl Scaling {
 
     /// The same with the scatter of the stimulus's reading, where a response follows it; an axis is commanded to its places.
     pub fn with_unreliability(self, rows: &[ScalarRow], declared: Declared) -> Self {
-        let Declared::Polynomial(1..) = declared else { return self };
-        let [x, y] =
-            [|r: &ScalarRow| r.x, |r: &ScalarRow| r.y].map(|f| rows.iter().map(f).collect::<Vec<f64>>());
-        Self { unreliability: 1.0 - reliability(&settings(&x), &x, &y), ..self }
+        let Declared::Polynomial(1..) = declared else {
+            return self;
+        };
+        let [x, y] = [|r: &ScalarRow| r.x, |r: &ScalarRow| r.y]
+            .map(|f| rows.iter().map(f).collect::<Vec<f64>>());
+        Self {
+            unreliability: 1.0 - reliability(&settings(&x), &x, &y),
+            ..self
+        }
     }
 
     /// The same with what the unit of the stimulus says of it, and where a count starts again.
@@ -229,7 +236,12 @@ impl Scaling {
         let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
         let levels = settings(&x).into_iter().max().map_or(0, |last| last + 1);
         let turn = full_turn(unit, 2.0 * self.half, levels);
-        Self { turn, absolute_zero: absolute_zero(unit), wraps: wraps(rows), ..self }
+        Self {
+            turn,
+            absolute_zero: absolute_zero(unit),
+            wraps: wraps(rows),
+            ..self
+        }
     }
 
     /// The same with the places of an axis.
@@ -238,7 +250,11 @@ impl Scaling {
         x.sort_by(f64::total_cmp);
         let all: Vec<&[f64]> = x.chunk_by(|a, b| a == b).collect();
         let repeated = all.len() <= MAX_PLACES && all.iter().all(|level| level.len() > 1);
-        let places = if repeated { all.iter().map(|level| level[0]).collect() } else { Vec::new() };
+        let places = if repeated {
+            all.iter().map(|level| level[0]).collect()
+        } else {
+            Vec::new()
+        };
         Self { places, ..self }
     }
 }
@@ -261,12 +277,21 @@ impl Frame {
         Self::build(rows, scaling, declared, true)
     }
 
-    fn build(mut rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared, new_rows: bool) -> Self {
+    fn build(
+        mut rows: Vec<ScalarRow>,
+        scaling: &Scaling,
+        declared: Declared,
+        new_rows: bool,
+    ) -> Self {
         let timed = rows.iter().all(|r| r.t_s.is_some());
         if timed {
             rows.sort_by(|a, b| a.t_s.unwrap_or(0.0).total_cmp(&b.t_s.unwrap_or(0.0)));
         }
-        let half = if scaling.half > 0.0 { scaling.half } else { 1.0 };
+        let half = if scaling.half > 0.0 {
+            scaling.half
+        } else {
+            1.0
+        };
         let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
         let setting = settings(&x);
         let mean = means(&setting, &x);
@@ -276,7 +301,11 @@ impl Frame {
             .iter()
             .enumerate()
             .map(|(k, [mid, half])| {
-                (*half > 0.0).then(|| rows.iter().map(|r| (r.covariates[k] - mid) / half).collect())
+                (*half > 0.0).then(|| {
+                    rows.iter()
+                        .map(|r| (r.covariates[k] - mid) / half)
+                        .collect()
+                })
             })
             .collect();
         Self {
@@ -286,16 +315,23 @@ impl Frame {
                 .map(|(x, &k)| (x - scaling.unreliability * (x - mean[k]) - scaling.mid) / half)
                 .collect(),
             zero_u: -scaling.mid / half,
-            order: rows.iter().enumerate().map(|(k, r)| r.place.unwrap_or(k) as f64 / span).collect(),
+            order: rows
+                .iter()
+                .enumerate()
+                .map(|(k, r)| r.place.unwrap_or(k) as f64 / span)
+                .collect(),
             time: scaling.time.filter(|_| timed).map(|[first, duration]| {
-                rows.iter().map(|r| (r.t_s.unwrap_or(first) - first) / duration).collect()
+                rows.iter()
+                    .map(|r| (r.t_s.unwrap_or(first) - first) / duration)
+                    .collect()
             }),
             temperature: scaling
                 .temperature
                 .and_then(|mean| all(&rows, |r| r.temperature_degc.map(|t| t - mean))),
             direction: directions(&rows, &setting, if new_rows { 0 } else { MIN_EACH_WAY }),
             covariates,
-            counts_readings: declared == Declared::Polynomial(0) && x.windows(2).all(|p| p[1] == p[0] + 1.0),
+            counts_readings: declared == Declared::Polynomial(0)
+                && x.windows(2).all(|p| p[1] == p[0] + 1.0),
             declared,
             groups: groups(&rows),
             ordered: timed || !sorted_with_repetitions(&setting),
@@ -308,8 +344,16 @@ impl Frame {
 
     /// Places of a table of errors in half ranges.
     pub fn places(&self) -> Vec<f64> {
-        let half = if self.scaling.half > 0.0 { self.scaling.half } else { 1.0 };
-        self.scaling.places.iter().map(|x| (x - self.scaling.mid) / half).collect()
+        let half = if self.scaling.half > 0.0 {
+            self.scaling.half
+        } else {
+            1.0
+        };
+        self.scaling
+            .places
+            .iter()
+            .map(|x| (x - self.scaling.mid) / half)
+            .collect()
     }
 
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
@@ -320,18 +364,24 @@ impl Frame {
     /// The stimulus goes around once: its ends are one place, and nothing bends along it.
     pub fn cyclic(&self) -> bool {
         // A hair more than a turn is one, too.
-        self.scaling.turn.is_some_and(|turn| 2.0 * self.scaling.half < 1.001 * turn)
+        self.scaling
+            .turn
+            .is_some_and(|turn| 2.0 * self.scaling.half < 1.001 * turn)
     }
 
     /// The stimulus only rises, or only falls, from reading to reading: the clock and the stimulus are one line, and what follows one follows the other.
     pub fn swept_once(&self) -> bool {
         let steps = || self.u.windows(2).map(|p| p[1] - p[0]);
-        !self.counts_readings && self.u.len() > 2 && (steps().all(|d| d > 0.0) || steps().all(|d| d < 0.0))
+        !self.counts_readings
+            && self.u.len() > 2
+            && (steps().all(|d| d > 0.0) || steps().all(|d| d < 0.0))
     }
 
     /// Each series goes one way, and both ways occur.
     pub fn strokes_are_series(&self) -> bool {
-        let Some(direction) = &self.direction else { return false };
+        let Some(direction) = &self.direction else {
+            return false;
+        };
         let mean_way = |s: &u32| {
             let own = direction.iter().zip(&self.groups).filter(|(_, g)| *g == s);
             let (sum, count) = own.fold((0.0, 0.0), |(sum, count), (d, _)| (sum + d, count + 1.0));
@@ -345,7 +395,11 @@ impl Frame {
     /// The directions, times `before` until the stimulus first moves: of new rows they are what they say.
     pub fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
         let mut direction = self.direction.clone()?;
-        let still = self.setting.iter().take_while(|s| **s == self.setting[0]).count();
+        let still = self
+            .setting
+            .iter()
+            .take_while(|s| **s == self.setting[0])
+            .count();
         if !self.new_rows {
             direction.iter_mut().take(still).for_each(|d| *d *= before);
         }
@@ -354,16 +408,23 @@ impl Frame {
 
     /// Settings enough were read on either way: a loop is a difference at equal stimuli.
     pub fn read_both_ways(&self) -> bool {
-        let Some(direction) = &self.direction else { return false };
+        let Some(direction) = &self.direction else {
+            return false;
+        };
         let of = |way: f64| -> BTreeSet<usize> {
-            (0..direction.len()).filter(|&i| direction[i] * way > 0.0).map(|i| self.setting[i]).collect()
+            (0..direction.len())
+                .filter(|&i| direction[i] * way > 0.0)
+                .map(|i| self.setting[i])
+                .collect()
         };
         of(1.0).intersection(&of(-1.0)).count() >= MIN_EACH_WAY
     }
 
     /// The first reading is a loaded one.
     pub fn begins_loaded(&self) -> bool {
-        self.u.first().is_some_and(|u| (u - self.zero_u).abs() > LOADED)
+        self.u
+            .first()
+            .is_some_and(|u| (u - self.zero_u).abs() > LOADED)
     }
 
     /// Settings of the stimulus.
@@ -387,5 +448,9 @@ pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
         aa += (x - ma).powi(2);
         bb += (y - mb).powi(2);
     }
-    if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
+    if aa > 0.0 && bb > 0.0 {
+        ab / (aa * bb).sqrt()
+    } else {
+        0.0
+    }
 }

@@ -26,7 +26,13 @@ pub fn of_model(
             errors: vec![vec![error]],
             inside95: vec![error.abs() <= half95],
         };
-        JudgedReading { held_out, in_sd: vec![error * quantile / half95] }
+        JudgedReading {
+            held_out,
+            in_sd: vec![error * quantile / half95],
+        }
     };
-    Ok((0..rows.len()).filter(|&i| !only_sealed || system.sealed()[i]).map(of).collect())
+    Ok((0..rows.len())
+        .filter(|&i| !only_sealed || system.sealed()[i])
+        .map(of)
+        .collect())
 }

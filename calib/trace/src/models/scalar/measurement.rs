@@ -48,19 +48,32 @@ impl ScalarSystem {
     }
 
     /// The declared model as a polynomial in the stimulus (none for an axis), and the accepted one where it is one of higher degree.
-    pub(super) fn polynomials(&self, base: &Hypothesis, accepted: &Hypothesis) -> [Option<Polynomial>; 2] {
+    pub(super) fn polynomials(
+        &self,
+        base: &Hypothesis,
+        accepted: &Hypothesis,
+    ) -> [Option<Polynomial>; 2] {
         let x: Vec<f64> = self.frame.rows.iter().map(|r| r.x).collect();
         let y: Vec<f64> = self.frame.rows.iter().map(|r| r.y).collect();
         let of = |h: &Hypothesis, degree: usize| polynomial(&x, &y, h.weights.relative(), degree);
-        let Declared::Polynomial(declared) = self.frame.declared else { return [None, None] };
-        let richer = self.degree(declared, accepted).and_then(|d| of(accepted, d));
+        let Declared::Polynomial(declared) = self.frame.declared else {
+            return [None, None];
+        };
+        let richer = self
+            .degree(declared, accepted)
+            .and_then(|d| of(accepted, d));
         [of(base, declared), richer]
     }
 
     /// Degree of the polynomial that the accepted effects make of the declared one.
     fn degree(&self, declared: usize, accepted: &Hypothesis) -> Option<usize> {
         let degree = |t: &EffectTerm| self.effects[t.effect].degree;
-        let mut powers: Vec<usize> = accepted.fit.terms.iter().map(degree).collect::<Option<_>>()?;
+        let mut powers: Vec<usize> = accepted
+            .fit
+            .terms
+            .iter()
+            .map(degree)
+            .collect::<Option<_>>()?;
         powers.sort_unstable();
         let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();
         (powers == wanted && !powers.is_empty()).then_some(declared + powers.len())
@@ -68,11 +81,18 @@ impl ScalarSystem {
 
     /// Splits what a fit leaves by its replicates.
     pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
-        let lack =
-            LackOfFit::of(split(&h.fit, &h.weights, &replicate_keys(&self.frame), &self.frame.read_u))?;
+        let lack = LackOfFit::of(split(
+            &h.fit,
+            &h.weights,
+            &replicate_keys(&self.frame),
+            &self.frame.read_u,
+        ))?;
         // Repeats of a coarse read-out agree; that says nothing of how well a model does.
         let rounded = lack.is_significant() && is_rounding(self, &h.fit, &h.weights);
-        Some(LackOfFit { p_value: lack.p_value.filter(|_| !rounded), ..lack })
+        Some(LackOfFit {
+            p_value: lack.p_value.filter(|_| !rounded),
+            ..lack
+        })
     }
 }
 
@@ -90,7 +110,11 @@ impl SessionText for ScalarSystem {
     }
 
     fn law_name(&self, name: &str) -> String {
-        if self.axis() { name.replace("stimulus", "position") } else { name.to_owned() }
+        if self.axis() {
+            name.replace("stimulus", "position")
+        } else {
+            name.to_owned()
+        }
     }
 
     fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
@@ -128,9 +152,10 @@ impl SessionText for ScalarSystem {
                  and periods are in rows of the table."
             ));
         }
-        if let (Some(ways), true) =
-            (&self.frame.direction, self.frame.rows.iter().all(|r| r.direction.is_none()))
-        {
+        if let (Some(ways), true) = (
+            &self.frame.direction,
+            self.frame.rows.iter().all(|r| r.direction.is_none()),
+        ) {
             let falling = ways.iter().filter(|way| **way < 0.0).count();
             notes.push(self.format_text(&format!(
                 "The direction follows from the order of the readings: {} rising, {falling} falling stimuli.",
@@ -145,7 +170,8 @@ impl SessionText for ScalarSystem {
         }
         if self.spread.is_some() {
             notes.push(
-                "Readings were weighted by the spread found; held-out errors are not weighted.".to_owned(),
+                "Readings were weighted by the spread found; held-out errors are not weighted."
+                    .to_owned(),
             );
         }
         notes.extend(self.caveat(accepted));
@@ -161,7 +187,12 @@ impl SessionModel for ScalarSystem {
     fn origin(&self, reading: usize) -> Origin {
         let row = &self.frame.rows[reading];
         let (source, line, point) = row.origin.clone();
-        Origin { source, line, point, role: row.role }
+        Origin {
+            source,
+            line,
+            point,
+            role: row.role,
+        }
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
@@ -172,13 +203,20 @@ impl SessionModel for ScalarSystem {
     }
 
     fn refusal(&self, sealed: &Sealed<ScalarRow>) -> Option<String> {
-        let why = admission::refusal(&self.points, sealed, &self.frame.scaling, self.frame.declared)?;
+        let why = admission::refusal(
+            &self.points,
+            sealed,
+            &self.frame.scaling,
+            self.frame.declared,
+        )?;
         Some(format!("The data cannot be used: {why}."))
     }
 
     /// What neighbours share can look like a law of the spread: that is asked last.
     fn renewed(&self, accepted: &Hypothesis, settled: bool, seed: u64) -> Option<Self> {
-        settled.then(|| with_spread_of(self, accepted, seed)).flatten()
+        settled
+            .then(|| with_spread_of(self, accepted, seed))
+            .flatten()
     }
 
     fn without(&self, _refuted: &[String]) -> Self {
@@ -196,7 +234,10 @@ impl SessionModel for ScalarSystem {
             SpreadLaw::Power => ("power", "exponent"),
             SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
         };
-        let sentence = self.catalogue().iter().find(|c| c.id == HETEROSCEDASTIC_NOISE);
+        let sentence = self
+            .catalogue()
+            .iter()
+            .find(|c| c.id == HETEROSCEDASTIC_NOISE);
         Some(NamedEffect {
             id: HETEROSCEDASTIC_NOISE.to_owned(),
             laws: vec![law.to_owned()],
@@ -239,15 +280,32 @@ impl SessionModel for ScalarSystem {
         let sd = floor.map(|f| f.sd);
         let source = floor.map_or("none", |f| f.source).to_owned();
         let floor = if self.axis() {
-            NoiseFloor { error_um: sd, source, ..NoiseFloor::default() }
+            NoiseFloor {
+                error_um: sd,
+                source,
+                ..NoiseFloor::default()
+            }
         } else {
-            NoiseFloor { response: sd, source, ..NoiseFloor::default() }
+            NoiseFloor {
+                response: sd,
+                source,
+                ..NoiseFloor::default()
+            }
         };
         let dof = self.pure_error(h).map(|l| l.pure_dof);
-        FloorStatement { floor, sd: sd.unwrap_or(noise.repeat.value), dof, ..FloorStatement::default() }
+        FloorStatement {
+            floor,
+            sd: sd.unwrap_or(noise.repeat.value),
+            dof,
+            ..FloorStatement::default()
+        }
     }
 
-    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
+    fn next_measurement(
+        &self,
+        best: &Hypothesis,
+        rivals: &[&Hypothesis],
+    ) -> Option<NextMeasurement> {
         next::next_measurement(self, best, rivals)
     }
 
@@ -266,9 +324,15 @@ impl SessionModel for ScalarSystem {
 
     fn quantities(&self) -> &'static [Quantity] {
         if self.axis() {
-            &[Quantity { key: "error_rmse_um", unit: "um" }]
+            &[Quantity {
+                key: "error_rmse_um",
+                unit: "um",
+            }]
         } else {
-            &[Quantity { key: "response_rmse", unit: "" }]
+            &[Quantity {
+                key: "response_rmse",
+                unit: "",
+            }]
         }
     }
 
@@ -284,7 +348,12 @@ impl SessionModel for ScalarSystem {
     fn folds(&self, accepted: &Hypothesis) -> Folds {
         let grouping = if has_table(self, accepted) {
             Grouping::Repeats
-        } else if accepted.fit.terms.iter().any(|t| self.catalogue()[t.effect].id == ZERO_BY_SERIES) {
+        } else if accepted
+            .fit
+            .terms
+            .iter()
+            .any(|t| self.catalogue()[t.effect].id == ZERO_BY_SERIES)
+        {
             Grouping::WithinSeries
         } else if follows_neighbours(self, accepted) {
             Grouping::Blocks
@@ -304,7 +373,10 @@ impl SessionModel for ScalarSystem {
     ) -> ScalarModel {
         let lack = [base, accepted].map(|h| self.pure_error(h));
         // Where the fit takes its readings for independent, its variance holds what they share already.
-        let shared = accepted.weights.shared().map_or(0.0, |_| noise.shared_variance());
+        let shared = accepted
+            .weights
+            .shared()
+            .map_or(0.0, |_| noise.shared_variance());
         // A further series has a zero of its own.
         let shared = shared + zero_scatter(self, &accepted.fit) / accepted.fit.variance();
         let [declared, richer] = self.polynomials(base, accepted);

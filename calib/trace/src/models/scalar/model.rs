@@ -128,13 +128,22 @@ pub enum ModelError {
 
 impl ModelError {
     /// A field that does not hold what its neighbours ask for.
-    pub(crate) fn shape(what: impl Into<String>, expected: impl ToString, found: impl ToString) -> Self {
-        Self::Shape { what: what.into(), expected: expected.to_string(), found: found.to_string() }
+    pub(crate) fn shape(
+        what: impl Into<String>,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::Shape {
+            what: what.into(),
+            expected: expected.to_string(),
+            found: found.to_string(),
+        }
     }
 }
 
 /// What an effect that follows the order of the fitted readings lacks in any other rows.
-const ONLY_THAT_SESSION: &str = "an effect that depends on more than the order of that session's readings";
+const ONLY_THAT_SESSION: &str =
+    "an effect that depends on more than the order of that session's readings";
 
 /// Largest degree of a declared model (constant, linear, quadratic).
 const MAX_DEGREE: usize = 2;
@@ -156,16 +165,28 @@ impl ScalarModel {
             Declared::Polynomial(degree) => degree + 1,
             Declared::Axis => 1,
         };
-        let kind = if self.declared == Declared::Axis { "axis" } else { "transducer" };
+        let kind = if self.declared == Declared::Axis {
+            "axis"
+        } else {
+            "transducer"
+        };
         if self.session_kind != kind {
             return Err(ModelError::shape("session_kind", kind, &self.session_kind));
         }
         if self.declared == Declared::Axis && self.offset == 0.0 {
-            return Err(ModelError::shape("offset", "a number other than 0", self.offset));
+            return Err(ModelError::shape(
+                "offset",
+                "a number other than 0",
+                self.offset,
+            ));
         }
         let [low, high] = self.stimulus_range;
         if low > high {
-            return Err(ModelError::shape("stimulus_range", "the lower end first", format!("{low}, {high}")));
+            return Err(ModelError::shape(
+                "stimulus_range",
+                "the lower end first",
+                format!("{low}, {high}"),
+            ));
         }
         if self.variance < 0.0 {
             return Err(ModelError::shape("variance", "0 or more", self.variance));
@@ -194,7 +215,11 @@ impl ScalarModel {
         let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
         let columns = declared + terms.iter().map(linear).sum::<usize>();
         if self.coefficients.len() != columns {
-            return Err(ModelError::shape("coefficients", columns, self.coefficients.len()));
+            return Err(ModelError::shape(
+                "coefficients",
+                columns,
+                self.coefficients.len(),
+            ));
         }
         let slots = columns + terms.iter().map(|t| t.values.len()).sum::<usize>();
         square(&self.covariance, slots, slots)
@@ -213,7 +238,13 @@ impl ScalarModel {
         let axis = frame.declared == Declared::Axis;
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
         // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further reading anywhere between them does not.
-        let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
+        let step = system
+            .noise_inputs()
+            .step
+            .first()
+            .copied()
+            .flatten()
+            .unwrap_or(0.0);
         Self {
             session_kind: if axis { "axis" } else { "transducer" }.to_owned(),
             stimulus_unit: names.stimulus.clone(),
@@ -230,20 +261,30 @@ impl ScalarModel {
                     ModelTerm {
                         id: candidate.id.to_owned(),
                         law: candidate.law(t.law).name.to_owned(),
-                        column: candidate.column(t.law, &names.covariates).map(str::to_owned),
+                        column: candidate
+                            .column(t.law, &names.covariates)
+                            .map(str::to_owned),
                         values: t.values.clone(),
                     }
                 })
                 .collect(),
             coefficients: fitted.coefficients.clone(),
-            covariance: fitted.covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
+            covariance: fitted
+                .covariance
+                .row_iter()
+                .map(|r| r.iter().copied().collect())
+                .collect(),
             variance: (fitted.variance * (1.0 + shared)).max(step * step / 12.0),
             dof: fitted.dof,
             offset: system.offset,
             spread: system.spread.as_ref().map(|s| {
                 let z = s.law.scale(frame);
                 let centre = z.iter().sum::<f64>() / z.len() as f64;
-                ModelSpread { law: s.law, exponent: s.exponent, centre }
+                ModelSpread {
+                    law: s.law,
+                    exponent: s.exponent,
+                    centre,
+                }
             }),
             stimulus_range: [s.mid - half, s.mid + half],
             polynomial,
@@ -256,21 +297,39 @@ impl ScalarModel {
         self.effects
             .iter()
             .map(|t| {
-                let unknown = || ModelError::UnknownEffect { effect: t.id.clone(), law: t.law.clone() };
-                let effect = system.catalogue().iter().position(|c| c.id == t.id).ok_or_else(unknown)?;
-                let (mut law, form) = system.catalogue()[effect].law_named(&t.law).ok_or_else(unknown)?;
+                let unknown = || ModelError::UnknownEffect {
+                    effect: t.id.clone(),
+                    law: t.law.clone(),
+                };
+                let effect = system
+                    .catalogue()
+                    .iter()
+                    .position(|c| c.id == t.id)
+                    .ok_or_else(unknown)?;
+                let (mut law, form) = system.catalogue()[effect]
+                    .law_named(&t.law)
+                    .ok_or_else(unknown)?;
                 // Laws of one name follow a column each.
                 if let Some(column) = &t.column {
                     let of = |l: &usize| {
-                        system.catalogue()[effect].column(*l, &self.covariates) == Some(column.as_str())
+                        system.catalogue()[effect].column(*l, &self.covariates)
+                            == Some(column.as_str())
                     };
                     law = (0..self.covariates.len()).find(of).ok_or_else(unknown)?;
                 }
                 if form.parameters.len() != t.values.len() {
                     let what = format!("values of {} ({})", t.id, t.law);
-                    return Err(ModelError::shape(what, form.parameters.len(), t.values.len()));
+                    return Err(ModelError::shape(
+                        what,
+                        form.parameters.len(),
+                        t.values.len(),
+                    ));
                 }
-                Ok(EffectTerm { effect, law, values: t.values.clone() })
+                Ok(EffectTerm {
+                    effect,
+                    law,
+                    values: t.values.clone(),
+                })
             })
             .collect()
     }
@@ -285,9 +344,10 @@ impl ScalarModel {
             LawRequirement::Time | LawRequirement::Clock => {
                 frame.time.is_none().then_some("t_s in every row")
             }
-            LawRequirement::Temperature => {
-                frame.temperature.is_none().then_some("temperature_degc in every row")
-            }
+            LawRequirement::Temperature => frame
+                .temperature
+                .is_none()
+                .then_some("temperature_degc in every row"),
             LawRequirement::BothDirections => frame
                 .direction
                 .is_none()
@@ -318,7 +378,10 @@ impl ScalarModel {
         for t in &terms {
             let effect = &system.catalogue()[t.effect];
             if let Some(needs) = self.missing(&effect.law(t.law).needs, &system.frame) {
-                return Err(ModelError::Column { effect: effect.id.to_owned(), needs: needs.to_owned() });
+                return Err(ModelError::Column {
+                    effect: effect.id.to_owned(),
+                    needs: needs.to_owned(),
+                });
             }
         }
         let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
@@ -334,13 +397,25 @@ impl ScalarModel {
             Some(s) => relative_sd_at(&system.frame, s.law, s.exponent, s.centre),
             None => vec![1.0; rows.len()],
         };
-        let no_design =
-            || ModelError::shape("coefficients", "a design of as many columns", "none at these rows");
+        let no_design = || {
+            ModelError::shape(
+                "coefficients",
+                "a design of as many columns",
+                "none at these rows",
+            )
+        };
         let noise_sd: Vec<f64> = relative.iter().map(|r| self.variance.sqrt() * r).collect();
         let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
         let slack = 1e-9 * (high - low);
-        let mut out = vec![ScalarPrediction { value: f64::NAN, half95: f64::NAN, valid: false }; rows.len()];
+        let mut out = vec![
+            ScalarPrediction {
+                value: f64::NAN,
+                half95: f64::NAN,
+                valid: false
+            };
+            rows.len()
+        ];
         for (i, row) in system.frame.rows.iter().enumerate() {
             out[row.origin.1] = ScalarPrediction {
                 value: values[i] - self.offset,
@@ -357,22 +432,37 @@ impl ScalarModel {
     /// # Errors
     /// As [`Self::predict`], and where the response does not determine the stimulus.
     pub fn invert(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
-        let no = |why: &str| ModelError::Column { effect: "the inverse".into(), needs: why.to_owned() };
+        let no = |why: &str| ModelError::Column {
+            effect: "the inverse".into(),
+            needs: why.to_owned(),
+        };
         let catalogue = scalar_catalogue(
             &Frame::of_new_rows(Vec::new(), &self.scaling, self.declared),
             self.covariates.len(),
         );
-        let remembers = |t: &&ModelTerm| catalogue.iter().any(|e| e.effect.id == t.id && e.effect.has_memory);
+        let remembers = |t: &&ModelTerm| {
+            catalogue
+                .iter()
+                .any(|e| e.effect.id == t.id && e.effect.has_memory)
+        };
         if let Some(t) = self.effects.iter().find(remembers) {
-            return Err(no(&format!("a model without memory (it carries {}); give the stimulus", t.id)));
+            return Err(no(&format!(
+                "a model without memory (it carries {}); give the stimulus",
+                t.id
+            )));
         }
         let at = |x: &[f64]| -> Result<Vec<ScalarPrediction>, ModelError> {
-            let moved: Vec<ScalarRow> =
-                rows.iter().zip(x).map(|(r, x)| ScalarRow { x: *x, ..r.clone() }).collect();
+            let moved: Vec<ScalarRow> = rows
+                .iter()
+                .zip(x)
+                .map(|(r, x)| ScalarRow { x: *x, ..r.clone() })
+                .collect();
             self.predict(&moved)
         };
         let [low, high] = self.stimulus_range;
-        let places: Vec<f64> = (0..=PLACES).map(|k| low + (high - low) * k as f64 / PLACES as f64).collect();
+        let places: Vec<f64> = (0..=PLACES)
+            .map(|k| low + (high - low) * k as f64 / PLACES as f64)
+            .collect();
         let mut curves = Vec::new();
         for p in &places {
             curves.push(at(&vec![*p; rows.len()])?);
@@ -380,14 +470,22 @@ impl ScalarModel {
         let rising = |i: usize| curves.windows(2).all(|c| c[1][i].value > c[0][i].value);
         let falling = |i: usize| curves.windows(2).all(|c| c[1][i].value < c[0][i].value);
         if (0..rows.len()).any(|i| !rising(i) && !falling(i)) {
-            return Err(no("a response that rises or falls throughout; give the stimulus"));
+            return Err(no(
+                "a response that rises or falls throughout; give the stimulus",
+            ));
         }
-        let sign: Vec<f64> = (0..rows.len()).map(|i| if rising(i) { 1.0 } else { -1.0 }).collect();
+        let sign: Vec<f64> = (0..rows.len())
+            .map(|i| if rising(i) { 1.0 } else { -1.0 })
+            .collect();
         let (mut a, mut b) = (vec![low; rows.len()], vec![high; rows.len()]);
         for _ in 0..60 {
             let middle: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
             for (i, p) in at(&middle)?.iter().enumerate() {
-                if sign[i] * (rows[i].y - p.value) > 0.0 { a[i] = middle[i] } else { b[i] = middle[i] }
+                if sign[i] * (rows[i].y - p.value) > 0.0 {
+                    a[i] = middle[i]
+                } else {
+                    b[i] = middle[i]
+                }
             }
         }
         let ends = [&curves[0], &curves[PLACES]];
@@ -400,8 +498,9 @@ impl ScalarModel {
         Ok((0..rows.len())
             .map(|i| {
                 let slope = (up[i].value - down[i].value) / (2.0 * step);
-                let inside =
-                    |k: usize, s: f64| s * sign[i] * (rows[i].y - ends[k][i].value) >= -here[i].half95;
+                let inside = |k: usize, s: f64| {
+                    s * sign[i] * (rows[i].y - ends[k][i].value) >= -here[i].half95
+                };
                 ScalarPrediction {
                     value: x[i],
                     half95: here[i].half95 / slope.abs(),
@@ -416,11 +515,19 @@ impl ScalarModel {
 pub(crate) fn square(covariance: &[Vec<f64>], least: usize, most: usize) -> Result<(), ModelError> {
     let size = covariance.len();
     let expected = || {
-        let range = if least == most { format!("{least}") } else { format!("{least} to {most}") };
+        let range = if least == most {
+            format!("{least}")
+        } else {
+            format!("{least} to {most}")
+        };
         format!("{range} rows of as many numbers")
     };
     if !(least..=most).contains(&size) {
-        return Err(ModelError::shape("covariance", expected(), format!("{size} rows")));
+        return Err(ModelError::shape(
+            "covariance",
+            expected(),
+            format!("{size} rows"),
+        ));
     }
     match covariance.iter().position(|row| row.len() != size) {
         Some(k) => {

@@ -17,7 +17,10 @@ pub fn next_measurement(
     rivals: &[&Hypothesis],
 ) -> Option<NextMeasurement> {
     let id = |h: &Hypothesis| -> Vec<String> {
-        h.effects(system.outliers()).iter().map(|&e| system.catalogue()[e].id.to_owned()).collect()
+        h.effects(system.outliers())
+            .iter()
+            .map(|&e| system.catalogue()[e].id.to_owned())
+            .collect()
     };
     let sd = best.fit.variance().sqrt();
     let nearest = rivals
@@ -28,12 +31,22 @@ pub fn next_measurement(
     let power = |sessions: usize| ambiguity::power(d * d * sessions as f64);
     let repeats = (1..=MAX_REPEATS).find(|&k| power(k + 1) >= 0.9);
     let mut separates = id(best);
-    separates.extend(id(rival).into_iter().filter(|i| !separates.contains(i)).collect::<Vec<_>>());
-    let sequence =
-        if system.frame.direction.is_none() { ", with falling as well as rising stimulus" } else { "" };
+    separates.extend(
+        id(rival)
+            .into_iter()
+            .filter(|i| !separates.contains(i))
+            .collect::<Vec<_>>(),
+    );
+    let sequence = if system.frame.direction.is_none() {
+        ", with falling as well as rising stimulus"
+    } else {
+        ""
+    };
     let (instruction, expected_power) = match repeats {
         Some(k) => (
-            format!("Repeat the session {k} more times, in another order of the stimuli{sequence}."),
+            format!(
+                "Repeat the session {k} more times, in another order of the stimuli{sequence}."
+            ),
             power(k + 1),
         ),
         None => (
@@ -44,5 +57,10 @@ pub fn next_measurement(
         ),
     };
     let instruction = system.frame.declared.format_text(&instruction);
-    Some(NextMeasurement { separates, instruction, poses: Vec::new(), expected_power })
+    Some(NextMeasurement {
+        separates,
+        instruction,
+        poses: Vec::new(),
+        expected_power,
+    })
 }

@@ -17,16 +17,27 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
     let plain = |unit: &str| matches!(unit.trim(), "" | "1");
     let whole = |unit: &str| {
         let unit = unit.trim();
-        if unit.contains(['/', '*', '^', ' ', '\u{b7}']) { format!("({unit})") } else { unit.to_owned() }
+        if unit.contains(['/', '*', '^', ' ', '\u{b7}']) {
+            format!("({unit})")
+        } else {
+            unit.to_owned()
+        }
     };
-    let below: Vec<&(&str, i32)> = denominators.iter().filter(|(unit, _)| !plain(unit)).collect();
+    let below: Vec<&(&str, i32)> = denominators
+        .iter()
+        .filter(|(unit, _)| !plain(unit))
+        .collect();
     let mut out = match (plain(numerator), below.is_empty()) {
         (true, _) => "1".to_owned(),
         (false, true) => return numerator.to_owned(),
         (false, false) => whole(numerator),
     };
     for (unit, power) in below {
-        let exponent = if *power > 1 { format!("^{power}") } else { String::new() };
+        let exponent = if *power > 1 {
+            format!("^{power}")
+        } else {
+            String::new()
+        };
         out += &format!("/{}{exponent}", whole(unit));
     }
     out
@@ -45,7 +56,10 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
             "/degc" => (1, "degc"),
             p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
         };
-        return (value / half.powi(power), ratio(response, &[(stimulus, power), (rest, 1)]));
+        return (
+            value / half.powi(power),
+            ratio(response, &[(stimulus, power), (rest, 1)]),
+        );
     }
     match unit {
         "half-range" => (value * half, stimulus.clone()),
@@ -68,7 +82,10 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
         },
         "response/covariate" => {
             let half = s.covariates.get(law).map_or(1.0, |c| c[1]);
-            let name = names.covariates.get(law).map_or("covariate", String::as_str);
+            let name = names
+                .covariates
+                .get(law)
+                .map_or("covariate", String::as_str);
             (value / half, ratio(response, &[(name, 1)]))
         }
         other => (value, other.to_owned()),
@@ -92,11 +109,19 @@ pub fn of_effect(
     let t = t95(fit.dof);
     let mut out: Vec<EffectParameter> = Vec::new();
     let owner = &system.effects[effect];
-    let terms = fit.terms.iter().zip(fit.slots(system.catalogue())).filter(|(t, _)| t.effect == effect);
+    let terms = fit
+        .terms
+        .iter()
+        .zip(fit.slots(system.catalogue()))
+        .filter(|(t, _)| t.effect == effect);
     for (instance, (term, slots)) in terms.enumerate() {
         let law = &system.catalogue()[effect].law(term.law);
         // A further term of the effect: its values are numbered.
-        let suffix = if instance > 0 { format!("_{}", instance + 1) } else { String::new() };
+        let suffix = if instance > 0 {
+            format!("_{}", instance + 1)
+        } else {
+            String::new()
+        };
         if let Some(Some(period)) = of_a_turn(law.name, &system.frame) {
             let unit = names.stimulus.clone();
             out.push(EffectParameter {
@@ -117,14 +142,25 @@ pub fn of_effect(
             });
         };
         for ((p, v), k) in law.parameters.iter().zip(&term.values).zip(slots.values) {
-            let unseen =
-                (owner.systematic_sd)(&Values::new(law, term.law, &term.values), &system.frame, p.name);
+            let unseen = (owner.systematic_sd)(
+                &Values::new(law, term.law, &term.values),
+                &system.frame,
+                p.name,
+            );
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
             let place = p.name == "place";
-            let halves = if half > 0.0 && !place { [half; 2] } else { reach95(system, h, k) };
+            let halves = if half > 0.0 && !place {
+                [half; 2]
+            } else {
+                reach95(system, h, k)
+            };
             // What is positive by its nature has no interval below zero.
-            let lowest = if p.range[0] >= 0.0 && !place { 1e-9 * v.abs() } else { f64::MIN };
+            let lowest = if p.range[0] >= 0.0 && !place {
+                1e-9 * v.abs()
+            } else {
+                f64::MIN
+            };
             push(p.name, p.unit, *v, halves, lowest);
         }
         let column = slots.columns.start;
@@ -132,8 +168,18 @@ pub fn of_effect(
             let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
             // Columns of one name are numbered: powers, series.
             let several = law.linear.iter().filter(|l| l.0 == *name).count() > 1;
-            let numbered = if several { format!("{name}_{}", k + 1) } else { (*name).to_owned() };
-            push(&numbered, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
+            let numbered = if several {
+                format!("{name}_{}", k + 1)
+            } else {
+                (*name).to_owned()
+            };
+            push(
+                &numbered,
+                unit,
+                fit.coefficients[(column + k, 0)],
+                [half; 2],
+                f64::MIN,
+            );
         }
         if system.catalogue()[effect].id == PERIODIC {
             derived(&mut out, &suffix, fit, column, &covariance, t);
@@ -144,7 +190,10 @@ pub fn of_effect(
 
 /// How many series have a zero of their own, where that is the case.
 pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
-    let term = fit.terms.iter().find(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES)?;
+    let term = fit
+        .terms
+        .iter()
+        .find(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES)?;
     Some(system.catalogue()[term.effect].law(term.law).linear.len() + 1)
 }
 
@@ -153,28 +202,50 @@ pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
 pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
     let is_zero = |t: &EffectTerm| system.catalogue()[t.effect].id == ZERO_BY_SERIES;
     let slots = fit.terms.iter().zip(fit.slots(system.catalogue()));
-    let Some((_, own)) = slots.into_iter().find(|(term, _)| is_zero(term)) else { return 0.0 };
+    let Some((_, own)) = slots.into_iter().find(|(term, _)| is_zero(term)) else {
+        return 0.0;
+    };
     let shifts: Vec<f64> = own.columns.map(|k| fit.coefficients[(k, 0)]).collect();
-    let (square, sum) = shifts.iter().fold((0.0, 0.0), |(square, sum), s| (square + s * s, sum + s));
+    let (square, sum) = shifts
+        .iter()
+        .fold((0.0, 0.0), |(square, sum), s| (square + s * s, sum + s));
     let dof = shifts.len() as f64;
     (square + sum * sum) / dof * (1.0 + 1.0 / (dof + 1.0)) * (t95(dof) / NORMAL_95).powi(2)
 }
 
 /// How far nonlinear value `slot` can move down and up until its sum of squares, with the coefficients that suit it, rises by what a 95 %
 /// interval of the likelihood allows: chi-squared of one degree of freedom. Readings weigh as in the fit.
-fn reach95(system: &ScalarSystem, Hypothesis { fit, weights, .. }: &Hypothesis, slot: usize) -> [f64; 2] {
-    let places =
-        fit.terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
-    let Some((t, k)) = places.into_iter().nth(slot) else { return [0.0; 2] };
-    let [lo, hi] = system.catalogue()[fit.terms[t].effect].law(fit.terms[t].law).parameters[k].range;
+fn reach95(
+    system: &ScalarSystem,
+    Hypothesis { fit, weights, .. }: &Hypothesis,
+    slot: usize,
+) -> [f64; 2] {
+    let places = fit
+        .terms
+        .iter()
+        .enumerate()
+        .flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
+    let Some((t, k)) = places.into_iter().nth(slot) else {
+        return [0.0; 2];
+    };
+    let [lo, hi] = system.catalogue()[fit.terms[t].effect]
+        .law(fit.terms[t].law)
+        .parameters[k]
+        .range;
     let value = fit.terms[t].values[k];
     let measured = weights.apply(system.measured());
     let ssr = |v: f64| {
         let mut terms = fit.terms.clone();
         terms[t].values[k] = v;
-        Some(linear(&weights.apply(&system.design(&terms)?), &measured).1.norm_squared())
+        Some(
+            linear(&weights.apply(&system.design(&terms)?), &measured)
+                .1
+                .norm_squared(),
+        )
     };
-    let Some(least) = ssr(value) else { return [0.0; 2] };
+    let Some(least) = ssr(value) else {
+        return [0.0; 2];
+    };
     // The rounding of sums that are equal.
     let most = least * (1.0 + 1e-9) + least / fit.dof.max(1.0) * NORMAL_95.powi(2);
     [lo, hi].map(|end| {
@@ -183,7 +254,11 @@ fn reach95(system: &ScalarSystem, Hypothesis { fit, weights, .. }: &Hypothesis, 
         for _ in 0..30 {
             let middle = 0.5 * (inside + outside);
             let good = ssr(value + middle * (end - value)).is_some_and(|at| at <= most);
-            if good { inside = middle } else { outside = middle }
+            if good {
+                inside = middle
+            } else {
+                outside = middle
+            }
         }
         (inside * (end - value)).abs()
     })
@@ -199,14 +274,19 @@ fn derived(
     t: f64,
 ) {
     let named = |name: &str| format!("{name}{suffix}");
-    let Some(period) = out.iter().find(|p| p.name == named("period")).cloned() else { return };
+    let Some(period) = out.iter().find(|p| p.name == named("period")).cloned() else {
+        return;
+    };
     out.push(EffectParameter {
         name: named("frequency"),
         value: 1.0 / period.value,
         unit: ratio("1", &[(&period.unit, 1)]),
         interval95: ordered(period.interval95.map(|v| 1.0 / v)),
     });
-    let (s, c) = (fit.coefficients[(column, 0)], fit.coefficients[(column + 1, 0)]);
+    let (s, c) = (
+        fit.coefficients[(column, 0)],
+        fit.coefficients[(column + 1, 0)],
+    );
     let size = s.hypot(c);
     if size > 0.0 {
         let g = [s / size, c / size];
@@ -217,7 +297,10 @@ fn derived(
             }
         }
         let half = t * variance.max(0.0).sqrt();
-        let unit = out.iter().find(|p| p.name == named("sine")).map_or(String::new(), |p| p.unit.clone());
+        let unit = out
+            .iter()
+            .find(|p| p.name == named("sine"))
+            .map_or(String::new(), |p| p.unit.clone());
         out.push(EffectParameter {
             name: named("amplitude"),
             value: size,

@@ -43,8 +43,10 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
     if n <= q {
         return None;
     }
-    let powers: Vec<Vec<f64>> =
-        x.iter().map(|x| (0..q).map(|k| x.powi(k as i32)).collect::<Vec<f64>>()).collect();
+    let powers: Vec<Vec<f64>> = x
+        .iter()
+        .map(|x| (0..q).map(|k| x.powi(k as i32)).collect::<Vec<f64>>())
+        .collect();
     let design = DMatrix::from_fn(x.len(), q, |i, j| weights[i] * powers[i][j]);
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     if scale.iter().any(|s| !(*s > 0.0)) {
@@ -53,9 +55,13 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
     let scaled = DMatrix::from_fn(x.len(), q, |i, j| design[(i, j)] / scale[j]);
     let qr = scaled.qr();
     let (q_matrix, r) = (qr.q(), qr.r());
-    let r_inverse = r.clone().try_inverse().filter(|m| m.iter().all(|v| v.is_finite() && v.abs() < 1e12))?;
+    let r_inverse = r
+        .clone()
+        .try_inverse()
+        .filter(|m| m.iter().all(|v| v.is_finite() && v.abs() < 1e12))?;
     let mut b = vec![0.0; q];
-    let left = |b: &[f64]| DVector::from_fn(x.len(), |i, _| weights[i] * residual(y[i], &powers[i], b));
+    let left =
+        |b: &[f64]| DVector::from_fn(x.len(), |i, _| weights[i] * residual(y[i], &powers[i], b));
     // Iterative refinement: each pass solves for what the last left in the residual.
     for _ in 0..4 {
         let step = &r_inverse * (q_matrix.transpose() * left(&b));
@@ -65,8 +71,15 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
     }
     let dof = (n - q) as f64;
     let residual_sd = (left(&b).norm_squared() / dof).sqrt();
-    let standard_errors = (0..q).map(|k| residual_sd * r_inverse.row(k).norm() / scale[k]).collect();
-    Some(Polynomial { coefficients: b, standard_errors, residual_sd, dof })
+    let standard_errors = (0..q)
+        .map(|k| residual_sd * r_inverse.row(k).norm() / scale[k])
+        .collect();
+    Some(Polynomial {
+        coefficients: b,
+        standard_errors,
+        residual_sd,
+        dof,
+    })
 }
 #[cfg(test)]
 mod tests {
@@ -75,7 +88,10 @@ mod tests {
     #[test]
     fn an_exact_cubic_comes_back_to_the_last_digits() {
         let x: Vec<f64> = (0..21).map(f64::from).collect();
-        let y: Vec<f64> = x.iter().map(|x| 1.0 - 3.0 * x + 0.5 * x * x - 0.25 * x * x * x).collect();
+        let y: Vec<f64> = x
+            .iter()
+            .map(|x| 1.0 - 3.0 * x + 0.5 * x * x - 0.25 * x * x * x)
+            .collect();
         let fit = polynomial(&x, &y, &[1.0; 21], 3).unwrap();
         for (got, want) in fit.coefficients.iter().zip([1.0, -3.0, 0.5, -0.25]) {
             assert!((got / want - 1.0).abs() < 1e-14, "{got} {want}");

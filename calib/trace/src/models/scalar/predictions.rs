@@ -46,7 +46,8 @@ pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool 
     let square = left.iter().map(|r| r * r).sum::<f64>() / left.len().max(1) as f64;
     let product = left.windows(2).map(|r| r[0] * r[1]).sum::<f64>();
     let z = product / square.max(1e-300) / (left.len().max(2) as f64 - 1.0).sqrt();
-    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z) < NEIGHBOURS_LEVEL
+    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z)
+        < NEIGHBOURS_LEVEL
 }
 
 /// Cycles where there are three, else what `grouping` asks for.
@@ -61,12 +62,19 @@ pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
         let mut distinct = keys.clone();
         distinct.sort_unstable();
         distinct.dedup();
-        let fold: Vec<usize> = keys.iter().map(|k| distinct.partition_point(|d| d < k)).collect();
+        let fold: Vec<usize> = keys
+            .iter()
+            .map(|k| distinct.partition_point(|d| d < k))
+            .collect();
         (fold, distinct.len())
     };
     let (fold, count) = number(frame.groups.iter().map(|g| i64::from(*g)).collect());
     if count >= 3 && grouping != Grouping::WithinSeries {
-        return of("loto", format!("by leaving out each of {count} cycles in turn"), fold);
+        return of(
+            "loto",
+            format!("by leaving out each of {count} cycles in turn"),
+            fold,
+        );
     }
     if grouping == Grouping::Repeats {
         let keys = replicate_keys(frame);
@@ -74,11 +82,16 @@ pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
         let visits: Vec<usize> = (0..keys.len()).map(visit).collect();
         let folds = (1 + visits.iter().max().copied().unwrap_or(0)).min(BLOCKS);
         let words = format!("by leaving out each of {folds} repeats of the places in turn");
-        return of("loo", words, visits.into_iter().map(|v| v % folds).collect());
+        return of(
+            "loo",
+            words,
+            visits.into_iter().map(|v| v % folds).collect(),
+        );
     }
     if grouping == Grouping::Blocks {
         let n = frame.rows.len();
-        let words = format!("by leaving out each of {BLOCKS} blocks of neighbouring readings in turn");
+        let words =
+            format!("by leaving out each of {BLOCKS} blocks of neighbouring readings in turn");
         return of("loo", words, (0..n).map(|i| i * BLOCKS / n).collect());
     }
     let (fold, count) = number(place_keys(frame).iter().map(|k| *k as i64).collect());
@@ -87,7 +100,9 @@ pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
         let folds = count.min(MAX_FOLDS);
         // Neighbouring stimuli go to different folds, so that no fold is an extrapolation.
         let fold = fold.iter().map(|f| f % folds).collect();
-        let words = format!("by leaving out each of {count} stimuli with all its readings, in {folds} folds");
+        let words = format!(
+            "by leaving out each of {count} stimuli with all its readings, in {folds} folds"
+        );
         return of("loo", words, fold);
     }
     let folds = n.min(MAX_FOLDS);
@@ -130,7 +145,11 @@ impl Fitted {
 
 /// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`. `noise_sd`: of each reading. None where the
 /// design has no solution there or is not the one that was fitted.
-pub fn predict(system: &ScalarSystem, fitted: &Fitted, noise_sd: &[f64]) -> Option<(DVector<f64>, Vec<f64>)> {
+pub fn predict(
+    system: &ScalarSystem,
+    fitted: &Fitted,
+    noise_sd: &[f64],
+) -> Option<(DVector<f64>, Vec<f64>)> {
     let design = system.design(&fitted.terms)?;
     let coefficients = DVector::from_column_slice(&fitted.coefficients);
     if design.ncols() != coefficients.len() {

@@ -26,7 +26,11 @@ pub struct RangeLimit {
 impl RangeLimit {
     /// In a sentence; `unit` of the response.
     pub fn sentence(&self, unit: &str) -> String {
-        let points: Vec<String> = self.origins.iter().map(|origin| origin.2.to_string()).collect();
+        let points: Vec<String> = self
+            .origins
+            .iter()
+            .map(|origin| origin.2.to_string())
+            .collect();
         let unit = if unit == "1" { "" } else { unit };
         let [from, last] = self.stimuli.map(|stimulus| number(stimulus, 10));
         format!(
@@ -41,7 +45,11 @@ impl RangeLimit {
 
 /// What a reading shows: the response, or the measured position in mm.
 pub fn read_out(row: &ScalarRow, declared: Declared) -> f64 {
-    if declared == Declared::Axis { row.x + 1e-3 * row.y } else { row.y }
+    if declared == Declared::Axis {
+        row.x + 1e-3 * row.y
+    } else {
+        row.y
+    }
 }
 
 /// Limits at either end of the read-out, at most one each.
@@ -72,7 +80,11 @@ fn at_end(
     let upper = all(count - 1);
     let place = |k: usize| if upper { count - 1 - k } else { k };
     let full = (0..count).take_while(|&k| all(place(k))).count();
-    let at = if full < count && any(place(full)) { full + 1 } else { full };
+    let at = if full < count && any(place(full)) {
+        full + 1
+    } else {
+        full
+    };
     let censored: Vec<usize> = (0..at).flat_map(|k| of[place(k)].iter().copied()).collect();
     if full == 0 || count - at < 2 || (full == 1 && of[place(0)].len() < MIN_REPEATS) {
         return None;
@@ -80,17 +92,24 @@ fn at_end(
     // The law of the two settings next to the limit, at the far end of the stimulus.
     let [mx, my] = [x, y].map(|v| means(setting, v));
     let [near, next] = [place(at), place(at + 1)];
-    let expected = my[near] + (my[near] - my[next]) / (mx[near] - mx[next]) * (mx[place(0)] - mx[near]);
+    let expected =
+        my[near] + (my[near] - my[next]) / (mx[near] - mx[next]) * (mx[place(0)] - mx[near]);
     // What the read-out resolves, and what the other settings scatter by.
     let others = || (at..count).map(|k| &of[place(k)]);
     let spread = |rows: &Vec<usize>| {
-        let [low, high] =
-            rows.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &i| [a.min(y[i]), b.max(y[i])]);
+        let [low, high] = rows
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &i| {
+                [a.min(y[i]), b.max(y[i])]
+            });
         high - low
     };
-    let resolved = decimal_step(y).unwrap_or(0.0).max(median(others().map(spread)).unwrap_or(0.0));
+    let resolved = decimal_step(y)
+        .unwrap_or(0.0)
+        .max(median(others().map(spread)).unwrap_or(0.0));
     let repeats_scatter = others().filter(|rows| spread(rows) > 0.0).count() * 2 > count - at;
-    let beyond = end(expected, value) == expected && (expected - value).abs() > BEYOND_STEPS * resolved;
+    let beyond =
+        end(expected, value) == expected && (expected - value).abs() > BEYOND_STEPS * resolved;
     (beyond && (full > 1 || repeats_scatter)).then(|| RangeLimit {
         value,
         stimuli: [mx[place(at - 1)], mx[near]],
@@ -116,7 +135,10 @@ mod tests {
         let clipped = rows(|x, k| (0.15 + 0.1 * x + noise(k)).min(8.1921));
         let found = range_limits(&clipped, linear);
         assert_eq!(found.len(), 1);
-        assert_eq!((found[0].value, found[0].stimuli, found[0].origins.len()), (8.1921, [90.0, 80.0], 6));
+        assert_eq!(
+            (found[0].value, found[0].stimuli, found[0].origins.len()),
+            (8.1921, [90.0, 80.0], 6)
+        );
         let low = range_limits(&rows(|x, k| (0.1 * x - 2.5 + noise(k)).max(0.0)), linear);
         assert_eq!((low.len(), low[0].stimuli), (1, [20.0, 30.0]));
         // Only the last setting clips.

@@ -30,7 +30,9 @@ pub(super) fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) ->
                 };
             }
             let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
-            out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
+            out.iter()
+                .map(|d| if *d == 0.0 { first } else { *d })
+                .collect()
         }
         None if sorted_with_repetitions(setting) => return None,
         None if rows.iter().all(|r| r.cycle.is_some()) => ways_of_cycles(rows, setting),
@@ -65,27 +67,50 @@ fn to_and_fro(setting: &[usize]) -> bool {
 
 /// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
 pub fn ways(setting: &[usize]) -> Vec<f64> {
-    let step = |k: usize| setting.get(k + 1).map_or(0.0, |next| *next as f64 - setting[k] as f64);
+    let step = |k: usize| {
+        setting
+            .get(k + 1)
+            .map_or(0.0, |next| *next as f64 - setting[k] as f64)
+    };
     let mut out = vec![0.0; setting.len()];
     for k in (0..setting.len()).rev() {
         let before = if k > 0 { step(k - 1) } else { 0.0 };
-        let ahead = if step(k) != 0.0 { step(k).signum() } else { out.get(k + 1).copied().unwrap_or(0.0) };
-        out[k] = if before != 0.0 { before.signum() } else { ahead };
+        let ahead = if step(k) != 0.0 {
+            step(k).signum()
+        } else {
+            out.get(k + 1).copied().unwrap_or(0.0)
+        };
+        out[k] = if before != 0.0 {
+            before.signum()
+        } else {
+            ahead
+        };
     }
     out
 }
 
 /// Cycles or replicates that are runs over several stimuli; else one group.
 pub(super) fn groups(rows: &[ScalarRow]) -> Vec<u32> {
-    let Some(cycles) = all(rows, |r| r.cycle) else { return vec![0; rows.len()] };
+    let Some(cycles) = all(rows, |r| r.cycle) else {
+        return vec![0; rows.len()];
+    };
     let run = |c: u32| {
-        let [lo, hi] = range(rows.iter().zip(&cycles).filter(|(_, k)| **k == c).map(|(r, _)| r.x));
+        let [lo, hi] = range(
+            rows.iter()
+                .zip(&cycles)
+                .filter(|(_, k)| **k == c)
+                .map(|(r, _)| r.x),
+        );
         hi > lo
     };
     let mut distinct = cycles.clone();
     distinct.sort_unstable();
     distinct.dedup();
-    if distinct.len() > 1 && distinct.iter().all(|c| run(*c)) { cycles } else { vec![0; rows.len()] }
+    if distinct.len() > 1 && distinct.iter().all(|c| run(*c)) {
+        cycles
+    } else {
+        vec![0; rows.len()]
+    }
 }
 
 /// Fewer readings than this do not tell a series's zero.
@@ -97,6 +122,12 @@ pub(super) fn series(rows: &[ScalarRow]) -> Vec<u32> {
     let mut distinct = groups.clone();
     distinct.sort_unstable();
     distinct.dedup();
-    let enough = distinct.iter().all(|s| groups.iter().filter(|g| *g == s).count() >= MIN_OF_SERIES);
-    if enough && distinct.len() > 1 { distinct } else { Vec::new() }
+    let enough = distinct
+        .iter()
+        .all(|s| groups.iter().filter(|g| *g == s).count() >= MIN_OF_SERIES);
+    if enough && distinct.len() > 1 {
+        distinct
+    } else {
+        Vec::new()
+    }
 }

@@ -30,11 +30,19 @@ fn standardised(system: &ScalarSystem, h: &Hypothesis) -> Vec<f64> {
 pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Spread> {
     let frame = &system.frame;
     // Rounding is a function of the value: where it is much of the noise, readings are near or far as their marks lie, and no order is as likely.
-    let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
+    let step = system
+        .noise_inputs()
+        .step
+        .first()
+        .copied()
+        .flatten()
+        .unwrap_or(0.0);
     if step.powi(2) / 12.0 > MAX_ROUNDING * h.fit.raw_residual.norm_squared() / h.fit.dof.max(1.0) {
         return None;
     }
-    let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.counts(i)).collect();
+    let kept: Vec<usize> = (0..frame.rows.len())
+        .filter(|&i| h.weights.counts(i))
+        .collect();
     let residual = standardised(system, h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
     let x = pick(&|i| frame.rows[i].x);
@@ -62,7 +70,9 @@ pub(super) fn with_spread_of(
     seed: u64,
 ) -> Option<ScalarSystem> {
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise.
-    let contradicted = system.pure_error(accepted).is_some_and(|l| l.is_significant());
+    let contradicted = system
+        .pure_error(accepted)
+        .is_some_and(|l| l.is_significant());
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
     let found = test_spread(system, accepted, seed)
@@ -75,8 +85,14 @@ pub(super) fn with_spread_of(
 }
 
 /// A trend of the spread too weak to be called an effect, in words.
-pub(super) fn heteroscedasticity_note(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<String> {
-    let p = test_spread(system, h, seed).filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
+pub(super) fn heteroscedasticity_note(
+    system: &ScalarSystem,
+    h: &Hypothesis,
+    seed: u64,
+) -> Option<String> {
+    let p = test_spread(system, h, seed)
+        .filter(|s| s.p_value <= SPREAD_REMARK)?
+        .p_value;
     Some(format!(
         "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."
     ))

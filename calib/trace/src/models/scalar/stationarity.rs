@@ -45,10 +45,16 @@ pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarit
         }
         let fitted = fit(system, &h.fit.terms, &kept, 25)?;
         let at = fitted.design.ncols() + slot;
-        let error = covariance(&fitted, fitted.variance())[(at, at)].max(0.0).sqrt();
+        let error = covariance(&fitted, fitted.variance())[(at, at)]
+            .max(0.0)
+            .sqrt();
         Some((fitted.terms[place].values[0], error))
     };
     let ((a, sa), (b, sb)) = (half(false)?, half(true)?);
     let z = (b - a).abs() / sa.hypot(sb).max(1e-300);
-    Some(Stationarity { cycles: [a, b], standard_errors: [sa, sb], z })
+    Some(Stationarity {
+        cycles: [a, b],
+        standard_errors: [sa, sb],
+        z,
+    })
 }

@@ -33,7 +33,10 @@ pub(super) fn absolute_zero(unit: &str) -> Option<f64> {
 
 /// Ranges of counts: powers of two (8 bits and more), of ten, and a turn.
 fn moduli() -> impl Iterator<Item = f64> {
-    (8..=32).map(|k| f64::from(k).exp2()).chain((2..=6).map(|k| 10f64.powi(k))).chain([360.0, TAU])
+    (8..=32)
+        .map(|k| f64::from(k).exp2())
+        .chain((2..=6).map(|k| 10f64.powi(k)))
+        .chain([360.0, TAU])
 }
 
 /// Steps up to this many times the typical one are steps of the same slope.
@@ -44,25 +47,45 @@ const SAME_SLOPE: f64 = 3.0;
 pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
     let mut all: Vec<(f64, f64)> = rows.iter().map(|r| (r.x, r.y)).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let (low, high) =
-        all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| (a.min(r.1), b.max(r.1)));
-    let steps: Vec<([f64; 2], f64)> = all.windows(2).map(|p| ([p[0].0, p[1].0], p[1].1 - p[0].1)).collect();
+    let (low, high) = all
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| {
+            (a.min(r.1), b.max(r.1))
+        });
+    let steps: Vec<([f64; 2], f64)> = all
+        .windows(2)
+        .map(|p| ([p[0].0, p[1].0], p[1].1 - p[0].1))
+        .collect();
     let of = |modulus: f64| {
         let unwrapped = |d: f64| d - modulus * (d / modulus).round();
         let taken: Vec<f64> = steps.iter().map(|(_, d)| unwrapped(*d)).collect();
         let largest = taken.iter().fold(0.0_f64, |a, d| a.max(d.abs()));
-        let places: Vec<([f64; 2], f64)> =
-            steps.iter().copied().filter(|(_, d)| d.abs() > 0.5 * modulus).collect();
-        let between: Vec<f64> =
-            taken.iter().zip(&steps).filter(|(_, s)| s.0[0] < s.0[1]).map(|(d, _)| *d).collect();
+        let places: Vec<([f64; 2], f64)> = steps
+            .iter()
+            .copied()
+            .filter(|(_, d)| d.abs() > 0.5 * modulus)
+            .collect();
+        let between: Vec<f64> = taken
+            .iter()
+            .zip(&steps)
+            .filter(|(_, s)| s.0[0] < s.0[1])
+            .map(|(d, _)| *d)
+            .collect();
         let typical = between.iter().sum::<f64>().abs() / between.len().max(1) as f64;
         // All of one count's range is used, and what is left of every step is a step of the slope.
         let fits = !places.is_empty()
             && high - low < modulus
             && high - low + SAME_SLOPE * typical > modulus
             && largest < SAME_SLOPE * typical
-            && places.iter().all(|(x, d)| x[0] < x[1] && d.signum() == places[0].1.signum());
-        fits.then(|| places.iter().map(|(x, _)| 0.5 * (x[0] + x[1])).collect::<Vec<f64>>())
+            && places
+                .iter()
+                .all(|(x, d)| x[0] < x[1] && d.signum() == places[0].1.signum());
+        fits.then(|| {
+            places
+                .iter()
+                .map(|(x, _)| 0.5 * (x[0] + x[1]))
+                .collect::<Vec<f64>>()
+        })
     };
     moduli().find_map(of).unwrap_or_default()
 }
@@ -75,8 +98,11 @@ mod tests {
     /// Counts of `bits` bits over a turn in 40 places, from `zero` on.
     fn counts(bits: i32, zero: f64, noise: f64) -> Vec<ScalarRow> {
         let modulus = f64::from(bits).exp2();
-        let count = |k: i32| (zero + modulus * f64::from(k) / 41.0 + noise * f64::from(k * 7 % 5)).round();
-        (0..40).map(|k| bare(0, 9.0 * f64::from(k), count(k).rem_euclid(modulus))).collect()
+        let count =
+            |k: i32| (zero + modulus * f64::from(k) / 41.0 + noise * f64::from(k * 7 % 5)).round();
+        (0..40)
+            .map(|k| bare(0, 9.0 * f64::from(k), count(k).rem_euclid(modulus)))
+            .collect()
     }
 
     #[test]

@@ -20,11 +20,14 @@ use wcal_core::repeats::decimal_step;
 /// Why a session does not give what a law needs; none where it does.
 fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
     let (met, why) = match need {
-        LawRequirement::Slope => {
-            (frame.sloped(), "the declared model is constant: it does not follow the stimulus")
-        }
+        LawRequirement::Slope => (
+            frame.sloped(),
+            "the declared model is constant: it does not follow the stimulus",
+        ),
         LawRequirement::Time if frame.time.is_none() => (false, "the session has no time stamps"),
-        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order if frame.swept_once() => {
+        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order
+            if frame.swept_once() =>
+        {
             (false, SWEPT_ONCE)
         }
         LawRequirement::Clock | LawRequirement::Order => (
@@ -35,12 +38,14 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
             frame.direction.is_some(),
             "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
         ),
-        LawRequirement::Temperature => {
-            (frame.temperature.is_some(), "the session has no temperature column, or it is constant")
-        }
-        LawRequirement::Covariate => {
-            (frame.covariates.iter().any(Option::is_some), "the table has no further covariate that varies")
-        }
+        LawRequirement::Temperature => (
+            frame.temperature.is_some(),
+            "the session has no temperature column, or it is constant",
+        ),
+        LawRequirement::Covariate => (
+            frame.covariates.iter().any(Option::is_some),
+            "the table has no further covariate that varies",
+        ),
         _ => return None,
     };
     (!met).then_some(why)
@@ -80,7 +85,10 @@ pub struct ScalarSystem {
 
 /// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
 pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
-    law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
+    law.scale(frame)
+        .iter()
+        .map(|v| (exponent * (v - centre)).exp())
+        .collect()
 }
 
 /// Least and largest stated variance beside a typical one; a reference mass of nothing is no reading without noise.
@@ -89,11 +97,17 @@ const STATED: [f64; 2] = [1e-2, 1e6];
 /// Stated variances of the stimuli beside a typical one: the shape of what the reference adds to the noise (ISO/TS 28037, the slope taken as one over the
 /// range). Empty where they are not stated, or all alike.
 fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
-    let Some(sd) = all(rows, |r| r.x_sd) else { return Vec::new() };
+    let Some(sd) = all(rows, |r| r.x_sd) else {
+        return Vec::new();
+    };
     let typical = median(sd.iter().copied().filter(|sd| *sd > 0.0)).unwrap_or(0.0);
     let alike = sd.iter().all(|v| *v == sd[0]);
     let variance = |sd: &f64| (sd / typical).powi(2).clamp(STATED[0], STATED[1]);
-    if alike || typical <= 0.0 { Vec::new() } else { sd.iter().map(variance).collect() }
+    if alike || typical <= 0.0 {
+        Vec::new()
+    } else {
+        sd.iter().map(variance).collect()
+    }
 }
 
 /// An axis is measured from a point this many times the largest error away.
@@ -131,7 +145,12 @@ impl ScalarSystem {
     }
 
     /// With the session's names, every reading of its points table that measures, and the limits at which the others stand.
-    pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>, limits: Vec<RangeLimit>) -> Self {
+    pub fn of_session(
+        mut self,
+        names: Names,
+        points: Vec<ScalarRow>,
+        limits: Vec<RangeLimit>,
+    ) -> Self {
         (self.names, self.points, self.limits) = (names, Arc::new(points), limits);
         self
     }
@@ -147,20 +166,38 @@ impl ScalarSystem {
         let origins: BTreeSet<_> = unsealed.iter().map(|r| r.origin.clone()).collect();
         let rows = self.points.iter().cloned().chain(unsealed).collect();
         // A sealed reading is predicted like any new one: at the stimulus that was read.
-        let as_read = Scaling { unreliability: 0.0, ..self.frame.scaling.clone() };
+        let as_read = Scaling {
+            unreliability: 0.0,
+            ..self.frame.scaling.clone()
+        };
         let frame = Frame::of_new_rows(rows, &as_read, self.frame.declared);
         let mut all = Self::new(frame, &self.names.covariates).with_offset(self.offset);
         // What stands at a limit measures nothing there, either.
-        let measures =
-            |r: &ScalarRow| self.limits.iter().all(|l| l.value != read_out(r, self.frame.declared));
-        all.sealed = all.frame.rows.iter().map(|r| origins.contains(&r.origin) && measures(r)).collect();
-        all = all.of_session(self.names.clone(), self.points.to_vec(), self.limits.clone());
+        let measures = |r: &ScalarRow| {
+            self.limits
+                .iter()
+                .all(|l| l.value != read_out(r, self.frame.declared))
+        };
+        all.sealed = all
+            .frame
+            .rows
+            .iter()
+            .map(|r| origins.contains(&r.origin) && measures(r))
+            .collect();
+        all = all.of_session(
+            self.names.clone(),
+            self.points.to_vec(),
+            self.limits.clone(),
+        );
         match &self.spread {
             Some(s) => {
                 let scale = s.law.scale(&self.frame);
                 let centre = scale.iter().sum::<f64>() / scale.len() as f64;
                 let relative_sd = relative_sd_at(&all.frame, s.law, s.exponent, centre);
-                all.with_spread(Spread { relative_sd, ..s.clone() })
+                all.with_spread(Spread {
+                    relative_sd,
+                    ..s.clone()
+                })
             }
             None => all,
         }
@@ -197,8 +234,14 @@ impl MeasurementModel for ScalarSystem {
         let frame = &self.frame;
         let mut u = finite(frame.u.clone())?;
         let law = |t: &EffectTerm| self.catalogue[t.effect].law(t.law);
-        let active =
-            || terms.iter().map(|t| (&self.effects[t.effect], Values::new(law(t), t.law, &t.values)));
+        let active = || {
+            terms.iter().map(|t| {
+                (
+                    &self.effects[t.effect],
+                    Values::new(law(t), t.law, &t.values),
+                )
+            })
+        };
         for (effect, values) in active() {
             finite(values.all())?;
             if !(effect.warp)(&values, frame, &mut u) {
@@ -208,16 +251,27 @@ impl MeasurementModel for ScalarSystem {
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
-                let read =
-                    frame.read_u.iter().zip(&frame.u).zip(&u).map(|((read, level), u)| read + (u - level));
+                let read = frame
+                    .read_u
+                    .iter()
+                    .zip(&frame.u)
+                    .zip(&u)
+                    .map(|((read, level), u)| read + (u - level));
                 let read: Vec<f64> = read.collect();
-                (0..=degree).map(|k| read.iter().map(|v| v.powi(k as i32)).collect()).collect()
+                (0..=degree)
+                    .map(|k| read.iter().map(|v| v.powi(k as i32)).collect())
+                    .collect()
             }
             // measured - commanded = constant + (x_eff - x): the second part has no free coefficient. Seen from a far point it
             // rides on the constant's column, with a coefficient of one to within error / offset = 1e-5.
             Declared::Axis => {
                 let um = 1e3 * frame.scaling.half / self.offset;
-                vec![u.iter().zip(&frame.u).map(|(e, c)| 1.0 + um * (e - c)).collect()]
+                vec![
+                    u.iter()
+                        .zip(&frame.u)
+                        .map(|(e, c)| 1.0 + um * (e - c))
+                        .collect(),
+                ]
             }
         };
         for (effect, values) in active() {
@@ -231,7 +285,13 @@ impl MeasurementModel for ScalarSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let ScalarEffect { effect, not_observable, bend, degree, .. } = &self.effects[effect];
+        let ScalarEffect {
+            effect,
+            not_observable,
+            bend,
+            degree,
+            ..
+        } = &self.effects[effect];
         if (*bend || degree.is_some()) && self.frame.counts_readings {
             return Some("no stimulus was set: its column counts the readings".to_owned());
         }
@@ -241,7 +301,9 @@ impl MeasurementModel for ScalarSystem {
         // None of its laws has what it needs.
         let unmet = |law: &EffectModel| law.needs.iter().find_map(|need| unmet(*need, &self.frame));
         let unmet: Option<Vec<&str>> = effect.laws.iter().map(unmet).collect();
-        unmet.and_then(|all| Some((*all.first()?).to_owned())).or_else(|| not_observable(&self.frame))
+        unmet
+            .and_then(|all| Some((*all.first()?).to_owned()))
+            .or_else(|| not_observable(&self.frame))
     }
 
     fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
@@ -258,17 +320,34 @@ impl MeasurementModel for ScalarSystem {
 
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         let frame = &self.frame;
-        let stimulus = if frame.declared == Declared::Axis { "commanded_mm" } else { "stimulus" };
-        let mut out = vec![(stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>())];
+        let stimulus = if frame.declared == Declared::Axis {
+            "commanded_mm"
+        } else {
+            "stimulus"
+        };
+        let mut out = vec![(
+            stimulus.to_owned(),
+            frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>(),
+        )];
         let clock = !frame.swept_once();
         if frame.ordered && clock {
-            out.push(("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()));
+            out.push((
+                "order".to_owned(),
+                (0..frame.rows.len()).map(|k| k as f64).collect(),
+            ));
         }
         if frame.time.is_some() && clock {
-            out.push(("t_s".to_owned(), frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect()));
+            out.push((
+                "t_s".to_owned(),
+                frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect(),
+            ));
         }
         if frame.temperature.is_some() {
-            let column = frame.rows.iter().map(|r| r.temperature_degc.unwrap_or(0.0)).collect();
+            let column = frame
+                .rows
+                .iter()
+                .map(|r| r.temperature_degc.unwrap_or(0.0))
+                .collect();
             out.push(("temperature_degc".to_owned(), column));
         }
         if let Some(direction) = &frame.direction {
@@ -276,7 +355,10 @@ impl MeasurementModel for ScalarSystem {
         }
         for (k, name) in self.names.covariates.iter().enumerate() {
             if frame.covariates.get(k).is_some_and(Option::is_some) {
-                out.push((name.clone(), frame.rows.iter().map(|r| r.covariates[k]).collect()));
+                out.push((
+                    name.clone(),
+                    frame.rows.iter().map(|r| r.covariates[k]).collect(),
+                ));
             }
         }
         // The first of drivers that say the same is named: a column that counts the readings says it last.

@@ -29,14 +29,23 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
 }
 
 /// Takes the table in place of an explanation that repeats contradict.
-pub(super) fn prefer_error_table(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
+pub(super) fn prefer_error_table(
+    system: &ScalarSystem,
+    explained: &mut Explained,
+    options: &Options,
+) {
     let found = &explained.found;
     let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.is_significant());
-    let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return };
-    if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
+    let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else {
+        return;
+    };
+    if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted())
+    {
         return;
     }
-    let Some(table) = table(system, effect, &found.base) else { return };
+    let Some(table) = table(system, effect, &found.base) else {
+        return;
+    };
     let (table, last_test) = extended(system, table, &found.base, options);
     if let Some(noise) = noise_for_predictions(system, &table, options.seed) {
         explained.noise = noise;
@@ -50,17 +59,33 @@ pub(super) fn prefer_error_table(system: &ScalarSystem, explained: &mut Explaine
 
 /// Refit of `terms` with every reading that the declared model counts.
 fn refitted(system: &ScalarSystem, terms: &[EffectTerm], base: &Hypothesis) -> Option<Hypothesis> {
-    let fit = fit(system, terms, &base.weights, 15).filter(|f| f.status != Status::RankDeficient)?;
-    Some(Hypothesis { fit, ..base.clone() })
+    let fit =
+        fit(system, terms, &base.weights, 15).filter(|f| f.status != Status::RankDeficient)?;
+    Some(Hypothesis {
+        fit,
+        ..base.clone()
+    })
 }
 
 /// The plainest table that no richer one beats: by place, with one reversal value for all, with one for each place.
 fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypothesis> {
-    let of = |law: usize| EffectTerm { effect, law, values: Vec::new() };
-    let reversal = system.catalogue().iter().position(|e| e.id == "backlash").and_then(|e| {
-        let (law, _) = system.catalogue()[e].law_named("reversal")?;
-        Some(EffectTerm { effect: e, law, values: Vec::new() })
-    });
+    let of = |law: usize| EffectTerm {
+        effect,
+        law,
+        values: Vec::new(),
+    };
+    let reversal = system
+        .catalogue()
+        .iter()
+        .position(|e| e.id == "backlash")
+        .and_then(|e| {
+            let (law, _) = system.catalogue()[e].law_named("reversal")?;
+            Some(EffectTerm {
+                effect: e,
+                law,
+                values: Vec::new(),
+            })
+        });
     let mut kept = refitted(system, &[of(0)], base)?;
     let common = reversal.map(|r| vec![of(0), r]);
     for terms in common.into_iter().chain([vec![of(1)]]) {
@@ -84,7 +109,9 @@ fn extended(
         let left = kept.fit.stacked();
         let other = |s: &&Signature| kept.fit.terms.iter().all(|t| t.effect != s.term.effect);
         let best = strongest(test.signatures.iter().filter(other), &left, &kept.fit);
-        let Some((_, best)) = best.filter(|_| test.p_catalogue < CATALOGUE) else { break };
+        let Some((_, best)) = best.filter(|_| test.p_catalogue < CATALOGUE) else {
+            break;
+        };
         let law = system.catalogue()[best.term.effect].law(best.term.law);
         let mut terms = kept.fit.terms.clone();
         terms.push(best.start(&left, law));
@@ -108,15 +135,22 @@ fn improves_on_laws(plain: &Fit, rich: &Fit) -> bool {
 
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.
 pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
-    let Some(effect) = index(system) else { return Vec::new() };
-    let Some(at) = fit.terms.iter().position(|t| t.effect == effect) else { return Vec::new() };
+    let Some(effect) = index(system) else {
+        return Vec::new();
+    };
+    let Some(at) = fit.terms.iter().position(|t| t.effect == effect) else {
+        return Vec::new();
+    };
     let first = fit.slots(system.catalogue())[at].columns.start;
     let places = &system.frame.scaling.places;
     let by_direction = fit.terms[at].law == 1;
     let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
     let coefficients = fit.coefficients.column(0);
-    let ways: &[(&str, bool)] =
-        if by_direction { &[(", rising", false), (", falling", true)] } else { &[("", false)] };
+    let ways: &[(&str, bool)] = if by_direction {
+        &[(", rising", false), (", falling", true)]
+    } else {
+        &[("", false)]
+    };
     let mut out = Vec::new();
     for (k, place) in places.iter().enumerate() {
         for (way, falling) in ways {
@@ -128,7 +162,10 @@ pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
             if *falling {
                 g[first + places.len() - 1 + k] = 1.0;
             }
-            let value = (0..coefficients.len()).map(|j| g[j] * coefficients[j]).sum::<f64>() - system.offset;
+            let value = (0..coefficients.len())
+                .map(|j| g[j] * coefficients[j])
+                .sum::<f64>()
+                - system.offset;
             let half = t * g.dot(&(&c * &g)).max(0.0).sqrt();
             out.push(EffectParameter {
                 name: format!("deviation at {place}{way}"),

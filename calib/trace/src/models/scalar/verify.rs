@@ -72,14 +72,23 @@ pub fn verify_scalar(
     let limits = range_limits(&points, declared);
     points.retain(|r| !limits.iter().any(|l| l.origins.contains(&r.origin)));
     let rows = thin(points.clone());
-    let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) }.with_unreliability(&rows, declared);
+    let scaling = Scaling {
+        count: points.len(),
+        ..Scaling::of(&rows)
+    }
+    .with_unreliability(&rows, declared);
     let (stimulus, response) = data.units();
     let scaling = match data {
         ScalarData::Transducer(_) => scaling.of_transducer(&rows, &stimulus),
         ScalarData::Axis(_) => scaling.with_places(&rows),
     };
     let deviation = matches!(data, ScalarData::Transducer(data) if data.deviation);
-    let names = Names { stimulus, response, deviation, covariates: data.covariate_names() };
+    let names = Names {
+        stimulus,
+        response,
+        deviation,
+        covariates: data.covariate_names(),
+    };
     let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
         .of_session(names, points, limits);
     Ok(match verify(model, sealed, &[], request)? {
@@ -89,13 +98,25 @@ pub fn verify_scalar(
 }
 
 /// What a report shows of a verification.
-fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequest) -> ScalarVerification {
-    let mut document = VerifyDocument { session: session.to_owned(), ..v.document() };
+fn for_report(
+    session: &str,
+    v: Verification<ScalarSystem>,
+    request: &VerifyRequest,
+) -> ScalarVerification {
+    let mut document = VerifyDocument {
+        session: session.to_owned(),
+        ..v.document()
+    };
     let system = v.decision.model();
-    let (found, accepted) = (&v.decision.explained().found, &v.decision.conclusion().accepted);
+    let (found, accepted) = (
+        &v.decision.explained().found,
+        &v.decision.conclusion().accepted,
+    );
     if system.spread.is_none() {
         let remark = heteroscedasticity_note(system, accepted, request.search.seed);
-        document.notes.extend(remark.map(|note| system.frame.declared.format_text(&note)));
+        document
+            .notes
+            .extend(remark.map(|note| system.frame.declared.format_text(&note)));
     }
     let [declared, richer] = system.polynomials(&found.base, accepted);
     let lack = [&found.base, accepted].map(|h| system.pure_error(h));
@@ -109,7 +130,10 @@ fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequ
         lack_of_fit_after: lack[1],
         spread: system.spread.clone(),
         stationarity: stationarity(system, accepted),
-        residual_sd: [found.base.fit.variance().sqrt(), accepted.fit.variance().sqrt()],
+        residual_sd: [
+            found.base.fit.variance().sqrt(),
+            accepted.fit.variance().sqrt(),
+        ],
         gates: Some([found.first_test.p_values(), found.last_test.p_values()]),
         evidence: found.evidence.clone(),
         whole: Some(v.assessment.whole),

@@ -23,9 +23,17 @@ pub(super) fn refusal(system: &WhiskerSystem, sealed: &Sealed<WhiskerRow>) -> Op
         return Some(format!("The data cannot be used: {why}."));
     }
     let copied = sealed.refusal(&rows[..], |sealed, fitted| {
-        let read = |r: &WhiskerRow| (r.t_s, [r.stage_mm.unwrap_or(f64::NAN), r.shift_pm[0], r.shift_pm[1]]);
+        let read = |r: &WhiskerRow| {
+            (
+                r.t_s,
+                [r.stage_mm.unwrap_or(f64::NAN), r.shift_pm[0], r.shift_pm[1]],
+            )
+        };
         let fitted = fitted.iter().filter(|r| r.role != Role::Rest).map(read);
-        Some(format!("{}.", sealed_in_fit(fitted, sealed.iter().filter(|r| r.sealed).map(read))?))
+        Some(format!(
+            "{}.",
+            sealed_in_fit(fitted, sealed.iter().filter(|r| r.sealed).map(read))?
+        ))
     });
     copied.or_else(|| sensitivity::of_system(system))
 }

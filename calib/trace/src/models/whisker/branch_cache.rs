@@ -25,7 +25,9 @@ impl BranchCache {
     }
 
     pub(super) fn keep(&self, l: usize, branch: Branch) {
-        let Ok(mut kept) = self.0[l].lock() else { return };
+        let Ok(mut kept) = self.0[l].lock() else {
+            return;
+        };
         if kept.len() >= KEPT {
             // The first is the nominal wire.
             kept.remove(1);
@@ -47,8 +49,9 @@ impl Branch {
     pub(super) fn node(&self, share: f64) -> Option<&Anchor> {
         let after = self.nodes.partition_point(|n| n.0 < share);
         let beside = after.saturating_sub(1)..(after + 1).min(self.nodes.len());
-        let near =
-            self.nodes[beside].iter().min_by(|a, b| (a.0 - share).abs().total_cmp(&(b.0 - share).abs()));
+        let near = self.nodes[beside]
+            .iter()
+            .min_by(|a, b| (a.0 - share).abs().total_cmp(&(b.0 - share).abs()));
         near.map(|n| &n.1)
     }
 }

@@ -39,17 +39,28 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
         add("temperature_degc", column(&|r| r.temperature_loo_degc));
     }
     if path.columns.temperature && path.columns.time {
-        SIDES.into_iter().for_each(|s| add("temperature_rate_degc_s", rates(r, s)));
+        SIDES
+            .into_iter()
+            .for_each(|s| add("temperature_rate_degc_s", rates(r, s)));
     }
     if path.columns.both_directions {
-        add("direction", column(&|r| if r.rest { 0.0 } else { r.direction }));
+        add(
+            "direction",
+            column(&|r| if r.rest { 0.0 } else { r.direction }),
+        );
     }
     if path.columns.speeds {
         add("speed_mm_s", column(&|r| r.velocity_mm_s));
     }
-    let arclength_mm =
-        |r: &Reading| r.line.filter(|_| !r.rest).and_then(|l| system.rod_tables.arclength_mm(l, r.x_mm));
-    add("contact_arclength_mm", column(&|r| arclength_mm(r).unwrap_or(0.0)));
+    let arclength_mm = |r: &Reading| {
+        r.line
+            .filter(|_| !r.rest)
+            .and_then(|l| system.rod_tables.arclength_mm(l, r.x_mm))
+    };
+    add(
+        "contact_arclength_mm",
+        column(&|r| arclength_mm(r).unwrap_or(0.0)),
+    );
     out
 }
 
@@ -57,10 +68,17 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
 fn rates(readings: &[Reading], [side, before]: [usize; 2]) -> Vec<f64> {
     let last = readings.len() - 1;
     let rate = |i: usize| {
-        let (a, b) = (i.saturating_sub(before + side), (i + side).saturating_sub(before).min(last));
+        let (a, b) = (
+            i.saturating_sub(before + side),
+            (i + side).saturating_sub(before).min(last),
+        );
         let (a, b) = (&readings[a], &readings[b]);
         let dt_s = b.t_s - a.t_s;
-        if dt_s > 0.0 { (b.temperature_loo_degc - a.temperature_loo_degc) / dt_s } else { 0.0 }
+        if dt_s > 0.0 {
+            (b.temperature_loo_degc - a.temperature_loo_degc) / dt_s
+        } else {
+            0.0
+        }
     };
     (0..readings.len()).map(rate).collect()
 }

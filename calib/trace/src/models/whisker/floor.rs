@@ -35,14 +35,25 @@ pub fn poses(readings: &[Reading]) -> Vec<usize> {
     let mut approaches: BTreeMap<(u32, u32, bool, i64, i64), Vec<usize>> = BTreeMap::new();
     for (i, r) in readings.iter().enumerate() {
         let direction = if r.rest { 0 } else { r.direction as i64 };
-        let key = (r.seating, r.group, r.rest, direction, (r.velocity_mm_s * 10.0) as i64);
+        let key = (
+            r.seating,
+            r.group,
+            r.rest,
+            direction,
+            (r.velocity_mm_s * 10.0) as i64,
+        );
         approaches.entry(key).or_default().push(i);
     }
     let mut pose = vec![0; readings.len()];
     let mut next = 0;
     for members in approaches.values_mut() {
         members.sort_by(|&a, &b| readings[a].x_mm.total_cmp(&readings[b].x_mm));
-        let tolerance = tolerance_mm(&members.iter().map(|&i| readings[i].x_mm).collect::<Vec<_>>());
+        let tolerance = tolerance_mm(
+            &members
+                .iter()
+                .map(|&i| readings[i].x_mm)
+                .collect::<Vec<_>>(),
+        );
         for k in 0..members.len() {
             if k == 0 || readings[members[k]].x_mm - readings[members[k - 1]].x_mm > tolerance {
                 next += 1;
@@ -55,9 +66,15 @@ pub fn poses(readings: &[Reading]) -> Vec<usize> {
 
 /// Largest gap between sorted positions that still is one pose, mm.
 fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
-    let range = sorted_mm.last().zip(sorted_mm.first()).map_or(0.0, |(b, a)| b - a);
+    let range = sorted_mm
+        .last()
+        .zip(sorted_mm.first())
+        .map_or(0.0, |(b, a)| b - a);
     let exact = (1e-5 * range).max(1e-6);
-    let mut gaps: Vec<f64> = sorted_mm.windows(2).map(|w| (w[1] - w[0]).max(exact)).collect();
+    let mut gaps: Vec<f64> = sorted_mm
+        .windows(2)
+        .map(|w| (w[1] - w[0]).max(exact))
+        .collect();
     gaps.sort_by(f64::total_cmp);
     let jump = (1..gaps.len())
         .filter(|&k| gaps[k - 1] <= NEAR_SHARE * range && gaps[k] > GAP_RATIO * gaps[k - 1])
@@ -77,10 +94,18 @@ fn by_pose(
     let mut groups: BTreeMap<usize, BTreeMap<usize, Vec<usize>>> = BTreeMap::new();
     let asked = |i: &usize| h.weights.counts(*i) && readings[*i].rest == rest && inputs.typical(*i);
     for i in (0..readings.len()).filter(asked) {
-        groups.entry(pose[i]).or_default().entry(inputs.settings[i]).or_default().push(i);
+        groups
+            .entry(pose[i])
+            .or_default()
+            .entry(inputs.settings[i])
+            .or_default()
+            .push(i);
     }
     let mean = |rows: &Vec<usize>| residual.select_rows(rows).row_mean();
-    groups.values().map(|settings| settings.values().map(mean).collect()).collect()
+    groups
+        .values()
+        .map(|settings| settings.values().map(mean).collect())
+        .collect()
 }
 
 /// Sum of squares and degrees of freedom within poses, over all channels.
@@ -88,7 +113,10 @@ fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
     let (mut ss, mut dof) = (0.0, 0.0);
     for settings in poses {
         let mean = DMatrix::from_rows(settings).row_mean();
-        ss += settings.iter().map(|m| (m - &mean).norm_squared()).sum::<f64>();
+        ss += settings
+            .iter()
+            .map(|m| (m - &mean).norm_squared())
+            .sum::<f64>();
         dof += (settings.len() - 1) as f64 * mean.len() as f64;
     }
     Part { ss, dof }
@@ -98,19 +126,32 @@ fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
 /// time: poses that follow each other then differ by less than those that do not. No parameter is counted, so that F errs to the small side: rest
 /// readings, which are in no pose, take some.
 pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> {
-    if h.weights.shared().is_some_and(|shared| shared.correlated.is_some()) {
+    if h.weights
+        .shared()
+        .is_some_and(|shared| shared.correlated.is_some())
+    {
         return None;
     }
     let poses = by_pose(system, h, &h.fit.raw_residual, false);
     let within = within(&poses);
     let total: f64 = poses.iter().flatten().map(RowDVector::norm_squared).sum();
-    let between = Part { ss: total - within.ss, dof: (poses.len() * h.fit.raw_residual.ncols()) as f64 };
-    (within.dof >= MIN_DOF).then(|| LackOfFit::of(Split { between, within })).flatten()
+    let between = Part {
+        ss: total - within.ss,
+        dof: (poses.len() * h.fit.raw_residual.ncols()) as f64,
+    };
+    (within.dof >= MIN_DOF)
+        .then(|| LackOfFit::of(Split { between, within }))
+        .flatten()
 }
 
 /// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
 /// and only replicates tell the floor.
-pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: bool) -> Option<Floor> {
+pub fn noise_floor(
+    system: &WhiskerSystem,
+    h: &Hypothesis,
+    noise: &Noise,
+    left: bool,
+) -> Option<Floor> {
     let inputs = system.noise_inputs();
     let readings = &system.path.readings;
     let residual = &h.fit.raw_residual * system.channels_pm();
@@ -121,15 +162,24 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
     let rms = |typical: bool| {
         let of = (0..sd.len()).filter(|&i| !readings[i].rest && inputs.typical(i) == typical);
         let squares: Vec<f64> = of.map(|i| sd[i] * sd[i]).collect();
-        (squares.len() >= 2)
-            .then(|| system.noise_factor() * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+        (squares.len() >= 2).then(|| {
+            system.noise_factor() * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+        })
     };
     let model = rms(true).filter(|m| m.is_finite())?;
     let replicated = replicates.dof >= MIN_DOF;
     Some(Floor {
-        sd_pm: if left && replicated { (replicates.ss / replicates.dof).sqrt() } else { model },
+        sd_pm: if left && replicated {
+            (replicates.ss / replicates.dof).sqrt()
+        } else {
+            model
+        },
         moving_pm: rms(false),
-        source: if replicated { "replicates" } else { "difference" },
+        source: if replicated {
+            "replicates"
+        } else {
+            "difference"
+        },
         rest_dof,
     })
 }
@@ -140,7 +190,11 @@ impl Floor {
         if self.source == "replicates" {
             return None;
         }
-        let only_rest = if self.rest_dof > 0.0 { "Only rest readings repeat" } else { "No reading repeats" };
+        let only_rest = if self.rest_dof > 0.0 {
+            "Only rest readings repeat"
+        } else {
+            "No reading repeats"
+        };
         Some(format!(
             "{only_rest}: how well a loaded pose reproduces is not known from them. The floor is what the model leaves between neighbouring \
              poses; to know it, set at least five loaded poses again (move away and back) in two or more approaches."

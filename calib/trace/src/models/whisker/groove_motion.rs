@@ -117,7 +117,12 @@ struct Mechanics {
 type RodOf<'a> = &'a dyn Fn(&RodParameters) -> Option<Rod>;
 
 fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Option<Mechanics> {
-    let (xs_mm, rod) = effective_poses(path, &model.terms(), Observers::Cameras, model.stage_clock_s);
+    let (xs_mm, rod) = effective_poses(
+        path,
+        &model.terms(),
+        Observers::Cameras,
+        model.stage_clock_s,
+    );
     let wire = AcceptedWire {
         rod: rod_of(&rod)?,
         friction: rod.friction,
@@ -141,7 +146,9 @@ fn calibrate_readings(
     let noise_pm = vec![model.noise_sd_pm; sensed.len()];
     let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
     let (factor, mechanical) = covariance_root(model);
-    let others = factor.column_iter().map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
+    let others = factor
+        .column_iter()
+        .map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
     let others = others.collect::<Option<Vec<Mechanics>>>()?;
     // Of a typical reading; one that averages fewer samples has more.
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
@@ -164,24 +171,49 @@ fn calibrate_readings(
         }
     };
     let readings = (0..path.readings.len()).map(sensed).collect();
-    let changed = others.into_iter().take(mechanical).map(|o| o.wire).collect();
-    Some((SensedReadings { wire, changed, readings }, xs_mm))
+    let changed = others
+        .into_iter()
+        .take(mechanical)
+        .map(|o| o.wire)
+        .collect();
+    Some((
+        SensedReadings {
+            wire,
+            changed,
+            readings,
+        },
+        xs_mm,
+    ))
 }
 
 /// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
 /// position would take theirs from the groove's place: the system must have none.
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
-    let (SensedReadings { wire, changed, readings: sensed }, xs_mm) =
-        calibrate_readings(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
+    let (
+        SensedReadings {
+            wire,
+            changed,
+            readings: sensed,
+        },
+        xs_mm,
+    ) = calibrate_readings(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
     let mut readings = readings(system, &xs_mm, &sensed);
     let correlated = model.correlated_noise.map(|c| {
         // Both parts as they were found together: their sum need not be the floor's.
         let variance_pm2 = c.sd_pm.powi(2) + c.own_sd_pm.powi(2);
         let scale = variance_pm2 / model.noise_sd_pm.powi(2).max(f64::MIN_POSITIVE);
         readings.iter_mut().for_each(|r| r.noise_nmm2 *= scale);
-        [(c.sd_pm.powi(2) / variance_pm2).min(MAX_CORRELATED), c.time_constant_s]
+        [
+            (c.sd_pm.powi(2) / variance_pm2).min(MAX_CORRELATED),
+            c.time_constant_s,
+        ]
     });
-    Some(GrooveMotion { wire, changed, readings, correlated })
+    Some(GrooveMotion {
+        wire,
+        changed,
+        readings,
+        correlated,
+    })
 }
 
 /// Readings of a path without a stage, of a wire in air; as [`of_model`].
@@ -195,7 +227,10 @@ pub fn of_readings(
 
 fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
     let p = predictor.predict(shift_pm);
-    let MomentSpread { noise_nmm2, shared_nmm } = p.spread();
+    let MomentSpread {
+        noise_nmm2,
+        shared_nmm,
+    } = p.spread();
     let shared_displacement_mm = vec![0.0; shared_nmm.len()];
     CalibratedReading {
         moment_nmm: p.moment_nmm,
@@ -208,18 +243,32 @@ fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> Calibrated
 
 /// A wire without accepted deviations.
 fn nominal(rod: Rod) -> AcceptedWire {
-    AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() }
+    AcceptedWire {
+        rod,
+        friction: 0.0,
+        moving_share: 1.0,
+        offset_mm: Vector3::zeros(),
+    }
 }
 
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
-    let sensed = system.path.readings.iter().map(|r| sensed_by_map(&mut predictor, r.shift_pm));
+    let sensed = system
+        .path
+        .readings
+        .iter()
+        .map(|r| sensed_by_map(&mut predictor, r.shift_pm));
     let sensed: Vec<CalibratedReading> = sensed.collect();
     let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
     let readings = readings(system, &xs, &sensed);
-    Some(GrooveMotion { wire, changed: Vec::new(), readings, correlated: None })
+    Some(GrooveMotion {
+        wire,
+        changed: Vec::new(),
+        readings,
+        correlated: None,
+    })
 }
 
 /// Readings without a stage by their compensated shifts (pm); as [`of_map`].
@@ -232,12 +281,18 @@ pub fn of_shifts(
     Some(SensedReadings {
         wire: nominal(rod_of(whisker, AIR_KG_M3, &RodParameters::default())?),
         changed: Vec::new(),
-        readings: shifts_pm.map(|s| sensed_by_map(&mut predictor, s)).collect(),
+        readings: shifts_pm
+            .map(|s| sensed_by_map(&mut predictor, s))
+            .collect(),
     })
 }
 
 /// Readings on trajectories; `xs_mm` are the nodes' stage positions.
-fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[CalibratedReading]) -> Vec<ReadingWithMotion> {
+fn readings(
+    system: &WhiskerSystem,
+    xs_mm: &[f64],
+    sensed: &[CalibratedReading],
+) -> Vec<ReadingWithMotion> {
     let path = &system.path;
     let mut stage_mm = vec![0.0; path.readings.len()];
     for (node, x) in path.nodes.iter().zip(xs_mm) {
@@ -252,8 +307,13 @@ fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[CalibratedReading])
         contact_segment += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
         let Some(line) = r.line else { continue };
-        let CalibratedReading { moment_nmm, noise_nmm2, valid, shared_nmm, shared_displacement_mm } =
-            sensed[i].clone();
+        let CalibratedReading {
+            moment_nmm,
+            noise_nmm2,
+            valid,
+            shared_nmm,
+            shared_displacement_mm,
+        } = sensed[i].clone();
         out.push(ReadingWithMotion {
             reading: i,
             line,
@@ -277,7 +337,9 @@ fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[CalibratedReading])
 fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
     let mut moved = model.clone();
     let laws = model.terms();
-    let ranges = laws.iter().flat_map(|a| a.law().parameters.iter().map(|p| p.range));
+    let ranges = laws
+        .iter()
+        .flat_map(|a| a.law().parameters.iter().map(|p| p.range));
     let values = moved.effects.iter_mut().flat_map(|e| &mut e.values);
     for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * model.coefficients.len()..]) {
         *value = (*value + by).clamp(low, high);
@@ -289,7 +351,10 @@ fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
 fn is_mechanical(effect: &ActiveEffect) -> bool {
     let mut mechanics = RodParameters::default();
     (effect.effect.rod)(&effect.values(), &mut mechanics);
-    RodParameters { offset_mm: [0.0; 3], ..mechanics } != RodParameters::default()
+    RodParameters {
+        offset_mm: [0.0; 3],
+        ..mechanics
+    } != RodParameters::default()
 }
 
 /// F with cov(theta) = F F', and how many of its first columns change the wire.
@@ -307,7 +372,11 @@ pub(super) fn covariance_root(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
         }
     }
     let mechanical = order.len();
-    order.extend((0..size).filter(|k| !order[..mechanical].contains(k)).collect::<Vec<_>>());
+    order.extend(
+        (0..size)
+            .filter(|k| !order[..mechanical].contains(k))
+            .collect::<Vec<_>>(),
+    );
     // In units of the standard deviations: what is exact or not identified has none.
     let sd = |k: usize| model.covariance[k][k].max(0.0).sqrt();
     let unit = |i: usize, j: usize| model.covariance[i][j] / (sd(i) * sd(j)).max(f64::MIN_POSITIVE);
@@ -337,7 +406,9 @@ mod tests {
         let covariance = |i: usize, j: usize| if i == j { 2e-4 } else { 3e-5 };
         PhysicalModel {
             coefficients: vec![[0.0, 0.0], [70.0, 5.0], [-5.0, 70.0]],
-            covariance: (0..size).map(|i| (0..size).map(|j| covariance(i, j)).collect()).collect(),
+            covariance: (0..size)
+                .map(|i| (0..size).map(|j| covariance(i, j)).collect())
+                .collect(),
             noise_sd_pm: 0.5,
             correlated_noise: None,
             averaging: None,
@@ -351,14 +422,23 @@ mod tests {
     }
 
     fn effect(id: &str, law: &str, values: Vec<f64>) -> AcceptedEffect {
-        AcceptedEffect { id: id.into(), law: law.into(), values, parameters: Vec::new() }
+        AcceptedEffect {
+            id: id.into(),
+            law: law.into(),
+            values,
+            parameters: Vec::new(),
+        }
     }
 
     #[test]
     fn the_common_unknowns_are_the_covariance_and_the_first_are_the_wires() {
         let lag = effect("time-lag", "delay", vec![0.1]);
         let friction = effect("groove-friction", "coulomb", vec![0.2]);
-        for (effects, wires) in [(vec![], 0), (vec![lag.clone()], 0), (vec![lag, friction], 1)] {
+        for (effects, wires) in [
+            (vec![], 0),
+            (vec![lag.clone()], 0),
+            (vec![lag, friction], 1),
+        ] {
             let model = model(effects);
             let (f, mechanical) = covariance_root(&model);
             assert_eq!(mechanical, wires);
@@ -370,7 +450,9 @@ mod tests {
             }
             // The friction is the last value: unknowns after the first leave it.
             let last = f.nrows() - 1;
-            let left = (1..f.ncols()).map(|j| f[(last, j)].abs()).fold(0.0, f64::max);
+            let left = (1..f.ncols())
+                .map(|j| f[(last, j)].abs())
+                .fold(0.0, f64::max);
             assert_eq!(left < 1e-15, wires == 1, "{left}");
             // Through the readout they are what `sd_nmm` states beside the noise.
             let row = [1.0, 0.4, -0.2];
@@ -381,7 +463,10 @@ mod tests {
                 sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
             }
             let sd = model.sd_nmm(&inverse, &gradient, 0.5);
-            assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
+            assert!(
+                (sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12
+                    && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12
+            );
         }
     }
 
@@ -402,7 +487,14 @@ mod tests {
             direction: Vector3::z(),
         };
         let rows: Vec<&WhiskerRow> = rows.iter().collect();
-        WhiskerPath::new(&rows, &[line], &MomentAxes::default(), &FbgSpec::default(), None, None)
+        WhiskerPath::new(
+            &rows,
+            &[line],
+            &MomentAxes::default(),
+            &FbgSpec::default(),
+            None,
+            None,
+        )
     }
 
     #[test]
@@ -410,7 +502,16 @@ mod tests {
         let rod = |rod: &RodParameters| rod_of(&WhiskerSpec::nominal(), AIR_KG_M3, rod);
         let path = strokes();
         let of = |effects: Vec<AcceptedEffect>, stage_clock_s: f64| {
-            mechanics(&path, &rod, &PhysicalModel { stage_clock_s, ..model(effects) }).unwrap().xs_mm
+            mechanics(
+                &path,
+                &rod,
+                &PhysicalModel {
+                    stage_clock_s,
+                    ..model(effects)
+                },
+            )
+            .unwrap()
+            .xs_mm
         };
         let screw = || effect("stage-backlash", "play-centred", vec![0.04]);
         let lag = || effect("time-lag", "delay", vec![0.1]);
@@ -418,18 +519,28 @@ mod tests {
         assert_eq!(of(vec![screw(), lag()], 0.0), of(vec![lag(), screw()], 0.0));
         // What the cameras alone see moves no groove.
         let alone = of(vec![lag()], 0.0);
-        assert_eq!(of(vec![lag(), effect("picture-clock", "offset", vec![0.3])], 0.0), alone);
+        assert_eq!(
+            of(
+                vec![lag(), effect("picture-clock", "offset", vec![0.3])],
+                0.0
+            ),
+            alone
+        );
         // Control: a lag moves it, and so does the clock to which the fit set the stage.
         assert_ne!(alone, of(vec![], 0.0));
         let [later, plain] = [0.01, 0.0].map(|clock_s| of(vec![], clock_s));
         let moved: Vec<f64> = later.iter().zip(&plain).map(|(a, b)| a - b).collect();
-        assert!((moved[1] - 0.02).abs() < 1e-12 && (moved[8] + 0.02).abs() < 1e-12, "{moved:?}");
+        assert!(
+            (moved[1] - 0.02).abs() < 1e-12 && (moved[8] + 0.02).abs() < 1e-12,
+            "{moved:?}"
+        );
     }
 
     #[test]
     fn values_stay_in_their_ranges() {
         let model = model(vec![effect("groove-friction", "coulomb", vec![0.01])]);
-        let by = |v: f64| with_values(&model, &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, v]).effects[0].values[0];
+        let by =
+            |v: f64| with_values(&model, &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, v]).effects[0].values[0];
         assert_eq!(by(-5.0), 0.0);
         assert!((by(0.1) - 0.11).abs() < 1e-12);
     }

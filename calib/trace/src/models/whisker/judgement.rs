@@ -10,20 +10,38 @@ use crate::verify::session_model::Quantity;
 use wcal_map::{MapArtefact, MapPredictor};
 
 /// Only moments are judged: a map has no other prediction.
-pub const QUANTITIES: [Quantity; 1] = [Quantity { key: "moment_rmse_nmm", unit: "N mm" }];
+pub const QUANTITIES: [Quantity; 1] = [Quantity {
+    key: "moment_rmse_nmm",
+    unit: "N mm",
+}];
 
 fn judged_reading(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);
     let in_sd: Vec<f64> = (0..2).map(|c| error[c] / sd[c]).collect();
     let inside95 = in_sd.iter().map(|z| z.abs() <= NORMAL_95).collect();
-    JudgedReading { held_out: HeldOut { group, errors: vec![error.to_vec()], inside95 }, in_sd }
+    JudgedReading {
+        held_out: HeldOut {
+            group,
+            errors: vec![error.to_vec()],
+            inside95,
+        },
+        in_sd,
+    }
 }
 
 /// Readings to be judged: all, or those that were sealed.
 fn scored_readings(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
     let [_, scored] = system.held_out();
     let readings = &system.path.readings;
-    (0..readings.len()).filter(|&i| if only_sealed { scored[i] } else { !readings[i].rest }).collect()
+    (0..readings.len())
+        .filter(|&i| {
+            if only_sealed {
+                scored[i]
+            } else {
+                !readings[i].rest
+            }
+        })
+        .collect()
 }
 
 /// Through sensitivity and accepted effects; those that act on the pose act on the moments that it is judged by. None where the rod has no
@@ -35,22 +53,50 @@ pub fn of_model(
 ) -> Option<Vec<JudgedReading>> {
     let terms: Vec<EffectTerm> = model.terms().into_iter().map(|a| a.term).collect();
     let (sensed, base) = system.moments(&terms)?;
-    let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
+    let memory: Vec<[f64; 2]> = base
+        .iter()
+        .zip(&sensed)
+        .map(|(b, f)| [b[0] - f[0], b[1] - f[1]])
+        .collect();
     let inferred = model.infer(&system.path, Some(&memory));
     let of = |i: usize| {
         let m = &inferred[i];
-        judged_reading(system.path.readings[i].group, m.moment_nmm, m.sd_nmm, base[i])
+        judged_reading(
+            system.path.readings[i].group,
+            m.moment_nmm,
+            m.sd_nmm,
+            base[i],
+        )
     };
-    Some(scored_readings(system, only_sealed).into_iter().map(of).collect())
+    Some(
+        scored_readings(system, only_sealed)
+            .into_iter()
+            .map(of)
+            .collect(),
+    )
 }
 
 /// Through a map of moments; none where it or the rod cannot be used.
-pub fn of_map(system: &WhiskerSystem, map: &MapArtefact, only_sealed: bool) -> Option<Vec<JudgedReading>> {
+pub fn of_map(
+    system: &WhiskerSystem,
+    map: &MapArtefact,
+    only_sealed: bool,
+) -> Option<Vec<JudgedReading>> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
     let mut of = |i: usize| {
         let p = predictor.predict(system.path.readings[i].shift_pm);
-        judged_reading(system.path.readings[i].group, p.moment_nmm, p.sd_nmm, base[i])
+        judged_reading(
+            system.path.readings[i].group,
+            p.moment_nmm,
+            p.sd_nmm,
+            base[i],
+        )
     };
-    Some(scored_readings(system, only_sealed).into_iter().map(&mut of).collect())
+    Some(
+        scored_readings(system, only_sealed)
+            .into_iter()
+            .map(&mut of)
+            .collect(),
+    )
 }

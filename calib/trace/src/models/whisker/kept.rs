@@ -12,7 +12,10 @@ pub(crate) struct Kept<K, V> {
 
 impl<K: Eq + Hash, V> Kept<K, V> {
     pub(crate) fn at_most(most: usize) -> Self {
-        Self { most, by_key: Mutex::default() }
+        Self {
+            most,
+            by_key: Mutex::default(),
+        }
     }
 
     /// The result for `key`, made where it is not kept; none where it cannot be made.

@@ -45,21 +45,36 @@ const REFIT_STEPS: usize = 2;
 
 /// Errors that are stated; the contact's where there are pictures.
 const QUANTITIES: [Quantity; 3] = [
-    Quantity { key: "wavelength_rmse_pm", unit: "pm" },
-    Quantity { key: "moment_rmse_nmm", unit: "N mm" },
-    Quantity { key: "contact_rmse_mm", unit: "mm" },
+    Quantity {
+        key: "wavelength_rmse_pm",
+        unit: "pm",
+    },
+    Quantity {
+        key: "moment_rmse_nmm",
+        unit: "N mm",
+    },
+    Quantity {
+        key: "contact_rmse_mm",
+        unit: "mm",
+    },
 ];
 
 /// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the system that was fitted.
 fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
-    let Some(own) = before.pictures().map(Pictures::independent_variance_share) else { return system };
+    let Some(own) = before.pictures().map(Pictures::independent_variance_share) else {
+        return system;
+    };
     let chi = reduced_chi(fit, before.picture_scale());
     let sd = fit.readings_variance().sqrt();
     // Worse than stated, by whatever: everything counts less. Better: only what scatters can be, and one variance holds for all values.
     if own * chi > OVERSTATED {
-        system.with_own_share(1.0).with_picture_scale(sd / (own * chi))
+        system
+            .with_own_share(1.0)
+            .with_picture_scale(sd / (own * chi))
     } else {
-        system.with_own_share((own * chi).clamp(MIN_OWN_SHARE, 1.0)).with_picture_scale(sd)
+        system
+            .with_own_share((own * chi).clamp(MIN_OWN_SHARE, 1.0))
+            .with_picture_scale(sd)
     }
 }
 
@@ -92,7 +107,8 @@ impl SessionText for WhiskerSystem {
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
-        let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
+        let mut notes =
+            vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
         notes.extend(note_model_error(found));
         notes.extend(note_unsteady(self));
         notes.extend(note_clock(self));
@@ -110,7 +126,12 @@ impl SessionModel for WhiskerSystem {
 
     fn origin(&self, reading: usize) -> Origin {
         let row = self.row(reading);
-        Origin { source: row.source.clone(), line: row.line, point: row.point, role: row.role }
+        Origin {
+            source: row.source.clone(),
+            line: row.line,
+            point: row.point,
+            role: row.role,
+        }
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
@@ -141,7 +162,10 @@ impl SessionModel for WhiskerSystem {
     fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
-        let own = |s: &Self| s.pictures().map_or(1.0, Pictures::independent_variance_share);
+        let own = |s: &Self| {
+            s.pictures()
+                .map_or(1.0, Pictures::independent_variance_share)
+        };
         let lagged = fit.terms.iter().any(|t| is_lag(self, t.effect));
         let set_s = stage_clock::estimate_alignment(&again, accepted, lagged);
         let again = again.with_stage_clock(set_s);
@@ -165,10 +189,13 @@ impl SessionModel for WhiskerSystem {
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {
         let floor = noise_floor(self, h, noise, left);
         let sd = floor.map_or_else(|| noise.repeat.value * self.noise_factor(), |f| f.sd_pm);
-        let gain = PhysicalModel::new(self, h, sd).sensitivity().determinant().abs().sqrt();
+        let gain = PhysicalModel::new(self, h, sd)
+            .sensitivity()
+            .determinant()
+            .abs()
+            .sqrt();
         let replicated = floor.is_some_and(|f| f.source == "replicates");
-        let provisional =
-            " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.";
+        let provisional = " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.";
         FloorStatement {
             floor: NoiseFloor {
                 wavelength_pm: floor.map(|f| f.sd_pm),
@@ -178,18 +205,29 @@ impl SessionModel for WhiskerSystem {
                 source: floor.map_or("none", |f| f.source).to_owned(),
                 ..NoiseFloor::default()
             },
-            reason: if replicated { String::new() } else { provisional.to_owned() },
+            reason: if replicated {
+                String::new()
+            } else {
+                provisional.to_owned()
+            },
             note: floor.and_then(|f| f.remark()),
             sd,
             dof: None,
         }
     }
 
-    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
+    fn next_measurement(
+        &self,
+        best: &Hypothesis,
+        rivals: &[&Hypothesis],
+    ) -> Option<NextMeasurement> {
         // Only what the poses are chosen against is promised to be separated.
         let nearest = &rivals[..rivals.len().min(RIVALS)];
         let effects = |h: &Hypothesis| h.term_ids(self.catalogue()).join(" with ");
-        let names = std::iter::once(best).chain(nearest.iter().copied()).map(effects).collect();
+        let names = std::iter::once(best)
+            .chain(nearest.iter().copied())
+            .map(effects)
+            .collect();
         next::next_measurement(self, best, nearest, names)
     }
 
@@ -207,13 +245,20 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Predictions> {
-        let sd_pm: Vec<f64> = reading_sd.iter().map(|sd| sd * self.noise_factor()).collect();
+        let sd_pm: Vec<f64> = reading_sd
+            .iter()
+            .map(|sd| sd * self.noise_factor())
+            .collect();
         let typical = sd_pm.iter().sum::<f64>() / sd_pm.len().max(1) as f64;
         predict(self, h, &PhysicalModel::new(self, h, typical), &sd_pm)
     }
 
     fn quantities(&self) -> &'static [Quantity] {
-        if self.pictures().is_some() { &QUANTITIES } else { &QUANTITIES[..2] }
+        if self.pictures().is_some() {
+            &QUANTITIES
+        } else {
+            &QUANTITIES[..2]
+        }
     }
 
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
@@ -227,7 +272,10 @@ impl SessionModel for WhiskerSystem {
             errors: [wavelength, moment]
                 .map(|e| e.iter().copied().collect::<Vec<f64>>())
                 .into_iter()
-                .chain(self.pictures().map(|_| p.contact_error_mm.into_iter().collect()))
+                .chain(
+                    self.pictures()
+                        .map(|_| p.contact_error_mm.into_iter().collect()),
+                )
                 .collect(),
             inside95: vec![inside(0), inside(1)],
         }
@@ -235,11 +283,16 @@ impl SessionModel for WhiskerSystem {
 
     fn folds(&self, _accepted: &Hypothesis) -> Folds {
         let readings = &self.path.readings;
-        let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
+        let mut groups: Vec<u32> = readings
+            .iter()
+            .filter(|r| !r.rest)
+            .map(|r| r.group)
+            .collect();
         groups.sort_unstable();
         groups.dedup();
-        let fold =
-            |r: &crate::whisker::path::Reading| (!r.rest).then(|| groups.partition_point(|g| *g < r.group));
+        let fold = |r: &crate::whisker::path::Reading| {
+            (!r.rest).then(|| groups.partition_point(|g| *g < r.group))
+        };
         Folds {
             split: "loto",
             words: "leave-one-trajectory-out".to_owned(),
@@ -265,7 +318,12 @@ impl SessionModel for WhiskerSystem {
         by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
     }
 
-    fn records(&self, before: &Predictions, after: &Predictions, at: &Record) -> Vec<ResidualRecord> {
+    fn records(
+        &self,
+        before: &Predictions,
+        after: &Predictions,
+        at: &Record,
+    ) -> Vec<ResidualRecord> {
         let (i, row) = (at.reading, self.row(at.reading));
         let of_channel = |c: usize| ResidualRecord {
             source: row.source.clone(),
@@ -294,9 +352,16 @@ impl SessionModel for WhiskerSystem {
 pub(super) struct PicturePairs;
 
 impl Witness<WhiskerSystem> for PicturePairs {
-    fn test(&self, system: &WhiskerSystem, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError> {
-        let Some(pictures) = system.pictures() else { return Ok(None) };
-        let chi = pictures.independent_variance_share() * reduced_chi(&h.fit, system.picture_scale());
+    fn test(
+        &self,
+        system: &WhiskerSystem,
+        h: &Hypothesis,
+    ) -> Result<Option<WitnessTest>, TraceError> {
+        let Some(pictures) = system.pictures() else {
+            return Ok(None);
+        };
+        let chi =
+            pictures.independent_variance_share() * reduced_chi(&h.fit, system.picture_scale());
         let dof = h.fit.witness_count as f64;
         let sentence = format!(
             "Pictures: {} pairs count beside the wavelengths; they scatter about the model {chi:.2} times as far as the shapes state.",
@@ -317,13 +382,18 @@ impl Witness<WhiskerSystem> for PicturePairs {
 
 /// What the pictures say of the accepted model, and which of both decided for its effects: by the falls of the misfit of wavelengths and pictures,
 /// in variances.
-fn picture_note(system: &WhiskerSystem, found: &SearchResult, accepted: &Hypothesis) -> Option<String> {
+fn picture_note(
+    system: &WhiskerSystem,
+    found: &SearchResult,
+    accepted: &Hypothesis,
+) -> Option<String> {
     let said = PicturePairs.test(system, accepted).ok()??.sentence;
     let (base, fit) = (&found.base.fit, &accepted.fit);
     if fit.terms.is_empty() {
         return Some(said);
     }
-    let wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
+    let wavelengths =
+        (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
     let pictures = (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())
         / system.picture_scale().powi(2);
     let share = pictures.max(0.0) / (wavelengths.max(0.0) + pictures.max(0.0)).max(1e-300);
@@ -339,19 +409,25 @@ fn picture_note(system: &WhiskerSystem, found: &SearchResult, accepted: &Hypothe
 
 /// Pairs that do not count, and why.
 fn note_pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
-    let Some(shapes) = &system.data.shapes else { return Vec::new() };
+    let Some(shapes) = &system.data.shapes else {
+        return Vec::new();
+    };
     let none = "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
     let none = system.pictures().is_none().then_some(none);
     let further = system.pictures().map_or(&[][..], Pictures::left_out);
     let each = shapes.left_out.iter().chain(further);
-    none.into_iter().chain(each.map(|p| format!("Pair {} does not count: {}.", p.name, p.why))).collect()
+    none.into_iter()
+        .chain(each.map(|p| format!("Pair {} does not count: {}.", p.name, p.why)))
+        .collect()
 }
 
 /// What is left, where it is not beyond the model's own error.
 fn note_model_error(found: &SearchResult) -> Option<String> {
     let test = &found.last_test;
-    let driver =
-        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
+    let driver = test
+        .covariates
+        .first()
+        .filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
     Some(format!(
         "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
         driver.covariate,

@@ -46,8 +46,17 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
 /// Loading, unloading after the deepest pose, fast passes and long dwells on every trajectory.
 fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
     // The later session begins in the surroundings in which this one ended; its temperature is not ours to choose.
-    let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else { return Vec::new() };
-    let start = system.path.readings.iter().map(|r| r.t_s).reduce(f64::max).unwrap_or(0.0) + 30.0;
+    let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else {
+        return Vec::new();
+    };
+    let start = system
+        .path
+        .readings
+        .iter()
+        .map(|r| r.t_s)
+        .reduce(f64::max)
+        .unwrap_or(0.0)
+        + 30.0;
     let mut out = Vec::new();
     for (l, trajectory) in system.data.trajectories.iter().enumerate() {
         let reach = system.path.reach_mm[l];
@@ -55,9 +64,13 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
             continue;
         }
         for share in [0.3, 0.6, 1.0] {
-            for (direction, speed_mm_s, dwell_s) in
-                [(1.0, 0.0, 2.0), (1.0, 0.0, 60.0), (-1.0, 0.0, 2.0), (1.0, 8.0, 0.0), (-1.0, 8.0, 0.0)]
-            {
+            for (direction, speed_mm_s, dwell_s) in [
+                (1.0, 0.0, 2.0),
+                (1.0, 0.0, 60.0),
+                (-1.0, 0.0, 2.0),
+                (1.0, 8.0, 0.0),
+                (-1.0, 8.0, 0.0),
+            ] {
                 if direction < 0.0 && share == 1.0 {
                     continue;
                 }
@@ -83,7 +96,11 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
                 }
                 t += 5.0 + dwell_s;
                 rows.push(row(template, &pose, t, system));
-                out.push(Proposal { pose, reading: rows.len() - 1, rows });
+                out.push(Proposal {
+                    pose,
+                    reading: rows.len() - 1,
+                    rows,
+                });
             }
         }
     }
@@ -91,11 +108,19 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
 }
 
 /// Design of `terms` at the reading of a proposal, taken after the whole session.
-fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+fn design_at(
+    system: &WhiskerSystem,
+    proposal: &Proposal,
+    terms: &[EffectTerm],
+) -> Option<DMatrix<f64>> {
     let rows: Vec<&WhiskerRow> = system.data.rows.iter().chain(&proposal.rows).collect();
     let extended = system.with_rows(&rows);
     let design = extended.design(terms)?;
-    let index = extended.path.rows.iter().position(|&r| r == system.data.rows.len() + proposal.reading)?;
+    let index = extended
+        .path
+        .rows
+        .iter()
+        .position(|&r| r == system.data.rows.len() + proposal.reading)?;
     Some(design.rows(index, 1).into_owned())
 }
 
@@ -122,14 +147,31 @@ fn separation(
     };
     // At rest only the constant reads.
     let rest = |j: usize| f64::from(u8::from(j == 0));
-    let own = |j: usize| extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j], rest(j));
+    let own = |j: usize| {
+        extend(
+            b.design.column(j).clone_owned().as_slice(),
+            &|k| new[k].1[j],
+            rest(j),
+        )
+    };
     let mut columns = vec![extend(&vec![0.0; n], &|_| 1.0, 1.0)];
     columns.extend((0..b.design.ncols()).map(own));
-    let gap = |c: usize| extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
+    let gap = |c: usize| {
+        extend(
+            present.column(c).clone_owned().as_slice(),
+            &|k| new[k].0[c],
+            0.0,
+        )
+    };
     let difference: Vec<Vec<f64>> = (0..b.residual.ncols()).map(gap).collect();
-    let matrix = |columns: &[Vec<f64>]| DMatrix::from_fn(total, columns.len(), |i, j| columns[j][i]);
+    let matrix =
+        |columns: &[Vec<f64>]| DMatrix::from_fn(total, columns.len(), |i, j| columns[j][i]);
     // Every column is free in each channel.
-    (linear(&matrix(&columns), &matrix(&difference)).1.norm_squared() + seen) / variance
+    (linear(&matrix(&columns), &matrix(&difference))
+        .1
+        .norm_squared()
+        + seen)
+        / variance
 }
 
 /// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.
@@ -148,7 +190,10 @@ pub fn next_measurement(
 ) -> Option<NextMeasurement> {
     let variance = best.fit.variance();
     // The present readings separate each pair by what their predictions differ.
-    let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
+    let present: Vec<DMatrix<f64>> = rivals
+        .iter()
+        .map(|r| &r.fit.residual - &best.fit.residual)
+        .collect();
     let seen: Vec<f64> = rivals
         .iter()
         .map(|r| (&r.fit.auxiliary_residual - &best.fit.auxiliary_residual).norm_squared())
@@ -172,7 +217,10 @@ pub fn next_measurement(
     let separations = |poses: &[usize]| -> Vec<f64> {
         (0..rivals.len())
             .map(|r| {
-                let new: Vec<_> = poses.iter().map(|&k| evaluated[k].against[r].clone()).collect();
+                let new: Vec<_> = poses
+                    .iter()
+                    .map(|&k| evaluated[k].against[r].clone())
+                    .collect();
                 separation(&rivals[r].fit, &present[r], seen[r], &new, variance)
             })
             .collect()
@@ -182,11 +230,13 @@ pub fn next_measurement(
     let mut reached = Vec::new();
     for _ in 0..POSES {
         // The least separated rival rules, so that no pose is spent on what is decided already.
-        let scored = (0..evaluated.len()).filter(|k| !chosen.contains(k)).map(|k| {
-            let poses: Vec<usize> = chosen.iter().copied().chain([k]).collect();
-            let each = separations(&poses);
-            (k, each.iter().copied().fold(f64::INFINITY, f64::min), each)
-        });
+        let scored = (0..evaluated.len())
+            .filter(|k| !chosen.contains(k))
+            .map(|k| {
+                let poses: Vec<usize> = chosen.iter().copied().chain([k]).collect();
+                let each = separations(&poses);
+                (k, each.iter().copied().fold(f64::INFINITY, f64::min), each)
+            });
         let (k, _, each) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
         chosen.push(k);
         reached = each;
@@ -194,23 +244,33 @@ pub fn next_measurement(
             break;
         }
     }
-    let poses: Vec<NextPose> =
-        chosen.iter().map(|&k| candidates[evaluated[k].proposal].pose.clone()).collect();
+    let poses: Vec<NextPose> = chosen
+        .iter()
+        .map(|&k| candidates[evaluated[k].proposal].pose.clone())
+        .collect();
     let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
         let slow = |t: &EffectTerm| {
             let effect = &system.catalogue()[t.effect];
-            let by_clock =
-                |need: &LawRequirement| matches!(need, LawRequirement::Time | LawRequirement::Temperature);
+            let by_clock = |need: &LawRequirement| {
+                matches!(need, LawRequirement::Time | LawRequirement::Temperature)
+            };
             effect.needs().iter().any(by_clock) && !effect.has_memory
         };
-        let needed = if rivals.iter().chain([&best]).any(|h| h.fit.terms.iter().any(slow)) {
+        let needed = if rivals
+            .iter()
+            .chain([&best])
+            .any(|h| h.fit.terms.iter().any(slow))
+        {
             "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \
              reading every minute; then `wcal verify --add` that session"
         } else {
             "it needs another direction of approach, another medium or a second sensor"
         };
-        format!("{} cannot be separated on this rig by three more poses; {needed}.", separates.join(" and "))
+        format!(
+            "{} cannot be separated on this rig by three more poses; {needed}.",
+            separates.join(" and ")
+        )
     } else {
         let list: Vec<String> = poses.iter().map(describe).collect();
         format!(
@@ -218,7 +278,12 @@ pub fn next_measurement(
             list.join("; ")
         )
     };
-    Some(NextMeasurement { separates, instruction, poses, expected_power })
+    Some(NextMeasurement {
+        separates,
+        instruction,
+        poses,
+        expected_power,
+    })
 }
 
 fn describe(p: &NextPose) -> String {
@@ -227,6 +292,13 @@ fn describe(p: &NextPose) -> String {
     } else {
         format!("settled for {} s", p.dwell_s)
     };
-    let way = if p.direction < 0.0 { "unloading from the deepest pose" } else { "loading" };
-    format!("trajectory {}, stage {:.2} mm, {way}, {how}", p.trajectory, p.stage_mm)
+    let way = if p.direction < 0.0 {
+        "unloading from the deepest pose"
+    } else {
+        "loading"
+    };
+    format!(
+        "trajectory {}, stage {:.2} mm, {way}, {how}",
+        p.trajectory, p.stage_mm
+    )
 }

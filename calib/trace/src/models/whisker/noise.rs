@@ -32,10 +32,16 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
     };
     NoiseInputs {
         counts_readings: false,
-        clock: path.columns.time.then(|| Arc::new(r.iter().map(|r| r.t_s).collect())),
+        clock: path
+            .columns
+            .time
+            .then(|| Arc::new(r.iter().map(|r| r.t_s).collect())),
         settings: Arc::new(settings),
         posed: Arc::new(r.iter().map(|r| !r.rest).collect()),
-        spread: vec![("load".to_owned(), load), ("depth".to_owned(), r.iter().map(depth).collect())],
+        spread: vec![
+            ("load".to_owned(), load),
+            ("depth".to_owned(), r.iter().map(depth).collect()),
+        ],
         known: known(r),
         averaged: averaged_readings(r),
         step: [0, 1].map(|c| step_pm(data, c)).to_vec(),
@@ -44,8 +50,10 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
 
 /// Whether the stage did not move between two readings: the same place, and where dwells are known the later one's covers the time between.
 fn held(a: &Reading, b: &Reading, time: bool) -> bool {
-    let same =
-        a.line == b.line && a.seating == b.seating && (a.x_mm - b.x_mm).abs() < SAME_MM && a.rest == b.rest;
+    let same = a.line == b.line
+        && a.seating == b.seating
+        && (a.x_mm - b.x_mm).abs() < SAME_MM
+        && a.rest == b.rest;
     let settled = a.velocity_mm_s == 0.0 && b.velocity_mm_s == 0.0;
     let stayed = !time || b.dwell_s <= 0.0 || b.dwell_s + 1e-6 >= b.t_s - a.t_s;
     same && settled && stayed && a.direction * b.direction >= 0.0
@@ -53,10 +61,17 @@ fn held(a: &Reading, b: &Reading, time: bool) -> bool {
 
 /// Readings whose place is not known do not count; those with larger known sample noise count less: the common part is not known yet, so only the worst ones feel it.
 fn known(readings: &[Reading]) -> Vec<f64> {
-    let own: Vec<f64> = readings.iter().map(|r| r.sample_sd_pm[0].hypot(r.sample_sd_pm[1])).collect();
+    let own: Vec<f64> = readings
+        .iter()
+        .map(|r| r.sample_sd_pm[0].hypot(r.sample_sd_pm[1]))
+        .collect();
     let limit = FEW_SAMPLES * median(own.iter().copied()).unwrap_or(0.0);
     let of = |(s, r): (&f64, &Reading)| {
-        let weight = if limit > 0.0 && *s > limit { limit / s } else { 1.0 };
+        let weight = if limit > 0.0 && *s > limit {
+            limit / s
+        } else {
+            1.0
+        };
         if r.unsteady { 0.0 } else { weight }
     };
     own.iter().zip(readings).map(of).collect()
@@ -71,8 +86,13 @@ pub(super) fn step_pm(data: &WhiskerData, channel: usize) -> Option<f64> {
             (k - k.round()).abs() * step
         };
         // Wavelengths in nm carry nine digits before the rounding of their difference.
-        data.rows.iter().all(|r| off(r.shift_pm[channel]) < 2e-3 * step.min(1.0))
+        data.rows
+            .iter()
+            .all(|r| off(r.shift_pm[channel]) < 2e-3 * step.min(1.0))
     };
     let moves = data.rows.iter().any(|r| r.shift_pm[channel] != first);
-    STEPS_PM.into_iter().find(|s| moves && on(*s)).filter(|s| *s > STEPS_PM[5])
+    STEPS_PM
+        .into_iter()
+        .find(|s| moves && on(*s))
+        .filter(|s| *s > STEPS_PM[5])
 }

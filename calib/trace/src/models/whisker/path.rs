@@ -106,7 +106,12 @@ pub struct WhiskerPath {
 impl WhiskerPath {
     /// One column a seating after the first, 1 at its readings: the zero of each seating is its own.
     pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
-        let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
+        let of = |k: u32| {
+            self.readings
+                .iter()
+                .map(|r| f64::from(u8::from(r.seating == k)))
+                .collect()
+        };
         (1..seatings).map(of).collect()
     }
 }
@@ -128,7 +133,9 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
 
 /// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
 fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
-    row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
+    row.reference_shift_pm
+        .and_then(|shift_pm| fbg.rise_degc(shift_pm))
+        .or(row.temperature_degc)
 }
 
 /// Where the readout's columns of time and temperature are zero: at the means of the session's readings, wherever its clock and its thermometer begin.
@@ -147,7 +154,10 @@ impl ReadoutOrigin {
             let sum: Option<f64> = data.rows.iter().map(of).sum();
             sum.unwrap_or(0.0) / data.rows.len().max(1) as f64
         };
-        Self { t_s: mean(&|r| r.t_s), temperature_degc: mean(&|r| temperature_of(r, &data.fbg)) }
+        Self {
+            t_s: mean(&|r| r.t_s),
+            temperature_degc: mean(&|r| temperature_of(r, &data.fbg)),
+        }
     }
 }
 
@@ -157,14 +167,20 @@ const AVERAGED_ALIKE: f64 = 1.5;
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
 /// number is missing. Each reading: samples, loaded, settled.
 pub(crate) fn averaging_variance(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
-    let Some(typical) = typical(readings) else { return Vec::new() };
+    let Some(typical) = typical(readings) else {
+        return Vec::new();
+    };
     let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
     let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
         return Vec::new();
     };
     let least = variances.iter().copied().fold(f64::INFINITY, f64::min);
     let most = variances.iter().copied().fold(0.0, f64::max);
-    if most > AVERAGED_ALIKE * least { variances } else { Vec::new() }
+    if most > AVERAGED_ALIKE * least {
+        variances
+    } else {
+        Vec::new()
+    }
 }
 
 /// Samples of a typical settled loaded reading; of a loaded one where none settled.
@@ -177,7 +193,10 @@ fn typical(readings: &[(Option<u32>, bool, bool)]) -> Option<f64> {
 }
 
 fn sizes(readings: &[Reading]) -> Vec<(Option<u32>, bool, bool)> {
-    readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect()
+    readings
+        .iter()
+        .map(|r| (r.samples, !r.rest, r.dwell_s > 0.0))
+        .collect()
 }
 
 /// [`averaged`] of readings on a path.
@@ -192,8 +211,16 @@ pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
 
 /// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
-    let sizes: Vec<_> =
-        rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
+    let sizes: Vec<_> = rows
+        .iter()
+        .map(|r| {
+            (
+                r.samples,
+                r.role != Role::Rest,
+                r.dwell_s.is_some_and(|d| d > 0.0),
+            )
+        })
+        .collect();
     let variances = or_equal(averaging_variance(&sizes), rows.len());
     let mut read: Vec<(f64, f64, f64)> = rows
         .iter()
@@ -206,7 +233,11 @@ pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWal
 }
 
 fn or_equal(variances: Vec<f64>, n: usize) -> Vec<f64> {
-    if variances.is_empty() { vec![1.0; n] } else { variances }
+    if variances.is_empty() {
+        vec![1.0; n]
+    } else {
+        variances
+    }
 }
 
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
@@ -231,9 +262,15 @@ impl WhiskerPath {
         let temperature = !rows.is_empty() && rows.iter().all(|r| temperature_of(r, fbg).is_some());
         let mut order: Vec<usize> = (0..rows.len()).collect();
         if time {
-            order.sort_by(|&a, &b| rows[a].t_s.unwrap_or(0.0).total_cmp(&rows[b].t_s.unwrap_or(0.0)));
+            order.sort_by(|&a, &b| {
+                rows[a]
+                    .t_s
+                    .unwrap_or(0.0)
+                    .total_cmp(&rows[b].t_s.unwrap_or(0.0))
+            });
         }
-        let line_of = |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
+        let line_of =
+            |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
         let mut readings: Vec<Reading> = order
             .iter()
             .enumerate()
@@ -248,7 +285,8 @@ impl WhiskerPath {
                     x_mm: stage_position(r, line.map(|l| &trajectories[l])),
                     rest: r.role == Role::Rest,
                     direction,
-                    velocity_mm_s: r.speed_mm_s.unwrap_or(0.0) * if direction < 0.0 { -1.0 } else { 1.0 },
+                    velocity_mm_s: r.speed_mm_s.unwrap_or(0.0)
+                        * if direction < 0.0 { -1.0 } else { 1.0 },
                     t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
                     dwell_s: r.dwell_s.unwrap_or(0.0),
                     stays_s: r.average_s.unwrap_or(0.0) / 2.0,
@@ -266,9 +304,13 @@ impl WhiskerPath {
             })
             .collect();
         if let Some(walk) = walk.filter(|_| temperature && time) {
-            let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
+            let (t_s, read): (Vec<f64>, Vec<f64>) =
+                readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
             let variances = or_equal(averaged_readings(&readings), readings.len());
-            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read, &variances)) {
+            for (r, level) in readings
+                .iter_mut()
+                .zip(walk.smooth(&t_s, &read, &variances))
+            {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
         }
@@ -279,19 +321,38 @@ impl WhiskerPath {
         let columns = Columns {
             time,
             temperature,
-            both_directions: loaded().any(|r| r.direction < 0.0) && loaded().any(|r| r.direction > 0.0),
+            both_directions: loaded().any(|r| r.direction < 0.0)
+                && loaded().any(|r| r.direction > 0.0),
             speeds: loaded().any(|r| r.velocity_mm_s != 0.0),
             gravity: gravity.is_some(),
         };
-        let lines: Vec<Line> =
-            trajectories.iter().map(|t| Line { origin_mm: t.origin_mm, direction: t.direction }).collect();
+        let lines: Vec<Line> = trajectories
+            .iter()
+            .map(|t| Line {
+                origin_mm: t.origin_mm,
+                direction: t.direction,
+            })
+            .collect();
         let extent = |l: usize, f: fn(f64, f64) -> f64| {
-            readings.iter().filter(|r| r.line == Some(l)).map(|r| r.x_mm).fold(0.0, f)
+            readings
+                .iter()
+                .filter(|r| r.line == Some(l))
+                .map(|r| r.x_mm)
+                .fold(0.0, f)
         };
         let reach_mm = (0..lines.len()).map(|l| extent(l, f64::max)).collect();
         let start_mm = (0..lines.len()).map(|l| extent(l, f64::min)).collect();
         let nodes = nodes_of(&readings, time);
-        Self { readings, rows: order, nodes, lines, reach_mm, start_mm, moments: moments.clone(), columns }
+        Self {
+            readings,
+            rows: order,
+            nodes,
+            lines,
+            reach_mm,
+            start_mm,
+            moments: moments.clone(),
+            columns,
+        }
     }
 }
 
@@ -307,9 +368,13 @@ const ONE_MOTION: [f64; 2] = [0.3, 2.0];
 
 /// Whether two neighbours were read in one motion: passes one after the other have the way back and the dwells between them.
 fn one_motion(a: &Reading, b: &Reading) -> bool {
-    let same = a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
-    let fastest =
-        if a.velocity_mm_s.abs() > b.velocity_mm_s.abs() { a.velocity_mm_s } else { b.velocity_mm_s };
+    let same =
+        a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
+    let fastest = if a.velocity_mm_s.abs() > b.velocity_mm_s.abs() {
+        a.velocity_mm_s
+    } else {
+        b.velocity_mm_s
+    };
     let ratio = (b.x_mm - a.x_mm) / ((b.t_s - a.t_s) * fastest);
     same && (ONE_MOTION[0]..=ONE_MOTION[1]).contains(&ratio)
 }
@@ -320,18 +385,26 @@ fn exclude_ramps(readings: &mut [Reading]) {
     let (mut off, mut on_the_fly) = (Vec::new(), 0_usize);
     let mut start = 0;
     while start < readings.len() {
-        let more = readings[start..].windows(2).take_while(|w| one_motion(&w[0], &w[1])).count();
+        let more = readings[start..]
+            .windows(2)
+            .take_while(|w| one_motion(&w[0], &w[1]))
+            .count();
         let stroke = start..start + 1 + more;
         start = stroke.end;
         if stroke.len() < MIN_STROKE {
             continue;
         }
         on_the_fly += stroke.len();
-        let mut speeds: Vec<f64> = stroke.clone().map(|i| readings[i].velocity_mm_s.abs()).collect();
+        let mut speeds: Vec<f64> = stroke
+            .clone()
+            .map(|i| readings[i].velocity_mm_s.abs())
+            .collect();
         speeds.sort_by(f64::total_cmp);
         // Ramps and late answers make a stage seem slow: its speed is the upper quartile.
         let top = speeds[3 * (speeds.len() - 1) / 4];
-        off.extend(stroke.filter(|&i| (readings[i].velocity_mm_s.abs() / top - 1.0).abs() > STEADY));
+        off.extend(
+            stroke.filter(|&i| (readings[i].velocity_mm_s.abs() / top - 1.0).abs() > STEADY),
+        );
     }
     if off.len() as f64 <= MAX_UNSTEADY * on_the_fly as f64 {
         off.into_iter().for_each(|i| readings[i].unsteady = true);
@@ -348,8 +421,13 @@ fn places(readings: &[Reading]) -> Vec<f64> {
     let of = |i: usize| {
         let r = &readings[i];
         let steady = |k: &usize| !readings[*k].unsteady;
-        let before = (0..i).rev().take_while(|&k| motions[k] == motions[i]).find(steady);
-        let after = (i + 1..readings.len()).take_while(|&k| motions[k] == motions[i]).find(steady);
+        let before = (0..i)
+            .rev()
+            .take_while(|&k| motions[k] == motions[i])
+            .find(steady);
+        let after = (i + 1..readings.len())
+            .take_while(|&k| motions[k] == motions[i])
+            .find(steady);
         match (before.map(|k| &readings[k]), after.map(|k| &readings[k])) {
             (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
                 a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
@@ -366,17 +444,37 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let places_mm = places(readings);
     for (i, r) in readings.iter().enumerate() {
         // Between seatings the whisker was free.
-        if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
-            let free = |t_s: f64| Node { t_s, rest: true, ..Node::default() };
+        if let Some(last) = i
+            .checked_sub(1)
+            .map(|k| &readings[k])
+            .filter(|l| l.seating != r.seating)
+        {
+            let free = |t_s: f64| Node {
+                t_s,
+                rest: true,
+                ..Node::default()
+            };
             nodes.extend([free(last.t_s + 1e-3), free(r.t_s - r.dwell_s - 1e-3)]);
         }
-        let still = |t_s| Node { t_s, line: r.line, x_mm: places_mm[i], rest: r.rest, ..Node::default() };
+        let still = |t_s| Node {
+            t_s,
+            line: r.line,
+            x_mm: places_mm[i],
+            rest: r.rest,
+            ..Node::default()
+        };
         if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
             let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
             nodes.push(still((r.t_s - r.dwell_s).max(earliest)));
         }
-        nodes.push(Node { moving: r.velocity_mm_s != 0.0, reading: Some(i), ..still(r.t_s) });
-        let next_s = readings.get(i + 1).map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
+        nodes.push(Node {
+            moving: r.velocity_mm_s != 0.0,
+            reading: Some(i),
+            ..still(r.t_s)
+        });
+        let next_s = readings
+            .get(i + 1)
+            .map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
         if time && r.stays_s > 0.0 && r.t_s + r.stays_s < next_s {
             nodes.push(still(r.t_s + r.stays_s));
         }
@@ -441,14 +539,20 @@ mod tests {
 
     fn marked(mut readings: Vec<Reading>) -> (Vec<usize>, Vec<f64>) {
         exclude_ramps(&mut readings);
-        ((0..readings.len()).filter(|&i| readings[i].unsteady).collect(), places(&readings))
+        (
+            (0..readings.len())
+                .filter(|&i| readings[i].unsteady)
+                .collect(),
+            places(&readings),
+        )
     }
 
     #[test]
     fn a_late_answer_of_the_stage_is_marked_and_its_place_interpolated() {
         // 2 mm/s, read every 0.1 s; the fourth answer came late: the stage seems to have stood back.
-        let mut stroke: Vec<Reading> =
-            (0..8).map(|k| reading(0.1 * f64::from(k), 0.2 * f64::from(k), 2.0)).collect();
+        let mut stroke: Vec<Reading> = (0..8)
+            .map(|k| reading(0.1 * f64::from(k), 0.2 * f64::from(k), 2.0))
+            .collect();
         assert!(marked(stroke.clone()).0.is_empty(), "a steady stroke");
         (stroke[3].x_mm, stroke[3].velocity_mm_s) = (0.5, 1.0);
         let (unsteady, places) = marked(stroke);
@@ -459,11 +563,29 @@ mod tests {
     #[test]
     fn passes_at_several_speeds_and_a_stage_moved_by_hand_are_left_alone() {
         // Each reading is of a pass of its own, with the way back in between.
-        let passes =
-            [(10.0, 1.0, 2.0), (20.0, 2.0, 8.0), (30.0, 3.0, 2.0), (40.0, 4.0, 8.0), (50.0, 5.0, 2.0)];
-        assert!(marked(passes.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
-        let by_hand =
-            [(0.0, 0.0, 1.0), (0.1, 0.12, 1.4), (0.2, 0.28, 1.8), (0.3, 0.43, 1.2), (0.4, 0.52, 0.7)];
-        assert!(marked(by_hand.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
+        let passes = [
+            (10.0, 1.0, 2.0),
+            (20.0, 2.0, 8.0),
+            (30.0, 3.0, 2.0),
+            (40.0, 4.0, 8.0),
+            (50.0, 5.0, 2.0),
+        ];
+        assert!(
+            marked(passes.iter().map(|p| reading(p.0, p.1, p.2)).collect())
+                .0
+                .is_empty()
+        );
+        let by_hand = [
+            (0.0, 0.0, 1.0),
+            (0.1, 0.12, 1.4),
+            (0.2, 0.28, 1.8),
+            (0.3, 0.43, 1.2),
+            (0.4, 0.52, 0.7),
+        ];
+        assert!(
+            marked(by_hand.iter().map(|p| reading(p.0, p.1, p.2)).collect())
+                .0
+                .is_empty()
+        );
     }
 }

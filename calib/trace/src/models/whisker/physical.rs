@@ -131,12 +131,15 @@ impl PhysicalModel {
         turn.view_mut((0, 0), (size, size))
             .copy_from(&pm.transpose().kronecker(&DMatrix::identity(count, count)));
         let covariance = &turn * covariance(fit, fit.variance()) * turn.transpose();
-        let largest = system
-            .moments(&fit.terms)
-            .map_or(0.0, |(_, base)| base.iter().map(|m| m[0].hypot(m[1])).fold(0.0, f64::max));
+        let largest = system.moments(&fit.terms).map_or(0.0, |(_, base)| {
+            base.iter().map(|m| m[0].hypot(m[1])).fold(0.0, f64::max)
+        });
         Self {
             coefficients: coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
-            covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
+            covariance: covariance
+                .row_iter()
+                .map(|r| r.iter().copied().collect())
+                .collect(),
             noise_sd_pm,
             correlated_noise: None,
             averaging: None,
@@ -153,15 +156,24 @@ impl PhysicalModel {
     /// the samples that it averages, where the session says how many.
     pub fn with_noise(self, system: &WhiskerSystem, noise: &Noise) -> Self {
         let (pose, factor) = (noise.pose.map_or(0.0, |p| p.value), system.noise_factor());
-        let part = noise.correlated.as_ref().filter(|_| system.path.columns.time);
+        let part = noise
+            .correlated
+            .as_ref()
+            .filter(|_| system.path.columns.time);
         let correlated_noise = part.map(|(sd, tau)| CorrelatedReadings {
             sd_pm: sd.value * factor,
             own_sd_pm: noise.repeat.value.hypot(pose) * factor,
             time_constant_s: *tau,
         });
-        let averaging =
-            typical_samples(&system.path.readings).map(|samples| Averaging { samples, common: noise.common });
-        Self { correlated_noise, averaging, ..self }
+        let averaging = typical_samples(&system.path.readings).map(|samples| Averaging {
+            samples,
+            common: noise.common,
+        });
+        Self {
+            correlated_noise,
+            averaging,
+            ..self
+        }
     }
 
     /// Variances of a path's readings beside 1 of a typical reading of the calibration's own session.
@@ -187,12 +199,22 @@ impl PhysicalModel {
         let catalogue = crate::whisker::effects::whisker_catalogue();
         let (mut columns, mut values) = (3, 0);
         for a in &self.effects {
-            let unknown = || ModelError::UnknownEffect { effect: a.id.clone(), law: a.law.clone() };
-            let effect = catalogue.iter().find(|e| e.effect.id == a.id).ok_or_else(unknown)?;
+            let unknown = || ModelError::UnknownEffect {
+                effect: a.id.clone(),
+                law: a.law.clone(),
+            };
+            let effect = catalogue
+                .iter()
+                .find(|e| e.effect.id == a.id)
+                .ok_or_else(unknown)?;
             let (_, law) = effect.effect.law_named(&a.law).ok_or_else(unknown)?;
             if a.values.len() != law.parameters.len() {
                 let what = format!("values of {} ({})", a.id, a.law);
-                return Err(ModelError::shape(what, law.parameters.len(), a.values.len()));
+                return Err(ModelError::shape(
+                    what,
+                    law.parameters.len(),
+                    a.values.len(),
+                ));
             }
             columns += law.linear.len();
             values += a.values.len();
@@ -201,7 +223,11 @@ impl PhysicalModel {
         let count = self.coefficients.len();
         let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
         if seatings.is_none() {
-            return Err(ModelError::shape("coefficients", format!("at least {columns} rows"), count));
+            return Err(ModelError::shape(
+                "coefficients",
+                format!("at least {columns} rows"),
+                count,
+            ));
         }
         if seatings != usize::try_from(self.seatings.max(1)).ok() {
             let expected = format!("{}, as the coefficients have it", seatings.unwrap_or(0));
@@ -216,19 +242,38 @@ impl PhysicalModel {
             ));
         }
         if self.noise_sd_pm < 0.0 {
-            return Err(ModelError::shape("noise_sd_pm", "0 or more", self.noise_sd_pm));
+            return Err(ModelError::shape(
+                "noise_sd_pm",
+                "0 or more",
+                self.noise_sd_pm,
+            ));
         }
         let known = |a: &Averaging| a.samples >= 1.0 && a.samples <= MAX_SAMPLES && a.common >= 0.0;
         if let Some(a) = self.averaging.filter(|a| !known(a)) {
-            let (expected, found) = ("1 to 1e9 samples, a variance of 0 or more", (a.samples, a.common));
-            return Err(ModelError::shape("averaging", expected, format!("{found:?}")));
+            let (expected, found) = (
+                "1 to 1e9 samples, a variance of 0 or more",
+                (a.samples, a.common),
+            );
+            return Err(ModelError::shape(
+                "averaging",
+                expected,
+                format!("{found:?}"),
+            ));
         }
         if !(self.stage_clock_s.abs() <= MAX_STAGE_CLOCK_S) {
-            return Err(ModelError::shape("stage_clock_s", "at most 10 s", self.stage_clock_s));
+            return Err(ModelError::shape(
+                "stage_clock_s",
+                "at most 10 s",
+                self.stage_clock_s,
+            ));
         }
-        let sound = |c: &CorrelatedReadings| c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
+        let sound =
+            |c: &CorrelatedReadings| c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
         if let Some(c) = self.correlated_noise.filter(|c| !sound(c)) {
-            let found = format!("{} and {} pm, {} s", c.sd_pm, c.own_sd_pm, c.time_constant_s);
+            let found = format!(
+                "{} and {} pm, {} s",
+                c.sd_pm, c.own_sd_pm, c.time_constant_s
+            );
             return Err(ModelError::shape(
                 "correlated_noise",
                 "positive deviations and a positive time",
@@ -253,13 +298,21 @@ impl PhysicalModel {
                 let index = catalogue.iter().position(|e| e.effect.id == a.id)?;
                 let (law, _) = catalogue[index].effect.law_named(&a.law)?;
                 let mut values = a.values.clone();
-                if let Some(v) = moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by)))
+                if let Some(v) =
+                    moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by)))
                 {
                     *v.0 += v.1;
                 }
                 place += a.values.len();
-                let term = EffectTerm { effect: index, law, values };
-                Some(ActiveEffect { effect: &catalogue[index], term })
+                let term = EffectTerm {
+                    effect: index,
+                    law,
+                    values,
+                };
+                Some(ActiveEffect {
+                    effect: &catalogue[index],
+                    term,
+                })
             })
             .collect()
     }
@@ -281,10 +334,19 @@ impl PhysicalModel {
     }
 
     /// Predicted shifts at `sensed` moments, readings x channels, pm.
-    fn readout(&self, terms: &[ActiveEffect], path: &WhiskerPath, sensed: &[[f64; 2]]) -> DMatrix<f64> {
+    fn readout(
+        &self,
+        terms: &[ActiveEffect],
+        path: &WhiskerPath,
+        sensed: &[[f64; 2]],
+    ) -> DMatrix<f64> {
         let columns = self.columns(terms, path, sensed);
         DMatrix::from_fn(sensed.len(), 2, |i, c| {
-            columns.iter().zip(&self.coefficients).map(|(col, b)| col[i] * b[c]).sum()
+            columns
+                .iter()
+                .zip(&self.coefficients)
+                .map(|(col, b)| col[i] * b[c])
+                .sum()
         })
     }
 
@@ -304,7 +366,11 @@ impl PhysicalModel {
     /// Memory is a small correction, so plain fixed-point iteration undoes it.
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
         let noise_pm = |variance: f64| self.noise_sd_pm * variance.sqrt();
-        let noise_pm: Vec<f64> = self.relative_variances(&path.readings).into_iter().map(noise_pm).collect();
+        let noise_pm: Vec<f64> = self
+            .relative_variances(&path.readings)
+            .into_iter()
+            .map(noise_pm)
+            .collect();
         self.infer_under(path, memory, &noise_pm)
     }
 
@@ -318,14 +384,28 @@ impl PhysicalModel {
         let terms = self.terms();
         let n = path.readings.len();
         let Some(inverse) = self.sensitivity().try_inverse() else {
-            return vec![Inferred { moment_nmm: [f64::NAN; 2], sd_nmm: [f64::NAN; 2], valid: false }; n];
+            return vec![
+                Inferred {
+                    moment_nmm: [f64::NAN; 2],
+                    sd_nmm: [f64::NAN; 2],
+                    valid: false
+                };
+                n
+            ];
         };
         let sensed = self.sensed(&terms, path, &inverse);
         let (gradients, visible) = self.gradients(&terms, path, &sensed, &inverse, noise_sd_pm);
-        let sds: Vec<[f64; 2]> =
-            gradients.iter().zip(noise_sd_pm).map(|(g, s)| self.sd_nmm(&inverse, g, *s)).collect();
+        let sds: Vec<[f64; 2]> = gradients
+            .iter()
+            .zip(noise_sd_pm)
+            .map(|(g, s)| self.sd_nmm(&inverse, g, *s))
+            .collect();
         let base = match memory {
-            Some(m) => sensed.iter().zip(m).map(|(f, d)| [f[0] + d[0], f[1] + d[1]]).collect(),
+            Some(m) => sensed
+                .iter()
+                .zip(m)
+                .map(|(f, d)| [f[0] + d[0], f[1] + d[1]])
+                .collect(),
             None => undo_memory(&terms, path, &sensed, &visible),
         };
         sds.iter()

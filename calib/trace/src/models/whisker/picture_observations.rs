@@ -89,14 +89,27 @@ const COMMON: usize = 3;
 
 /// The observed values of a change: groove, arc length, and the line across itself.
 pub(super) fn values(change: &PairChange, normals: &[[Vector3<f64>; 2]]) -> DVector<f64> {
-    let head = change.groove_mm.iter().copied().chain([change.arclength_mm]);
-    let line = change.stations_mm.iter().zip(normals).flat_map(|(by, n)| [by.dot(&n[0]), by.dot(&n[1])]);
+    let head = change
+        .groove_mm
+        .iter()
+        .copied()
+        .chain([change.arclength_mm]);
+    let line = change
+        .stations_mm
+        .iter()
+        .zip(normals)
+        .flat_map(|(by, n)| [by.dot(&n[0]), by.dot(&n[1])]);
     DVector::from_vec(head.chain(line).collect())
 }
 
 /// A column of shapes.json at the stations `kept`.
 fn moved(column: &ErrorColumn, kept: &[usize]) -> PairChange {
-    let station = |k: &usize| column.centreline_mm.get(*k).map_or_else(Vector3::zeros, |v| Vector3::from(*v));
+    let station = |k: &usize| {
+        column
+            .centreline_mm
+            .get(*k)
+            .map_or_else(Vector3::zeros, |v| Vector3::from(*v))
+    };
     PairChange {
         groove_mm: Vector3::from(column.groove_mm),
         arclength_mm: column.contact_arclength_mm,
@@ -114,11 +127,25 @@ pub(super) fn observe(
     shapes: &SessionShapes,
 ) -> Option<(Pair, DMatrix<f64>)> {
     let line = &document.centreline_mm;
-    let kept = document.errors.as_ref().map_or_else(Vec::new, |e| stations(e, line));
-    let of_errors = |k: &usize| document.errors.as_ref().map(|e| (e.stations[*k], e.stations_mm[*k]));
+    let kept = document
+        .errors
+        .as_ref()
+        .map_or_else(Vec::new, |e| stations(e, line));
+    let of_errors = |k: &usize| {
+        document
+            .errors
+            .as_ref()
+            .map(|e| (e.stations[*k], e.stations_mm[*k]))
+    };
     let places: Vec<(usize, f64)> = kept.iter().filter_map(of_errors).collect();
-    let stations_mm: Vec<Vector3<f64>> = places.iter().map(|(at, _)| Vector3::from(line[*at])).collect();
-    let normals = places.iter().map(|(at, _)| across(line, *at)).collect::<Option<Vec<_>>>()?;
+    let stations_mm: Vec<Vector3<f64>> = places
+        .iter()
+        .map(|(at, _)| Vector3::from(line[*at]))
+        .collect();
+    let normals = places
+        .iter()
+        .map(|(at, _)| across(line, *at))
+        .collect::<Option<Vec<_>>>()?;
     let tangent = tangent_at(document, groove);
     let count = 4 + 2 * kept.len();
     let mut columns = DMatrix::zeros(count, shapes.parameters.len() + COMMON);
@@ -131,7 +158,12 @@ pub(super) fn observe(
                 own += &v * v.transpose();
             }
             // Sealed pairs were fitted by themselves; where their list is another they are compared, never weighed.
-            for (j, column) in errors.shared.iter().take(shapes.parameters.len()).enumerate() {
+            for (j, column) in errors
+                .shared
+                .iter()
+                .take(shapes.parameters.len())
+                .enumerate()
+            {
                 columns.set_column(j, &values(&moved(column, &kept), &normals));
             }
             own
@@ -145,11 +177,16 @@ pub(super) fn observe(
                 * root.eigenvectors.transpose();
             let first = shapes.parameters.len();
             columns.view_mut((0, first), (3, COMMON)).copy_from(&root);
-            columns.view_mut((3, first), (1, COMMON)).copy_from(&(tangent.transpose() * root));
+            columns
+                .view_mut((3, first), (1, COMMON))
+                .copy_from(&(tangent.transpose() * root));
             stated(groove, &position, &tangent)
         }
     };
-    let derivatives = document.errors.as_ref().map_or_else(Derivatives::default, |e| setup(e, &kept, shapes));
+    let derivatives = document
+        .errors
+        .as_ref()
+        .map_or_else(Derivatives::default, |e| setup(e, &kept, shapes));
     let groove_mm2 = own.view((0, 0), (3, 3)).trace();
     let whitening = own.cholesky()?.l().try_inverse()?;
     let seen = PairObservation {
@@ -161,20 +198,36 @@ pub(super) fn observe(
         derivatives: Arc::new(derivatives),
     };
     let arcs = places.iter().map(|(_, s)| *s).collect();
-    let pair = Pair { reading, node, seen, stations_mm: arcs, normals, whitening, groove_mm2, first };
+    let pair = Pair {
+        reading,
+        node,
+        seen,
+        stations_mm: arcs,
+        normals,
+        whitening,
+        groove_mm2,
+        first,
+    };
     Some((pair, columns))
 }
 
 /// What shapes.json says of a wrong board and a tag glued askew.
 fn setup(errors: &PairErrors, kept: &[usize], shapes: &SessionShapes) -> Derivatives {
     let column = |named: &dyn Fn(&str, &str) -> bool| {
-        let k = shapes.parameters.iter().position(|p| named(&p.cause, &p.name))?;
+        let k = shapes
+            .parameters
+            .iter()
+            .position(|p| named(&p.cause, &p.name))?;
         Some(moved(errors.shared.get(k)?, kept))
     };
-    let tag = |axis: &str| column(&|cause, name| cause == "rig-tag" && name == format!("rig-tag {axis}"));
+    let tag =
+        |axis: &str| column(&|cause, name| cause == "rig-tag" && name == format!("rig-tag {axis}"));
     Derivatives {
         board_scale: column(&|cause, _| cause == "board-scale"),
-        rig_tag: tag("x").zip(tag("y")).zip(tag("z")).map(|((x, y), z)| [x, y, z]),
+        rig_tag: tag("x")
+            .zip(tag("y"))
+            .zip(tag("z"))
+            .map(|((x, y), z)| [x, y, z]),
     }
 }
 
@@ -193,14 +246,19 @@ fn position_covariance(groove: &GrooveDocument, tangent: &Vector3<f64>) -> Matri
 
 /// Covariance of (groove, arc length) of a pair without `errors`: the foot point on the wire is as good as the groove along the wire and,
 /// across it, as the wire across.
-fn stated(groove: &GrooveDocument, position: &Matrix3<f64>, tangent: &Vector3<f64>) -> DMatrix<f64> {
+fn stated(
+    groove: &GrooveDocument,
+    position: &Matrix3<f64>,
+    tangent: &Vector3<f64>,
+) -> DMatrix<f64> {
     let with_foot = position * tangent;
     let along = tangent.dot(&with_foot);
     let across = 0.5 * (position.trace() - along);
     let mut own = DMatrix::zeros(4, 4);
     own.view_mut((0, 0), (3, 3)).copy_from(position);
     own.view_mut((0, 3), (3, 1)).copy_from(&with_foot);
-    own.view_mut((3, 0), (1, 3)).copy_from(&with_foot.transpose());
+    own.view_mut((3, 0), (1, 3))
+        .copy_from(&with_foot.transpose());
     own[(3, 3)] = (along + across).max(groove.contact_arclength_sd_mm.powi(2));
     own
 }
@@ -212,7 +270,9 @@ fn stations(errors: &PairErrors, line: &[[f64; 3]]) -> Vec<usize> {
         .filter(|&k| across(line, errors.stations[k]).is_some())
         .collect();
     let count = usable.len().min(MAX_STATIONS);
-    let mut kept: Vec<usize> = (0..count).map(|k| usable[(2 * k + 1) * usable.len() / (2 * count)]).collect();
+    let mut kept: Vec<usize> = (0..count)
+        .map(|k| usable[(2 * k + 1) * usable.len() / (2 * count)])
+        .collect();
     kept.dedup();
     kept
 }
@@ -220,9 +280,14 @@ fn stations(errors: &PairErrors, line: &[[f64; 3]]) -> Vec<usize> {
 /// Two unit vectors across the measured line at point `k`.
 fn across(line: &[[f64; 3]], k: usize) -> Option<[Vector3<f64>; 2]> {
     let (a, b) = (k.saturating_sub(1), (k + 1).min(line.len().checked_sub(1)?));
-    let tangent = (Vector3::from(*line.get(b)?) - Vector3::from(*line.get(a)?)).try_normalize(1e-9)?;
+    let tangent =
+        (Vector3::from(*line.get(b)?) - Vector3::from(*line.get(a)?)).try_normalize(1e-9)?;
     // Away from the axis that is nearest to the tangent.
-    let far = if tangent.y.abs() < 0.7 { Vector3::y() } else { Vector3::z() };
+    let far = if tangent.y.abs() < 0.7 {
+        Vector3::y()
+    } else {
+        Vector3::z()
+    };
     let first = tangent.cross(&far).try_normalize(1e-9)?;
     Some([first, tangent.cross(&first)])
 }
@@ -233,8 +298,13 @@ fn tangent_at(document: &PairDocument, groove: &GrooveDocument) -> Vector3<f64> 
         return axis;
     }
     let at = Vector3::from(groove.position_mm);
-    let line: Vec<Vector3<f64>> = document.centreline_mm.iter().map(|p| Vector3::from(*p)).collect();
-    let nearest = (0..line.len()).min_by(|&a, &b| (line[a] - at).norm().total_cmp(&(line[b] - at).norm()));
+    let line: Vec<Vector3<f64>> = document
+        .centreline_mm
+        .iter()
+        .map(|p| Vector3::from(*p))
+        .collect();
+    let nearest =
+        (0..line.len()).min_by(|&a, &b| (line[a] - at).norm().total_cmp(&(line[b] - at).norm()));
     let along = nearest.and_then(|k| {
         let (a, b) = (k.saturating_sub(1), (k + 1).min(line.len() - 1));
         (line[b] - line[a]).try_normalize(1e-9)
@@ -269,13 +339,21 @@ pub(super) fn root_of(covariance: &[Vec<f64>]) -> DMatrix<f64> {
     let sd: Vec<f64> = (0..n).map(|i| covariance[i][i].max(0.0).sqrt()).collect();
     let correlation = DMatrix::from_fn(n, n, |i, j| {
         let scale = sd[i] * sd[j];
-        if scale > 0.0 { 0.5 * (covariance[i][j] + covariance[j][i]) / scale } else { 0.0 }
+        if scale > 0.0 {
+            0.5 * (covariance[i][j] + covariance[j][i]) / scale
+        } else {
+            0.0
+        }
     });
     let parts = correlation.symmetric_eigen();
     let kept: Vec<usize> = (0..n).filter(|&k| parts.eigenvalues[k] > 1e-9).collect();
-    DMatrix::from_fn(n + COMMON, kept.len() + COMMON, |i, k| match (i < n, kept.get(k)) {
-        (true, Some(&part)) => sd[i] * parts.eigenvectors[(i, part)] * parts.eigenvalues[part].sqrt(),
-        (false, None) if i - n == k - kept.len() => 1.0,
-        _ => 0.0,
+    DMatrix::from_fn(n + COMMON, kept.len() + COMMON, |i, k| {
+        match (i < n, kept.get(k)) {
+            (true, Some(&part)) => {
+                sd[i] * parts.eigenvectors[(i, part)] * parts.eigenvalues[part].sqrt()
+            }
+            (false, None) if i - n == k - kept.len() => 1.0,
+            _ => 0.0,
+        }
     })
 }

@@ -45,23 +45,40 @@ pub struct Pictures {
 
 impl Pictures {
     /// Pairs of the rows of `path`; none where there are none.
-    pub fn new(rows: &[WhiskerRow], path: &WhiskerPath, shapes: Option<&SessionShapes>) -> Option<Self> {
+    pub fn new(
+        rows: &[WhiskerRow],
+        path: &WhiskerPath,
+        shapes: Option<&SessionShapes>,
+    ) -> Option<Self> {
         let shapes = shapes?;
-        let of_node: HashMap<usize, usize> =
-            path.nodes.iter().enumerate().filter_map(|(k, n)| Some((n.reading?, k))).collect();
+        let of_node: HashMap<usize, usize> = path
+            .nodes
+            .iter()
+            .enumerate()
+            .filter_map(|(k, n)| Some((n.reading?, k)))
+            .collect();
         let factor = root_of(&with_tolerances(shapes));
         let (mut pairs, mut readings, mut shared) = (Vec::new(), Vec::new(), Vec::new());
         let mut left_out = Vec::new();
         for (reading, &row) in path.rows.iter().enumerate() {
             let r = &path.readings[reading];
-            let Some(document) = &rows[row].pair else { continue };
-            let loaded = of_node.get(&reading).filter(|_| r.line.is_some() && !r.rest);
+            let Some(document) = &rows[row].pair else {
+                continue;
+            };
+            let loaded = of_node
+                .get(&reading)
+                .filter(|_| r.line.is_some() && !r.rest);
             let found = loaded
                 .zip(document.groove.as_ref())
-                .and_then(|(&node, groove)| observe(document, groove, reading, node, readings.len(), shapes));
+                .and_then(|(&node, groove)| {
+                    observe(document, groove, reading, node, readings.len(), shapes)
+                });
             let Some((mut pair, columns)) = found else {
                 let why = "its errors or its reading say nothing of a contact".to_owned();
-                left_out.push(PairLeftOut { name: document.name.clone(), why });
+                left_out.push(PairLeftOut {
+                    name: document.name.clone(),
+                    why,
+                });
                 continue;
             };
             readings.extend(std::iter::repeat_n(reading, columns.nrows()));
@@ -72,7 +89,11 @@ impl Pictures {
         }
         let count = pairs.len();
         for (k, pair) in pairs.iter_mut().enumerate() {
-            pair.seen.place = if count > 1 { k as f64 / (count - 1) as f64 } else { 0.0 };
+            pair.seen.place = if count > 1 {
+                k as f64 / (count - 1) as f64
+            } else {
+                0.0
+            };
         }
         let mut all = DMatrix::zeros(readings.len(), factor.ncols());
         for (pair, own) in pairs.iter().zip(&shared) {
@@ -92,7 +113,10 @@ impl Pictures {
     pub fn with_own_share(&self, share: f64) -> Self {
         // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size and weigh more.
         let stretch = self.independent_variance_share / share;
-        let smaller = |p: &Pair| Pair { whitening: &p.whitening * stretch, ..p.clone() };
+        let smaller = |p: &Pair| Pair {
+            whitening: &p.whitening * stretch,
+            ..p.clone()
+        };
         Self {
             pairs: self.pairs.iter().map(smaller).collect(),
             readings: self.readings.clone(),
@@ -125,7 +149,8 @@ impl Pictures {
 
     /// Distance of the contact from where it is seen that the stated covariances give, root mean square, mm.
     pub fn contact_floor_mm(&self) -> f64 {
-        (self.pairs.iter().map(|p| p.groove_mm2).sum::<f64>() / self.pairs.len().max(1) as f64).sqrt()
+        (self.pairs.iter().map(|p| p.groove_mm2).sum::<f64>() / self.pairs.len().max(1) as f64)
+            .sqrt()
     }
 
     /// Reading of each value.
@@ -140,21 +165,30 @@ impl Pictures {
 
     /// Reading, arc lengths of the stations and what the pair shows.
     pub fn each(&self) -> impl Iterator<Item = (usize, &[f64], &PairObservation)> {
-        self.pairs.iter().map(|p| (p.reading, p.stations_mm.as_slice(), &p.seen))
+        self.pairs
+            .iter()
+            .map(|p| (p.reading, p.stations_mm.as_slice(), &p.seen))
     }
 
     /// Measured less predicted, white with unit variance; zero where the reading does not count.
-    pub fn whitened(&self, predicted: &[PairObservation], counts: impl Fn(usize) -> bool) -> DVector<f64> {
+    pub fn whitened(
+        &self,
+        predicted: &[PairObservation],
+        counts: impl Fn(usize) -> bool,
+    ) -> DVector<f64> {
         let mut u = DVector::zeros(self.readings.len());
         // By its own errors each pair is whitened alone.
         for (pair, g) in self.pairs.iter().zip(predicted) {
             if counts(pair.reading) {
                 let off = pair.difference(g);
-                u.rows_mut(pair.first, off.len()).copy_from(&(&pair.whitening * off));
+                u.rows_mut(pair.first, off.len())
+                    .copy_from(&(&pair.whitening * off));
             }
         }
         let mask: Vec<bool> = self.pairs.iter().map(|p| counts(p.reading)).collect();
-        let Some(root) = self.roots.get(mask.clone(), || Some(self.root(&mask))) else { return u };
+        let Some(root) = self.roots.get(mask.clone(), || Some(self.root(&mask))) else {
+            return u;
+        };
         // What all pairs share is integrated out: a symmetric root of low rank beside the identity.
         let mut taken = &self.shared * (&*root * self.shared.tr_mul(&u));
         for (value, reading) in taken.iter_mut().zip(self.readings.iter()) {
@@ -170,12 +204,20 @@ impl Pictures {
         let mut counted = self.shared.clone();
         for (pair, counts) in self.pairs.iter().zip(mask) {
             if !counts {
-                counted.rows_mut(pair.first, pair.whitening.nrows()).fill(0.0);
+                counted
+                    .rows_mut(pair.first, pair.whitening.nrows())
+                    .fill(0.0);
             }
         }
         let parts = counted.tr_mul(&counted).symmetric_eigen();
         // ((1 + s^2)^(-1/2) - 1) / s^2 tends to -1/2 where an error moves nothing.
-        let shrink = |s2: f64| if s2 < 1e-9 { -0.5 } else { ((1.0 + s2).sqrt().recip() - 1.0) / s2 };
+        let shrink = |s2: f64| {
+            if s2 < 1e-9 {
+                -0.5
+            } else {
+                ((1.0 + s2).sqrt().recip() - 1.0) / s2
+            }
+        };
         let middle = DMatrix::from_diagonal(&parts.eigenvalues.map(|v| shrink(v.max(0.0))));
         &parts.eigenvectors * middle * parts.eigenvectors.transpose()
     }
@@ -185,7 +227,12 @@ impl Pair {
     /// Measured less predicted in the observed values.
     fn difference(&self, predicted: &PairObservation) -> DVector<f64> {
         let groove = self.seen.groove_mm - predicted.groove_mm;
-        let stations = self.seen.stations_mm.iter().zip(&predicted.stations_mm).map(|(a, b)| a - b);
+        let stations = self
+            .seen
+            .stations_mm
+            .iter()
+            .zip(&predicted.stations_mm)
+            .map(|(a, b)| a - b);
         let change = PairChange {
             groove_mm: groove,
             arclength_mm: self.seen.arclength_mm - predicted.arclength_mm,

@@ -73,9 +73,16 @@ pub fn plan_check(data: &WhiskerData) -> Result<PlanCheck, TraceError> {
             .filter(|(w, e)| w.status == "testable" && e.status != "testable")
             .map(|(w, _)| w.id.clone())
             .collect();
-        let separates = pairs(&effects).into_iter().filter(|p| !pairs(&with).contains(p)).collect::<Vec<_>>();
+        let separates = pairs(&effects)
+            .into_iter()
+            .filter(|p| !pairs(&with).contains(p))
+            .collect::<Vec<_>>();
         if !testable.is_empty() || !separates.is_empty() {
-            additions.push(Addition { what, testable, separates });
+            additions.push(Addition {
+                what,
+                testable,
+                separates,
+            });
         }
     }
     additions.sort_by_key(|a| std::cmp::Reverse(a.testable.len() + a.separates.len()));
@@ -84,7 +91,12 @@ pub fn plan_check(data: &WhiskerData) -> Result<PlanCheck, TraceError> {
 
 /// Pairs that cannot be distinguished, each once.
 fn pairs(effects: &[PlannedEffect]) -> Vec<[String; 2]> {
-    let of = |e: &PlannedEffect| e.never_apart.iter().map(|o| [e.id.clone(), o.clone()]).collect::<Vec<_>>();
+    let of = |e: &PlannedEffect| {
+        e.never_apart
+            .iter()
+            .map(|o| [e.id.clone(), o.clone()])
+            .collect::<Vec<_>>()
+    };
     let mut out: Vec<[String; 2]> = effects.iter().flat_map(of).collect();
     out.iter_mut().for_each(|p| p.sort());
     out.sort();
@@ -108,7 +120,9 @@ fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, TraceError> {
     let weights = Weights::equal(system.path.readings.len());
     let base = fit(&system, &[], &weights, 1).ok_or_else(no_solution)?;
     let signatures = signatures_of_catalogue(&system, &base, &weights, &nuisance_basis(&base));
-    Ok((0..system.catalogue().len()).map(|e| of_effect(&system, &signatures, e)).collect())
+    Ok((0..system.catalogue().len())
+        .map(|e| of_effect(&system, &signatures, e))
+        .collect())
 }
 
 fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) -> PlannedEffect {
@@ -123,10 +137,19 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
     if let Some(why) = system.not_observable(effect) {
         return entry("not-observable", why);
     }
-    if candidate.laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
-        return entry("testable", "single readings far outside the noise are flagged".to_owned());
+    if candidate
+        .laws
+        .iter()
+        .all(|l| l.parameters.is_empty() && l.linear.is_empty())
+    {
+        return entry(
+            "testable",
+            "single readings far outside the noise are flagged".to_owned(),
+        );
     }
-    let of = |e: usize| -> Vec<&Signature> { signatures.iter().filter(|a| a.term.effect == e).collect() };
+    let of = |e: usize| -> Vec<&Signature> {
+        signatures.iter().filter(|a| a.term.effect == e).collect()
+    };
     let own = of(effect);
     if own.is_empty() {
         return entry(
@@ -137,14 +160,22 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
     let left = own.iter().map(|a| a.share_left).fold(0.0, f64::max);
     let mut out = entry(
         "testable",
-        format!("{:.0} % of its signature is independent of sensitivity K and zero offset", 100.0 * left),
+        format!(
+            "{:.0} % of its signature is independent of sensitivity K and zero offset",
+            100.0 * left
+        ),
     );
     for other in (0..system.catalogue().len()).filter(|&o| o != effect) {
         let theirs = of(other);
         if theirs.is_empty() {
             continue;
         }
-        let best = |a: &Signature| theirs.iter().map(|b| signature_overlap(a, b)).fold(0.0, f64::max);
+        let best = |a: &Signature| {
+            theirs
+                .iter()
+                .map(|b| signature_overlap(a, b))
+                .fold(0.0, f64::max)
+        };
         let each: Vec<f64> = own.iter().map(|a| best(a)).collect();
         let id = system.catalogue()[other].id.to_owned();
         if each.iter().all(|c| *c > CLASS_COSINE) {
@@ -158,25 +189,44 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
 
 /// How much of what `a` does `b` can imitate.
 fn signature_overlap(a: &Signature, b: &Signature) -> f64 {
-    let shared: f64 =
-        a.directions.iter().flat_map(|p| b.directions.iter().map(move |q| p.dot(q).powi(2))).sum();
+    let shared: f64 = a
+        .directions
+        .iter()
+        .flat_map(|p| b.directions.iter().map(move |q| p.dot(q).powi(2)))
+        .sum();
     (shared / a.dimension() as f64).sqrt()
 }
 
 /// The plan with one more column or kind of pose each.
 fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
     let deepest = |trajectory: Option<u32>| {
-        let of = data.rows.iter().filter(|r| r.role != Role::Rest && r.trajectory == trajectory);
-        of.max_by(|a, b| a.stage_mm.unwrap_or(0.0).total_cmp(&b.stage_mm.unwrap_or(0.0)))
+        let of = data
+            .rows
+            .iter()
+            .filter(|r| r.role != Role::Rest && r.trajectory == trajectory);
+        of.max_by(|a, b| {
+            a.stage_mm
+                .unwrap_or(0.0)
+                .total_cmp(&b.stage_mm.unwrap_or(0.0))
+        })
     };
     let trajectories: Vec<Option<u32>> = {
-        let mut all: Vec<Option<u32>> =
-            data.rows.iter().map(|r| r.trajectory).filter(Option::is_some).collect();
+        let mut all: Vec<Option<u32>> = data
+            .rows
+            .iter()
+            .map(|r| r.trajectory)
+            .filter(Option::is_some)
+            .collect();
         all.sort_unstable();
         all.dedup();
         all
     };
-    let end_s = data.rows.iter().filter_map(|r| r.t_s).reduce(f64::max).unwrap_or(0.0);
+    let end_s = data
+        .rows
+        .iter()
+        .filter_map(|r| r.t_s)
+        .reduce(f64::max)
+        .unwrap_or(0.0);
     // Rows made from the deepest pose of each trajectory, a minute apart.
     let with = |changes: &[&dyn Fn(&mut WhiskerRow)]| {
         let mut more = data.clone();
@@ -185,8 +235,13 @@ fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
                 let mut row = row.clone();
                 row.t_s = Some(end_s + 60.0 * (1 + k * changes.len() + j) as f64);
                 change(&mut row);
-                let line = data.trajectories.iter().find(|t| Some(t.id) == row.trajectory);
-                row.groove_mm = line.zip(row.stage_mm).map(|(l, x)| l.origin_mm + l.direction * x);
+                let line = data
+                    .trajectories
+                    .iter()
+                    .find(|t| Some(t.id) == row.trajectory);
+                row.groove_mm = line
+                    .zip(row.stage_mm)
+                    .map(|(l, x)| l.origin_mm + l.direction * x);
                 more.rows.push(row);
             }
         }
@@ -209,7 +264,11 @@ fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
     vec![
         (
             "readings on the way back (unloading) on every trajectory".to_owned(),
-            with(&[&to(1.0, 1.0, 0.0), &to(0.66, -1.0, 0.0), &to(0.33, -1.0, 0.0)]),
+            with(&[
+                &to(1.0, 1.0, 0.0),
+                &to(0.66, -1.0, 0.0),
+                &to(0.33, -1.0, 0.0),
+            ]),
         ),
         (
             "a reading after 60 s at the deepest pose of every trajectory".to_owned(),
@@ -219,6 +278,9 @@ fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
             "readings while passing at 8 mm/s on every trajectory".to_owned(),
             with(&[&to(0.33, 1.0, 8.0), &to(0.66, 1.0, 8.0), &to(1.0, 1.0, 8.0)]),
         ),
-        ("a temperature column, the bench warmed by some kelvin and let cool".to_owned(), warmed),
+        (
+            "a temperature column, the bench warmed by some kelvin and let cool".to_owned(),
+            warmed,
+        ),
     ]
 }

@@ -43,7 +43,11 @@ pub fn predict(
     let design: DMatrix<f64> = system.design(terms)?;
     let shifts = design * &h.fit.coefficients * system.channels_pm();
     let (sensed, base) = system.moments(terms)?;
-    let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
+    let memory: Vec<[f64; 2]> = base
+        .iter()
+        .zip(&sensed)
+        .map(|(b, f)| [b[0] - f[0], b[1] - f[1]])
+        .collect();
     let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
     let mut contact = vec![None; base.len()];
     if let Some(pictures) = system.pictures() {
@@ -51,22 +55,35 @@ pub fn predict(
             contact[i] = Some((shown.groove_mm - predicted.groove_mm).norm());
         }
     }
-    let readings = inferred.iter().zip(&base).enumerate().map(|(i, (m, b))| Predicted {
-        moment_nmm: m.moment_nmm,
-        moment_sd_nmm: m.sd_nmm,
-        shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
-        pose_moment_nmm: *b,
-        contact_error_mm: contact[i],
-    });
-    Some(Predictions { readings: readings.collect(), sensitivity: model.sensitivity() })
+    let readings = inferred
+        .iter()
+        .zip(&base)
+        .enumerate()
+        .map(|(i, (m, b))| Predicted {
+            moment_nmm: m.moment_nmm,
+            moment_sd_nmm: m.sd_nmm,
+            shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+            pose_moment_nmm: *b,
+            contact_error_mm: contact[i],
+        });
+    Some(Predictions {
+        readings: readings.collect(),
+        sensitivity: model.sensitivity(),
+    })
 }
 
 /// Linear map on outside labels, fitted on the weighted readings.
-pub fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Predictions> {
+pub fn by_labels(
+    system: &WhiskerSystem,
+    moments: &[[f64; 2]],
+    weights: &Weights,
+) -> Option<Predictions> {
     let n = moments.len();
     let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });
     let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.of(i));
-    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.of(i));
+    let y = DMatrix::from_fn(n, 2, |i, c| {
+        system.path.readings[i].shift_pm[c] * weights.of(i)
+    });
     let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
     let residual = &y - &w * &b;
     let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);
@@ -85,5 +102,8 @@ pub fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights
             contact_error_mm: None,
         }
     };
-    Some(Predictions { readings: (0..n).map(of).collect(), sensitivity: k })
+    Some(Predictions {
+        readings: (0..n).map(of).collect(),
+        sensitivity: k,
+    })
 }

@@ -25,7 +25,11 @@ impl WhiskerPath {
         let moment = |c: usize| sensed.iter().map(|m| m[c]).collect();
         let mut columns = vec![vec![1.0; sensed.len()], moment(0), moment(1)];
         columns.extend(self.seating_columns(seatings));
-        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, origin, sensed)));
+        columns.extend(
+            effects
+                .iter()
+                .flat_map(|a| (a.effect.columns)(&a.values(), self, origin, sensed)),
+        );
         columns
     }
 }
@@ -33,11 +37,15 @@ impl WhiskerPath {
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no solution.
     pub fn predict_pictures(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
-        let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
+        let Some(pictures) = &self.pictures else {
+            return Some(Vec::new());
+        };
         let active = self.active(terms);
         let (xs, rod_parameters) = self.effective_poses(&active, Observers::Gratings);
         let nodes = pictures.nodes();
-        let held = self.rod_tables.contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
+        let held = self
+            .rod_tables
+            .contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
         let rod = self.rod_tables.rod(&rod_parameters)?;
         let mut seen = Vec::with_capacity(nodes.len());
         for ((node, e), (_, stations_mm, shown)) in nodes.iter().zip(held).zip(pictures.each()) {
@@ -50,7 +58,10 @@ impl WhiskerSystem {
                     tangent: e.tangent,
                     stations_mm: {
                         let nodes = rod.loaded_shape(&e);
-                        stations_mm.iter().map(|s| interpolated_point(&nodes, *s)).collect()
+                        stations_mm
+                            .iter()
+                            .map(|s| interpolated_point(&nodes, *s))
+                            .collect()
                     },
                     ..shown.clone()
                 },
@@ -58,7 +69,10 @@ impl WhiskerSystem {
                 None => PairObservation {
                     groove_mm,
                     arclength_mm: self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm,
-                    stations_mm: stations_mm.iter().map(|s| rod.shape.rest_point(*s)).collect(),
+                    stations_mm: stations_mm
+                        .iter()
+                        .map(|s| rod.shape.rest_point(*s))
+                        .collect(),
                     ..shown.clone()
                 },
             });
@@ -103,18 +117,27 @@ impl MeasurementModel for WhiskerSystem {
 
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let (sensed, _) = self.moments(terms)?;
-        design_of(&self.path.readout_columns(self.seatings, &self.active(terms), &self.origin, &sensed))
+        design_of(&self.path.readout_columns(
+            self.seatings,
+            &self.active(terms),
+            &self.origin,
+            &sensed,
+        ))
     }
 
     fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
-        let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
+        let Some(pictures) = &self.pictures else {
+            return Some(DVector::zeros(0));
+        };
         let seen = self.predict_pictures(terms)?;
         let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
         w.iter().all(|v| v.is_finite()).then_some(w)
     }
 
     fn auxiliary_readings(&self) -> Arc<Vec<usize>> {
-        self.pictures.as_ref().map_or_else(Arc::default, |p| p.readings())
+        self.pictures
+            .as_ref()
+            .map_or_else(Arc::default, |p| p.readings())
     }
 
     fn auxiliary_variance(&self) -> f64 {
@@ -130,7 +153,11 @@ impl MeasurementModel for WhiskerSystem {
         if self.refuted.iter().any(|id| id == effect.id) {
             return Some("another measurement of this whisker refutes it".to_owned());
         }
-        effect.needs().iter().find_map(|need| self.missing_requirement(*need)).map(str::to_owned)
+        effect
+            .needs()
+            .iter()
+            .find_map(|need| self.missing_requirement(*need))
+            .map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {
@@ -146,9 +173,15 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn systematic_sd(&self, effect: usize, parameter: &str) -> f64 {
-        let stamped =
-            self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
-        if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
+        let stamped = self.catalogue[effect]
+            .needs()
+            .contains(&LawRequirement::Motion)
+            && parameter == "lag_s";
+        if stamped && self.is_read_in_motion() {
+            CLOCK_SD_S
+        } else {
+            0.0
+        }
     }
 
     fn noise_inputs(&self) -> NoiseInputs {

@@ -47,7 +47,10 @@ impl RodParameters {
         let softening = |m: &Self| match m.softening {
             None => (0.0, 1.0, 0.0_f64),
             Some(Softening::Bilinear { onset_per_m, ratio }) => (1.0 - ratio, onset_per_m, 1.0),
-            Some(Softening::Section { onset_per_m, hardening }) => (1.0 - hardening, onset_per_m, 2.0),
+            Some(Softening::Section {
+                onset_per_m,
+                hardening,
+            }) => (1.0 - hardening, onset_per_m, 2.0),
         };
         let ((a, a_onset, a_law), (b, b_onset, b_law)) = (softening(self), softening(other));
         // Each change in the size from which a continuation from the other wire begins to fail.
@@ -61,9 +64,15 @@ impl RodParameters {
         sum += (self.straight_change_mm - other.straight_change_mm).powi(2);
         sum += (self.arc_radius_change_mm - other.arc_radius_change_mm).powi(2);
         for k in 0..2 {
-            sum += ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
+            sum +=
+                ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
         }
-        sum.sqrt() + if self.weight == other.weight { 0.0 } else { f64::INFINITY }
+        sum.sqrt()
+            + if self.weight == other.weight {
+                0.0
+            } else {
+                f64::INFINITY
+            }
     }
 
     pub(crate) fn key(&self) -> Vec<u64> {
@@ -74,11 +83,19 @@ impl RodParameters {
             Some(Softening::Bilinear { onset_per_m, ratio }) => {
                 key.extend([1, onset_per_m.to_bits(), ratio.to_bits()]);
             }
-            Some(Softening::Section { onset_per_m, hardening }) => {
+            Some(Softening::Section {
+                onset_per_m,
+                hardening,
+            }) => {
                 key.extend([2, onset_per_m.to_bits(), hardening.to_bits()]);
             }
         }
-        let further = [self.taper, self.weight, self.straight_change_mm, self.arc_radius_change_mm];
+        let further = [
+            self.taper,
+            self.weight,
+            self.straight_change_mm,
+            self.arc_radius_change_mm,
+        ];
         key.extend(further.map(f64::to_bits));
         key
     }

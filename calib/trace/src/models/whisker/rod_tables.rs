@@ -51,7 +51,12 @@ fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
 /// The wire with another straight part and another arc.
 fn wire_of(spec: &WhiskerSpec, rod_parameters: &RodParameters) -> WhiskerSpec {
     let mut wire = spec.clone();
-    if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut wire.rest_shape {
+    if let RestShape::StraightArc {
+        straight_mm,
+        arc_radius_mm,
+        ..
+    } = &mut wire.rest_shape
+    {
         *straight_mm += rod_parameters.straight_change_mm;
         *arc_radius_mm += rod_parameters.arc_radius_change_mm;
     }
@@ -59,7 +64,11 @@ fn wire_of(spec: &WhiskerSpec, rod_parameters: &RodParameters) -> WhiskerSpec {
 }
 
 /// A wire with the given deviations in a medium.
-pub(crate) fn rod_of(spec: &WhiskerSpec, fluid_kg_m3: f64, rod_parameters: &RodParameters) -> Option<Rod> {
+pub(crate) fn rod_of(
+    spec: &WhiskerSpec,
+    fluid_kg_m3: f64,
+    rod_parameters: &RodParameters,
+) -> Option<Rod> {
     let mut rod = Rod::new(&wire_of(spec, rod_parameters), MESH_MM).ok()?;
     let [y, z] = rod_parameters.compliance_rad_per_nmm;
     let largest = y.abs().max(z.abs());
@@ -125,7 +134,11 @@ impl RodTables {
         self.tables.get(rod_parameters.key(), || {
             let rod = self.rod(rod_parameters)?;
             let lines = (0..self.lines.len()).into_par_iter();
-            Some(lines.map(|l| self.tabulate(&rod, l, rod_parameters)).collect())
+            Some(
+                lines
+                    .map(|l| self.tabulate(&rod, l, rod_parameters))
+                    .collect(),
+            )
         })
     }
 
@@ -140,9 +153,13 @@ impl RodTables {
             };
         }
         let touch = self.touch(rod, l, rod_parameters);
-        let count = ((self.reach_mm[l] - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
+        let count = ((self.reach_mm[l] - touch.x_mm) / GRID_MM)
+            .ceil()
+            .clamp(14.0, 40.0) as usize;
         let step_mm = (self.end_mm(l) - touch.x_mm) / count as f64;
-        let xs: Vec<f64> = (0..=count).map(|k| touch.x_mm + step_mm * k as f64).collect();
+        let xs: Vec<f64> = (0..=count)
+            .map(|k| touch.x_mm + step_mm * k as f64)
+            .collect();
         let equilibria = self
             .warm_start(rod, l, rod_parameters, touch.x_mm, &xs)
             .unwrap_or_else(|| self.followed(rod, l, rod_parameters, &xs));
@@ -151,12 +168,18 @@ impl RodTables {
             step_mm,
             moments_nmm: Vec::with_capacity(count + 1),
             arclength_mm: Vec::with_capacity(count + 1),
-            end_mm: if equilibria.len() > count { xs[count] } else { xs[equilibria.len().saturating_sub(1)] },
+            end_mm: if equilibria.len() > count {
+                xs[count]
+            } else {
+                xs[equilibria.len().saturating_sub(1)]
+            },
         };
         let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
         for e in &equilibria {
             let m = self.axes.components_nmm(&e.moment_nmm);
-            table.moments_nmm.push([m[0] - at_rest[0], m[1] - at_rest[1]]);
+            table
+                .moments_nmm
+                .push([m[0] - at_rest[0], m[1] - at_rest[1]]);
             table.arclength_mm.push(e.arclength_mm);
         }
         while table.moments_nmm.len() < 4 {
@@ -167,10 +190,19 @@ impl RodTables {
     }
 
     /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where it goes all the way.
-    fn followed(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters, xs: &[f64]) -> Vec<Equilibrium> {
+    fn followed(
+        &self,
+        rod: &Rod,
+        l: usize,
+        rod_parameters: &RodParameters,
+        xs: &[f64],
+    ) -> Vec<Equilibrium> {
         let outcomes = rod.follow(&self.line(l, rod_parameters), xs);
-        let found: Vec<(f64, Equilibrium)> =
-            xs.iter().zip(&outcomes).map_while(|(x, o)| Some((*x, *o.equilibrium()?))).collect();
+        let found: Vec<(f64, Equilibrium)> = xs
+            .iter()
+            .zip(&outcomes)
+            .map_while(|(x, o)| Some((*x, *o.equilibrium()?)))
+            .collect();
         if found.len() == xs.len() {
             self.store_branch(rod, l, rod_parameters, xs[0], &found);
         }
@@ -179,22 +211,38 @@ impl RodTables {
 
     /// First touch; it depends on the groove's offset and the wire at rest alone.
     pub(crate) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
-        let find =
-            || rod.first_touch(&self.line(l, rod_parameters), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
-        let Ok(mut kept) = self.touches.lock() else { return find() };
+        let find = || {
+            rod.first_touch(
+                &self.line(l, rod_parameters),
+                MARGIN_MM - self.start_mm[l],
+                self.reach_mm[l],
+            )
+        };
+        let Ok(mut kept) = self.touches.lock() else {
+            return find();
+        };
         if kept.len() > 4096 {
             kept.clear();
         }
         let [x, y, z] = rod_parameters.offset_mm;
-        let [straight, radius] = [rod_parameters.straight_change_mm, rod_parameters.arc_radius_change_mm];
-        *kept.entry((l, [x, y, z, straight, radius].map(f64::to_bits))).or_insert_with(find)
+        let [straight, radius] = [
+            rod_parameters.straight_change_mm,
+            rod_parameters.arc_radius_change_mm,
+        ];
+        *kept
+            .entry((l, [x, y, z, straight, radius].map(f64::to_bits)))
+            .or_insert_with(find)
     }
 
     fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {
         self.slips.get(rod_parameters.key(), || {
             let (rod, tables) = (self.rod(rod_parameters)?, self.tables(rod_parameters)?);
             let lines = tables.par_iter().enumerate();
-            Some(lines.map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t)).collect())
+            Some(
+                lines
+                    .map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t))
+                    .collect(),
+            )
         })
     }
 
@@ -212,15 +260,28 @@ impl RodTables {
         let line = self.line(l, rod_parameters);
         let count = table.moments_nmm.len().clamp(8, 24);
         let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
-        let ratios: Vec<f64> =
-            (0..=2 * RATIO_STEPS).map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();
-        let xs: Vec<f64> = (0..count).map(|k| table.touch_mm + step_mm * k as f64).collect();
-        let mut slip =
-            SlipTable { touch_mm: table.touch_mm, step_mm, ratios, rows: Vec::with_capacity(count) };
-        slip.rows.push(SlipRow::untouched(table.arclength(table.touch_mm), slip.ratios.len()));
+        let ratios: Vec<f64> = (0..=2 * RATIO_STEPS)
+            .map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0))
+            .collect();
+        let xs: Vec<f64> = (0..count)
+            .map(|k| table.touch_mm + step_mm * k as f64)
+            .collect();
+        let mut slip = SlipTable {
+            touch_mm: table.touch_mm,
+            step_mm,
+            ratios,
+            rows: Vec::with_capacity(count),
+        };
+        slip.rows.push(SlipRow::untouched(
+            table.arclength(table.touch_mm),
+            slip.ratios.len(),
+        ));
         for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)).skip(1) {
-            let Outcome::Held(free) = outcome else { return None };
-            slip.rows.push(self.slip_row(rod, &line.point(*x), &free, &slip.ratios));
+            let Outcome::Held(free) = outcome else {
+                return None;
+            };
+            slip.rows
+                .push(self.slip_row(rod, &line.point(*x), &free, &slip.ratios));
         }
         // At first touch the force vanishes but its direction does not: the contact's place tends to the next one's.
         let [first, second] = [1, 2].map(|i| &slip.rows[i].arclength_mm);
@@ -230,7 +291,13 @@ impl RodTables {
 
     /// The slip branches at one position of the groove. Where friction leaves the wire no equilibrium, a branch goes on straight, as far as no
     /// contact is held there.
-    fn slip_row(&self, rod: &Rod, point_mm: &Vector3<f64>, free: &Equilibrium, ratios: &[f64]) -> SlipRow {
+    fn slip_row(
+        &self,
+        rod: &Rod,
+        point_mm: &Vector3<f64>,
+        free: &Equilibrium,
+        ratios: &[f64],
+    ) -> SlipRow {
         let of = |e: &Equilibrium| (e.arclength_mm, self.axes.components_nmm(&e.moment_nmm));
         let mut row = vec![of(free); ratios.len()];
         let mut held = [-MAX_RATIO, MAX_RATIO];
@@ -239,7 +306,11 @@ impl RodTables {
             let (mut guess, mut lost) = (Guess::from(free), false);
             for step in 1..=RATIO_STEPS as i64 {
                 let ratio = Tangential::Ratio(ratios[at(step)]);
-                let found = if lost { None } else { rod.solve(point_mm, &guess, ratio).ok() };
+                let found = if lost {
+                    None
+                } else {
+                    rod.solve(point_mm, &guess, ratio).ok()
+                };
                 row[at(step)] = if let Some(e) = found {
                     guess = Guess::from(&e);
                     of(&e)
@@ -247,13 +318,18 @@ impl RodTables {
                     if !lost {
                         (*end, lost) = (ratios[at(step - 1)], true);
                     }
-                    let [(s, m), (s_before, m_before)] = [row[at(step - 1)], row[at((step - 2).max(-1))]];
+                    let [(s, m), (s_before, m_before)] =
+                        [row[at(step - 1)], row[at((step - 2).max(-1))]];
                     (2.0 * s - s_before, [0, 1].map(|c| 2.0 * m[c] - m_before[c]))
                 };
             }
         }
         let (arclength_mm, moments_nmm) = row.into_iter().unzip();
-        SlipRow { arclength_mm, moments_nmm, held }
+        SlipRow {
+            arclength_mm,
+            moments_nmm,
+            held,
+        }
     }
 
     /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
@@ -288,7 +364,9 @@ impl RodTables {
         let slips = self.slip_tables(rod_parameters)?;
         let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
         let moment = |k: usize| {
-            let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
+            let (Some(h), Some(l)) = (held[k], nodes[k].line) else {
+                return Some([0.0; 2]);
+            };
             let slip = slips[l].as_ref()?;
             if !slip.has_equilibrium(xs_mm[k], h.ratio) {
                 return None;
@@ -324,9 +402,18 @@ impl RodTables {
         let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
         let rod = self.rod(rod_parameters)?;
         let stuck = |(e, &k): (&Option<Equilibrium>, &usize)| {
-            let (Some(e), Some(h)) = (e, held[k]) else { return *e };
-            let found = rod.solve(&e.point_mm, &Guess::from(e), Tangential::Stick(h.arclength_mm));
-            Some(found.unwrap_or(Equilibrium { arclength_mm: h.arclength_mm, ..*e }))
+            let (Some(e), Some(h)) = (e, held[k]) else {
+                return *e;
+            };
+            let found = rod.solve(
+                &e.point_mm,
+                &Guess::from(e),
+                Tangential::Stick(h.arclength_mm),
+            );
+            Some(found.unwrap_or(Equilibrium {
+                arclength_mm: h.arclength_mm,
+                ..*e
+            }))
         };
         Some(free.iter().zip(wanted).map(stuck).collect())
     }
@@ -371,14 +458,26 @@ fn stick_slip(
             Some((line, s, from)) if line == l => (s, from),
             _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
         };
-        let friction = rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
+        let friction = rod_parameters.friction
+            * if node.moving {
+                rod_parameters.moving_share
+            } else {
+                1.0
+            };
         // Small steps: the play is taken up along the way, not at its end.
         let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
         for k in 1..=pieces {
-            slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
+            slip.advance(
+                from + (x - from) * k as f64 / pieces as f64,
+                friction,
+                &mut s,
+            );
         }
         contact = Some((l, s, x));
-        out.push(Some(FrictionContact { arclength_mm: s, ratio: slip.ratio_at(x, s, friction) }));
+        out.push(Some(FrictionContact {
+            arclength_mm: s,
+            ratio: slip.ratio_at(x, s, friction),
+        }));
     }
     Some(out)
 }

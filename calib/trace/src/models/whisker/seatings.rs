@@ -35,7 +35,9 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
     let fitted_pm = &fit.coefficients * &pm;
     // Columns: constant, two moments, then the zeros of the later seatings (System::design).
     let zero_sd_pm = [0, 1].map(|c| {
-        let zeros: Vec<f64> = (0..=later).map(|k| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] }).collect();
+        let zeros: Vec<f64> = (0..=later)
+            .map(|k| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] })
+            .collect();
         let mean = zeros.iter().sum::<f64>() / zeros.len() as f64;
         (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / later as f64).sqrt()
     });
@@ -46,7 +48,11 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
             fit.design[(i, j)]
         } else {
             let (k, m) = (1 + (j - q) / 2, 1 + (j - q) % 2);
-            if system.path.readings[i].seating as usize == k { fit.design[(i, m)] } else { 0.0 }
+            if system.path.readings[i].seating as usize == k {
+                fit.design[(i, m)]
+            } else {
+                0.0
+            }
         }
     });
     let fitted = &fit.design * &fit.coefficients;
@@ -56,13 +62,21 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
         return None;
     }
     let channels = fit.residual.ncols();
-    let sensitivity_p = f_test(fit.ssr - residual.norm_squared(), fit.ssr, fit.dof, own * channels)?;
+    let sensitivity_p = f_test(
+        fit.ssr - residual.norm_squared(),
+        fit.ssr,
+        fit.dof,
+        own * channels,
+    )?;
     let coefficients = coefficients * pm;
     let size = coefficients.rows(1, 2).norm();
     let changes = coefficients.rows(q, own).norm_squared() / later as f64;
     // Both channels' zeros as one: two seatings say little, and the interval shows it.
     let value = (0.5 * (zero_sd_pm[0].powi(2) + zero_sd_pm[1].powi(2))).sqrt();
-    let session = NoisePart { value, interval95: sd_interval95(value, 2.0 * later as f64)? };
+    let session = NoisePart {
+        value,
+        interval95: sd_interval95(value, 2.0 * later as f64)?,
+    };
     Some(SeatingVariation {
         count,
         zero_sd_pm,
@@ -83,8 +97,14 @@ impl SeatingVariation {
                 self.sensitivity_p
             )
         } else {
-            format!("one K serves all (difference {share:.2} %, p = {:.2})", self.sensitivity_p)
+            format!(
+                "one K serves all (difference {share:.2} %, p = {:.2})",
+                self.sensitivity_p
+            )
         };
-        format!("{} seatings: their zeros vary by {a:.2} and {b:.2} pm (sd); {verdict}.", self.count)
+        format!(
+            "{} seatings: their zeros vary by {a:.2} and {b:.2} pm (sd); {verdict}.",
+            self.count
+        )
     }
 }

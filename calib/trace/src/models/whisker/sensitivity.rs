@@ -51,7 +51,9 @@ pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
 
 /// Moments of an outside twin at every reading, 0 at rest, N mm; none where it does not label all of them.
 fn labels(system: &WhiskerSystem) -> Option<Vec<[f64; 2]>> {
-    (0..system.path.readings.len()).map(|i| label_nmm(&system.data, system.row(i))).collect()
+    (0..system.path.readings.len())
+        .map(|i| label_nmm(&system.data, system.row(i)))
+        .collect()
 }
 
 /// Shift of a grating as it was read, pm.
@@ -61,11 +63,19 @@ fn raw(system: &WhiskerSystem, reading: usize, grating: usize) -> f64 {
 
 /// Gratings that read the same at every load.
 fn constant(system: &WhiskerSystem) -> Option<String> {
-    let loaded: Vec<usize> =
-        (0..system.path.readings.len()).filter(|&i| !system.path.readings[i].rest).collect();
+    let loaded: Vec<usize> = (0..system.path.readings.len())
+        .filter(|&i| !system.path.readings[i].rest)
+        .collect();
     let first = *loaded.first()?;
-    let still = |g: usize| loaded.iter().all(|&i| raw(system, i, g) == raw(system, first, g));
-    let named: Vec<String> = (0..2).filter(|&g| still(g)).map(|g| format!("fbg_{}", g + 1)).collect();
+    let still = |g: usize| {
+        loaded
+            .iter()
+            .all(|&i| raw(system, i, g) == raw(system, first, g))
+    };
+    let named: Vec<String> = (0..2)
+        .filter(|&g| still(g))
+        .map(|g| format!("fbg_{}", g + 1))
+        .collect();
     if named.is_empty() || loaded.len() < MIN_LOADED {
         return None;
     }
@@ -83,18 +93,30 @@ fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String
     // A zero that drifts, one a seating, and the temperature (a dead grating that is compensated follows it) are no response.
     let mut course = Basis::default();
     for power in 0..3 {
-        course.push(&DVector::from_fn(n, |i, _| (i as f64 / n as f64).powi(power)));
+        course.push(&DVector::from_fn(n, |i, _| {
+            (i as f64 / n as f64).powi(power)
+        }));
     }
     for column in system.path.seating_columns(system.seatings()) {
         course.push(&DVector::from_vec(column));
     }
     if system.path.columns.temperature {
-        course.push(&DVector::from_iterator(n, system.path.readings.iter().map(|r| r.rise_degc)));
+        course.push(&DVector::from_iterator(
+            n,
+            system.path.readings.iter().map(|r| r.rise_degc),
+        ));
     }
     let off = |values: Vec<f64>| course.project_off(&DVector::from_vec(values));
-    let y: Vec<DVector<f64>> =
-        (0..2).map(|g| off(clip(system.path.readings.iter().map(|r| r.shift_pm[g]).collect()))).collect();
-    let load: Vec<DVector<f64>> = (0..2).map(|k| off(moments.iter().map(|m| m[k]).collect())).collect();
+    let y: Vec<DVector<f64>> = (0..2)
+        .map(|g| {
+            off(clip(
+                system.path.readings.iter().map(|r| r.shift_pm[g]).collect(),
+            ))
+        })
+        .collect();
+    let load: Vec<DVector<f64>> = (0..2)
+        .map(|k| off(moments.iter().map(|m| m[k]).collect()))
+        .collect();
     let load = directions(&load);
     if load.is_empty() {
         return None;
@@ -126,7 +148,11 @@ fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) 
     let rho = cross.singular_values();
     let (p, q) = (y.len() as f64, load.len() as f64);
     // Wilks' Lambda of the remaining correlations; Bartlett's factor brings it near chi-squared in small samples.
-    let left: f64 = rho.iter().skip(from).map(|r| (1.0 - r * r).max(1e-300).ln()).sum();
+    let left: f64 = rho
+        .iter()
+        .skip(from)
+        .map(|r| (1.0 - r * r).max(1e-300).ln())
+        .sum();
     let statistic = -(dof - (p + q + 1.0) / 2.0) * left;
     let free = (p - from as f64) * (q - from as f64);
     chi_squared_tail(statistic, free)
@@ -136,7 +162,9 @@ fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) 
 fn directions(columns: &[DVector<f64>]) -> Vec<DVector<f64>> {
     let mut basis = Basis::default();
     for c in columns {
-        if basis.project_off(c).norm() > SAME_DIRECTION * c.norm() * f64::from(u8::from(basis.rank() > 0)) {
+        if basis.project_off(c).norm()
+            > SAME_DIRECTION * c.norm() * f64::from(u8::from(basis.rank() > 0))
+        {
             basis.push(c);
         }
     }
@@ -147,7 +175,10 @@ fn clip(values: Vec<f64>) -> Vec<f64> {
     let centre = median(values.iter().copied()).unwrap_or(0.0);
     let reach = CLIP * mad_sd(values.iter().copied(), centre).unwrap_or(0.0);
     if reach > 0.0 {
-        values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect()
+        values
+            .into_iter()
+            .map(|v| v.clamp(centre - reach, centre + reach))
+            .collect()
     } else {
         values
     }

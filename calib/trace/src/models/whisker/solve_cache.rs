@@ -23,15 +23,19 @@ impl RodTables {
     ) -> Option<Arc<Vec<Option<Equilibrium>>>> {
         let mut key = rod_parameters.key();
         for (node, x) in nodes.iter().zip(xs_mm) {
-            let line = node.line.filter(|_| !node.rest).map_or(u64::MAX, |l| l as u64);
+            let line = node
+                .line
+                .filter(|_| !node.rest)
+                .map_or(u64::MAX, |l| l as u64);
             key.extend([x.to_bits(), line]);
         }
         self.points.get(key, || {
             let rod = self.rod(rod_parameters)?;
             let wanted = positions(nodes, xs_mm, self.lines.len());
             let lines = wanted.par_iter().enumerate();
-            let solved: Vec<Vec<Option<Equilibrium>>> =
-                lines.map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs)).collect::<Option<_>>()?;
+            let solved: Vec<Vec<Option<Equilibrium>>> = lines
+                .map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs))
+                .collect::<Option<_>>()?;
             let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
                 Some(l) => Some(solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?]),
                 None => Some(None),
@@ -48,8 +52,9 @@ impl RodTables {
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
         let contacts = self.solved_contacts(nodes, xs_mm, rod_parameters)?;
-        let moment =
-            |e: &Option<Equilibrium>| e.map_or([0.0; 2], |e| self.axes.components_nmm(&e.moment_nmm));
+        let moment = |e: &Option<Equilibrium>| {
+            e.map_or([0.0; 2], |e| self.axes.components_nmm(&e.moment_nmm))
+        };
         Some(contacts.iter().map(moment).collect())
     }
 
@@ -88,18 +93,30 @@ impl RodTables {
         let mut from = touch_mm;
         for &x in xs {
             let pieces = ((x - from) / MAX_GAP_MM).ceil().max(1.0) as usize;
-            stops.extend(
-                (1..=pieces)
-                    .map(|k| if k == pieces { x } else { from + (x - from) * k as f64 / pieces as f64 }),
-            );
+            stops.extend((1..=pieces).map(|k| {
+                if k == pieces {
+                    x
+                } else {
+                    from + (x - from) * k as f64 / pieces as f64
+                }
+            }));
             from = x;
         }
         let outcomes = rod.follow(&self.line(l, rod_parameters), &stops);
-        let followed: Vec<(f64, Equilibrium)> =
-            stops.iter().zip(&outcomes).map(|(x, o)| Some((*x, *o.equilibrium()?))).collect::<Option<_>>()?;
+        let followed: Vec<(f64, Equilibrium)> = stops
+            .iter()
+            .zip(&outcomes)
+            .map(|(x, o)| Some((*x, *o.equilibrium()?)))
+            .collect::<Option<_>>()?;
         self.store_branch(rod, l, rod_parameters, touch_mm, &followed);
         let wanted = |x: &f64| xs.binary_search_by(|w| w.total_cmp(x)).is_ok();
-        Some(followed.into_iter().filter(|f| wanted(&f.0)).map(|f| f.1).collect())
+        Some(
+            followed
+                .into_iter()
+                .filter(|f| wanted(&f.0))
+                .map(|f| f.1)
+                .collect(),
+        )
     }
 
     /// Equilibria at `xs_mm` in small steps from the nearest wire whose branch is known; none where that is not near enough.
@@ -114,7 +131,10 @@ impl RodTables {
         let branch = self.branches.nearest(l, rod_parameters)?;
         let line = self.line(l, rod_parameters);
         let way_mm = self.end_mm(l) - touch_mm;
-        xs_mm.iter().map(|x| rod.solve_near(&line.point(*x), branch.node((x - touch_mm) / way_mm)?)).collect()
+        xs_mm
+            .iter()
+            .map(|x| rod.solve_near(&line.point(*x), branch.node((x - touch_mm) / way_mm)?))
+            .collect()
     }
 
     /// Keeps the equilibria of a wire that was followed from first touch.
@@ -130,7 +150,13 @@ impl RodTables {
         let node = |(x, e): &(f64, Equilibrium)| Some(((x - touch_mm) / way_mm, rod.anchor(e)?));
         let nodes: Option<Vec<_>> = followed.iter().map(node).collect();
         if let Some(nodes) = nodes.filter(|n| !n.is_empty()) {
-            self.branches.keep(l, Branch { rod_parameters: *rod_parameters, nodes });
+            self.branches.keep(
+                l,
+                Branch {
+                    rod_parameters: *rod_parameters,
+                    nodes,
+                },
+            );
         }
     }
 }
@@ -143,30 +169,40 @@ mod tests {
 
     #[test]
     fn neighbours_and_walks_from_first_touch_agree() {
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/whiskerfbg");
+        let folder =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/whiskerfbg");
         let session = wcal_session::load(&folder).unwrap();
-        let wcal_core::SessionData::Whisker(data) = session.data else { panic!("kind") };
+        let wcal_core::SessionData::Whisker(data) = session.data else {
+            panic!("kind")
+        };
         let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
         let system = WhiskerSystem::new(&data, &rows).unwrap();
         let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
         for rod_parameters in [
             RodParameters::default(),
-            RodParameters { taper: 0.05, ..RodParameters::default() },
+            RodParameters {
+                taper: 0.05,
+                ..RodParameters::default()
+            },
             RodParameters {
                 offset_mm: [0.1, -0.2, 0.1],
                 compliance_rad_per_nmm: [2e-3, 1e-3],
                 ..RodParameters::default()
             },
         ] {
-            let by_points =
-                system.rod_tables.solved_moments(&system.path.nodes, &xs, &rod_parameters).unwrap();
+            let by_points = system
+                .rod_tables
+                .solved_moments(&system.path.nodes, &xs, &rod_parameters)
+                .unwrap();
             let rod = system.rod_tables.rod(&rod_parameters).unwrap();
             for (i, (node, point)) in system.path.nodes.iter().zip(by_points.iter()).enumerate() {
-                let Some(l) = node.line.filter(|_| !node.rest) else { continue };
+                let Some(l) = node.line.filter(|_| !node.rest) else {
+                    continue;
+                };
                 let followed = rod.follow(&system.rod_tables.line(l, &rod_parameters), &[xs[i]]);
-                let m = followed[0]
-                    .equilibrium()
-                    .map_or([0.0; 2], |e| system.rod_tables.axes.components_nmm(&e.moment_nmm));
+                let m = followed[0].equilibrium().map_or([0.0; 2], |e| {
+                    system.rod_tables.axes.components_nmm(&e.moment_nmm)
+                });
                 for c in 0..2 {
                     assert!((point[c] - m[c]).abs() < 1e-6, "{i} {point:?} {m:?}");
                 }

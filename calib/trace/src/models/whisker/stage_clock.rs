@@ -26,18 +26,34 @@ pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged:
     if lagged || !system.is_read_in_motion() {
         return if lagged { 0.0 } else { before_s };
     }
-    let Some((more_s, sd_s)) = residual_alignment(system, &h.fit, h) else { return before_s };
-    let significant = more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
-    if significant { before_s + more_s } else { before_s }
+    let Some((more_s, sd_s)) = residual_alignment(system, &h.fit, h) else {
+        return before_s;
+    };
+    let significant =
+        more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
+    if significant {
+        before_s + more_s
+    } else {
+        before_s
+    }
 }
 
 /// Least-squares estimate of what is left, and its standard error, s.
 fn residual_alignment(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
-    let moved = system.clone().with_stage_clock(system.stage_clock_s() + STEP_S);
+    let moved = system
+        .clone()
+        .with_stage_clock(system.stage_clock_s() + STEP_S);
     let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
     let mut tangent = stack_with(&h.weights.apply(&change), &fit.auxiliary_residual);
-    tangent.rows_mut(change.len(), fit.auxiliary_residual.len()).fill(0.0);
+    tangent
+        .rows_mut(change.len(), fit.auxiliary_residual.len())
+        .fill(0.0);
     let own = nuisance_basis(fit).project_off(&tangent);
     let size = own.norm_squared();
-    (size > 0.0).then(|| (own.dot(&fit.stacked()) / size, (fit.variance() / size).sqrt()))
+    (size > 0.0).then(|| {
+        (
+            own.dot(&fit.stacked()) / size,
+            (fit.variance() / size).sqrt(),
+        )
+    })
 }

@@ -22,27 +22,49 @@ pub struct MotionSegment {
 const FITS: f64 = 0.1;
 
 /// The way from node `k` to the next at positions `xs_mm`; none where the recorded positions and speeds do not say it.
-pub(super) fn motion_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
+pub(super) fn motion_between(
+    path: &WhiskerPath,
+    xs_mm: &[f64],
+    k: usize,
+) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if !path.columns.time || a.line.is_none() || a.line != b.line {
         return None;
     }
     let (dt_s, way_mm) = (b.t_s - a.t_s, b.x_mm - a.x_mm);
-    let straight = |dt_s: f64| vec![MotionSegment { from_mm: xs_mm[k], to_mm: xs_mm[k + 1], dt_s }];
+    let straight = |dt_s: f64| {
+        vec![MotionSegment {
+            from_mm: xs_mm[k],
+            to_mm: xs_mm[k + 1],
+            dt_s,
+        }]
+    };
     if dt_s <= 0.0 {
         return (way_mm == 0.0).then(|| straight(0.0));
     }
     let (v0, v1) = (speed(path, k), speed(path, k + 1));
     if !a.moving && !b.moving {
         // A settled reading without a dwell has stood for a while; an arrival ends its move.
-        let (move_s, mm) =
-            (if b.reading.is_some() && way_mm != 0.0 { 0.5 * dt_s } else { dt_s }, xs_mm[k + 1]);
-        let held = MotionSegment { from_mm: mm, to_mm: mm, dt_s: dt_s - move_s };
+        let (move_s, mm) = (
+            if b.reading.is_some() && way_mm != 0.0 {
+                0.5 * dt_s
+            } else {
+                dt_s
+            },
+            xs_mm[k + 1],
+        );
+        let held = MotionSegment {
+            from_mm: mm,
+            to_mm: mm,
+            dt_s: dt_s - move_s,
+        };
         return Some(straight(move_s).into_iter().chain([held]).collect());
     }
     let change = v1 - v0;
     let at_mean = (way_mm - 0.5 * (v0 + v1) * dt_s).abs() <= FITS * (v0.abs() + v1.abs()) * dt_s;
-    if change.abs() * dt_s < FITS * way_mm.abs() || (a.moving && b.moving && v0 * v1 > 0.0 && at_mean) {
+    if change.abs() * dt_s < FITS * way_mm.abs()
+        || (a.moving && b.moving && v0 * v1 > 0.0 && at_mean)
+    {
         return at_mean.then(|| straight(dt_s));
     }
     let first_s = (v1 * dt_s - way_mm) / change;
@@ -51,11 +73,23 @@ pub(super) fn motion_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Opt
     }
     let first_s = first_s.clamp(0.0, dt_s);
     // An effect that moves the nodes moves the corner with them.
-    let share = if way_mm == 0.0 { first_s / dt_s } else { (v0 * first_s / way_mm).clamp(0.0, 1.0) };
+    let share = if way_mm == 0.0 {
+        first_s / dt_s
+    } else {
+        (v0 * first_s / way_mm).clamp(0.0, 1.0)
+    };
     let corner_mm = xs_mm[k] + (xs_mm[k + 1] - xs_mm[k]) * share;
     Some(vec![
-        MotionSegment { from_mm: xs_mm[k], to_mm: corner_mm, dt_s: first_s },
-        MotionSegment { from_mm: corner_mm, to_mm: xs_mm[k + 1], dt_s: dt_s - first_s },
+        MotionSegment {
+            from_mm: xs_mm[k],
+            to_mm: corner_mm,
+            dt_s: first_s,
+        },
+        MotionSegment {
+            from_mm: corner_mm,
+            to_mm: xs_mm[k + 1],
+            dt_s: dt_s - first_s,
+        },
     ])
 }
 
@@ -67,11 +101,28 @@ fn motion_with_reversal(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<V
     }
     // The first reading of a stroke may be on its ramp: the next one has its speed.
     let own = |node: &Node| node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
-    let next = path.nodes.get(k + 2).filter(|n| n.line == b.line && own(n) * own(b) > 0.0).map_or(0.0, own);
+    let next = path
+        .nodes
+        .get(k + 2)
+        .filter(|n| n.line == b.line && own(n) * own(b) > 0.0)
+        .map_or(0.0, own);
     let (from_mm, to_mm, dt_s) = (xs_mm[k], xs_mm[k + 1], b.t_s - a.t_s);
     let move_s = (b.x_mm - a.x_mm).abs() / own(b).abs().max(next.abs());
-    let stood = MotionSegment { from_mm: to_mm, to_mm, dt_s: dt_s - move_s };
-    (stood.dt_s >= 0.0).then(|| vec![MotionSegment { from_mm, to_mm, dt_s: move_s }, stood])
+    let stood = MotionSegment {
+        from_mm: to_mm,
+        to_mm,
+        dt_s: dt_s - move_s,
+    };
+    (stood.dt_s >= 0.0).then(|| {
+        vec![
+            MotionSegment {
+                from_mm,
+                to_mm,
+                dt_s: move_s,
+            },
+            stood,
+        ]
+    })
 }
 
 /// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose positions are read better than speeds are.
@@ -82,7 +133,10 @@ fn speed(path: &WhiskerPath, k: usize) -> f64 {
     if v == 0.0 {
         return 0.0;
     }
-    let neighbours = [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|j| path.nodes.get(j));
+    let neighbours = [k.checked_sub(1), Some(k + 1)]
+        .into_iter()
+        .flatten()
+        .filter_map(|j| path.nodes.get(j));
     let slopes = neighbours
         .filter(|n| n.line == node.line && own(n) * v > 0.0 && n.t_s != node.t_s)
         .map(|n| (n.x_mm - node.x_mm) / (n.t_s - node.t_s));

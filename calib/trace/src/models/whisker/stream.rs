@@ -22,7 +22,9 @@ impl EffectMemories {
 
     /// What the sensor makes of a base moment now.
     fn recalled(&self, dt_s: Option<f64>, base: [f64; 2]) -> [f64; 2] {
-        self.memories.iter().fold(base, |m, memory| memory.sensed(dt_s, m))
+        self.memories
+            .iter()
+            .fold(base, |m, memory| memory.sensed(dt_s, m))
     }
 
     /// The base moment that is sensed so, remembered from now on. One below `visible`, the noise's standard deviations, keeps what it shows.
@@ -77,22 +79,42 @@ impl PhysicalStream {
         });
         let moved = moved.collect();
         let now = WhiskerPath {
-            readings: vec![Reading { seating: model.seatings.saturating_sub(1), ..Reading::default() }],
+            readings: vec![Reading {
+                seating: model.seatings.saturating_sub(1),
+                ..Reading::default()
+            }],
             rows: vec![0],
-            nodes: vec![Node { reading: Some(0), ..Node::default() }],
-            columns: Columns { time: true, temperature: true, ..Columns::default() },
+            nodes: vec![Node {
+                reading: Some(0),
+                ..Node::default()
+            }],
+            columns: Columns {
+                time: true,
+                temperature: true,
+                ..Columns::default()
+            },
             ..WhiskerPath::default()
         };
         let factor = covariance_root(&model).0;
         let gradient = DMatrix::zeros(2, model.covariance.len());
-        Some(Self { model, effects, moved, inverse, last_s: None, factor, gradient, now })
+        Some(Self {
+            model,
+            effects,
+            moved,
+            inverse,
+            last_s: None,
+            factor,
+            gradient,
+            now,
+        })
     }
 
     fn sensed(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2] {
         let reading = &mut self.now.readings[0];
         (reading.t_s, reading.shift_pm, reading.rise_degc) = (t_s, shift_pm, rise_degc);
         reading.temperature_loo_degc = rise_degc;
-        self.model.sensed(&self.effects.terms, &self.now, &self.inverse)[0]
+        self.model
+            .sensed(&self.effects.terms, &self.now, &self.inverse)[0]
     }
 }
 
@@ -103,10 +125,14 @@ impl MomentStream for PhysicalStream {
 
     fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments {
         let sensed = self.sensed(t_s, shift_pm, rise_degc);
-        let columns = self.model.columns(&self.effects.terms, &self.now, &[sensed]);
+        let columns = self
+            .model
+            .columns(&self.effects.terms, &self.now, &[sensed]);
         let row: Vec<f64> = columns.iter().map(|c| c[0]).collect();
         let mut gradient = self.model.of_coefficients(&self.inverse, &row);
-        let visible = self.model.sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
+        let visible = self
+            .model
+            .sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
         let dt_s = self.last_s.map(|last| t_s - last);
         self.last_s = Some(t_s);
         let base = self.effects.base(dt_s, sensed, visible);
@@ -119,10 +145,16 @@ impl MomentStream for PhysicalStream {
                 gradient[(c, *place)] = (high[c] - low[c]) / (2.0 * *step);
             }
         }
-        let sd_nmm = self.model.sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
+        let sd_nmm = self
+            .model
+            .sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
         let valid = base[0].hypot(base[1]) <= VALID_SHARE * self.model.largest_moment_nmm;
         self.gradient = gradient;
-        StreamMoments { moment_nmm: base, sd_nmm, valid }
+        StreamMoments {
+            moment_nmm: base,
+            sd_nmm,
+            valid,
+        }
     }
 
     fn spread(&self) -> MomentSpread {
@@ -144,7 +176,12 @@ mod tests {
 
     fn effect(id: &str, law: &str, values: &[f64]) -> AcceptedEffect {
         let (id, law) = (id.to_owned(), law.to_owned());
-        AcceptedEffect { id, law, values: values.to_vec(), parameters: Vec::new() }
+        AcceptedEffect {
+            id,
+            law,
+            values: values.to_vec(),
+            parameters: Vec::new(),
+        }
     }
 
     fn model() -> PhysicalModel {
@@ -155,12 +192,21 @@ mod tests {
             effect("hysteresis", "play", &[0.02, 0.1]),
             effect("dead-zone", "radial", &[0.03]),
         ];
-        let coefficients =
-            vec![[3.0, -2.0], [72.0, -6.0], [9.0, 78.0], [0.2, 0.1], [1.5, 0.3], [-0.4, 0.2], [0.6, -1.0]];
+        let coefficients = vec![
+            [3.0, -2.0],
+            [72.0, -6.0],
+            [9.0, 78.0],
+            [0.2, 0.1],
+            [1.5, 0.3],
+            [-0.4, 0.2],
+            [0.6, -1.0],
+        ];
         // Four values: size and time of creep, size and width of hysteresis, play of the dead zone (five).
         let (q, sd) = (coefficients.len() * 2, [0.004, 0.8, 0.003, 0.01, 0.002]);
         let mut covariance = vec![vec![0.0; q + sd.len()]; q + sd.len()];
-        sd.iter().enumerate().for_each(|(k, s)| covariance[q + k][q + k] = s * s);
+        sd.iter()
+            .enumerate()
+            .for_each(|(k, s)| covariance[q + k][q + k] = s * s);
         PhysicalModel {
             coefficients,
             covariance,
@@ -168,10 +214,16 @@ mod tests {
             correlated_noise: None,
             averaging: None,
             stage_clock_s: 0.0,
-            readout_origin: ReadoutOrigin { t_s: 12.0, temperature_degc: 0.0 },
+            readout_origin: ReadoutOrigin {
+                t_s: 12.0,
+                temperature_degc: 0.0,
+            },
             effects,
             seatings: 1,
-            fbg: FbgSpec { temperature_compensated: true, ..FbgSpec::default() },
+            fbg: FbgSpec {
+                temperature_compensated: true,
+                ..FbgSpec::default()
+            },
             largest_moment_nmm: 1.0,
         }
     }
@@ -201,8 +253,14 @@ mod tests {
         for ((t_s, shift), expected) in shifts.iter().zip(&table) {
             let m = stream.moments(*t_s, *shift, 0.0);
             let off = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-            assert!(off(m.moment_nmm, expected.moment_nmm) < 1e-7, "{t_s}: {m:?} {expected:?}");
-            assert!(off(m.sd_nmm, expected.sd_nmm) < 1e-6, "{t_s}: {m:?} {expected:?}");
+            assert!(
+                off(m.moment_nmm, expected.moment_nmm) < 1e-7,
+                "{t_s}: {m:?} {expected:?}"
+            );
+            assert!(
+                off(m.sd_nmm, expected.sd_nmm) < 1e-6,
+                "{t_s}: {m:?} {expected:?}"
+            );
             // The parts of the spread are the whole.
             let spread = stream.spread();
             let shared = |c: usize| spread.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
@@ -222,7 +280,11 @@ mod tests {
         let (model, shifts) = (model(), shifts(120));
         let first = 2 * model.coefficients.len();
         let mut without = model.clone();
-        without.covariance.iter_mut().flatten().for_each(|v| *v = 0.0);
+        without
+            .covariance
+            .iter_mut()
+            .flatten()
+            .for_each(|v| *v = 0.0);
         let stated = of_table(&model, &shifts);
         let by_noise = of_table(&without, &shifts);
         // The spread of the answers when the values are drawn from their covariance; nothing else varies.
@@ -231,18 +293,30 @@ mod tests {
         let mut squares = vec![[0.0; 2]; shifts.len()];
         for _ in 0..draws {
             let mut drawn = model.clone();
-            for (place, value) in (first..).zip(drawn.effects.iter_mut().flat_map(|e| &mut e.values)) {
+            for (place, value) in
+                (first..).zip(drawn.effects.iter_mut().flat_map(|e| &mut e.values))
+            {
                 let z: f64 = StandardNormal.sample(&mut rng);
                 *value += z * model.covariance[place][place].sqrt();
             }
-            for (s, (m, at)) in squares.iter_mut().zip(of_table(&drawn, &shifts).iter().zip(&stated)) {
-                (0..2).for_each(|c| s[c] += (m.moment_nmm[c] - at.moment_nmm[c]).powi(2) / f64::from(draws));
+            for (s, (m, at)) in squares
+                .iter_mut()
+                .zip(of_table(&drawn, &shifts).iter().zip(&stated))
+            {
+                (0..2).for_each(|c| {
+                    s[c] += (m.moment_nmm[c] - at.moment_nmm[c]).powi(2) / f64::from(draws)
+                });
             }
         }
         // Loaded readings, not those at the edge of the dead zone, where the answer has a kink.
         let loaded = |m: &Inferred| m.moment_nmm[0].abs().min(m.moment_nmm[1].abs()) > 0.1;
         let mut ratios: Vec<[f64; 2]> = Vec::new();
-        for ((s, with), noise) in squares.iter().zip(&stated).zip(&by_noise).filter(|((_, m), _)| loaded(m)) {
+        for ((s, with), noise) in squares
+            .iter()
+            .zip(&stated)
+            .zip(&by_noise)
+            .filter(|((_, m), _)| loaded(m))
+        {
             for (c, values) in s.iter().enumerate() {
                 let spread = values + noise.sd_nmm[c].powi(2);
                 ratios.push([with.sd_nmm[c], noise.sd_nmm[c]].map(|sd| sd / spread.sqrt()));

@@ -81,7 +81,10 @@ pub(super) fn effective_poses(
     let mut xs: Vec<f64> = path.nodes.iter().map(stamped).collect();
     let mut rod_parameters = RodParameters::default();
     // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
-    let mut acting: Vec<&ActiveEffect> = active.iter().filter(|a| a.effect.observers != unseen).collect();
+    let mut acting: Vec<&ActiveEffect> = active
+        .iter()
+        .filter(|a| a.effect.observers != unseen)
+        .collect();
     acting.sort_by_key(|a| a.term.effect);
     for a in acting {
         (a.effect.pose)(&a.values(), path, &mut xs);
@@ -102,7 +105,14 @@ impl WhiskerSystem {
         let rod_tables = RodTables::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
         let rows = cloned_rows(rows);
         let pictures = Pictures::new(&rows, &path, data.shapes.as_ref()).map(Arc::new);
-        let blank = Self::assemble(data, path, rows, walk, Arc::new(rod_tables), Matrix2::identity());
+        let blank = Self::assemble(
+            data,
+            path,
+            rows,
+            walk,
+            Arc::new(rod_tables),
+            Matrix2::identity(),
+        );
         Ok(Self { pictures, ..blank })
     }
 
@@ -122,12 +132,26 @@ impl WhiskerSystem {
 
     /// The same system without effects that another measurement of the instrument refutes, by identifier.
     pub fn without_effects(self, refuted: &[String]) -> Self {
-        Self { refuted: refuted.into(), ..self }
+        Self {
+            refuted: refuted.into(),
+            ..self
+        }
     }
 
-    fn path(data: &WhiskerData, rows: &[&WhiskerRow], walk: Option<RandomWalkModel>) -> WhiskerPath {
+    fn path(
+        data: &WhiskerData,
+        rows: &[&WhiskerRow],
+        walk: Option<RandomWalkModel>,
+    ) -> WhiskerPath {
         let gravity = data.whisker.gravity_direction;
-        WhiskerPath::new(rows, &data.trajectories, &data.moments, &data.fbg, gravity, walk.as_ref())
+        WhiskerPath::new(
+            rows,
+            &data.trajectories,
+            &data.moments,
+            &data.fbg,
+            gravity,
+            walk.as_ref(),
+        )
     }
 
     fn assemble(
@@ -147,7 +171,11 @@ impl WhiskerSystem {
             whitening,
             groups: path.readings.iter().map(|r| r.group).collect(),
             // Unsealed rows stand behind those of the points table.
-            sealed: path.rows.iter().map(|row| *row >= data.rows.len()).collect(),
+            sealed: path
+                .rows
+                .iter()
+                .map(|row| *row >= data.rows.len())
+                .collect(),
             scored: path.readings.iter().map(|r| r.holdout).collect(),
             rows,
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
@@ -156,22 +184,36 @@ impl WhiskerSystem {
             walk,
             path,
             rod_tables,
-            catalogue: whisker_catalogue().iter().map(|e| e.effect.clone()).collect(),
+            catalogue: whisker_catalogue()
+                .iter()
+                .map(|e| e.effect.clone())
+                .collect(),
         }
     }
 
     /// The effects of `terms` with their values by name.
     pub(super) fn active(&self, terms: &[EffectTerm]) -> Vec<ActiveEffect> {
         let catalogue = whisker_catalogue();
-        terms.iter().map(|t| ActiveEffect { effect: &catalogue[t.effect], term: t.clone() }).collect()
+        terms
+            .iter()
+            .map(|t| ActiveEffect {
+                effect: &catalogue[t.effect],
+                term: t.clone(),
+            })
+            .collect()
     }
 
     /// Why the session does not give what a law needs; none where it does.
     pub(super) fn missing_requirement(&self, need: LawRequirement) -> Option<&'static str> {
         let has = &self.path.columns;
-        let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
+        let moving = |p: &Arc<Pictures>| {
+            p.each()
+                .any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0)
+        };
         let (met, why) = match need {
-            LawRequirement::Time | LawRequirement::Clock => (has.time, "the session has no time stamps"),
+            LawRequirement::Time | LawRequirement::Clock => {
+                (has.time, "the session has no time stamps")
+            }
             LawRequirement::Temperature => (has.temperature, "the session has no temperature"),
             LawRequirement::Motion => (has.speeds, "no reading was taken while the stage moved"),
             LawRequirement::Weight if !has.gravity => {
@@ -181,12 +223,14 @@ impl WhiskerSystem {
                 self.data.whisker.density_kg_m3.is_some(),
                 "the session does not give the density of the wire",
             ),
-            LawRequirement::BothDirections => {
-                (has.both_directions, "the session has no readings of both directions")
-            }
-            LawRequirement::Pictures => {
-                (self.pictures.is_some(), "the session has no pictures (shapes.json) that can be used")
-            }
+            LawRequirement::BothDirections => (
+                has.both_directions,
+                "the session has no readings of both directions",
+            ),
+            LawRequirement::Pictures => (
+                self.pictures.is_some(),
+                "the session has no pictures (shapes.json) that can be used",
+            ),
             LawRequirement::StraightArc => (
                 matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. }),
                 "the session declares the wire's points, not a straight part and an arc",
@@ -195,10 +239,13 @@ impl WhiskerSystem {
                 self.pictures.as_ref().is_some_and(moving),
                 "no pair of pictures was taken while the stage moved",
             ),
-            LawRequirement::RestReadings => {
-                (self.path.readings.iter().any(|r| r.rest), "no reading was taken at rest")
+            LawRequirement::RestReadings => (
+                self.path.readings.iter().any(|r| r.rest),
+                "no reading was taken at rest",
+            ),
+            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => {
+                return None;
             }
-            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => return None,
         };
         (!met).then_some(why)
     }
@@ -216,16 +263,25 @@ impl WhiskerSystem {
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let active = self.active(terms);
-        terms.iter().try_for_each(|t| finite(&t.values).map(|_| ()))?;
+        terms
+            .iter()
+            .try_for_each(|t| finite(&t.values).map(|_| ()))?;
         let (xs, rod_parameters) = self.effective_poses(&active, Observers::Cameras);
-        let base = self.rod_tables.moments(&path.nodes, &finite(xs)?, &rod_parameters)?;
+        let base = self
+            .rod_tables
+            .moments(&path.nodes, &finite(xs)?, &rod_parameters)?;
         let mut sensed = base.clone();
         for a in &active {
             finite(sensed.as_flattened())?;
             a.sensor(path, &mut sensed);
         }
         let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {
-            path.nodes.iter().zip(all).filter(|(n, _)| n.reading.is_some()).map(|(_, m)| *m).collect()
+            path.nodes
+                .iter()
+                .zip(all)
+                .filter(|(n, _)| n.reading.is_some())
+                .map(|(_, m)| *m)
+                .collect()
         };
         Some((pick(&sensed), pick(&base)))
     }
@@ -242,7 +298,11 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        Self { measured: measured_in(&self.path, &whitening), whitening, ..self }
+        Self {
+            measured: measured_in(&self.path, &whitening),
+            whitening,
+            ..self
+        }
     }
 
     /// The same readings with the stage's clock set by `stage_clock_s`.
@@ -263,20 +323,34 @@ impl WhiskerSystem {
 
     /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none where no reference noise is shared.
     fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
-        let compensated =
-            self.data.fbg.needs_reference() && self.data.rows.iter().all(|r| r.reference_shift_pm.is_some());
-        let k = Vector2::from(self.data.fbg.temperature_pm_per_degc.filter(|_| compensated)?);
+        let compensated = self.data.fbg.needs_reference()
+            && self
+                .data
+                .rows
+                .iter()
+                .all(|r| r.reference_shift_pm.is_some());
+        let k = Vector2::from(
+            self.data
+                .fbg
+                .temperature_pm_per_degc
+                .filter(|_| compensated)?,
+        );
         let along = k.try_normalize(0.0)?;
         let across = Vector2::new(-along[1], along[0]);
         let own = (&fit.residual * across).norm_squared() / (0.5 * fit.readings_dof()).max(1.0);
         let shared = k.norm_squared() * self.walk?.noise_sd().powi(2);
         let stretch = (1.0 + shared / own).sqrt();
-        stretch.is_finite().then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
+        stretch
+            .is_finite()
+            .then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
     }
 
     /// The same readings in the channels of `other`, its pictures weighed alike.
     pub fn with_whitening_of(self, other: &Self) -> Self {
-        let share = other.pictures.as_ref().map_or(1.0, |p| p.independent_variance_share());
+        let share = other
+            .pictures
+            .as_ref()
+            .map_or(1.0, |p| p.independent_variance_share());
         self.in_channels(other.whitening)
             .with_picture_scale(other.picture_scale)
             .with_own_share(share)

@@ -39,7 +39,10 @@ impl LineTable {
         if x_mm > self.end_mm + 1e-9 {
             return None;
         }
-        let (j, w) = bracket((x_mm - self.touch_mm) / self.step_mm, self.moments_nmm.len());
+        let (j, w) = bracket(
+            (x_mm - self.touch_mm) / self.step_mm,
+            self.moments_nmm.len(),
+        );
         Some([0, 1].map(|c| (0..4).map(|k| w[k] * self.moments_nmm[j + k][c]).sum()))
     }
 
@@ -116,7 +119,9 @@ impl SlipTable {
     pub(crate) fn has_equilibrium(&self, x_mm: f64, ratio: f64) -> bool {
         let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
         let row = |x: f64| &self.rows[(x as usize).min(self.rows.len() - 1)];
-        [row(x.floor()), row(x.ceil())].iter().all(|r| (r.held[0]..=r.held[1]).contains(&ratio))
+        [row(x.floor()), row(x.ceil())]
+            .iter()
+            .all(|r| (r.held[0]..=r.held[1]).contains(&ratio))
     }
 
     /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is monotone in the ratio.
@@ -125,14 +130,21 @@ impl SlipTable {
         let (mut lo, mut hi) = (-limit, limit);
         for _ in 0..40 {
             let mid = 0.5 * (lo + hi);
-            if (self.arclength(x_mm, mid) < s_mm) == rising { lo = mid } else { hi = mid }
+            if (self.arclength(x_mm, mid) < s_mm) == rising {
+                lo = mid
+            } else {
+                hi = mid
+            }
         }
         0.5 * (lo + hi)
     }
 
     /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along it.
     pub(crate) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
-        let (a, b) = (self.arclength(x_mm, -friction), self.arclength(x_mm, friction));
+        let (a, b) = (
+            self.arclength(x_mm, -friction),
+            self.arclength(x_mm, friction),
+        );
         *contact_mm = contact_mm.clamp(a.min(b), a.max(b));
     }
 }
@@ -145,9 +157,13 @@ mod tests {
     #[test]
     fn a_lost_branch_holds_nothing() {
         let row = SlipRow::untouched(40.0, 2 * RATIO_STEPS + 1);
-        let lost = SlipRow { held: [-0.54, MAX_RATIO], ..row.clone() };
-        let ratios =
-            (0..=2 * RATIO_STEPS).map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();
+        let lost = SlipRow {
+            held: [-0.54, MAX_RATIO],
+            ..row.clone()
+        };
+        let ratios = (0..=2 * RATIO_STEPS)
+            .map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0))
+            .collect();
         let table = SlipTable {
             touch_mm: 10.0,
             step_mm: 2.0,

@@ -52,7 +52,10 @@ impl RandomWalkModel {
         // From a level that stays to readings without noise of their own, four places a decade.
         let ratios = (-16..=16).map(|k| 10f64.powf(f64::from(k) / 4.0) / typical);
         let tried = ratios.map(|ratio_per_s| {
-            let mut walk = Self { ratio_per_s, noise_sd: 0.0 };
+            let mut walk = Self {
+                ratio_per_s,
+                noise_sd: 0.0,
+            };
             let filtered = walk.filter(t_s, values, variances);
             walk.noise_sd = filtered.noise_sd;
             (filtered.misfit, walk)
@@ -84,8 +87,17 @@ impl RandomWalkModel {
             levels.push((level, variance));
         }
         let count = levels.len() as f64 - 1.0;
-        let misfit = if squares > 0.0 { count * (squares / count).ln() + logs } else { f64::INFINITY };
-        Filtered { levels, before, misfit, noise_sd: (squares / count).sqrt() }
+        let misfit = if squares > 0.0 {
+            count * (squares / count).ln() + logs
+        } else {
+            f64::INFINITY
+        };
+        Filtered {
+            levels,
+            before,
+            misfit,
+            noise_sd: (squares / count).sqrt(),
+        }
     }
 
     /// Levels at the readings.
@@ -99,14 +111,23 @@ impl RandomWalkModel {
             let (level, variance) = levels[k];
             let share = variance / before[k + 1];
             let (next, next_variance) = smoothed[k + 1];
-            smoothed[k] =
-                (level + share * (next - level), variance + share * share * (next_variance - before[k + 1]));
+            smoothed[k] = (
+                level + share * (next - level),
+                variance + share * share * (next_variance - before[k + 1]),
+            );
         }
         // The level's variance over the reading's is the weight of the reading in its own level.
         let of = |(((level, variance), value), own): (((&f64, &f64), &f64), &f64)| {
             let weight = variance / own;
-            let by_others = if weight < 1.0 { (level - weight * value) / (1.0 - weight) } else { *level };
-            Level { by_all: *level, by_others }
+            let by_others = if weight < 1.0 {
+                (level - weight * value) / (1.0 - weight)
+            } else {
+                *level
+            };
+            Level {
+                by_all: *level,
+                by_others,
+            }
         };
         let levels = smoothed.iter().map(|(level, variance)| (level, variance));
         levels.zip(values).zip(variances).map(of).collect()
@@ -131,7 +152,11 @@ mod tests {
             })
             .collect();
         let readings = truth.iter().map(|x| x + normal()).collect();
-        ((0..300).map(|k| 4.0 * f64::from(k)).collect(), truth, readings)
+        (
+            (0..300).map(|k| 4.0 * f64::from(k)).collect(),
+            truth,
+            readings,
+        )
     }
 
     fn alike(values: &[f64]) -> Vec<f64> {
@@ -144,7 +169,9 @@ mod tests {
         let (mut sds, mut weighed, mut unweighed) = (Vec::new(), 0.0, 0.0);
         for seed in 0..20 {
             let (t, truth, mut readings) = seen(0.05, seed);
-            let variances: Vec<f64> = (0..300).map(|k| if k % 3 == 0 { 100.0 } else { 1.0 }).collect();
+            let variances: Vec<f64> = (0..300)
+                .map(|k| if k % 3 == 0 { 100.0 } else { 1.0 })
+                .collect();
             for k in (0..300).step_by(3) {
                 readings[k] = truth[k] + 10.0 * (readings[k] - truth[k]);
             }
@@ -185,7 +212,11 @@ mod tests {
         let walk = RandomWalkModel::of(&t, &readings, &alike(&readings)).unwrap();
         for left_out in [0, 1, 150, 299] {
             let others = |v: &[f64]| -> Vec<f64> {
-                v.iter().enumerate().filter(|(k, _)| *k != left_out).map(|(_, x)| *x).collect()
+                v.iter()
+                    .enumerate()
+                    .filter(|(k, _)| *k != left_out)
+                    .map(|(_, x)| *x)
+                    .collect()
             };
             let rest = walk.smooth(&others(&t), &others(&readings), &alike(&others(&t)));
             // Between two readings the walk is expected on the line through their levels.
@@ -195,7 +226,10 @@ mod tests {
                 k => 0.5 * (rest[k - 1].by_all + rest[k].by_all),
             };
             let got = walk.smooth(&t, &readings, &alike(&readings))[left_out].by_others;
-            assert!((got - expected).abs() < 1e-9, "{left_out}: {got} {expected}");
+            assert!(
+                (got - expected).abs() < 1e-9,
+                "{left_out}: {got} {expected}"
+            );
         }
     }
 
@@ -213,7 +247,10 @@ mod tests {
         }
         // With the ratio known the smoother's steady state has variance step_sd / 2; its ends and the ratio's own error add to it.
         let mean = slow_rms.iter().sum::<f64>() / 20.0;
-        assert!((0.025f64.sqrt()..1.3 * 0.025f64.sqrt()).contains(&mean), "{mean} {slow_rms:?}");
+        assert!(
+            (0.025f64.sqrt()..1.3 * 0.025f64.sqrt()).contains(&mean),
+            "{mean} {slow_rms:?}"
+        );
     }
 
     #[test]

@@ -61,13 +61,18 @@ const MIRRORED: f64 = 1.02;
 
 /// Checks every label of the session.
 pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
-    let Some(tables) = rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default()) else {
+    let Some(tables) = rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default())
+    else {
         return LabelReport::default();
     };
     let mut checks: Vec<LabelCheck> = Vec::new();
     for (reading, &row) in path.readings.iter().zip(&path.rows) {
-        let Some(source) = data.rows.get(row) else { continue };
-        let Some(label) = data.twin.iter().find(|t| t.point == source.point) else { continue };
+        let Some(source) = data.rows.get(row) else {
+            continue;
+        };
+        let Some(label) = data.twin.iter().find(|t| t.point == source.point) else {
+            continue;
+        };
         let rod = match reading.line {
             Some(l) if !reading.rest => tables[l].moment(reading.x_mm),
             _ => Some([0.0; 2]),
@@ -82,26 +87,40 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
             fault: None,
         });
     }
-    let loaded: Vec<usize> =
-        (0..checks.len()).filter(|&i| checks[i].rod_nmm.is_some_and(|m| m[0].hypot(m[1]) > 1e-6)).collect();
+    let loaded: Vec<usize> = (0..checks.len())
+        .filter(|&i| checks[i].rod_nmm.is_some_and(|m| m[0].hypot(m[1]) > 1e-6))
+        .collect();
     if loaded.len() < 8 {
-        return LabelReport { checks, faults: Vec::new() };
+        return LabelReport {
+            checks,
+            faults: Vec::new(),
+        };
     }
     deviations(&mut checks, &loaded);
     // Over good labels; 1 where both agree.
     let ratios = loaded
         .iter()
         .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION)
-        .filter_map(|&i| checks[i].rod_nmm.map(|m| size(checks[i].label_nmm) / size(m)));
+        .filter_map(|&i| {
+            checks[i]
+                .rod_nmm
+                .map(|m| size(checks[i].label_nmm) / size(m))
+        });
     let median_ratio = median(ratios).unwrap_or(1.0);
     let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&median_ratio);
     let axes = other_axes(&checks, &loaded);
     for &i in &loaded {
-        let Some(rod) = checks[i].rod_nmm else { continue };
+        let Some(rod) = checks[i].rod_nmm else {
+            continue;
+        };
         let label = checks[i].label_nmm;
         checks[i].fault = if checks[i].deviation > BRANCH_DEVIATION {
             // A wire that left the groove carries almost nothing; one on another branch carries a moment of another direction.
-            Some(if size(label) < 0.1 * size(rod) { "contact-lost" } else { "branch" })
+            Some(if size(label) < 0.1 * size(rod) {
+                "contact-lost"
+            } else {
+                "branch"
+            })
         } else if let Some((kind, _)) = &axes {
             Some(*kind)
         } else if unit {
@@ -115,13 +134,19 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
     for c in checks.iter_mut().filter(|c| c.rod_nmm.is_none()) {
         c.fault = Some("branch");
     }
-    let faults = collect(&checks, median_ratio, axes.as_ref().map_or("", |(_, detail)| detail));
+    let faults = collect(
+        &checks,
+        median_ratio,
+        axes.as_ref().map_or("", |(_, detail)| detail),
+    );
     LabelReport { checks, faults }
 }
 
 /// Fault and detail where the labels are the rod's moments about other axes.
 fn other_axes(checks: &[LabelCheck], loaded: &[usize]) -> Option<(&'static str, String)> {
-    let good = loaded.iter().filter(|&&i| checks[i].deviation < BRANCH_DEVIATION);
+    let good = loaded
+        .iter()
+        .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION);
     let (mut turned, mut mirrored) = (Complex::<f64>::ZERO, Complex::<f64>::ZERO);
     for &i in good {
         let complex = |m: [f64; 2]| Complex::new(m[0], m[1]);
@@ -137,13 +162,17 @@ fn other_axes(checks: &[LabelCheck], loaded: &[usize]) -> Option<(&'static str, 
             a if a.abs() > 180.0 - TURNED_DEG => "with the first axis reversed".to_owned(),
             a => format!("mirrored and turned by {a:.0} deg"),
         };
-        return Some(("axes", format!("the labels are the rod's moments {what}: [moments] axes")));
+        return Some((
+            "axes",
+            format!("the labels are the rod's moments {what}: [moments] axes"),
+        ));
     }
     let angle = turned.arg().to_degrees();
     match angle.abs() {
         a if a > 180.0 - TURNED_DEG => Some((
             "sign",
-            "the labels are -1 times the rod's moments (the reaction on the base): [moments] sign".to_owned(),
+            "the labels are -1 times the rod's moments (the reaction on the base): [moments] sign"
+                .to_owned(),
         )),
         a if a > TURNED_DEG => Some((
             "axes",
@@ -180,10 +209,14 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
         for _ in 0..60 {
             let weighted = DMatrix::from_fn(rows, 4, |r, j| design[(r, j)] * weights[r]);
             let target = y.component_mul(&weights);
-            let Ok(b) = weighted.svd(true, true).solve(&target, 1e-9) else { return };
+            let Ok(b) = weighted.svd(true, true).solve(&target, 1e-9) else {
+                return;
+            };
             residual = &y - &design * b;
             // Labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
-            scale = mad_sd(residual.iter().copied(), 0.0).unwrap_or(0.0).max(2e-3);
+            scale = mad_sd(residual.iter().copied(), 0.0)
+                .unwrap_or(0.0)
+                .max(2e-3);
             for r in 0..rows {
                 // Cauchy weights (square roots): far labels lose all pull.
                 weights[r] = (1.0 / (1.0 + (residual[r] / (2.0 * scale)).powi(2))).sqrt();
@@ -230,7 +263,11 @@ pub fn label_faults(data: &WhiskerData) -> Result<Vec<TwinFault>, TraceError> {
 
 /// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends the wire there.
 pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
-    let label = data.twin.iter().find(|t| t.point == row.point).map(|t| t.moment_nmm);
+    let label = data
+        .twin
+        .iter()
+        .find(|t| t.point == row.point)
+        .map(|t| t.moment_nmm);
     label.or((row.role == Role::Rest).then_some([0.0; 2]))
 }
 
@@ -240,7 +277,10 @@ pub fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f
         .iter()
         .map(|&row| {
             let point = data.rows.get(row)?.point;
-            data.twin.iter().find(|t| t.point == point).map(|t| t.moment_nmm)
+            data.twin
+                .iter()
+                .find(|t| t.point == point)
+                .map(|t| t.moment_nmm)
         })
         .collect()
 }

@@ -41,8 +41,11 @@ impl PhysicalModel {
                 self.of_coefficients(inverse, &row)
             })
             .collect();
-        let visible: Vec<[f64; 2]> =
-            gradients.iter().zip(noise_sd_pm).map(|(g, s)| self.sd_nmm(inverse, g, *s)).collect();
+        let visible: Vec<[f64; 2]> = gradients
+            .iter()
+            .zip(noise_sd_pm)
+            .map(|(g, s)| self.sd_nmm(inverse, g, *s))
+            .collect();
         // Central differences through the whole history: memory carries a value's error from reading to reading.
         for (place, sd) in self.uncertain_values() {
             let step = VALUE_STEP * sd;
@@ -66,7 +69,8 @@ impl PhysicalModel {
         // m = K^-1 (y - B u): a coefficient moves the moment by -K^-1 e_c u_k.
         for c in 0..2 {
             for (k, u) in row.iter().enumerate() {
-                g.fixed_view_mut::<2, 1>(0, c * q + k).copy_from(&(-inverse.column(c) * *u));
+                g.fixed_view_mut::<2, 1>(0, c * q + k)
+                    .copy_from(&(-inverse.column(c) * *u));
             }
         }
         g

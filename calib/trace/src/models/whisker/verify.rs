@@ -54,13 +54,20 @@ pub fn verify_whisker(
     };
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
-    let witnesses: Vec<&dyn Witness<WhiskerSystem>> =
-        witnesses.iter().copied().chain([&PicturePairs as &dyn Witness<WhiskerSystem>]).collect();
+    let witnesses: Vec<&dyn Witness<WhiskerSystem>> = witnesses
+        .iter()
+        .copied()
+        .chain([&PicturePairs as &dyn Witness<WhiskerSystem>])
+        .collect();
     let v = match verify(model, sealed, &witnesses, request).map_err(|e| e.of_session(session))? {
         Loop::Done(v) => v,
         Loop::Refused(reason) => return refused(reason),
     };
-    let document = VerifyDocument { session: session.to_owned(), inputs: inputs.to_vec(), ..v.document() };
+    let document = VerifyDocument {
+        session: session.to_owned(),
+        inputs: inputs.to_vec(),
+        ..v.document()
+    };
     let open = v.decision.model();
     Ok(Verified::Done(Box::new(WhiskerVerification {
         document,
@@ -85,9 +92,15 @@ fn branches(system: &WhiskerSystem) -> Vec<Branch> {
         .filter(|(_, reach)| **reach > 0.0)
         .map(|((t, table), reach)| {
             let xs: Vec<f64> = (0..=60).map(|k| reach * f64::from(k) / 60.0).collect();
-            let kept: Vec<(f64, [f64; 2])> =
-                xs.iter().filter_map(|x| Some((*x, table.moment(*x)?))).collect();
-            (t.id, kept.iter().map(|k| k.0).collect(), kept.iter().map(|k| k.1).collect())
+            let kept: Vec<(f64, [f64; 2])> = xs
+                .iter()
+                .filter_map(|x| Some((*x, table.moment(*x)?)))
+                .collect();
+            (
+                t.id,
+                kept.iter().map(|k| k.0).collect(),
+                kept.iter().map(|k| k.1).collect(),
+            )
         })
         .collect()
 }

@@ -95,7 +95,9 @@ impl ActiveEffect {
 
     /// Changes the moments that the gratings sense at every node, N mm.
     pub fn sensor(&self, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let Some(mut memory) = self.memory() else { return };
+        let Some(mut memory) = self.memory() else {
+            return;
+        };
         let mut last_s = None;
         for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
             let dt_s = last_s.map(|last| node.t_s - last);

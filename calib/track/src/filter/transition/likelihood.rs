@@ -29,23 +29,31 @@ impl TransitionModel<'_> {
     /// Density of the force's turn about the wire, 1/rad.
     pub(super) fn turn_density(&self, from: &ContactState<'_>, j: usize, step: &BaseStep) -> f64 {
         let (s, c) = (self.settings, &self.now.solutions[j]);
-        let Some(axis) = &self.now.turn_axes[j] else { return 0.0 };
+        let Some(axis) = &self.now.turn_axes[j] else {
+            return 0.0;
+        };
         let turn = axis.dot(&(c.normal - from.normal));
         let noise = s.noise_nmm * root_sum_square(from.turn_rad_per_nmm, c.turn_rad_per_nmm);
         let scale = |of: [f64; 2]| root_sum_square(of[0] + of[1] * step.travel_mm.abs(), noise);
         let [smooth, sharp] = [scale(s.turn), scale(s.sharp_turn)];
-        (1.0 - s.sharp_fraction) * laplace_pdf(turn, smooth) + s.sharp_fraction * laplace_pdf(turn, sharp)
+        (1.0 - s.sharp_fraction) * laplace_pdf(turn, smooth)
+            + s.sharp_fraction * laplace_pdf(turn, sharp)
     }
 
     /// Factor against a slip on the surface that is longer than the base's travel.
     pub(super) fn excess_slip(&self, slip_mm: &Vector3<f64>, step: &BaseStep) -> f64 {
         let over = slip_mm.norm() - 1.2 * step.travel_mm.abs();
-        if over > 0.0 { exp(-over / step.path_sd_mm) } else { 1.0 }
+        if over > 0.0 {
+            exp(-over / step.path_sd_mm)
+        } else {
+            1.0
+        }
     }
 
     /// Variance of the constraint by itself, s_c^2 + (q z)^2, mm^2.
     pub(super) fn constraint_variance(&self, travel_mm: f64) -> f64 {
-        self.settings.constraint_sd_mm.powi(2) + (self.settings.constraint_sd_share * travel_mm).powi(2)
+        self.settings.constraint_sd_mm.powi(2)
+            + (self.settings.constraint_sd_share * travel_mm).powi(2)
     }
 
     /// D, mm: slip over the object across the wire times its share of the whole slip. The force has the tangential part f against the slip,
@@ -58,7 +66,9 @@ impl TransitionModel<'_> {
         normal: &Vector3<f64>,
     ) -> f64 {
         let slope = self.now.point_slopes[j];
-        let Some(along) = (slope - normal * normal.dot(&slope)).try_normalize(1e-9) else { return 0.0 };
+        let Some(along) = (slope - normal * normal.dot(&slope)).try_normalize(1e-9) else {
+            return 0.0;
+        };
         let across = path.dot(&along.cross(normal));
         // The displacement of the contact along the wire itself is no slip.
         let nodes = &self.inverse.nodes;
@@ -67,7 +77,11 @@ impl TransitionModel<'_> {
             - nodes[from.node.min(last)].arclength_mm
             - from.cell.offset * self.node_mm();
         let slip = root_sum_square(across, path.dot(&along) - along_wire_mm);
-        if slip > 1e-9 { across * across / slip } else { 0.0 }
+        if slip > 1e-9 {
+            across * across / slip
+        } else {
+            0.0
+        }
     }
 
     /// Residual e_1 of the rigid-body constraint from a contact before to node `j` now, with derivatives and variance.
@@ -81,8 +95,14 @@ impl TransitionModel<'_> {
         let (point_slope, normal_slope) = (self.now.point_slopes[j], self.now.normal_slopes[j]);
         // Path of the contact on the object, which carried the contact before along.
         let path = to.point_mm - from.point_mm;
-        let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
-        let shift = if step.drag > 0.0 { self.friction_shift_mm(from, j, &path, &normal) } else { 0.0 };
+        let normal = (from.normal + to.normal)
+            .try_normalize(0.1)
+            .unwrap_or(to.normal);
+        let shift = if step.drag > 0.0 {
+            self.friction_shift_mm(from, j, &path, &normal)
+        } else {
+            0.0
+        };
         let out = normal.dot(&path);
         let off = out + step.drag * shift;
         // Derivatives by the offsets: of the point, and of the mean normal, which turns half as much.
@@ -91,8 +111,10 @@ impl TransitionModel<'_> {
         let compliances = from.compliance_mm_per_nmm.powi(2) + to.compliance_mm_per_nmm.powi(2);
         let slip_mm = path - normal * out;
         // On a curved surface the mean normal is exact only where the curvature is constant: an error in proportion to turn and slip.
-        let bent =
-            (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
+        let bent = (to.normal - from.normal).norm_squared()
+            * slip_mm.norm_squared()
+            * s.turn_share
+            * s.turn_share;
         let noise = self.constraint_variance(step.travel_mm)
             + s.noise_nmm.powi(2) * compliances
             + normal.z * normal.z * step.travel_variance_mm2
@@ -107,7 +129,11 @@ impl TransitionModel<'_> {
         };
         let outlier_variance =
             noise + s.outlier_sd_mm.powi(2) + s.outlier_sd_share.powi(2) * slip_mm.norm_squared();
-        ConstraintResidual { pair, outlier_variance, slip_mm }
+        ConstraintResidual {
+            pair,
+            outlier_variance,
+            slip_mm,
+        }
     }
 }
 

@@ -75,7 +75,9 @@ pub fn cameras() -> [Camera; 2] {
 /// Both cameras look at the middle of the wire from 290 mm, 120 mm apart.
 pub fn camera_from_base(camera: usize) -> Isometry3<f64> {
     // Camera axes in the base frame: x along x, y along -z, z along y.
-    let facing = Rotation3::from_matrix_unchecked(Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0));
+    let facing = Rotation3::from_matrix_unchecked(Matrix3::new(
+        1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0,
+    ));
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, [0.207, -0.207][camera], 0.01));
     Isometry3::from_parts(
         Vector3::new(0.0, 0.0, 290.0).into(),
@@ -87,7 +89,9 @@ pub fn camera_from_base(camera: usize) -> Isometry3<f64> {
 pub fn wire(seed: u64) -> Vec<Vector3<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, 0.008).unwrap();
-    let waves: Vec<[f64; 2]> = (0..3).map(|_| [normal.sample(&mut rng), normal.sample(&mut rng)]).collect();
+    let waves: Vec<[f64; 2]> = (0..3)
+        .map(|_| [normal.sample(&mut rng), normal.sample(&mut rng)])
+        .collect();
     let step = 0.05;
     let (mut p, mut frame) = (Vector3::zeros(), Matrix3::identity());
     let mut points = vec![p];
@@ -132,7 +136,10 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
     for wire in wires {
         let see = |p: &Vector3<f64>| {
             let x = pose * Point3::from(*p);
-            (eye.project(&x.coords).unwrap(), 0.5 * style.diameter_mm * eye.focal_px[0] / x.z)
+            (
+                eye.project(&x.coords).unwrap(),
+                0.5 * style.diameter_mm * eye.focal_px[0] / x.z,
+            )
         };
         let places: Vec<_> = wire.iter().step_by(5).map(see).collect();
         let count = places.len() - 1;
@@ -140,7 +147,11 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
             let (a, b, half) = (w[0].0, w[1].0, w[0].1);
             let arc_mm = k as f64 * 0.25;
             let cover = arc_mm >= style.covered_mm[0] && arc_mm < style.covered_mm[1];
-            let half = if cover { half * 3.0 / style.diameter_mm } else { half };
+            let half = if cover {
+                half * 3.0 / style.diameter_mm
+            } else {
+                half
+            };
             let (lo, hi) = (a.inf(&b), a.sup(&b));
             let reach = half + 1.5;
             for y in (lo.y - reach) as i64..=(hi.y + reach) as i64 {
@@ -148,7 +159,14 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
                     near.entry((x, y)).or_default().push(segments.len());
                 }
             }
-            segments.push(Segment { a, b, half, first: k == 0, last: k + 1 == count, cover });
+            segments.push(Segment {
+                a,
+                b,
+                half,
+                first: k == 0,
+                last: k + 1 == count,
+                cover,
+            });
         }
     }
     let tag = draw_tag("tag36h11", 0).unwrap();
@@ -177,7 +195,14 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
         let p = Vector2::new(x, y);
         let mut best: Option<f64> = None;
         for &k in list {
-            let Segment { a, b, half, first, last, cover } = segments[k];
+            let Segment {
+                a,
+                b,
+                half,
+                first,
+                last,
+                cover,
+            } = segments[k];
             let run = b - a;
             let along = (p - a).dot(&run) / run.norm_squared();
             // The wire's ends are cut square.
@@ -208,7 +233,10 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
                 surface(fx, fy)
             } else {
                 let at = |k: i32| (f64::from(k) + 0.5) / 5.0 - 0.5;
-                (0..25).map(|k| level(fx + at(k % 5), fy + at(k / 5), list)).sum::<f64>() / 25.0
+                (0..25)
+                    .map(|k| level(fx + at(k % 5), fy + at(k / 5), list))
+                    .sum::<f64>()
+                    / 25.0
             };
         }
     }

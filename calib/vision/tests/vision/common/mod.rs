@@ -12,7 +12,9 @@ use wcal_vision::picture::Picture;
 
 /// A folder of the repository's fixtures.
 pub fn fixture(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../fixtures")
+        .join(name)
 }
 
 /// Draws `level(x, y)` (DN at continuous pixel coordinates, pixel centres at integers) with blur and noise.
@@ -41,15 +43,19 @@ pub fn draw(
     let blurred = blurred(&sharp, width, height, blur_px);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, noise_dn.max(1e-9)).unwrap();
-    let data =
-        blurred.iter().map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8).collect();
+    let data = blurred
+        .iter()
+        .map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8)
+        .collect();
     Picture::new(width, height, data).unwrap()
 }
 
 /// A picture blurred by a Gaussian; the border is continued.
 pub fn blurred(sharp: &[f64], width: usize, height: usize, blur_px: f64) -> Vec<f64> {
     let reach = (4.0 * blur_px).ceil() as i64;
-    let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / blur_px).powi(2)).exp()).collect();
+    let kernel: Vec<f64> = (-reach..=reach)
+        .map(|k| (-0.5 * (k as f64 / blur_px).powi(2)).exp())
+        .collect();
     let total: f64 = kernel.iter().sum();
     let pass = |source: &[f64], dx: i64, dy: i64| -> Vec<f64> {
         (0..width * height)
@@ -59,7 +65,8 @@ pub fn blurred(sharp: &[f64], width: usize, height: usize, blur_px: f64) -> Vec<
                     .map(|k| {
                         let i = (x + k * dx).clamp(0, width as i64 - 1);
                         let j = (y + k * dy).clamp(0, height as i64 - 1);
-                        kernel[(k + reach) as usize] / total * source[j as usize * width + i as usize]
+                        kernel[(k + reach) as usize] / total
+                            * source[j as usize * width + i as usize]
                     })
                     .sum()
             })
@@ -69,7 +76,12 @@ pub fn blurred(sharp: &[f64], width: usize, height: usize, blur_px: f64) -> Vec<
 }
 
 /// Where a camera's pixel meets the plane z = 0 of a board.
-pub fn on_plane(camera: &Camera, camera_from_board: &Isometry3<f64>, x: f64, y: f64) -> Option<Vector2<f64>> {
+pub fn on_plane(
+    camera: &Camera,
+    camera_from_board: &Isometry3<f64>,
+    x: f64,
+    y: f64,
+) -> Option<Vector2<f64>> {
     let n = camera.undistort(&Vector2::new(x, y))?;
     let inverse = camera_from_board.inverse();
     let origin = inverse * Point3::origin();

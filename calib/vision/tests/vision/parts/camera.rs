@@ -5,8 +5,11 @@ use wcal_vision::camera::Camera;
 use wcal_vision::camera::{FISHEYE, Lens, MAX_COEFFICIENTS, OPENCV5, lenses};
 
 fn camera_with(lens: &'static dyn Lens) -> Camera {
-    let own =
-        if lens == OPENCV5 { [-0.27, 0.06, 0.001, -0.002, 0.03] } else { [-0.04, 0.012, -0.006, 0.001, 0.0] };
+    let own = if lens == OPENCV5 {
+        [-0.27, 0.06, 0.001, -0.002, 0.03]
+    } else {
+        [-0.04, 0.012, -0.006, 0.001, 0.0]
+    };
     let mut distortion = [0.0; MAX_COEFFICIENTS];
     let count = lens.coefficient_names().len();
     distortion[..count].copy_from_slice(&own[..count]);
@@ -57,7 +60,10 @@ fn jacobians_agree_with_finite_differences() {
     let fisheye = camera_with(FISHEYE);
     let wide = Vector3::new(1.5, 0.8, 1.0);
     assert!(worst_difference(&fisheye, wide) < 1e-5);
-    let there = fisheye.project_with_jacobian(&Vector3::new(1.6, 0.8, 1.0)).unwrap().1;
+    let there = fisheye
+        .project_with_jacobian(&Vector3::new(1.6, 0.8, 1.0))
+        .unwrap()
+        .1;
     let here = fisheye.project_with_jacobian(&wide).unwrap().1;
     assert!((here - there).norm() > 1e-2 * here.norm());
 }
@@ -68,30 +74,51 @@ fn undistortion_inverts_projection() {
     let near = [(0.5, 0.4), (-0.5, 0.1), (1e-5, 2e-5), (0.0, 0.0)];
     // 76 degrees from the axis.
     let wide = [(3.0, 2.6), (-1.2, 2.0)];
-    let near = cameras.iter().flat_map(|camera| near.iter().map(move |n| (camera, n)));
+    let near = cameras
+        .iter()
+        .flat_map(|camera| near.iter().map(move |n| (camera, n)));
     let each = near.chain(wide.iter().map(|n| (&fisheye, n)));
     for (camera, &(x, y)) in each {
         let px = camera.project(&Vector3::new(x, y, 1.0)).unwrap();
         let n = camera.undistort(&px).unwrap();
-        assert!((n - Vector2::new(x, y)).norm() < 1e-10 * n.norm().max(1.0), "{} {n}", camera.lens.model());
+        assert!(
+            (n - Vector2::new(x, y)).norm() < 1e-10 * n.norm().max(1.0),
+            "{} {n}",
+            camera.lens.model()
+        );
     }
     // What no direction before the camera shows has none.
-    assert_eq!(fisheye.undistort(&Vector2::new(335.0 + 535.0 * 1.9, 240.0)), None);
+    assert_eq!(
+        fisheye.undistort(&Vector2::new(335.0 + 535.0 * 1.9, 240.0)),
+        None
+    );
 }
 
 #[test]
 fn a_fisheye_sees_behind_its_plane() {
     let fisheye = camera_with(FISHEYE);
     // 84 to 116 degrees from the axis, and along it.
-    for p in [(2.0, 0.3, 0.2), (2.0, -0.3, 0.0), (-1.0, 0.6, -0.1), (0.3, 0.8, -0.4), (0.0, 0.0, 1.0)] {
+    for p in [
+        (2.0, 0.3, 0.2),
+        (2.0, -0.3, 0.0),
+        (-1.0, 0.6, -0.1),
+        (0.3, 0.8, -0.4),
+        (0.0, 0.0, 1.0),
+    ] {
         let p = Vector3::new(p.0, p.1, p.2);
         assert!(worst_difference(&fisheye, p) < 1e-5, "{p}");
         let ray = fisheye.ray(&fisheye.project(&p).unwrap()).unwrap();
-        assert!((ray.normalize() - p.normalize()).norm() < 1e-9, "{ray} for {p}");
+        assert!(
+            (ray.normalize() - p.normalize()).norm() < 1e-9,
+            "{ray} for {p}"
+        );
     }
     assert_eq!(fisheye.project(&Vector3::new(0.0, 0.0, -1.0)), None);
     // Negative control: a pinhole sees nothing there.
-    assert_eq!(camera_with(OPENCV5).project(&Vector3::new(2.0, 0.3, -0.1)), None);
+    assert_eq!(
+        camera_with(OPENCV5).project(&Vector3::new(2.0, 0.3, -0.1)),
+        None
+    );
 }
 
 /// The fisheye as the equation in OpenCV's documentation gives it, worked out by hand for theta = 45 degrees along x.
@@ -100,8 +127,11 @@ fn the_fisheye_is_opencvs() {
     let fisheye = camera_with(FISHEYE);
     let theta = std::f64::consts::FRAC_PI_4;
     let [k1, k2, k3, k4, _] = fisheye.distortion;
-    let bent =
-        theta * (1.0 + k1 * theta.powi(2) + k2 * theta.powi(4) + k3 * theta.powi(6) + k4 * theta.powi(8));
+    let bent = theta
+        * (1.0 + k1 * theta.powi(2) + k2 * theta.powi(4) + k3 * theta.powi(6) + k4 * theta.powi(8));
     let px = fisheye.project(&Vector3::new(2.0, 0.0, 2.0)).unwrap();
-    assert!((px - Vector2::new(535.0 * bent + 335.0, 240.0)).norm() < 1e-9, "{px}");
+    assert!(
+        (px - Vector2::new(535.0 * bent + 335.0, 240.0)).norm() < 1e-9,
+        "{px}"
+    );
 }

@@ -10,10 +10,22 @@ use wcal_vision::stereo::StereoCameras;
 
 /// Sights of the true curve seen from a start 0.3 mm off at its end: none in a gap of 8 mm, and a stretch of one picture on a line
 /// that lies `wrong_px` beside the wire.
-fn setting(wrong_px: f64) -> (StereoCameras, CurveModel, CurveState, CurveState, Vec<LineObservation>) {
+fn setting(
+    wrong_px: f64,
+) -> (
+    StereoCameras,
+    CurveModel,
+    CurveState,
+    CurveState,
+    Vec<LineObservation>,
+) {
     let cameras = bench::cameras();
     let right_from_left = bench::camera_from_base(1) * bench::camera_from_base(0).inverse();
-    let stereo = StereoCameras { cameras, right_from_left, covariance: None };
+    let stereo = StereoCameras {
+        cameras,
+        right_from_left,
+        covariance: None,
+    };
     let rig = Rig::parse("rig.toml", bench::RIG).unwrap();
     let model = CurveModel::new(&rig.whisker, 60.0, 2.5, true);
     let mut truth = model.rest();
@@ -32,7 +44,11 @@ fn setting(wrong_px: f64) -> (StereoCameras, CurveModel, CurveState, CurveState,
         for i in (2..model.nodes - 2).filter(|i| !(100..132).contains(i)) {
             let tangent = (see(&shape.points[i + 1]) - see(&shape.points[i - 1])).normalize();
             let normal = Vector2::new(-tangent.y, tangent.x);
-            let off = if camera == 0 && (160..168).contains(&i) { wrong_px } else { 0.0 };
+            let off = if camera == 0 && (160..168).contains(&i) {
+                wrong_px
+            } else {
+                0.0
+            };
             let observed_px = see(&shape.points[i]) + normal * off;
             observations.push(LineObservation {
                 camera,
@@ -57,18 +73,35 @@ fn apart(model: &CurveModel, a: &CurveState, b: &CurveState) -> f64 {
 }
 
 fn prior() -> Prior {
-    Prior { base: Matrix6::zeros(), base_offset: Vector6::zeros(), root_sd: [0.003, 1e-4], smoothing: 1e6 }
+    Prior {
+        base: Matrix6::zeros(),
+        base_offset: Vector6::zeros(),
+        root_sd: [0.003, 1e-4],
+        smoothing: 1e6,
+    }
 }
 
 #[test]
 fn the_chain_bridges_a_gap_and_takes_no_stretch_of_another_line() {
     let (stereo, model, truth, start, observations) = setting(4.0);
-    assert!(apart(&model, &start, &truth) > 0.2, "the start is not where it should end");
-    let found =
-        socp_initial_curve(&stereo, &bench::camera_from_base(0), &model, &start, &observations, &prior())
-            .expect("solved");
+    assert!(
+        apart(&model, &start, &truth) > 0.2,
+        "the start is not where it should end"
+    );
+    let found = socp_initial_curve(
+        &stereo,
+        &bench::camera_from_base(0),
+        &model,
+        &start,
+        &observations,
+        &prior(),
+    )
+    .expect("solved");
     let off = apart(&model, &found, &truth);
-    println!("off by {off:.4} mm, start {:.4}", apart(&model, &start, &truth));
+    println!(
+        "off by {off:.4} mm, start {:.4}",
+        apart(&model, &start, &truth)
+    );
     assert!(off < 0.03, "{off} mm");
 }
 
@@ -79,8 +112,14 @@ fn a_stretch_that_all_pieces_show_is_followed() {
     for s in observations.iter_mut().filter(|s| s.arc_mm > 40.0) {
         s.observed_px += s.normal * 2.0;
     }
-    let found =
-        socp_initial_curve(&stereo, &bench::camera_from_base(0), &model, &start, &observations, &prior())
-            .expect("solved");
+    let found = socp_initial_curve(
+        &stereo,
+        &bench::camera_from_base(0),
+        &model,
+        &start,
+        &observations,
+        &prior(),
+    )
+    .expect("solved");
     assert!(apart(&model, &found, &truth) > 0.1);
 }

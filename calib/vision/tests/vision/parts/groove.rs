@@ -12,7 +12,13 @@ fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -
         half_angle_deg: 45.0,
         width_along_wire_mm: 3.0,
     };
-    GroovePosition { away, covariance, push, turn }.contact(&groove, 0.3)
+    GroovePosition {
+        away,
+        covariance,
+        push,
+        turn,
+    }
+    .contact(&groove, 0.3)
 }
 
 #[test]
@@ -22,7 +28,11 @@ fn the_four_kinds_of_contact_are_told_apart() {
     // A bend of 0.05 / mm over 3 mm that arches away from the vertex: 0.056 mm.
     let arched = -up * 0.15;
     assert_eq!(contact(up * 0.056, Some(up), arched), "double");
-    assert_eq!(contact(up * 0.056, Some(up), -arched), "none", "bent the other way it touches in the middle");
+    assert_eq!(
+        contact(up * 0.056, Some(up), -arched),
+        "none",
+        "bent the other way it touches in the middle"
+    );
     assert_eq!(contact(up * 0.4, Some(up), arched), "none");
     let flank = Vector3::new(0.0, 1.0, 1.0).normalize();
     assert_eq!(contact(flank * 0.4, Some(up), none), "out-of-vertex");

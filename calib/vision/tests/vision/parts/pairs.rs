@@ -21,8 +21,15 @@ fn pairs_by_number_and_keeps_the_widow() {
 
 #[test]
 fn pairs_by_equal_names() {
-    let pairs = pair_files(&paths(&["l/rest.png", "l/t1.png"]), &paths(&["r/rest.png", "r/t1.png"])).unwrap();
-    assert_eq!(pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["rest", "t1"]);
+    let pairs = pair_files(
+        &paths(&["l/rest.png", "l/t1.png"]),
+        &paths(&["r/rest.png", "r/t1.png"]),
+    )
+    .unwrap();
+    assert_eq!(
+        pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(),
+        ["rest", "t1"]
+    );
     assert!(pairs.iter().all(|p| p.left.is_some() && p.right.is_some()));
 }
 
@@ -34,18 +41,30 @@ fn pairs_by_the_number_that_varies() {
             ["IMG_00049_0.png", "IMG_00050_0.png", "IMG_00051_0.png"],
             ["IMG_00051_1.png", "IMG_00049_1.png", "IMG_00050_1.png"],
         ),
-        (["cam0_7.png", "cam0_8.png", "cam0_9.png"], ["cam1_9.png", "cam1_7.png", "cam1_8.png"]),
+        (
+            ["cam0_7.png", "cam0_8.png", "cam0_9.png"],
+            ["cam1_9.png", "cam1_7.png", "cam1_8.png"],
+        ),
         (
             ["1_cam0_x2.png", "2_cam0_x2.png", "3_cam0_x2.png"],
             ["3_cam1_x2.png", "1_cam1_x2.png", "2_cam1_x2.png"],
         ),
-        (["a5_t100.png", "a6_t200.png", "a7_t300.png"], ["b7_t301.png", "b5_t101.png", "b6_t201.png"]),
+        (
+            ["a5_t100.png", "a6_t200.png", "a7_t300.png"],
+            ["b7_t301.png", "b5_t101.png", "b6_t201.png"],
+        ),
     ] {
         let pairs = pair_files(&paths(&left), &paths(&right)).unwrap();
-        let found: Vec<_> =
-            pairs.iter().map(|p| (p.left.clone().unwrap(), p.right.clone().unwrap())).collect();
+        let found: Vec<_> = pairs
+            .iter()
+            .map(|p| (p.left.clone().unwrap(), p.right.clone().unwrap()))
+            .collect();
         let expected = [right[1], right[2], right[0]];
-        let expected: Vec<_> = left.into_iter().zip(expected).map(|(l, r)| (l.into(), r.into())).collect();
+        let expected: Vec<_> = left
+            .into_iter()
+            .zip(expected)
+            .map(|(l, r)| (l.into(), r.into()))
+            .collect();
         assert_eq!(found, expected);
     }
     // A single pair has nothing that varies: what is equal counts.
@@ -67,7 +86,9 @@ fn patterns() {
         match (pattern, name) {
             ([], []) => true,
             ([b'*', rest @ ..], _) => (0..=name.len()).any(|k| by_definition(rest, &name[k..])),
-            ([p, rest @ ..], [n, others @ ..]) => (*p == b'?' || p == n) && by_definition(rest, others),
+            ([p, rest @ ..], [n, others @ ..]) => {
+                (*p == b'?' || p == n) && by_definition(rest, others)
+            }
             _ => false,
         }
     }
@@ -75,7 +96,9 @@ fn patterns() {
         let of_length = |length: u32| {
             let count = letters.len().pow(length);
             (0..count).map(move |k| {
-                (0..length).map(|d| letters[k / letters.len().pow(d) % letters.len()]).collect()
+                (0..length)
+                    .map(|d| letters[k / letters.len().pow(d) % letters.len()])
+                    .collect()
             })
         };
         (0..=longest).flat_map(of_length).collect()
@@ -84,7 +107,11 @@ fn patterns() {
     for pattern in words(b"ab*?", 4) {
         for name in words(b"ab", 5) {
             let found = matches_pattern(&pattern, &name);
-            assert_eq!(found, by_definition(&pattern, &name), "{pattern:?} {name:?}");
+            assert_eq!(
+                found,
+                by_definition(&pattern, &name),
+                "{pattern:?} {name:?}"
+            );
             if found { yes += 1 } else { no += 1 }
         }
     }

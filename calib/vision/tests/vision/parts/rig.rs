@@ -18,15 +18,29 @@ fn a_good_file_is_read() {
 #[test]
 fn faults_are_named() {
     for (from, to, word) in [
-        ("diameter_mm = 0.3", "diameter_mm = -1.0", "whisker.diameter_mm"),
+        (
+            "diameter_mm = 0.3",
+            "diameter_mm = -1.0",
+            "whisker.diameter_mm",
+        ),
         ("length_mm = 60.0", "", "length_mm"),
         ("[1, 0, 0, -6]", "[2, 0, 0, -6]", "rigid"),
         ("tag = 0", "tag = 9", "groove.tag"),
-        ("tag = 0", "half_angle_deg = 120.0\ntag = 0", "half_angle_deg"),
-        ("tag = 0", "width_along_wire_mm = -1.0\ntag = 0", "width_along_wire_mm"),
+        (
+            "tag = 0",
+            "half_angle_deg = 120.0\ntag = 0",
+            "half_angle_deg",
+        ),
+        (
+            "tag = 0",
+            "width_along_wire_mm = -1.0\ntag = 0",
+            "width_along_wire_mm",
+        ),
         ("base_from_tag", "other", "base_from_tag"),
     ] {
-        let error = Rig::parse("rig.toml", &good().replace(from, to)).unwrap_err().to_string();
+        let error = Rig::parse("rig.toml", &good().replace(from, to))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(word), "{error}");
     }
 }

@@ -5,8 +5,12 @@ use wcal_vision::rig::RigWhisker;
 use wcal_vision::shape::curve::{CurveModel, ROOT};
 
 fn model() -> CurveModel {
-    let whisker =
-        RigWhisker { diameter_mm: 0.3, length_mm: 60.0, straight_mm: 30.0, arc_curvature_per_mm: 0.05 };
+    let whisker = RigWhisker {
+        diameter_mm: 0.3,
+        length_mm: 60.0,
+        straight_mm: 30.0,
+        arc_curvature_per_mm: 0.05,
+    };
     CurveModel::new(&whisker, 60.0, 3.0, true)
 }
 
@@ -15,7 +19,11 @@ fn rest_shape_is_the_straight_line_and_the_arc() {
     let model = model();
     let shape = model.shape(&model.rest());
     let tip = shape.points.last().unwrap();
-    let expected = Vector3::new(30.0 + 20.0 * 1.5f64.sin(), 0.0, -20.0 * (1.0 - 1.5f64.cos()));
+    let expected = Vector3::new(
+        30.0 + 20.0 * 1.5f64.sin(),
+        0.0,
+        -20.0 * (1.0 - 1.5f64.cos()),
+    );
     assert!((tip - expected).norm() < 2e-3, "{tip}");
 }
 

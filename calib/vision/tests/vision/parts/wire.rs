@@ -31,18 +31,28 @@ fn station() -> Station {
 
 #[test]
 fn unequal_sides_do_not_move_the_centre() {
-    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
+    let appearance = Appearance {
+        blur_px: 0.9,
+        width_scale: 1.0,
+    };
     for right in [180.0, 120.0] {
         let piece = fit_piece(&drawn(30.37, right, 3.6), &station(), appearance, 2.0).unwrap();
         // The normal of a downward tangent points to -x.
-        assert!((30.0 - piece.offset_px - 30.37).abs() < 0.01, "{right}: {}", piece.offset_px);
+        assert!(
+            (30.0 - piece.offset_px - 30.37).abs() < 0.01,
+            "{right}: {}",
+            piece.offset_px
+        );
         assert!(piece.evidence > 0.0);
     }
 }
 
 #[test]
 fn an_edge_is_no_wire() {
-    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
+    let appearance = Appearance {
+        blur_px: 0.9,
+        width_scale: 1.0,
+    };
     let edge = drawn(30.0, 80.0, 3.6);
     assert!(
         fit_piece(&edge, &station(), appearance, 2.0)

@@ -73,6 +73,12 @@ pub struct CameraErrors {
 impl Default for CameraErrors {
     fn default() -> Self {
         let none = [0.0; 3];
-        Self { moved_mm: none, moved_deg: none, board_scale: 1.0, rig_tag_mm: none, rig_tag_deg: none }
+        Self {
+            moved_mm: none,
+            moved_deg: none,
+            board_scale: 1.0,
+            rig_tag_mm: none,
+            rig_tag_deg: none,
+        }
     }
 }

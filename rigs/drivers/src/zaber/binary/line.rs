@@ -18,7 +18,12 @@ const UNKNOWN: i32 = 64;
 /// Error of a unit that did not find its home switch.
 const CANNOT_HOME: i32 = 1;
 /// Their replies come when the motion has ended, or not at all on a disturbed line: status and position say the same.
-const MOTIONS: [u8; 4] = [command::HOME, command::MOVE_ABSOLUTE, command::MOVE_RELATIVE, command::STOP];
+const MOTIONS: [u8; 4] = [
+    command::HOME,
+    command::MOVE_ABSOLUTE,
+    command::MOVE_RELATIVE,
+    command::STOP,
+];
 
 /// One open port with one unit on it. Dropped, it leaves the unit with the speed that it found.
 pub struct BinaryLine {
@@ -41,7 +46,9 @@ pub struct BinaryLine {
 
 impl std::fmt::Debug for BinaryLine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("BinaryLine").field("name", &self.name).finish_non_exhaustive()
+        f.debug_struct("BinaryLine")
+            .field("name", &self.name)
+            .finish_non_exhaustive()
     }
 }
 
@@ -50,7 +57,12 @@ impl Drop for BinaryLine {
         if let (Some((data, true)), false) = (self.speed, self.failed) {
             let deadline = Deadline::uninterruptible(REPLY);
             // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
-            let _ = self.once(command::SET_TARGET_SPEED, data, command::SET_TARGET_SPEED, &deadline);
+            let _ = self.once(
+                command::SET_TARGET_SPEED,
+                data,
+                command::SET_TARGET_SPEED,
+                &deadline,
+            );
         }
     }
 }
@@ -157,14 +169,29 @@ impl BinaryLine {
         self.port.as_mut().ok_or_else(error)
     }
 
-    pub(super) fn send(&mut self, code: u8, data: i32, deadline: &Deadline) -> Result<(), DeviceError> {
+    pub(super) fn send(
+        &mut self,
+        code: u8,
+        data: i32,
+        deadline: &Deadline,
+    ) -> Result<(), DeviceError> {
         let (action, number) = (action(code), self.number);
         let port = self.open_port(&action)?;
         port.backend_mut().until(deadline.clone());
         let sent = port.tx((number, code, data));
         sent.map(|_| ()).map_err(|e| match e.is_timeout() {
-            true => deadline.error(&self.name, &action, "a line that takes it", "one that does not"),
-            false => self.fail(DeviceErrorKind::Disconnected, &action, "a working link", &e.to_string()),
+            true => deadline.error(
+                &self.name,
+                &action,
+                "a line that takes it",
+                "one that does not",
+            ),
+            false => self.fail(
+                DeviceErrorKind::Disconnected,
+                &action,
+                "a working link",
+                &e.to_string(),
+            ),
         })
     }
 
@@ -196,7 +223,8 @@ impl BinaryLine {
         if let Some((found, changed)) = &mut self.speed {
             *changed |= *found != data;
         }
-        self.ask(command::SET_TARGET_SPEED, data, command::SET_TARGET_SPEED).map(|_| ())
+        self.ask(command::SET_TARGET_SPEED, data, command::SET_TARGET_SPEED)
+            .map(|_| ())
     }
 
     /// Repeats the request until the reply with command number `answer` arrives.
@@ -212,7 +240,9 @@ impl BinaryLine {
             self.repeats += u64::from(attempt > 0);
             let deadline = Deadline::after(REPLY, interrupt);
             let done = self.once(code, data, answer, &deadline);
-            self.failed = done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
+            self.failed = done
+                .as_ref()
+                .is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
             match done {
                 Err(e) if e.kind == DeviceErrorKind::Timeout => {
                     if let Some(port) = &mut self.port {
@@ -288,7 +318,8 @@ impl BinaryLine {
                 Err(BinaryError::CommandFailure(failure)) => Message::from(failure),
                 Err(e) if e.is_timeout() => {
                     let SkippedMessages { others, own } = passed;
-                    let among = format!("none among {others} messages of other units and {own} of its own");
+                    let among =
+                        format!("none among {others} messages of other units and {own} of its own");
                     let found = if *others + *own == 0 { "none" } else { &among };
                     return Err(deadline.error(&self.name, action, "a reply", found));
                 }

@@ -48,9 +48,14 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
             one_sided.then_some("nonlinearity-quadratic")
         },
         columns: |values, frame| {
-            let centre = if values.law() == ABOUT_ZERO { frame.zero_u } else { 0.0 };
+            let centre = if values.law() == ABOUT_ZERO {
+                frame.zero_u
+            } else {
+                0.0
+            };
             // About the middle of the range both laws are one; far outside it nothing says that zero is the centre.
-            if values.law() == ABOUT_ZERO && !frame.new_rows && !(1e-3..FAR).contains(&centre.abs()) {
+            if values.law() == ABOUT_ZERO && !frame.new_rows && !(1e-3..FAR).contains(&centre.abs())
+            {
                 return None;
             }
             Some(vec![frame.u.iter().map(|u| (u - centre).powi(3)).collect()])
@@ -58,7 +63,10 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
         ..ScalarEffect::new(
             "nonlinearity-cubic",
             "Cubic nonlinearity: the response has a term in the cube of the stimulus.",
-            vec![cube("power-3"), cube(ABOUT_ZERO).needing(&[LawRequirement::Slope])],
+            vec![
+                cube("power-3"),
+                cube(ABOUT_ZERO).needing(&[LawRequirement::Slope]),
+            ],
         )
     }
 }
@@ -67,9 +75,13 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
 ///
 /// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a finding of its own.
 pub fn polynomial(declared: usize) -> ScalarEffect {
-    const NAMES: [&str; MAX_DEGREE + 1] =
-        ["", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8", "degree-9"];
-    let to = |k: usize| (declared + 1..=k).fold(law(NAMES[k]), |l, _| l.column("coefficient", "response"));
+    const NAMES: [&str; MAX_DEGREE + 1] = [
+        "", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8",
+        "degree-9",
+    ];
+    let to = |k: usize| {
+        (declared + 1..=k).fold(law(NAMES[k]), |l, _| l.column("coefficient", "response"))
+    };
     ScalarEffect {
         bend: true,
         not_observable: |frame| {
@@ -102,9 +114,18 @@ fn hinge(values: &Values, frame: &Frame, u: &mut [f64], gained: f64) -> bool {
     let knee = values.of("knee");
     let upper = values.law() == "upper-knee";
     // Toward zero a lost slope is a dead zone.
-    let away = if upper { knee >= frame.zero_u } else { knee <= frame.zero_u };
+    let away = if upper {
+        knee >= frame.zero_u
+    } else {
+        knee <= frame.zero_u
+    };
     for v in u.iter_mut() {
-        *v += gained * if upper { (*v - knee).max(0.0) } else { (*v - knee).min(0.0) };
+        *v += gained
+            * if upper {
+                (*v - knee).max(0.0)
+            } else {
+                (*v - knee).min(0.0)
+            };
     }
     away
 }
@@ -114,10 +135,15 @@ fn hinges(share: &'static str, range: [f64; 2]) -> Vec<EffectModel> {
     const UPPER: &[f64] = &[-0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8];
     const LOWER: &[f64] = &[-0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4];
     let knee = |name, places, grid| {
-        let changed = law(name).needing(&[LawRequirement::Slope]).amplitude(share, "1", range, 0.2);
+        let changed = law(name)
+            .needing(&[LawRequirement::Slope])
+            .amplitude(share, "1", range, 0.2);
         changed.shape("knee", "stimulus", places, grid)
     };
-    vec![knee("upper-knee", [-0.9, 0.98], UPPER), knee("lower-knee", [-0.98, 0.9], LOWER)]
+    vec![
+        knee("upper-knee", [-0.9, 0.98], UPPER),
+        knee("lower-knee", [-0.98, 0.9], LOWER),
+    ]
 }
 
 /// Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all (limit stop or full-scale limit, piecewise
@@ -158,7 +184,12 @@ pub fn dead_zone() -> ScalarEffect {
     let about_zero = law("about-zero")
         .needing(&[LawRequirement::Slope])
         .amplitude("slope_lost", "1", [0.8, 1.0], 0.2)
-        .shape("half_width", "half-range", [0.005, 1.6], &[0.05, 0.1, 0.2, 0.4, 0.8]);
+        .shape(
+            "half_width",
+            "half-range",
+            [0.005, 1.6],
+            &[0.05, 0.1, 0.2, 0.4, 0.8],
+        );
     ScalarEffect {
         bend: true,
         not_observable: |frame| {

@@ -16,7 +16,8 @@ pub fn error_table(places: &[f64]) -> ScalarEffect {
     // At least two, so that the catalogue can be told without a session.
     let count = places.len().max(2);
     // The first place's deviation is the declared constant.
-    let deviations = |name| (1..count).fold(law(name), |table, _| table.column("deviation", "response"));
+    let deviations =
+        |name| (1..count).fold(law(name), |table, _| table.column("deviation", "response"));
     let both = deviations("by-place-and-direction").needing(&[LawRequirement::BothDirections]);
     let both = (0..count).fold(both, |table, _| table.column("reversal_value", "response"));
     ScalarEffect {
@@ -29,13 +30,24 @@ pub fn error_table(places: &[f64]) -> ScalarEffect {
             if places.len() < 2 {
                 return None;
             }
-            let hat = |k: usize| frame.u.iter().map(|u| hat(&places, k, *u)).collect::<Vec<f64>>();
+            let hat = |k: usize| {
+                frame
+                    .u
+                    .iter()
+                    .map(|u| hat(&places, k, *u))
+                    .collect::<Vec<f64>>()
+            };
             let mut out: Vec<Vec<f64>> = (1..places.len()).map(hat).collect();
             if values.law() == "by-place-and-direction" {
                 let direction = frame.direction.as_ref()?;
                 // Zero on the way up: the coefficient is the difference down less up.
-                let falling =
-                    |k: usize| hat(k).iter().zip(direction).map(|(h, d)| 0.5 * (1.0 - d) * h).collect();
+                let falling = |k: usize| {
+                    hat(k)
+                        .iter()
+                        .zip(direction)
+                        .map(|(h, d)| 0.5 * (1.0 - d) * h)
+                        .collect()
+                };
                 out.extend((0..places.len()).map(falling));
             }
             Some(out)
@@ -60,5 +72,9 @@ fn hat(places: &[f64], k: usize, u: f64) -> f64 {
         None => 1.0,
         Some(next) => 1.0 - ((u - places[k]) / (next - places[k])).clamp(0.0, 1.0),
     };
-    if u < places[k] { side(k.checked_sub(1)) } else { side(Some(k + 1)) }
+    if u < places[k] {
+        side(k.checked_sub(1))
+    } else {
+        side(Some(k + 1))
+    }
 }

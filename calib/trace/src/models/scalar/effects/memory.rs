@@ -14,7 +14,11 @@ pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     for k in 1..u.len() {
         let x = (time[k] - time[k - 1]) / tau;
         let decay = (-x).exp();
-        let mean = if x > 1e-9 { (1.0 - decay) / x } else { 1.0 - 0.5 * x };
+        let mean = if x > 1e-9 {
+            (1.0 - decay) / x
+        } else {
+            1.0 - 0.5 * x
+        };
         // Weights of the old state, the old and the new input.
         out[k] = decay * out[k - 1] + (mean - decay) * u[k - 1] + (1.0 - mean) * u[k];
     }
@@ -40,7 +44,9 @@ pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
     let held = |k: usize| u[k] == u[k - 1];
     let jumps = (2..u.len().saturating_sub(1)).filter(|&k| !held(k) && held(k - 1) && held(k + 1));
     let size = |k: &usize| (u[*k] - u[k - 1]).abs();
-    let Some(largest) = jumps.max_by(|a, b| size(a).total_cmp(&size(b))) else { return 0.0 };
+    let Some(largest) = jumps.max_by(|a, b| size(a).total_cmp(&size(b))) else {
+        return 0.0;
+    };
     let x = ((time[largest] - time[largest - 1]) / tau).clamp(1e-6, 50.0);
     let mean = x.exp_m1() / x;
     let variance = (2.0 * x).exp_m1() / (2.0 * x) - mean * mean;
@@ -76,9 +82,13 @@ pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
 /// The stimulus at an earlier time, linear between readings; before the first one it stood still, or, `moving`, went on as it does after it:
 /// u(t0 - d) = 2 u(t0) - u(t0 + d).
 pub fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
-    let Some((&first, &begun)) = u.first().zip(time.first()) else { return Vec::new() };
+    let Some((&first, &begun)) = u.first().zip(time.first()) else {
+        return Vec::new();
+    };
     let at = |t: f64| {
-        let j = time.partition_point(|x| *x <= t).clamp(1, time.len().max(2) - 1);
+        let j = time
+            .partition_point(|x| *x <= t)
+            .clamp(1, time.len().max(2) - 1);
         let gap = time[j] - time[j - 1];
         if gap > 0.0 {
             u[j - 1] + (u[j] - u[j - 1]) * ((t - time[j - 1]) / gap).clamp(0.0, 1.0)
@@ -121,7 +131,10 @@ mod tests {
         let after = |s: f64| 80.0 - 60.0 * (-s / 25.0f64).exp();
         for (moment, s) in [(1.0, [0.0, 5.0]), (0.4, [3.0, 8.0]), (0.0, [5.0, 10.0])] {
             let out = stepped(moment);
-            assert!((1..3).all(|k| (out[k] - after(s[k - 1])).abs() < 1e-12), "{moment}: {out:?}");
+            assert!(
+                (1..3).all(|k| (out[k] - after(s[k - 1])).abs() < 1e-12),
+                "{moment}: {out:?}"
+            );
         }
     }
 
@@ -143,7 +156,11 @@ mod tests {
         // In motion before the first reading, too: the state of a ramp is its delay, and so is that of a lag.
         assert!((delayed(&time, &time, 3.25, true)[0] + 3.25).abs() < 1e-12);
         let ramp = relaxed_from(begun_in_motion(&time, &time, 3.25), &time, &time, 3.25);
-        assert!(ramp.iter().zip(&time).all(|(r, t)| (r - (t - 3.25)).abs() < 1e-12));
+        assert!(
+            ramp.iter()
+                .zip(&time)
+                .all(|(r, t)| (r - (t - 3.25)).abs() < 1e-12)
+        );
     }
 
     #[test]

@@ -23,16 +23,24 @@ const GRID: [f64; 197] = {
 const MIN_CYCLES: f64 = 2.0;
 
 /// Cycles of bends that never repeat, so near each other that one of them follows any bend to a tenth of its size.
-const SQUIGGLES: [f64; 14] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.85];
+const SQUIGGLES: [f64; 14] = [
+    0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.85,
+];
 
 /// Harmonic regression; frequencies up to the sampling limit or 100 cycles.
 pub fn periodic() -> ScalarEffect {
     let wave = |name, unit| {
         let period = law(name).shape("period", unit, [MIN_CYCLES, 120.0], &GRID);
-        period.column("sine", "response").column("cosine", "response")
+        period
+            .column("sine", "response")
+            .column("cosine", "response")
     };
     // Eccentricity of an encoder's magnet or disc acts once a turn, its tilt twice.
-    let of_turn = |name| law(name).column("sine", "response").column("cosine", "response");
+    let of_turn = |name| {
+        law(name)
+            .column("sine", "response")
+            .column("cosine", "response")
+    };
     ScalarEffect {
         waves_of_stimulus: &["over-stimulus", "once-a-turn", "twice-a-turn"],
         spans_too_few_periods: &SQUIGGLES,
@@ -51,7 +59,8 @@ pub fn periodic() -> ScalarEffect {
                 return None;
             }
             let phase: Vec<f64> = place.iter().map(|p| TAU * cycles * p).collect();
-            let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
+            let locked =
+                || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
             if values.law() != "over-stimulus" && !frame.new_rows && locked() {
                 return None;
             }
@@ -87,7 +96,9 @@ pub fn of_a_turn(law: &str, frame: &Frame) -> Option<Option<f64>> {
 
 /// Sine and cosine of a phase.
 fn waves(phase: impl Iterator<Item = f64> + Clone) -> Vec<Vec<f64>> {
-    [f64::sin as fn(f64) -> f64, f64::cos].map(|f| phase.clone().map(f).collect()).into()
+    [f64::sin as fn(f64) -> f64, f64::cos]
+        .map(|f| phase.clone().map(f).collect())
+        .into()
 }
 
 /// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it is a function of the stimulus.
@@ -117,21 +128,30 @@ const STROKE_DEGREE: usize = 6;
 
 /// A polynomial of the stimulus for each direction explains sine and cosine: the wave or its fundamental repeats with the strokes.
 fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
-    let Some(direction) = frame.direction.as_ref() else { return false };
+    let Some(direction) = frame.direction.as_ref() else {
+        return false;
+    };
     let strokes = 1 + direction.windows(2).filter(|d| d[0] * d[1] < 0.0).count();
     if strokes < MIN_STROKES {
         return false;
     }
     let design = nalgebra::DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
         let power = frame.u[i].powi(j as i32 / 2);
-        if j % 2 == 0 { power } else { power * direction[i] }
+        if j % 2 == 0 {
+            power
+        } else {
+            power * direction[i]
+        }
     });
     let svd = design.clone().svd(true, true);
-    [f64::sin as fn(f64) -> f64, f64::cos].into_iter().all(|wave| {
-        let y = nalgebra::DVector::from_iterator(phase.len(), phase.iter().map(|p| wave(*p)));
-        let total = y.map(|v| v - y.mean()).norm_squared();
-        svd.solve(&y, 1e-9).is_ok_and(|b| (&y - &design * b).norm_squared() < (1.0 - LOCKED) * total)
-    })
+    [f64::sin as fn(f64) -> f64, f64::cos]
+        .into_iter()
+        .all(|wave| {
+            let y = nalgebra::DVector::from_iterator(phase.len(), phase.iter().map(|p| wave(*p)));
+            let total = y.map(|v| v - y.mean()).norm_squared();
+            svd.solve(&y, 1e-9)
+                .is_ok_and(|b| (&y - &design * b).norm_squared() < (1.0 - LOCKED) * total)
+        })
 }
 
 /// Two covariates that run together this closely are one.
@@ -144,14 +164,20 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     // New rows are not searched: they follow the law that was fitted.
     // A column that counts the readings stands in for a clock only where there is none.
     let by_clock = frame.counts_readings && frame.time.is_some();
-    let same = |a: &[f64], b: &[f64]| !frame.new_rows && !by_clock && correlation(a, b).abs() > SAME;
+    let same =
+        |a: &[f64], b: &[f64]| !frame.new_rows && !by_clock && correlation(a, b).abs() > SAME;
     let n = frame.scaling.count;
     match law {
         "over-stimulus" if by_clock => None,
-        "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
-        "over-time" => {
-            frame.time.as_ref().filter(|_| frame.new_rows || !frame.swept_once()).map(|t| (t.clone(), n))
-        }
+        "over-stimulus" => Some((
+            frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(),
+            frame.levels(),
+        )),
+        "over-time" => frame
+            .time
+            .as_ref()
+            .filter(|_| frame.new_rows || !frame.swept_once())
+            .map(|t| (t.clone(), n)),
         _ => {
             // The order of the rows stands in for a clock only where there is none.
             let known = frame.time.is_some() || same(&frame.u, &frame.order) || frame.swept_once();

@@ -9,7 +9,9 @@ pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
 pub fn drift() -> ScalarEffect {
-    let linear = law("linear").needing(&[LawRequirement::Clock]).column("rate", "response/duration");
+    let linear = law("linear")
+        .needing(&[LawRequirement::Clock])
+        .column("rate", "response/duration");
     ScalarEffect {
         columns: |_, frame| Some(vec![frame.clock().to_vec()]),
         ..ScalarEffect::new("drift", "The zero drifts during the session.", vec![linear])
@@ -22,8 +24,17 @@ pub fn temperature() -> ScalarEffect {
     ScalarEffect {
         columns: |values, frame| {
             let rise = frame.temperature.as_ref()?;
-            let sensitivity = || rise.iter().zip(&frame.u).map(|(t, u)| t * (u - frame.zero_u)).collect();
-            Some(vec![if values.law() == "zero" { rise.clone() } else { sensitivity() }])
+            let sensitivity = || {
+                rise.iter()
+                    .zip(&frame.u)
+                    .map(|(t, u)| t * (u - frame.zero_u))
+                    .collect()
+            };
+            Some(vec![if values.law() == "zero" {
+                rise.clone()
+            } else {
+                sensitivity()
+            }])
         },
         ..Effect {
             superposes: true,
@@ -59,7 +70,12 @@ const MIN_EACH_SIDE: usize = 3;
 /// Step: from some reading, or from some stimulus on, every response is shifted; a change point in time, in the order of the readings where the
 /// table has no times, or along the stimulus (another range of the read-out, a weight that was exchanged).
 pub fn step() -> ScalarEffect {
-    let once = law("once").needing(&[LawRequirement::Clock]).shape("place", "clock", [0.0, 1.0], &OF_SESSION);
+    let once = law("once").needing(&[LawRequirement::Clock]).shape(
+        "place",
+        "clock",
+        [0.0, 1.0],
+        &OF_SESSION,
+    );
     let along = law("over-stimulus").shape("place", "stimulus", [-1.0, 1.0], &OF_STIMULUS);
     ScalarEffect {
         waves_of_stimulus: &["over-stimulus"],
@@ -92,7 +108,11 @@ pub fn step() -> ScalarEffect {
 pub fn outliers() -> ScalarEffect {
     let sentence = "Single readings lie far outside the noise of the others.";
     let found_singly = Effect::new("outliers", sentence, vec![law("single-readings")]);
-    Effect { is_outlier_process: true, ..found_singly }.into()
+    Effect {
+        is_outlier_process: true,
+        ..found_singly
+    }
+    .into()
 }
 
 /// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance model of Harvey 1976. It has no mean:
@@ -114,7 +134,9 @@ pub fn heteroscedastic_noise() -> ScalarEffect {
 /// A further covariate acts on the response: linear cross-sensitivity, one law for each of the table's `count`; the names stand in the
 /// session.
 pub fn cross_axis(count: usize) -> ScalarEffect {
-    let one = law("covariate").needing(&[LawRequirement::Covariate]).column("slope", "response/covariate");
+    let one = law("covariate")
+        .needing(&[LawRequirement::Covariate])
+        .column("slope", "response/covariate");
     ScalarEffect {
         columns: |values, frame| Some(vec![frame.covariates.get(values.index())?.clone()?]),
         ..Effect {

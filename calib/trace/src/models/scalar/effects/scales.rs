@@ -13,7 +13,9 @@ const MIN_RATIO: f64 = 3.0;
 fn logarithms(values: &[f64]) -> Option<Vec<f64>> {
     let sign = values.first()?.signum();
     let sizes: Vec<f64> = values.iter().map(|v| sign * v).collect();
-    let (low, high) = sizes.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), v| (a.min(*v), b.max(*v)));
+    let (low, high) = sizes
+        .iter()
+        .fold((f64::INFINITY, 0.0_f64), |(a, b), v| (a.min(*v), b.max(*v)));
     (low > 0.0 && high > MIN_RATIO * low).then(|| sizes.iter().map(|v| v.ln()).collect())
 }
 
@@ -33,13 +35,27 @@ fn straighter(frame: &Frame, of_response: bool) -> bool {
 /// or in proportion to the logarithm of the stimulus (Nernst electrode, gas sensor; Steinhart & Hart 1968 in ln R).
 pub fn logarithmic_scale() -> ScalarEffect {
     let exponential = law("exponential")
-        .shape("exponent", "1/half-range", [0.5, 12.0], &[0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0])
+        .shape(
+            "exponent",
+            "1/half-range",
+            [0.5, 12.0],
+            &[0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0],
+        )
         .column("size", "response");
-    let falling = EffectModel { name: "falling-exponential", ..exponential.clone() };
+    let falling = EffectModel {
+        name: "falling-exponential",
+        ..exponential.clone()
+    };
     let by_temperature = law("b-parameter")
-        .shape("b", "K", [200.0, 20e3], &[500.0, 1e3, 2e3, 3e3, 3.5e3, 4e3, 5e3, 7e3, 1e4])
+        .shape(
+            "b",
+            "K",
+            [200.0, 20e3],
+            &[500.0, 1e3, 2e3, 3e3, 3.5e3, 4e3, 5e3, 7e3, 1e4],
+        )
         .column("size", "response");
-    let powers = |name, count: usize| (0..count).fold(law(name), |l, _| l.column("coefficient", "response"));
+    let powers =
+        |name, count: usize| (0..count).fold(law(name), |l, _| l.column("coefficient", "response"));
     ScalarEffect {
         bend: true,
         not_observable: |frame| {
@@ -94,7 +110,13 @@ pub fn callendar_van_dusen() -> ScalarEffect {
         },
         columns: |_, frame| {
             let ice = frame.scaling.absolute_zero? + ICE_POINT;
-            let term = |x: f64| if x < ice { (x - ice - 100.0) * (x - ice).powi(3) } else { 0.0 };
+            let term = |x: f64| {
+                if x < ice {
+                    (x - ice - 100.0) * (x - ice).powi(3)
+                } else {
+                    0.0
+                }
+            };
             Some(vec![frame.rows.iter().map(|r| term(r.x)).collect()])
         },
         ..ScalarEffect::new(

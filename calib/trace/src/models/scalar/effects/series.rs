@@ -15,13 +15,24 @@ pub fn zero_by_series(count: usize) -> ScalarEffect {
             let none = "the table has no series of their own (column cycle or replicate)";
             let stroke = "each series is a stroke: what is its own belongs to its direction";
             let strokes = frame.strokes_are_series().then_some(stroke);
-            let why = if frame.scaling.series.is_empty() { Some(none) } else { strokes };
+            let why = if frame.scaling.series.is_empty() {
+                Some(none)
+            } else {
+                strokes
+            };
             why.map(str::to_owned)
         },
         columns: |_, frame| {
             let (first, others) = frame.scaling.series.split_first()?;
-            let own = |group: u32, series: u32| f64::from(u8::from(group == series && !frame.new_rows));
-            let shift = |s: &u32| frame.groups.iter().map(|g| own(*g, *s) - own(*g, *first)).collect();
+            let own =
+                |group: u32, series: u32| f64::from(u8::from(group == series && !frame.new_rows));
+            let shift = |s: &u32| {
+                frame
+                    .groups
+                    .iter()
+                    .map(|g| own(*g, *s) - own(*g, *first))
+                    .collect()
+            };
             Some(others.iter().map(shift).collect())
         },
         ..ScalarEffect::new(
@@ -37,7 +48,9 @@ pub fn count_wrap() -> ScalarEffect {
     ScalarEffect {
         not_observable: |frame| {
             let none = frame.scaling.wraps.is_empty();
-            none.then(|| "no jump by the whole range of a count between neighbouring places".to_owned())
+            none.then(|| {
+                "no jump by the whole range of a count between neighbouring places".to_owned()
+            })
         },
         columns: |_, frame| {
             let wraps = &frame.scaling.wraps;

@@ -1,7 +1,8 @@
 //! Effects on the stimulus, and those that can act on it.
 
 use super::memory::{
-    begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from, spread_of_jumps,
+    begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from,
+    spread_of_jumps,
 };
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
@@ -26,7 +27,13 @@ pub fn scale(sloped: bool) -> ScalarEffect {
             }
             true
         },
-        columns: |_, frame| Some(if frame.sloped() { Vec::new() } else { vec![frame.u.clone()] }),
+        columns: |_, frame| {
+            Some(if frame.sloped() {
+                Vec::new()
+            } else {
+                vec![frame.u.clone()]
+            })
+        },
         ..ScalarEffect::new(
             "scale",
             "The response changes in proportion to the stimulus beyond the declared model.",
@@ -41,19 +48,34 @@ pub fn creep() -> ScalarEffect {
     let prony = law("prony")
         .needing(&[LawRequirement::Time])
         .amplitude("creep_fraction", "1", [-0.5, 0.5], 0.02)
-        .shape("time_constant", "duration", [1e-3, 3.0], &[0.003, 0.01, 0.03, 0.1, 0.3, 1.0]);
+        .shape(
+            "time_constant",
+            "duration",
+            [1e-3, 3.0],
+            &[0.003, 0.01, 0.03, 0.1, 0.3, 1.0],
+        );
     let settling = law("settling")
         .needing(&[LawRequirement::Time])
-        .shape("time_constant", "duration", [0.01, 0.6], &[0.02, 0.05, 0.1, 0.2, 0.4])
+        .shape(
+            "time_constant",
+            "duration",
+            [0.01, 0.6],
+            &[0.02, 0.05, 0.1, 0.2, 0.4],
+        )
         .column("size_at_start", "response");
     // The test of OIML R 60 begins with the load: put on at the first reading, the sensor at rest before.
-    let from_rest = EffectModel { name: "prony-from-rest", ..prony.clone() };
+    let from_rest = EffectModel {
+        name: "prony-from-rest",
+        ..prony.clone()
+    };
     ScalarEffect {
         warp: |values, frame, u| {
             if values.law() == "settling" {
                 return true;
             }
-            let (true, Some(time)) = (frame.sloped(), &frame.time) else { return false };
+            let (true, Some(time)) = (frame.sloped(), &frame.time) else {
+                return false;
+            };
             let constant = values.of("time_constant");
             let slow = if values.law() == "prony-from-rest" {
                 if !frame.begins_loaded() {
@@ -74,7 +96,14 @@ pub fn creep() -> ScalarEffect {
                 return Some(Vec::new());
             }
             let constant = values.of("time_constant");
-            Some(vec![frame.time.as_ref()?.iter().map(|t| (-t / constant).exp()).collect()])
+            Some(vec![
+                frame
+                    .time
+                    .as_ref()?
+                    .iter()
+                    .map(|t| (-t / constant).exp())
+                    .collect(),
+            ])
         },
         // After a jump it is an exponential all the same: how much of it passed before the first reading, none of them shows.
         systematic_sd: |values, frame, parameter| match (&frame.time, parameter) {
@@ -115,18 +144,27 @@ fn begun(values: &Values<'_>) -> f64 {
 /// ```
 pub fn hysteresis(declared: Declared) -> ScalarEffect {
     let both = |name| law(name).needing(&[LawRequirement::BothDirections]);
-    let gradual = both("bouc-wen").amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01).shape(
-        "width",
-        "half-range",
-        [0.005, 2.0],
-        &[0.02, 0.1, 0.3, 1.0],
-    );
+    let gradual = both("bouc-wen")
+        .amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01)
+        .shape("width", "half-range", [0.005, 2.0], &[0.02, 0.1, 0.3, 1.0]);
     let plain = |name| both(name).column("half_loop", "response");
     let closed = both("closed-loop").column("half_loop", "response");
-    let skewed = EffectModel { name: "skewed-loop", ..closed.clone() }.column("skew", "response");
+    let skewed = EffectModel {
+        name: "skewed-loop",
+        ..closed.clone()
+    }
+    .column("skew", "response");
     let mut laws = vec![gradual, closed, skewed];
     if declared != Declared::Axis {
-        laws.splice(0..0, ["by-direction", "by-direction-from-rest", "by-direction-turned"].map(plain));
+        laws.splice(
+            0..0,
+            [
+                "by-direction",
+                "by-direction-from-rest",
+                "by-direction-turned",
+            ]
+            .map(plain),
+        );
     }
     ScalarEffect {
         warp: |values, frame, u| {
@@ -146,14 +184,26 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
         columns: |values, frame| {
             let by_way = |f: fn(f64) -> f64| {
                 let direction = frame.direction_begun(1.0 - 2.0 * begun(values))?;
-                Some(direction.iter().zip(&frame.u).map(|(d, u)| d * f(*u)).collect::<Vec<f64>>())
+                Some(
+                    direction
+                        .iter()
+                        .zip(&frame.u)
+                        .map(|(d, u)| d * f(*u))
+                        .collect::<Vec<f64>>(),
+                )
             };
-            if !values.law().starts_with("by-direction") && !frame.new_rows && !frame.read_both_ways() {
+            if !values.law().starts_with("by-direction")
+                && !frame.new_rows
+                && !frame.read_both_ways()
+            {
                 return (values.law() == "bouc-wen").then(Vec::new);
             }
             match values.law() {
                 "closed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?]),
-                "skewed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?, by_way(|u| u * (1.0 - u * u))?]),
+                "skewed-loop" => Some(vec![
+                    by_way(|u| 1.0 - u * u)?,
+                    by_way(|u| u * (1.0 - u * u))?,
+                ]),
                 "bouc-wen" => Some(Vec::new()),
                 _ => Some(vec![by_way(|_| 1.0)?]),
             }
@@ -177,9 +227,12 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
         let both = law(name).needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
         both.amplitude("backlash", "half-range", [0.0, 0.5], 0.01)
     };
-    let reversal =
-        law("reversal").needing(&[LawRequirement::BothDirections]).column("reversal_value", "response");
-    let mut laws = ["play", "play-from-rest", "play-turned"].map(taken_up).to_vec();
+    let reversal = law("reversal")
+        .needing(&[LawRequirement::BothDirections])
+        .column("reversal_value", "response");
+    let mut laws = ["play", "play-from-rest", "play-turned"]
+        .map(taken_up)
+        .to_vec();
     if declared == Declared::Axis {
         laws.push(reversal);
     }
@@ -196,11 +249,22 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
                 return Some(Vec::new());
             }
             // Zero on the way up: the coefficient is the difference down less up.
-            Some(vec![frame.direction.as_ref()?.iter().map(|d| 0.5 * (1.0 - d)).collect()])
+            Some(vec![
+                frame
+                    .direction
+                    .as_ref()?
+                    .iter()
+                    .map(|d| 0.5 * (1.0 - d))
+                    .collect(),
+            ])
         },
         ..Effect {
             has_memory: true,
-            ..Effect::new("backlash", "After a reversal the output stays until the play is taken up.", laws)
+            ..Effect::new(
+                "backlash",
+                "After a reversal the output stays until the play is taken up.",
+                laws,
+            )
         }
         .into()
     }
@@ -215,14 +279,20 @@ pub fn lag() -> ScalarEffect {
     };
     ScalarEffect {
         warp: |values, frame, u| {
-            let Some(time) = &frame.time else { return false };
+            let Some(time) = &frame.time else {
+                return false;
+            };
             let late = values.all()[0];
             if late > 0.0 {
                 let moved = match values.law() {
                     "delay" => delayed(u, time, late, false),
                     "delay-in-motion" => delayed(u, time, late, true),
-                    "first-order-by-steps" => relaxed_by_steps(u, time, late, values.of("moment_of_step")),
-                    "first-order-in-motion" => relaxed_from(begun_in_motion(u, time, late), u, time, late),
+                    "first-order-by-steps" => {
+                        relaxed_by_steps(u, time, late, values.of("moment_of_step"))
+                    }
+                    "first-order-in-motion" => {
+                        relaxed_from(begun_in_motion(u, time, late), u, time, late)
+                    }
                     _ => relaxed(u, time, late),
                 };
                 u.copy_from_slice(&moved);

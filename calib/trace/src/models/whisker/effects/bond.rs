@@ -63,11 +63,17 @@ impl Elements {
         next: impl Fn([f64; 2], [[f64; 2]; 2], Option<f64>, f64) -> [f64; 2] + Send + 'static,
     ) -> Self {
         let states = vec![[0.0; 2]; elements.len()];
-        Self { elements, next: Box::new(next), states, before: [0.0; 2] }
+        Self {
+            elements,
+            next: Box::new(next),
+            states,
+            before: [0.0; 2],
+        }
     }
 
     fn states(&self, dt_s: Option<f64>, m: [f64; 2]) -> Vec<[f64; 2]> {
-        let of = |(e, state): (&(f64, f64), &[f64; 2])| (self.next)(*state, [self.before, m], dt_s, e.1);
+        let of =
+            |(e, state): (&(f64, f64), &[f64; 2])| (self.next)(*state, [self.before, m], dt_s, e.1);
         self.elements.iter().zip(&self.states).map(of).collect()
     }
 }
@@ -75,7 +81,8 @@ impl Elements {
 impl Memory for Elements {
     fn sensed(&self, dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
         let states = self.states(dt_s, m);
-        let add = |sum: [f64; 2], (e, s): (&(f64, f64), &[f64; 2])| [0, 1].map(|c| sum[c] + e.0 * s[c]);
+        let add =
+            |sum: [f64; 2], (e, s): (&(f64, f64), &[f64; 2])| [0, 1].map(|c| sum[c] + e.0 * s[c]);
         self.elements.iter().zip(&states).fold(m, add)
     }
 
@@ -102,7 +109,10 @@ pub fn dead_zone() -> WhiskerEffect {
     WhiskerEffect {
         memory: Some(|values| {
             let radial = values.law() == "radial";
-            Box::new(DeadZoneState { radial, threshold_nmm: values.of("threshold_nmm") })
+            Box::new(DeadZoneState {
+                radial,
+                threshold_nmm: values.of("threshold_nmm"),
+            })
         }),
         ..WhiskerEffect::new(
             "dead-zone",
@@ -122,7 +132,11 @@ impl Memory for DeadZoneState {
     fn sensed(&self, _dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
         if self.radial {
             let size = m[0].hypot(m[1]);
-            let left = if size > self.threshold_nmm { 1.0 - self.threshold_nmm / size } else { 0.0 };
+            let left = if size > self.threshold_nmm {
+                1.0 - self.threshold_nmm / size
+            } else {
+                0.0
+            };
             [m[0] * left, m[1] * left]
         } else {
             m.map(|v| v.signum() * (v.abs() - self.threshold_nmm).max(0.0))
@@ -137,12 +151,16 @@ impl Memory for DeadZoneState {
 pub fn hysteresis() -> WhiskerEffect {
     let (size, narrow, wide) = ([-0.3, 0.3], [0.01, 1.0], [0.01, 2.0]);
     let one = |name, width, grid| {
-        law(name).amplitude("loop_nmm", "N mm", size, 0.01).shape("width_nmm", "N mm", width, grid)
+        law(name)
+            .amplitude("loop_nmm", "N mm", size, 0.01)
+            .shape("width_nmm", "N mm", width, grid)
     };
     // A stack of plays whose widths cover what a bond shows, each with a size of its own.
     let stack = ["play_1_nmm", "play_2_nmm", "play_3_nmm", "play_4_nmm"]
         .into_iter()
-        .fold(law("prandtl-ishlinskii"), |stack, name| stack.amplitude(name, "N mm", size, 0.01));
+        .fold(law("prandtl-ishlinskii"), |stack, name| {
+            stack.amplitude(name, "N mm", size, 0.01)
+        });
     let two = one("two-plays", narrow, &[0.02, 0.06, 0.2])
         .amplitude("second_loop_nmm", "N mm", size, 0.01)
         .shape("second_width_nmm", "N mm", narrow, &[0.06, 0.2, 0.6]);
@@ -154,9 +172,12 @@ pub fn hysteresis() -> WhiskerEffect {
                 values.all().chunks(2).map(|p| (p[0], p[1])).collect()
             };
             let law = values.law();
-            Box::new(Elements::new(loops, move |state, [before, now], _, width| {
-                next(law, state, [now[0] - before[0], now[1] - before[1]], width)
-            }))
+            Box::new(Elements::new(
+                loops,
+                move |state, [before, now], _, width| {
+                    next(law, state, [now[0] - before[0], now[1] - before[1]], width)
+                },
+            ))
         }),
         ..Effect {
             refinements: vec![one("play-vector", narrow, &[0.03, 0.1, 0.3]), two, stack],

@@ -11,14 +11,24 @@ use nalgebra::Vector3;
 /// ```
 pub fn camera_pose() -> WhiskerEffect {
     let during = rigid("during-the-session");
-    let during = during.shape("from_share", "1", [0.02, 0.98], &[0.2, 0.35, 0.5, 0.65, 0.8]);
+    let during = during.shape(
+        "from_share",
+        "1",
+        [0.02, 0.98],
+        &[0.2, 0.35, 0.5, 0.65, 0.8],
+    );
     WhiskerEffect {
         pictures: |values, seen| {
             let vector = |names: [&str; 3]| Vector3::from(names.map(|name| values.of(name)));
             let shift = vector(["shift_x_mm", "shift_y_mm", "shift_z_mm"]);
             let turn = vector(["turn_x_rad", "turn_y_rad", "turn_z_rad"]);
-            let from = if values.law() == "during-the-session" { values.of("from_share") } else { 0.0 };
-            let centre = seen.iter().map(|s| s.groove_mm).sum::<Vector3<f64>>() / seen.len().max(1) as f64;
+            let from = if values.law() == "during-the-session" {
+                values.of("from_share")
+            } else {
+                0.0
+            };
+            let centre =
+                seen.iter().map(|s| s.groove_mm).sum::<Vector3<f64>>() / seen.len().max(1) as f64;
             let moved = |p: &mut Vector3<f64>| *p += shift + turn.cross(&(*p - centre));
             for s in seen.iter_mut().filter(|s| s.place >= from) {
                 moved(&mut s.groove_mm);

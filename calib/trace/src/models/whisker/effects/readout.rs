@@ -13,7 +13,12 @@ pub fn temperature_mismatch() -> WhiskerEffect {
     WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and would pull the coefficient.
         columns: |_, path, origin, _| {
-            vec![path.readings.iter().map(|r| r.temperature_loo_degc - origin.temperature_degc).collect()]
+            vec![
+                path.readings
+                    .iter()
+                    .map(|r| r.temperature_loo_degc - origin.temperature_degc)
+                    .collect(),
+            ]
         },
         ..WhiskerEffect::new(
             "temperature-mismatch",
@@ -28,7 +33,12 @@ pub fn zero_drift() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Time]);
     WhiskerEffect {
         columns: |_, path, origin, _| {
-            vec![path.readings.iter().map(|r| (r.t_s - origin.t_s) / 60.0).collect()]
+            vec![
+                path.readings
+                    .iter()
+                    .map(|r| (r.t_s - origin.t_s) / 60.0)
+                    .collect(),
+            ]
         },
         ..WhiskerEffect::new(
             "zero-drift",
@@ -45,7 +55,14 @@ pub fn zero_drift() -> WhiskerEffect {
 pub fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[LawRequirement::RestReadings]);
     WhiskerEffect {
-        columns: |_, path, _, _| vec![path.readings.iter().map(|r| f64::from(u8::from(r.rest))).collect()],
+        columns: |_, path, _, _| {
+            vec![
+                path.readings
+                    .iter()
+                    .map(|r| f64::from(u8::from(r.rest)))
+                    .collect(),
+            ]
+        },
         ..WhiskerEffect::new(
             "rest-zero",
             "The rest readings have another zero than the loaded ones (taken at another time or mounting).",
@@ -76,7 +93,12 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
 
 /// Single readings with the wire out of the vertex.
 pub fn slip_outliers() -> WhiskerEffect {
-    let sentence = "Outlying readings were excluded: the wire possibly left the vertex of the groove.";
+    let sentence =
+        "Outlying readings were excluded: the wire possibly left the vertex of the groove.";
     let found_singly = Effect::new("slip-outliers", sentence, vec![law("single-readings")]);
-    Effect { is_outlier_process: true, ..found_singly }.into()
+    Effect {
+        is_outlier_process: true,
+        ..found_singly
+    }
+    .into()
 }

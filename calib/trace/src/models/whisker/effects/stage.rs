@@ -14,7 +14,11 @@ pub fn stage_backlash() -> WhiskerEffect {
         pose: |values, path, xs_mm| {
             let play = values.of("backlash_mm");
             // Loading reads true where the axis was referenced that way; centred play is off by half on either side.
-            let shift = if values.law() == "play-from-loading" { 0.0 } else { -0.5 * play };
+            let shift = if values.law() == "play-from-loading" {
+                0.0
+            } else {
+                -0.5 * play
+            };
             let mut line = None;
             let mut held = 0.0;
             for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {
@@ -81,7 +85,11 @@ pub fn stage_periodic() -> WhiskerEffect {
 /// first-order    the reading belongs to d with tau d' = x - d      (steady motion: x - v tau; after a start or a stop it takes some tau)
 /// ```
 pub fn time_lag() -> WhiskerEffect {
-    let lag = |name| law(name).needing(&[LawRequirement::Motion]).amplitude("lag_s", "s", [0.0, 1.0], 0.02);
+    let lag = |name| {
+        law(name)
+            .needing(&[LawRequirement::Motion])
+            .amplitude("lag_s", "s", [0.0, 1.0], 0.02)
+    };
     WhiskerEffect {
         observers: Observers::Gratings,
         pose: |values, path, xs_mm| {
@@ -91,7 +99,9 @@ pub fn time_lag() -> WhiskerEffect {
             }
             let late: Vec<f64> = match values.law() {
                 "first-order" => low_passed(path, xs_mm, lag_s),
-                _ => (0..xs_mm.len()).map(|k| delayed(path, xs_mm, lag_s, k)).collect(),
+                _ => (0..xs_mm.len())
+                    .map(|k| delayed(path, xs_mm, lag_s, k))
+                    .collect(),
             };
             xs_mm.copy_from_slice(&late);
         },
@@ -105,7 +115,11 @@ pub fn time_lag() -> WhiskerEffect {
 
 /// Position at node `k` in steady motion, mm.
 fn steady(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
-    xs_mm[k] - path.nodes[k].reading.map_or(0.0, |i| path.readings[i].velocity_mm_s) * lag_s
+    xs_mm[k]
+        - path.nodes[k]
+            .reading
+            .map_or(0.0, |i| path.readings[i].velocity_mm_s)
+            * lag_s
 }
 
 /// Position `lag_s` before node `k`, mm, along the way back as far as it is known.
@@ -113,10 +127,21 @@ fn delayed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
     let mut left_s = lag_s;
     let mut at = k;
     while at > 0 {
-        let Some(pieces) = motion_between(path, xs_mm, at - 1) else { break };
-        for MotionSegment { from_mm, to_mm, dt_s } in pieces.into_iter().rev() {
+        let Some(pieces) = motion_between(path, xs_mm, at - 1) else {
+            break;
+        };
+        for MotionSegment {
+            from_mm,
+            to_mm,
+            dt_s,
+        } in pieces.into_iter().rev()
+        {
             if left_s <= dt_s {
-                return if dt_s > 0.0 { to_mm + (from_mm - to_mm) * left_s / dt_s } else { to_mm };
+                return if dt_s > 0.0 {
+                    to_mm + (from_mm - to_mm) * left_s / dt_s
+                } else {
+                    to_mm
+                };
             }
             left_s -= dt_s;
         }
@@ -130,10 +155,13 @@ fn delayed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
 fn low_passed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64) -> Vec<f64> {
     let mut out: Vec<f64> = Vec::with_capacity(xs_mm.len());
     for k in 0..xs_mm.len() {
-        let last =
-            k.checked_sub(1).and_then(|before| Some((out[before], motion_between(path, xs_mm, before)?)));
+        let last = k
+            .checked_sub(1)
+            .and_then(|before| Some((out[before], motion_between(path, xs_mm, before)?)));
         out.push(match last {
-            Some((d, pieces)) => pieces.iter().fold(d, |d, p| relax(d, p.from_mm, p.to_mm, p.dt_s, lag_s)),
+            Some((d, pieces)) => pieces
+                .iter()
+                .fold(d, |d, p| relax(d, p.from_mm, p.to_mm, p.dt_s, lag_s)),
             None => steady(path, xs_mm, lag_s, k),
         });
     }

@@ -48,12 +48,9 @@ pub fn contact_offset() -> WhiskerEffect {
 pub fn base_compliance() -> WhiskerEffect {
     let unit = "rad/(N mm)";
     let isotropic = law("isotropic").amplitude("compliance_rad_per_nmm", unit, [0.0, 0.2], 0.005);
-    let two_axis = law("two-axis").amplitude("compliance_y_rad_per_nmm", unit, [0.0, 0.2], 0.005).amplitude(
-        "compliance_z_rad_per_nmm",
-        unit,
-        [0.0, 0.2],
-        0.01,
-    );
+    let two_axis = law("two-axis")
+        .amplitude("compliance_y_rad_per_nmm", unit, [0.0, 0.2], 0.005)
+        .amplitude("compliance_z_rad_per_nmm", unit, [0.0, 0.2], 0.01);
     WhiskerEffect {
         rod: |values, rod| {
             // One value for both axes, or one each.
@@ -73,12 +70,14 @@ pub fn base_compliance() -> WhiskerEffect {
 /// docs/src/method.md.
 pub fn superelastic_softening() -> WhiskerEffect {
     let softening = |name, most| {
-        law(name).amplitude("softening_share", "1", [0.0, most], 0.5).shape(
-            "onset_per_m",
-            "1/m",
-            [12.0, 90.0],
-            &[20.0, 30.0, 40.0, 52.0, 65.0],
-        )
+        law(name)
+            .amplitude("softening_share", "1", [0.0, most], 0.5)
+            .shape(
+                "onset_per_m",
+                "1/m",
+                [12.0, 90.0],
+                &[20.0, 30.0, 40.0, 52.0, 65.0],
+            )
     };
     WhiskerEffect {
         rod: |values, rod| {
@@ -88,15 +87,24 @@ pub fn superelastic_softening() -> WhiskerEffect {
             }
             let (left, onset_per_m) = (1.0 - share, values.of("onset_per_m"));
             rod.softening = Some(if values.law() == "section-plateau" {
-                Softening::Section { onset_per_m, hardening: left }
+                Softening::Section {
+                    onset_per_m,
+                    hardening: left,
+                }
             } else {
-                Softening::Bilinear { onset_per_m, ratio: left }
+                Softening::Bilinear {
+                    onset_per_m,
+                    ratio: left,
+                }
             });
         },
         ..WhiskerEffect::new(
             "superelastic-softening",
             "Superelastic softening: the alloy begins to transform where the wire is bent most.",
-            vec![softening("section-plateau", 1.0), softening("bilinear", 0.97)],
+            vec![
+                softening("section-plateau", 1.0),
+                softening("bilinear", 0.97),
+            ],
         )
     }
 }
@@ -108,7 +116,12 @@ pub fn wire_taper() -> WhiskerEffect {
         ..WhiskerEffect::new(
             "wire-taper",
             "Taper: the wire's diameter changes from root to tip.",
-            vec![law("linear-diameter").amplitude("relative_stiffness_change", "1", [-0.6, 1.5], 0.1)],
+            vec![law("linear-diameter").amplitude(
+                "relative_stiffness_change",
+                "1",
+                [-0.6, 1.5],
+                0.1,
+            )],
         )
     }
 }

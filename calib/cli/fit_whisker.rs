@@ -18,6 +18,7 @@ mod document;
 mod dynamics;
 mod stiffness;
 
+use crate::input::read_text;
 use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
@@ -132,15 +133,13 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// Where the files cannot be read or no geometry comes out.
 pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    let text = wcal_core::files::read_text(&args.shapes)
-        .with_context(|| format!("reading {}", args.shapes.display()))?;
-    let document: ShapesDocument =
-        from_json(&text, SHAPES_FORMAT, &[RANGES]).with_context(|| {
-            format!(
-                "{}: expected shapes.json of `wcal stereo-shape`",
-                args.shapes.display()
-            )
-        })?;
+    let document: ShapesDocument = from_json(&read_text(&args.shapes)?, SHAPES_FORMAT, &[RANGES])
+        .with_context(|| {
+        format!(
+            "{}: expected shapes.json of `wcal stereo-shape`",
+            args.shapes.display()
+        )
+    })?;
     let rig = Rig::read(&args.rig)?.whisker;
     let nominal = nominal(&rig, &args.rig)?;
     let (mut usable, mut warnings) = (Vec::new(), Vec::new());

@@ -14,6 +14,7 @@ mod demo;
 pub mod fit_gpr;
 pub mod fit_whisker;
 mod import;
+mod input;
 mod interrupt;
 pub mod labels;
 pub mod output;

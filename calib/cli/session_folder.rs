@@ -1,7 +1,7 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
 use crate::import::{option_of, quoted};
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::text::decoded;
@@ -49,7 +49,7 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
             folder.display()
         );
     }
-    let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
+    let bytes = crate::input::read(session)?;
     let (text, _) = decoded(&bytes).map_err(|other| anyhow!("{shown}: {other}"))?;
     let mut lines = text.lines();
     let (header, rows) = (lines.next().unwrap_or_default(), lines.collect::<Vec<_>>());

@@ -2,6 +2,7 @@
 
 mod bench_rig;
 
+use crate::input::read_text;
 use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 pub(crate) use bench_rig::with_addresses;
@@ -67,17 +68,14 @@ pub struct StageSweepArgs {
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
 pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
-    let read = |path: &Path| {
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
-    };
     let rig_file = if arguments.rig.is_dir() {
         arguments.rig.join("rig.toml")
     } else {
         arguments.rig.clone()
     };
-    let (mut rig, plan) = (read(&rig_file)?, read(&arguments.plan)?);
+    let (mut rig, plan) = (read_text(&rig_file)?, read_text(&arguments.plan)?);
     if let Some(bench) = &arguments.bench {
-        rig = with_addresses(&rig, &read(bench)?)
+        rig = with_addresses(&rig, &read_text(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
     let own_bench = arguments

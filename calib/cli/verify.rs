@@ -16,11 +16,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
-    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance,
-    seal,
+    CalibrationModel, GivenCalibration, SessionSystem, WireParts, provenance, seal,
 };
-use wcal_contact::groove_comparison::{self, Compared};
-use wcal_contact::session_groove;
+use wcal_contact::contact_validation::{
+    contact_comparison, groove_places, left_out_places, loaded,
+};
+use wcal_contact::groove_comparison::{calibration_contact, groove_tracking};
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
@@ -34,8 +35,9 @@ use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, ScalarModel, verify_scalar};
 use wcal_trace::verify::conclusion::asserts_validity;
 use wcal_trace::verify::{VerifyRequest, Witness};
-use wcal_trace::whisker::physical::PhysicalModel;
-use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
+use wcal_trace::whisker::{
+    PhysicalModel, Verified, WhiskerSystem, WhiskerVerification, verify_whisker,
+};
 
 /// Arguments of `wcal verify`.
 #[derive(Debug, Args)]
@@ -424,26 +426,11 @@ fn of_whisker_session(
     };
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
-    // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
-    let (calibration, open) = (done.decision.calibration(), done.decision.model());
-    let whole = &done.assessment.whole;
-    let own = groove_places(&done, calibration, (open, "fit"))?;
-    let contact = groove_comparison::groove_tracking(&own, "fit")
-        .as_ref()
-        .and_then(groove_comparison::calibration_contact);
-    let split = if count > 0 {
-        (whole, "holdout")
-    } else {
-        (open, "fit")
+    let (calibration, whole) = (done.decision.calibration(), &done.assessment.whole);
+    let contact = match asserts_validity(done.document.verdict, false) {
+        true => contacts(&done, count > 0, &mut report.verify)?,
+        false => None,
     };
-    let after = if count > 0 {
-        groove_places(&done, calibration, split)?
-    } else {
-        own
-    };
-    let before = groove_places(&done, &done.decision.declared_calibration(), split)?;
-    report.verify.contact = groove_comparison::contact_comparison(&before, &after);
-    report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
         judged: given
             .map(|g| g.judge(SessionSystem::Whisker(whole)))
@@ -471,27 +458,35 @@ fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     )?)
 }
 
-/// Places that the tracker finds through `model` beside the groove's, on the readings of a system: all of them (`fit`), or those that were sealed
-/// (`holdout`). None where the verdict accepts no calibration, or the stage's way is not recorded.
-fn groove_places(
+/// Contacts in the groove: by the calibrations of the others on each trajectory in turn, and by the calibration itself on the sealed ones. What it says of
+/// contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
+fn contacts(
     done: &WhiskerVerification,
-    model: &PhysicalModel,
-    (system, split): (&WhiskerSystem, &str),
-) -> anyhow::Result<Vec<Compared>> {
-    let readings = 0..system.path.readings.len();
-    let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
-    let accepted = asserts_validity(done.document.verdict, false);
-    let motion = model
-        .groove_motion(system)
-        .filter(|_| accepted && readings.clone().all(way_known));
-    let Some(motion) = motion else {
-        return Ok(Vec::new());
-    };
-    let [sealed, _] = system.held_out();
-    let chosen = |i: usize| sealed[i] == (split == "holdout");
-    Ok(session_groove::compared(system, motion, chosen, |i| {
-        system.row(i).groove_mm
-    })?)
+    has_sealed: bool,
+    document: &mut VerifyDocument,
+) -> anyhow::Result<Option<CalibrationContact>> {
+    let (decision, whole) = (&done.decision, &done.assessment.whole);
+    let own = groove_places(decision.model(), decision.calibration(), |_| true)?;
+    let [before, after] = left_out_places(decision)?;
+    document.contact = contact_comparison([&before, &after], loaded(decision.model(), |_| true));
+    document.groove_tracking = groove_tracking(&own, "fit");
+    if has_sealed {
+        let [sealed, _] = whole.held_out();
+        let of = |model: &PhysicalModel| groove_places(whole, model, |i| sealed[i]);
+        let [before, after] = [
+            of(&decision.declared_calibration())?,
+            of(decision.calibration())?,
+        ];
+        let confirming = contact_comparison([&before, &after], loaded(whole, |i| sealed[i]));
+        document
+            .contact
+            .iter_mut()
+            .for_each(|c| c.sealed = confirming.clone().map(Box::new));
+        document.groove_tracking = groove_tracking(&after, "holdout");
+    }
+    Ok(groove_tracking(&own, "fit")
+        .as_ref()
+        .and_then(calibration_contact))
 }
 
 fn of_scalar_session(

@@ -12,9 +12,9 @@ use burn::tensor::Device;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use wcal_lab::dataset::thread_s;
-use wcal_lab::model_file::runnable;
+use wcal_lab::model_file::{compact, paper, runnable};
 use wcal_lab::network::TrainableNet;
-use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, knots};
+use wcal_track::network::{FeatureExtractor, KvCache, knots};
 
 /// Nodes of the curve that the shipped networks' inputs are made of.
 const NODES: usize = 130;
@@ -24,14 +24,8 @@ const ROWS: u32 = 2000;
 fn rows(c: &mut Criterion) {
     let two = FeatureExtractor::width(NODES, true);
     let sizes = [
-        (
-            "paper",
-            NetworkConfig::paper(FeatureExtractor::width(NODES, false)),
-        ),
-        (
-            "compact",
-            NetworkConfig::compact(two, knots(NODES).len(), true),
-        ),
+        ("paper", paper(FeatureExtractor::width(NODES, false))),
+        ("compact", compact(two, knots(NODES).len(), true)),
     ];
     let mut group = c.benchmark_group("network");
     for (name, config) in sizes {

@@ -11,7 +11,7 @@ use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use wcal_lab::model_file::runnable;
+use wcal_lab::model_file::{paper, runnable};
 use wcal_lab::network::TrainableNet;
 use wcal_lab::network::attention_bias;
 use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, WhiskerNet};
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     device.seed(7);
     let config = NetworkConfig {
         dropout: 0.0,
-        ..NetworkConfig::paper(FeatureExtractor::width(NODES, false))
+        ..paper(FeatureExtractor::width(NODES, false))
     };
     let case = Case::new(&config, &device);
     let net = TrainableNet::new(&config, &device)?;

@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use wcal_sim::Mesh;
 use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
 use wcal_track::inverse::StaticInverse;
+use wcal_track::network::Prediction;
 use wcal_track::tracker::{Sample, Tracker};
 
 /// An estimate at one instant.
@@ -105,17 +106,22 @@ fn network_estimates(
         base_mm_s: known.then_some(i.speed_mm_s),
     };
     let samples: Vec<Sample> = series.samples.iter().map(sample).collect();
-    let answer = |p: wcal_track::network::Prediction| Estimate {
+    let answer = |p: Prediction| Estimate {
         contact: p.contact >= CONTACT_PROBABILITY,
         point_mm: Vector3::from(p.point_mm.map(f64::from)),
         covariance_mm2: (tracker.config.nodes > 0)
             .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
     };
-    tracker
-        .track_series_with(filters, &samples)
+    track_series(tracker, filters, &samples)
         .into_iter()
         .map(answer)
         .collect()
+}
+
+/// All answers of a series, each from what came before it, through these filters.
+pub fn track_series(tracker: &Tracker, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
+    let mut stream = tracker.stream_with(filters);
+    samples.iter().map(|sample| stream.push(sample)).collect()
 }
 
 fn static_point(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {

@@ -18,6 +18,7 @@ pub mod model_file;
 pub mod network;
 pub mod score;
 pub mod sweep_series;
+pub mod tare;
 pub mod train;
 pub mod train_model;
 pub mod training_sweeps;

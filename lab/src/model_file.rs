@@ -231,6 +231,38 @@ pub fn network_grid() -> InverseGrid {
     }
 }
 
+/// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
+pub fn paper(inputs: usize) -> NetworkConfig {
+    NetworkConfig {
+        inputs,
+        nodes: 0,
+        encoder: 64,
+        layers: 6,
+        heads: 8,
+        width: 128,
+        feed_forward: 512,
+        dropout: 0.1,
+        context: 128,
+        two_filters: false,
+    }
+}
+
+/// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots with two.
+pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> NetworkConfig {
+    NetworkConfig {
+        inputs,
+        nodes,
+        encoder: 80,
+        layers: 2,
+        heads: 4,
+        width: 64,
+        feed_forward: 144,
+        dropout: 0.0,
+        context: 128,
+        two_filters,
+    }
+}
+
 /// Sizes of a preset on a curve; the compact one weighs two filters.
 ///
 /// # Errors
@@ -244,13 +276,9 @@ pub fn preset(
     match name {
         "compact" => {
             let inputs = FeatureExtractor::width(nodes, two_filters);
-            Ok(NetworkConfig::compact(
-                inputs,
-                knots(nodes).len(),
-                two_filters,
-            ))
+            Ok(compact(inputs, knots(nodes).len(), two_filters))
         }
-        "paper" => Ok(NetworkConfig::paper(FeatureExtractor::width(nodes, false))),
+        "paper" => Ok(paper(FeatureExtractor::width(nodes, false))),
         _ => Err(LabError::value("preset", "compact or paper", name)),
     }
 }

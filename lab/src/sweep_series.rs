@@ -2,11 +2,11 @@
 
 use crate::LabError;
 use crate::dataset::read;
+use crate::tare::Tare;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::Mesh;
-use wcal_track::Tare;
 
 /// The contact nearest to the base; where several count as one (`count_contacts`), their mean weighted by the forces.
 #[derive(Debug, Clone, Copy, PartialEq)]

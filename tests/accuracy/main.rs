@@ -10,6 +10,7 @@
 )]
 
 mod bench_verdicts;
+mod contact_numbers;
 mod exam;
 mod picture_errors;
 mod recorded_verdicts;

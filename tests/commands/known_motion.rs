@@ -566,14 +566,19 @@ fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
         "{}",
         own.summary
     );
-    // A smaller factor is another arc length: within the stated errors of the motion (0.02 mm, 10 ms) a wire held at 15 mm explains 1.4.
+    // Twice the moments: a point that holds the wire does not explain them, a contact that slides out and back does. Which it is cannot be told.
     bench
         .record
         .write_table(&bench.path("other.csv"), false, 2.0);
     let other = bench.along("other.csv", &[]);
-    // A contact that slides explains a wrong calibration, too; a fixed point with other moments does so better.
-    assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
-    assert!(other.said.contains("times as large"), "{}", other.said);
+    let doubted_rows =
+        |run: &Run| run.with_status("motion-disagrees") + run.with_status("sliding-assumed");
+    assert!(
+        other.code != Some(0) && doubted_rows(&other) > 100,
+        "{}",
+        other.said
+    );
+    assert!(doubted_rows(&own) < 10, "control: {}", own.said);
     // Whatever is not 0 says why in the last line.
     for run in [&slow, &other] {
         let last = run.said.trim_end().lines().last().unwrap_or_default();

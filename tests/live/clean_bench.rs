@@ -60,7 +60,7 @@ fn verdict(seed: u64, effects: &str) -> Value {
 }
 
 /// Of three sessions none may name an effect (of the exam's 48 with pictures and without an effect none has a name), and at most one may be called
-/// anything but adequate (1 of 48: 0.1 % for two of three). Their held-out readings together lie at the noise floor.
+/// anything but adequate (1 of 48: 0.1 % for two of three). Their held-out readings together are as wrong as the model expects.
 #[test]
 fn clean_sessions_are_adequate() {
     let _turn = crate::beside_others();
@@ -71,18 +71,18 @@ fn clean_sessions_are_adequate() {
     let all: Vec<Value> = (0..draws).map(|seed| verdict(201 + seed, "")).collect();
     for v in &all {
         println!(
-            "{} {}; pictures scatter {} of what they state; after / floor {:.2}",
+            "{} {}; pictures scatter {} of what they state; after / expected {:.2}",
             v["verdict"],
             v["effects"],
             v["tests"][0]["magnitude"],
-            over_floor(v, "after")
+            over_expected(v, "after")
         );
     }
     let adequate = all.iter().filter(|v| v["verdict"] == "adequate").count() as u64;
     println!("{adequate} of {draws} adequate (SIMULATED)");
     assert_eq!(faults(&all), Vec::<String>::new());
     // Controls: a groove that sits elsewhere is found, and would not pass as clean in one of the three; nor would its error without the name.
-    let v = verdict(200, "[effects]\ngroove_offset_mm = [0.0, 0.06, 0.08]\n");
+    let v = verdict(200, "[effects]\ngroove_offset_mm = [0.0, 0.12, 0.16]\n");
     assert!(
         v["verdict"] == "effect" && v["effects"][0]["id"] == "contact-offset",
         "{}",
@@ -90,17 +90,17 @@ fn clean_sessions_are_adequate() {
     );
     assert!(!faults(&[all[0].clone(), all[1].clone(), v.clone()]).is_empty());
     let unnamed = [
-        over_floor(&all[0], "after"),
-        over_floor(&all[1], "after"),
-        over_floor(&v, "before"),
+        over_expected(&all[0], "after"),
+        over_expected(&all[1], "after"),
+        over_expected(&v, "before"),
     ];
-    assert!(pooled(&unnamed) > AT_FLOOR, "{unnamed:?}");
+    assert!(pooled(&unnamed) > AS_EXPECTED, "{unnamed:?}");
 }
 
-/// Held-out error of the accepted model ("after") or the declared one ("before") over the stated floor.
-fn over_floor(v: &Value, which: &str) -> f64 {
+/// Held-out error of the accepted model ("after") or the declared one ("before") over what the accepted one expects of the same readings.
+fn over_expected(v: &Value, which: &str) -> f64 {
     let of = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
-    of(&v[which]["wavelength_rmse_pm"]) / of(&v["noise_floor"]["wavelength_pm"])
+    of(&v[which]["wavelength_rmse_pm"]) / of(&v["after"]["expected"]["wavelength_rmse_pm"])
 }
 
 /// Root of the mean square.
@@ -108,9 +108,9 @@ fn pooled(ratios: &[f64]) -> f64 {
     (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt()
 }
 
-/// Held-out error of several sessions over the floor from which clean ones are not at their floor. One session alone scatters more: its two
-/// sealed trajectories have an error of their own beside the noise of the readings.
-const AT_FLOOR: f64 = 2.0;
+/// Held-out error of three sessions over what is expected from which they are not as expected. Of one alone, with two sealed trajectories, it scatters from
+/// 0.7 to 1.5.
+const AS_EXPECTED: f64 = 1.6;
 
 /// What speaks against these being sessions without an effect.
 fn faults(all: &[Value]) -> Vec<String> {
@@ -122,11 +122,11 @@ fn faults(all: &[Value]) -> Vec<String> {
     out.extend(named.map(|(k, v)| format!("session {k} names {}", v["effects"])));
     let ratio = pooled(
         &all.iter()
-            .map(|v| over_floor(v, "after"))
+            .map(|v| over_expected(v, "after"))
             .collect::<Vec<_>>(),
     );
-    if !(ratio < AT_FLOOR) {
-        out.push(format!("{ratio:.2} times the floor"));
+    if !(ratio < AS_EXPECTED) {
+        out.push(format!("{ratio:.2} times what is expected"));
     }
     let other = all.iter().filter(|v| v["verdict"] != "adequate").count();
     // One in twenty is expected; more than twice as many and one more are not.

@@ -43,7 +43,7 @@ def main():
             "--object-pose", "0,0,0,1,0,0,0", "--out", "sweep", "--force")
         run(program, folder, "verify", "session", "--sweep", "sweep", "--out", "verify", "--force")
         verdict = json.loads((folder / "verify/verify.json").read_text())
-        declared = [e for e in verdict["sweep"]["explanations"] if not e["effects"]]
+        declared = [e for e in verdict["tests"] if e["witness"] == "sweep" and not e["effects"]]
         refuted += declared[0]["refuted"]
         if not (folder / "verify/calibration.json").exists():
             print(f"{folder.name}: {verdict['verdict']}, no calibration")

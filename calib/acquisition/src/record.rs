@@ -273,12 +273,7 @@ fn add_outcome(
     recorded: &RecordResult,
 ) -> Result<(), AcquisitionError> {
     let path = folder.join("run.json");
-    let io = |source| AcquisitionError::Io {
-        action: "reading",
-        path: path.clone(),
-        source,
-    };
-    let mut run = RunFile::parse(&wcal_core::files::read_text(&path).map_err(io)?)?;
+    let mut run = RunFile::read(&path)?;
     let (ending, cause) = match &recorded.sweep.ending {
         Ending::Finished => ("finished", None),
         Ending::Stopped { cause, .. } => ("stopped", Some(cause.to_string())),
@@ -348,12 +343,7 @@ fn describe(
 
 /// Measured and simulated scans never share a session.
 fn same_bench(run_file: &Path, simulated: bool) -> Result<(), AcquisitionError> {
-    let io = |source| AcquisitionError::Io {
-        action: "reading",
-        path: run_file.to_owned(),
-        source,
-    };
-    let begun = RunFile::parse(&wcal_core::files::read_text(run_file).map_err(io)?)?;
+    let begun = RunFile::read(run_file)?;
     if begun.is_simulated() == simulated {
         return Ok(());
     }

@@ -91,12 +91,11 @@ fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), 
 /// # Errors
 /// When rig, run file or recording cannot be read, or nothing was recorded; the tables are then as they were.
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
-    let text = |name: &str| {
-        let path = folder.join(name);
-        wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))
-    };
-    let rig = Rig::parse("rig.toml", &text("rig.toml")?)?;
-    let run = RunFile::parse(&text("run.json")?)?;
+    let path = folder.join("rig.toml");
+    let text =
+        wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))?;
+    let rig = Rig::parse("rig.toml", &text)?;
+    let run = RunFile::read(&folder.join("run.json"))?;
     let parts = recordings(folder);
     if parts.is_empty() {
         let place = folder.display().to_string();

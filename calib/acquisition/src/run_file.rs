@@ -4,6 +4,7 @@ use crate::error::AcquisitionError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::path::Path;
 use wcal_core::device::DeviceIdentity;
 use wcal_core::document::from_json;
 use wcal_core::ranges::Range;
@@ -76,6 +77,16 @@ impl RunFile {
         self.simulated
             || self.clock_scale != 1.0
             || self.devices.values().any(DeviceIdentity::is_virtual)
+    }
+
+    /// Reads a run file.
+    ///
+    /// # Errors
+    /// Where it cannot be read, or as [`Self::parse`].
+    pub(crate) fn read(path: &Path) -> Result<Self, AcquisitionError> {
+        Self::parse(
+            &wcal_core::files::read_text(path).map_err(AcquisitionError::io("reading", path))?,
+        )
     }
 
     /// Parses the file.

@@ -112,10 +112,7 @@ impl Sweep<'_, '_, '_> {
                 ));
             }
         }
-        self.event(&SweepEvent {
-            kind: "start".to_owned(),
-            ..SweepEvent::default()
-        })?;
+        self.event("start", SweepEvent::default())?;
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
         self.bench.mount.prepare(allowed)
     }
@@ -146,17 +143,11 @@ impl Sweep<'_, '_, '_> {
                 continue;
             }
             self.carry_out(step)?;
-            self.event(&SweepEvent {
-                kind: "done".to_owned(),
-                ..SweepEvent::default()
-            })?;
+            self.event("done", SweepEvent::default())?;
             *done += 1;
         }
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
-        self.event(&SweepEvent {
-            kind: "finished".to_owned(),
-            ..SweepEvent::default()
-        })
+        self.event("finished", SweepEvent::default())
     }
 
     fn carry_out(&mut self, step: &Step) -> Result<(), DeviceError> {
@@ -176,12 +167,14 @@ impl Sweep<'_, '_, '_> {
         self.bench.mount.select(trajectory)?;
         self.trajectory = Some(trajectory);
         let begin_s = self.stage_s();
-        self.event(&SweepEvent {
-            kind: "mount".to_owned(),
-            trajectory,
-            begin_s,
-            ..SweepEvent::default()
-        })
+        self.event(
+            "mount",
+            SweepEvent {
+                trajectory,
+                begin_s,
+                ..SweepEvent::default()
+            },
+        )
     }
 
     /// Waits at rest until the drift gate opens, or the soak time is over.
@@ -190,13 +183,15 @@ impl Sweep<'_, '_, '_> {
         let settle = self.plan.settle;
         let gate = self.wait_for_gate(begin_s, settle.window_s * 5.0, self.plan.soak_s)?;
         let (end_s, settled) = (self.device_s(), gate);
-        self.event(&SweepEvent {
-            kind: "soak".to_owned(),
-            begin_s,
-            end_s,
-            settled,
-            ..SweepEvent::default()
-        })
+        self.event(
+            "soak",
+            SweepEvent {
+                begin_s,
+                end_s,
+                settled,
+                ..SweepEvent::default()
+            },
+        )
     }
 
     /// In and out of contact at a known speed: the signal reveals the delay between the devices.
@@ -210,17 +205,16 @@ impl Sweep<'_, '_, '_> {
         let end_s = self.stage_s() + 0.3;
         self.wait_until(end_s)?;
         let trajectory = self.trajectory.unwrap_or(0);
-        let event = SweepEvent {
-            begin_s,
-            end_s,
-            speed_mm_s,
-            trajectory,
-            ..SweepEvent::default()
-        };
-        self.event(&SweepEvent {
-            kind: "sync".to_owned(),
-            ..event
-        })
+        self.event(
+            "sync",
+            SweepEvent {
+                begin_s,
+                end_s,
+                speed_mm_s,
+                trajectory,
+                ..SweepEvent::default()
+            },
+        )
     }
 
     /// Move, dwell, drift gate, averaging window.
@@ -247,14 +241,16 @@ impl Sweep<'_, '_, '_> {
         }
         let (begin_s, end_s) = self.window(pose.average_s)?;
         self.wait_for_picture()?;
-        let event = self.pose_event("window", pose);
-        self.event(&SweepEvent {
-            begin_s,
-            end_s,
-            arrived_s,
-            settled,
-            ..event
-        })
+        self.event(
+            "window",
+            SweepEvent {
+                begin_s,
+                end_s,
+                arrived_s,
+                settled,
+                ..pose_event(pose)
+            },
+        )
     }
 
     /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
@@ -264,11 +260,7 @@ impl Sweep<'_, '_, '_> {
             self.tick(POLL_STANDING)?;
         }
         if lock(self.bench.monitor).end_picture() {
-            let kind = "picture-missed".to_owned();
-            self.event(&SweepEvent {
-                kind,
-                ..SweepEvent::default()
-            })?;
+            self.event("picture-missed", SweepEvent::default())?;
         }
         Ok(())
     }
@@ -303,28 +295,14 @@ impl Sweep<'_, '_, '_> {
         self.go_through(to, pose.speed_mm_s)?;
         let end_s = self.stage_s();
         self.wait_until(end_s + 0.1)?;
-        let event = self.pose_event("moving", pose);
-        self.event(&SweepEvent {
+        let event = SweepEvent {
             begin_s,
             end_s,
             arrived_s: end_s,
             rows_hz,
-            ..event
-        })
-    }
-
-    fn pose_event(&self, kind: &str, pose: &Pose) -> SweepEvent {
-        SweepEvent {
-            kind: kind.to_owned(),
-            role: format!("{:?}", pose.role).to_lowercase(),
-            trajectory: pose.trajectory,
-            replicate: pose.replicate,
-            target_mm: pose.stage_mm,
-            direction: pose.direction,
-            speed_mm_s: pose.speed_mm_s,
-            sealed: pose.sealed,
-            ..SweepEvent::default()
-        }
+            ..pose_event(pose)
+        };
+        self.event("moving", event)
     }
 
     fn go_through(&mut self, depths_mm: &[f64], speed_mm_s: f64) -> Result<(), DeviceError> {
@@ -516,15 +494,29 @@ impl Sweep<'_, '_, '_> {
         monitor.device_s_at(host_s).unwrap_or(0.0)
     }
 
-    fn event(&mut self, event: &SweepEvent) -> Result<(), DeviceError> {
+    fn event(&mut self, kind: &str, event: SweepEvent) -> Result<(), DeviceError> {
         let event = SweepEvent {
+            kind: kind.to_owned(),
             step: self.step as u32,
-            ..event.clone()
+            ..event
         };
         self.bench
             .recorder
             .event(self.last.clocks.host_s, &event)
             .map_err(|e| disk(&e))
+    }
+}
+
+fn pose_event(pose: &Pose) -> SweepEvent {
+    SweepEvent {
+        role: format!("{:?}", pose.role).to_lowercase(),
+        trajectory: pose.trajectory,
+        replicate: pose.replicate,
+        target_mm: pose.stage_mm,
+        direction: pose.direction,
+        speed_mm_s: pose.speed_mm_s,
+        sealed: pose.sealed,
+        ..SweepEvent::default()
     }
 }
 

@@ -134,9 +134,9 @@ pub fn write_tables(
     simulated: bool,
 ) -> Result<Vec<(String, Vec<u8>)>, AcquisitionError> {
     let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.sealed);
-    let mut files = vec![("points.csv".to_owned(), table(&points, simulated)?)];
+    let mut files = vec![("points.csv".to_owned(), rows_csv(&points, simulated)?)];
     if !holdout.is_empty() {
-        files.push(("holdout.csv".to_owned(), table(&holdout, simulated)?));
+        files.push(("holdout.csv".to_owned(), rows_csv(&holdout, simulated)?));
     }
     let both = [("points.csv", &points), ("holdout.csv", &holdout)];
     let compensation = csv_text(|out| {
@@ -164,7 +164,7 @@ pub fn write_tables(
     Ok(files)
 }
 
-fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
+fn rows_csv(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
     csv_text(|out| {
         out.write_record(
             COLUMNS
@@ -272,95 +272,88 @@ pub fn session_toml(
     result: &Reduction,
     added: &[[String; 3]],
 ) -> Result<String, AcquisitionError> {
-    let text = |s: &str| Value::String(s.to_owned());
-    let mut files = Table::new();
-    files.insert("points".to_owned(), text("points.csv"));
-    if holdout {
-        files.insert("holdout".to_owned(), text("holdout.csv"));
-    }
-    files.insert("recording".to_owned(), text(&recordings[0]));
-    if result.pictures[0] > 0 {
-        files.insert("pictures".to_owned(), text("pictures/"));
-    }
+    let there = [
+        (holdout, "holdout", "holdout.csv"),
+        (result.pictures[0] > 0, "pictures", "pictures/"),
+    ];
+    let there = there
+        .into_iter()
+        .filter(|entry| entry.0)
+        .map(|(_, key, file)| (key, file.into()));
+    let files = [
+        ("points", "points.csv".into()),
+        ("recording", recordings[0].clone().into()),
+    ];
+    let nominal = |name: &str| rig.grating(name).map(|g| g.nominal_nm);
+    let nominal_nm: Vec<f64> = ["fbg_1", "fbg_2"].into_iter().filter_map(nominal).collect();
+    let reference = nominal("fbg_ref").map(|nm| ("reference_nominal_nm", nm.into()));
     let mut fbg = rig.fbg.clone();
-    let nominal = |name: &str| rig.grating(name).map(|g| Value::Float(g.nominal_nm));
-    fbg.insert(
-        "nominal_nm".to_owned(),
-        Value::Array(
-            ["fbg_1", "fbg_2"]
-                .iter()
-                .filter_map(|n| nominal(n))
-                .collect(),
-        ),
-    );
-    if let Some(reference) = nominal("fbg_ref") {
-        fbg.insert("reference_nominal_nm".to_owned(), reference);
-    }
+    fbg.extend(table(
+        [("nominal_nm", nominal_nm.into())]
+            .into_iter()
+            .chain(reference),
+    ));
     let trajectories = rig.trajectory.iter().map(|t| {
-        let mut table = Table::new();
-        let vector = |v: &[f64]| Value::Array(v.iter().map(|x| Value::Float(*x)).collect());
         let unit = Vector3::from(t.direction).normalize();
-        table.insert("id".to_owned(), Value::Integer(t.id.into()));
-        table.insert("origin_mm".to_owned(), vector(&t.origin_mm));
-        table.insert("direction".to_owned(), vector(unit.as_slice()));
-        if let Some(s) = t.nominal_arclength_mm {
-            table.insert("nominal_arclength_mm".to_owned(), Value::Float(s));
-        }
-        Value::Table(table)
+        let entries = [
+            ("id", t.id.into()),
+            ("origin_mm", t.origin_mm.to_vec().into()),
+            ("direction", unit.as_slice().to_vec().into()),
+        ];
+        let nominal = t
+            .nominal_arclength_mm
+            .map(|s| ("nominal_arclength_mm", s.into()));
+        table(entries.into_iter().chain(nominal))
     });
-    let mut root = Table::new();
-    for (key, value) in [
-        ("format", "wcal-session/1"),
-        ("id", &run.id),
-        ("kind", "whisker"),
-        ("medium", &run.medium),
-        ("created", &run.created),
-    ] {
-        root.insert(key.to_owned(), text(value));
-    }
-    root.insert("files".to_owned(), Value::Table(files));
-    root.insert("whisker".to_owned(), Value::Table(rig.whisker.clone()));
-    if let Some(moments) = &rig.moments {
-        root.insert("moments".to_owned(), Value::Table(moments.clone()));
-    }
-    root.insert("fbg".to_owned(), Value::Table(fbg));
-    root.insert(
-        "trajectory".to_owned(),
-        Value::Array(trajectories.collect()),
+    let simulated = [
+        ("simulated", true.into()),
+        ("simulated_by", "the virtual bench".into()),
+    ];
+    let provenance = [
+        ("program", run.program.clone().into()),
+        ("command", run.command.clone().into()),
+        ("rig_sha256", run.rig_sha256.clone().into()),
+        ("plan_sha256", run.plan_sha256.clone().into()),
+    ];
+    let provenance = provenance
+        .into_iter()
+        .chain(simulated.into_iter().filter(|_| run.is_simulated()));
+    let entries = [
+        ("format", "wcal-session/1".into()),
+        ("id", run.id.clone().into()),
+        ("kind", "whisker".into()),
+        ("medium", run.medium.clone().into()),
+        ("created", run.created.clone().into()),
+        ("files", table(files.into_iter().chain(there)).into()),
+        ("whisker", rig.whisker.clone().into()),
+        ("fbg", fbg.into()),
+        ("trajectory", trajectories.collect::<Vec<_>>().into()),
+        ("devices", devices(run, recordings, result).into()),
+        ("provenance", table(provenance).into()),
+    ];
+    let mut root = table(
+        entries
+            .into_iter()
+            .chain(rig.moments.clone().map(|m| ("moments", m.into()))),
     );
-    root.insert(
-        "devices".to_owned(),
-        Value::Table(devices(run, recordings, result)?),
-    );
-    let mut provenance = Table::new();
-    provenance.insert("program".to_owned(), text(&run.program));
-    provenance.insert(
-        "command".to_owned(),
-        Value::Array(run.command.iter().map(|c| text(c)).collect()),
-    );
-    if run.is_simulated() {
-        provenance.insert("simulated".to_owned(), Value::Boolean(true));
-        provenance.insert("simulated_by".to_owned(), text("the virtual bench"));
-    }
-    provenance.insert("rig_sha256".to_owned(), text(&run.rig_sha256));
-    provenance.insert("plan_sha256".to_owned(), text(&run.plan_sha256));
-    root.insert("provenance".to_owned(), Value::Table(provenance));
     for [table, key, value] in added {
         if let Some(table) = root.get_mut(table).and_then(Value::as_table_mut) {
-            table.insert(key.clone(), text(value));
+            table.insert(key.clone(), value.clone().into());
         }
     }
     toml::to_string(&root).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-fn devices(
-    run: &RunFile,
-    recordings: &[String],
-    result: &Reduction,
-) -> Result<Table, AcquisitionError> {
+fn table<'a>(entries: impl IntoIterator<Item = (&'a str, Value)>) -> Table {
+    entries
+        .into_iter()
+        .map(|(key, value)| (key.to_owned(), value))
+        .collect()
+}
+
+fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Table {
     let mut devices = Table::new();
     for (role, identity) in &run.devices {
-        let mut table = Table::new();
         let own = [
             ("driver", &identity.driver),
             ("model", &identity.model),
@@ -368,69 +361,67 @@ fn devices(
             ("firmware", &identity.firmware),
         ];
         let settings = identity.settings.iter().map(|(k, v)| (k.as_str(), v));
-        for (key, value) in own.into_iter().chain(settings) {
-            table.insert(key.to_owned(), Value::String(value.clone()));
-        }
-        devices.insert(role.clone(), Value::Table(table));
+        let all = own
+            .into_iter()
+            .chain(settings)
+            .map(|(key, value)| (key, value.clone().into()));
+        devices.insert(role.clone(), table(all).into());
     }
-    let mut stream = Table::new();
-    stream.insert("scans".to_owned(), Value::Integer(result.scans as i64));
-    stream.insert("lost_scans".to_owned(), Value::Integer(result.lost as i64));
-    stream.insert("gaps".to_owned(), Value::Integer(result.gaps as i64));
-    stream.insert("late_scans".to_owned(), Value::Integer(result.late as i64));
-    stream.insert(
-        "longest_delay_s".to_owned(),
-        Value::Float(result.longest_delay_s),
-    );
-    stream.insert(
-        "damaged_chunks".to_owned(),
-        Value::Integer(result.damaged_chunks as i64),
-    );
-    stream.insert(
-        "warnings".to_owned(),
-        Value::Array(result.warnings().into_iter().map(Value::String).collect()),
-    );
-    stream.insert(
-        "recordings".to_owned(),
-        Value::Array(recordings.iter().map(|r| r.clone().into()).collect()),
-    );
-    if result.pairs != [0; 2] {
-        let count = |n: u64| Value::Integer(n as i64);
-        stream.insert("camera_pairs".to_owned(), count(result.pairs[0]));
-        stream.insert("camera_pairs_refused".to_owned(), count(result.pairs[1]));
-    }
-    stream.insert("clock_scale".to_owned(), Value::Float(run.clock_scale));
-    stream.insert(
-        "lag_s".to_owned(),
-        Value::Array(result.lag_s.iter().map(|s| Value::Float(*s)).collect()),
-    );
-    stream.insert(
-        "clocks".to_owned(),
-        Value::Array(result.clocks.iter().map(|f| clock(f, None)).collect()),
-    );
+    let count = |n: u64| Value::Integer(n as i64);
+    let pairs = [("camera_pairs", 0), ("camera_pairs_refused", 1)];
+    let pairs = pairs.into_iter().filter(|_| result.pairs != [0; 2]);
     let cameras = result
         .camera_clocks
         .iter()
         .map(|(name, fit)| clock(fit, Some(name)));
-    stream.insert("camera_clocks".to_owned(), Value::Array(cameras.collect()));
-    devices.insert("stream".to_owned(), Value::Table(stream));
-    Ok(devices)
+    let stream = [
+        ("scans", count(result.scans)),
+        ("lost_scans", count(result.lost)),
+        ("gaps", count(result.gaps)),
+        ("late_scans", count(result.late)),
+        ("longest_delay_s", result.longest_delay_s.into()),
+        ("damaged_chunks", count(result.damaged_chunks)),
+        ("warnings", result.warnings().into()),
+        ("recordings", recordings.to_vec().into()),
+        ("clock_scale", run.clock_scale.into()),
+        ("lag_s", result.lag_s.clone().into()),
+        (
+            "clocks",
+            result
+                .clocks
+                .iter()
+                .map(|fit| clock(fit, None))
+                .collect::<Vec<_>>()
+                .into(),
+        ),
+        ("camera_clocks", cameras.collect::<Vec<_>>().into()),
+    ];
+    let pairs = pairs.map(|(key, k)| (key, count(result.pairs[k])));
+    devices.insert(
+        "stream".to_owned(),
+        table(stream.into_iter().chain(pairs)).into(),
+    );
+    devices
 }
 
 /// A clock fit, named where it is one of several.
-fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
-    let mut table = Table::new();
-    if let Some(name) = name {
-        table.insert("name".to_owned(), Value::String(name.to_owned()));
-    }
-    table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
-    table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
+fn clock(fit: &ClockFit, name: Option<&str>) -> Table {
+    let entries = [
+        ("device_minus_host_s", fit.offset_s.into()),
+        ("drift_ppm", (fit.drift * 1e6).into()),
+        ("scatter_ms", (fit.scatter_s * 1e3).into()),
+    ];
     // A recording of a few seconds does not determine the drift.
-    if fit.drift_sd.is_finite() {
-        table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
-    }
-    table.insert("scatter_ms".to_owned(), Value::Float(fit.scatter_s * 1e3));
-    Value::Table(table)
+    let sd = fit
+        .drift_sd
+        .is_finite()
+        .then(|| ("drift_sd_ppm", (fit.drift_sd * 1e6).into()));
+    table(
+        entries
+            .into_iter()
+            .chain(sd)
+            .chain(name.map(|name| ("name", name.into()))),
+    )
 }
 
 #[cfg(test)]

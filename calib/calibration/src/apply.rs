@@ -6,7 +6,7 @@ use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
-use wcal_trace::verify::judgement::JudgedReading;
+use wcal_trace::verify::HeldOut;
 use wcal_trace::verify::session_model::Quantity;
 use wcal_trace::verify::{SessionModel, SessionText};
 use wcal_trace::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
@@ -37,7 +37,7 @@ pub trait Calibration {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError>;
+    ) -> Result<Option<Vec<HeldOut>>, CalibrationError>;
     /// As one of a whisker, which streams can use; none for other kinds.
     fn whisker(&self) -> Option<&dyn WhiskerCalibration>;
 }

@@ -10,7 +10,7 @@ use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerSpec};
 use wcal_map::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
-use wcal_trace::verify::judgement::JudgedReading;
+use wcal_trace::verify::HeldOut;
 use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
@@ -71,7 +71,7 @@ impl Calibration for MapArtefact {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError> {
+    ) -> Result<Option<Vec<HeldOut>>, CalibrationError> {
         Ok(judgement::of_map(session.as_whisker()?, self, only_sealed))
     }
 

@@ -9,7 +9,7 @@ use std::path::Path;
 use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
 use wcal_session::{SessionWarning, load_table};
-use wcal_trace::verify::judgement::JudgedReading;
+use wcal_trace::verify::HeldOut;
 use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
 use wcal_trace::whisker::path::WhiskerPath;
 use wcal_trace::whisker::{PhysicalModel, PhysicalStream, WhiskerSystem, judgement};
@@ -61,7 +61,7 @@ impl Calibration for PhysicalModel {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError> {
+    ) -> Result<Option<Vec<HeldOut>>, CalibrationError> {
         Ok(judgement::of_model(
             session.as_whisker()?,
             self,

@@ -8,7 +8,7 @@ use wcal_core::observation::Role;
 use wcal_core::text::number;
 use wcal_session::{TextTable, TextTableLayout, asked_name, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
-use wcal_trace::verify::judgement::JudgedReading;
+use wcal_trace::verify::HeldOut;
 
 /// A table's columns by the session's names; a table that has none of such a name may have the column that the session's table was made of.
 struct Columns<'a> {
@@ -188,7 +188,7 @@ impl Calibration for ScalarModel {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError> {
+    ) -> Result<Option<Vec<HeldOut>>, CalibrationError> {
         match session {
             SessionSystem::Scalar(system) if session.kind() == self.session_kind => {
                 Ok(Some(judgement::of_model(system, self, only_sealed)?))

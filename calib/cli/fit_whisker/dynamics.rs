@@ -138,8 +138,7 @@ pub fn dynamics(
 
 /// Time constant of a recorded ring-down, s.
 fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
-    let text =
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = crate::input::read_text(path)?;
     let mut lines = text.lines();
     let head: Vec<&str> = lines
         .next()

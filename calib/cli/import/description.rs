@@ -4,6 +4,7 @@ use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use super::columns::Plan;
 use super::hints::is_deviation;
 use super::imported::Noticed;
+use crate::input::{read, read_text};
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::path::Path;
@@ -184,9 +185,7 @@ pub(super) fn provenance(sources: &[&TextTable], simulated: bool, noticed: &Noti
 
 /// Takes the whisker's tables from another description, its rest shape with it.
 fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
-    let text =
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-    let meta = wcal_core::document::toml(&text)
+    let meta = wcal_core::document::toml(&read_text(path)?)
         .with_context(|| format!("{}: expected valid TOML", path.display()))?;
     for key in TAKEN_OVER {
         if let Some(value) = meta.get(*key) {
@@ -204,8 +203,7 @@ fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> anyhow::Result<
         .and_then(Value::as_str);
     if let Some(name) = shape {
         let source = path.parent().unwrap_or(Path::new(".")).join(name);
-        let bytes = wcal_core::files::read(&source)
-            .with_context(|| format!("reading {}", source.display()))?;
+        let bytes = read(&source)?;
         let files = top.get_mut("files").and_then(Value::as_table_mut);
         files.map(|files| files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv")));
         more.push(("rest_shape.csv".to_owned(), bytes));

@@ -148,11 +148,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
     out.put("points.csv", sweep.points.clone());
     if let Some((mesh, _)) = &object {
-        let bytes =
-            wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?;
         out.put(
             OBJECT,
-            as_stl(bytes).map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?,
+            as_stl(crate::input::read(mesh)?)
+                .map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?,
         );
     }
     out.put("session.toml", toml::to_string(&top)?);

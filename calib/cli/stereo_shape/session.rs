@@ -1,6 +1,7 @@
 //! `wcal stereo-shape SESSION`: shapes of the poses that a session pictured, written into it.
 
 use super::shaper::{PairCounts, Shaper, StereoShapeArgs, put_results, report_pairs};
+use crate::input::read_text;
 use crate::output::OutputFolder;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
@@ -29,9 +30,10 @@ pub(super) fn run(
     for (_, file, _) in RESULTS {
         check_own(&folder.join(file), args.overwrite.force)?;
     }
-    let text = wcal_core::files::read_text(&shaper.rig_file)
-        .with_context(|| format!("reading {}", shaper.rig_file.display()))?;
-    let bench = BenchRig::parse(&shaper.rig_file.display().to_string(), &text)?;
+    let bench = BenchRig::parse(
+        &shaper.rig_file.display().to_string(),
+        &read_text(&shaper.rig_file)?,
+    )?;
     let names: Vec<&str> = bench.camera.iter().map(|c| c.name.as_str()).collect();
     let [left, right] = names[..] else {
         bail!(
@@ -115,10 +117,8 @@ fn check_own(path: &Path, force: bool) -> Result<()> {
     if force || !path.exists() {
         return Ok(());
     }
-    let text =
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-    let own =
-        serde_json::from_str::<ShapesDocument>(&text).is_ok_and(|d| d.format == SHAPES_FORMAT);
+    let own = serde_json::from_str::<ShapesDocument>(&read_text(path)?)
+        .is_ok_and(|d| d.format == SHAPES_FORMAT);
     ensure!(
         own,
         "{}: expected an earlier result of `wcal stereo-shape`, found something else (--force replaces it)",

@@ -1,6 +1,7 @@
 //! What pairs are looked at with, and what is written and said of their shapes.
 
 use super::drawing::{drawing, residuals};
+use crate::input::{read, read_text};
 use crate::output::{OutputFolder, Overwrite};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
@@ -70,17 +71,13 @@ impl Shaper {
             .stereo_cameras()
             .map_err(anyhow::Error::msg)?;
         let rig = Rig::read(&rig_file)?;
-        let read: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
+        let files: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
         let mut calibration = Vec::new();
         for file in &args.cameras {
-            calibration.extend(
-                wcal_core::files::read(file)
-                    .with_context(|| format!("reading {}", file.display()))?,
-            );
+            calibration.extend(read(file)?);
         }
-        let reading = || format!("reading {}", rig_file.display());
-        let text = wcal_core::files::read_text(&rig_file).with_context(reading)?;
-        let table = wcal_core::document::toml(&text).with_context(reading)?;
+        let table = wcal_core::document::toml(&read_text(&rig_file)?)
+            .with_context(|| format!("reading {}", rig_file.display()))?;
         let source = ShapesSource {
             cameras_sha256: sha256_hex(&calibration),
             rig_sha256: rig_sha256(&serde_json::to_value(&table)?),
@@ -90,7 +87,7 @@ impl Shaper {
             stereo,
             rig,
             rig_file,
-            read,
+            read: files,
             source,
         })
     }

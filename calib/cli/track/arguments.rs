@@ -5,6 +5,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_contact::reading::MotionAccuracy;
+use wcal_contact::sliding::FrictionPrior;
 use wcal_contact::track_document::{TrackDocument, WhiskerDocument};
 use wcal_contact::track_table::TrackFiles;
 use wcal_contact::whisker_track::Outcome;
@@ -78,6 +79,16 @@ pub struct TrackArgs {
         conflicts_with = "model"
     )]
     pub diameter_sd: Option<f64>,
+    /// Friction coefficient of the object, with its standard deviation
+    ///
+    /// As "0.1 +- 0.05". Default: anything from 0 to 0.3; a slide one way says nothing of it.
+    #[arg(
+        help_heading = "Motion",
+        long,
+        value_name = "MU +- SD",
+        conflicts_with = "model"
+    )]
+    pub friction: Option<FrictionPrior>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,

@@ -484,6 +484,7 @@ fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,
         diameter_sd: args.diameter_sd,
+        friction: args.friction.unwrap_or_default(),
         // The delays of a host whose clock goes faster do so, too.
         accuracy: MotionAccuracy {
             clock_sd_s: ACCURACY.clock_sd_s * rig.clock_scale,

@@ -156,7 +156,8 @@ pub fn of_table<'a>(
         ));
     }
     let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm)
-        .with_tolerance(args.diameter_sd);
+        .with_tolerance(args.diameter_sd)
+        .with_friction(args.friction.unwrap_or_default());
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;

@@ -3,7 +3,6 @@
 use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
 use wcal_core::text::{brief, chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
@@ -124,7 +123,16 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         verdict.as_str().unwrap_or_default()
     );
     if let Some(contact) = &v.contact {
-        println!("  {}", contact_line(contact));
+        println!(
+            "  contact: {}",
+            contact_line(contact, contact.after.interval95, "each left out in turn")
+        );
+        if let Some(sealed) = &contact.sealed {
+            println!(
+                "  sealed contact: {}",
+                contact_line(sealed, None, "in no fit")
+            );
+        }
     }
     println!("  {}", v.reason);
     for caution in &v.cautions {
@@ -179,18 +187,22 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     }
     if let (Some(b), Some(a)) = (&v.before, &v.after) {
         println!(
-            "  held-out error ({}, {} readings):        before      after",
+            "  held-out error ({}, {} readings):        before      after   expected",
             a.split, a.points
         );
         for (name, before) in &b.rmse {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
+            let expected = a
+                .expected
+                .get(name)
+                .map_or_else(|| "-".to_owned(), |e| readable(*e));
             let name = if name == "response_rmse" {
                 with_unit(name, unit)
             } else {
                 name.clone()
             };
             println!(
-                "    {name:<32} {:>10} {:>10}",
+                "    {name:<32} {:>10} {:>10} {expected:>10}",
                 readable(*before),
                 readable(after)
             );
@@ -230,9 +242,6 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             readable(floor)
         );
     }
-    if let Some(tracked) = &v.groove_tracking {
-        println!("  {}", groove_sentence(tracked));
-    }
     // That the declared model is refuted says the verdict.
     let shown = |t: &&WitnessTest| t.witness == "sweep" || t.refuted && !t.effects.is_empty();
     for t in v.tests.iter().filter(shown) {
@@ -269,12 +278,24 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     );
 }
 
-/// What it is all for, in one line.
-fn contact_line(c: &ContactComparison) -> String {
-    let [before, after, bound] =
+/// What it is all for, in one line: by which trajectories, and with an interval whether anything tells both models apart.
+fn contact_line(c: &ContactComparison, interval95: Option<[f64; 2]>, how: &str) -> String {
+    let [before, after, expected] =
         [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));
+    let same = if c.is_same() { ", no difference" } else { "" };
+    let told = interval95.map_or(String::new(), |[low, high]| {
+        format!(" [{low:.2}, {high:.2}]{same}")
+    });
+    let moved = match c.groove_moved_mm {
+        mm if mm >= 0.005 => {
+            format!("; the effects put the groove {mm:.2} mm from where it is stated")
+        }
+        _ => String::new(),
+    };
     format!(
-        "contact: {before} mm -> {after} mm (bound {bound}), {} readings, {} inside their 95 % regions",
-        c.readings, c.inside95
+        "{before} mm -> {after} mm{told}, expected {expected} ({} readings of {} trajectories, {how}; {} inside their 95 % regions){moved}",
+        c.readings,
+        c.trajectories.len(),
+        c.inside95
     )
 }

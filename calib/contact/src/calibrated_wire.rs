@@ -4,7 +4,7 @@ use crate::ContactError;
 use crate::known_motion::{Friction, MomentField, MotionRow, Settings};
 use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::regimes::RegimeWeights;
-use crate::sliding::TouchedWire;
+use crate::sliding::{FrictionPrior, TouchedWire};
 use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
 use wcal_core::WireFrame;
@@ -23,6 +23,8 @@ pub struct CalibratedWire {
     /// Relative standard deviation of the diameter of the wire that is tracked; none where it is the calibration's own, whose stiffness is in
     /// the scale of the moments.
     tolerance: Option<f64>,
+    /// On what touches it.
+    friction: FrictionPrior,
 }
 
 /// A wire with what is assumed of its contacts.
@@ -80,6 +82,7 @@ impl CalibratedWire {
             rod: wire.rod.clone(),
             diameter_mm,
             tolerance: None,
+            friction: FrictionPrior::default(),
         }
     }
 
@@ -102,9 +105,23 @@ impl CalibratedWire {
         }
     }
 
+    /// With what is known of its friction on an object that it slides over.
+    pub fn with_friction(self, friction: FrictionPrior) -> Self {
+        Self { friction, ..self }
+    }
+
     /// Relative standard deviation of the stiffness, which goes with the fourth power of the diameter.
     pub fn stiffness_sd(&self) -> f64 {
         4.0 * self.tolerance.unwrap_or(0.0)
+    }
+
+    /// What regions assume of it, with a bar between: `wire=calibrated` or the diameter's relative standard deviation, and the friction.
+    pub fn assumes(&self) -> String {
+        let wire = self.tolerance.map_or_else(
+            || "wire=calibrated".to_owned(),
+            |sd| format!("diameter-sd={sd}"),
+        );
+        format!("{wire}|friction={}", self.friction)
     }
 
     /// Columns of what all readings of a record share, N mm by one standard deviation of each: the calibration's unknowns, the zero, and the
@@ -164,11 +181,9 @@ impl CalibratedWire {
     /// # Errors
     /// Where it cannot be bent.
     pub fn touched(&self) -> Result<TouchedWire, ContactError> {
-        Ok(TouchedWire::new(
-            &self.rod,
-            self.diameter_mm,
-            &MomentAxes::default(),
-        )?)
+        let mut touched = TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?;
+        touched.friction = self.friction;
+        Ok(touched)
     }
 
     /// The places that moments alone allow.

@@ -125,6 +125,11 @@ pub trait Estimator {
 
     /// What was found over all readings.
     fn findings(&self) -> Findings;
+
+    /// What the regions of every contact assume of wire and object, in short.
+    fn assumes(&self) -> String {
+        String::new()
+    }
 }
 
 /// What an estimator found over all readings.

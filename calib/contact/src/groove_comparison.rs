@@ -3,20 +3,21 @@
 use crate::arc_posterior::REGION;
 use crate::known_groove::too_few;
 use std::collections::{BTreeMap, BTreeSet};
-use wcal_core::verify_document::{
-    CalibrationContact, ContactComparison, ContactError, ContactUncertainty, GrooveTracking,
-    TrajectoryContact,
-};
+use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 
 /// A located place beside the groove's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Compared {
+    /// Index of the reading in the system's path.
+    pub reading: usize,
     /// Identifier of the trajectory.
     pub trajectory: u32,
     /// True arc length at which the free wire is met, mm.
     pub arclength_mm: f64,
     /// Distance in space, mm.
     pub error_mm: f64,
+    /// How far from its stated place the calibration's effects put the groove, mm.
+    pub moved_mm: f64,
     /// Cramer-Rao bound of that distance, mm, and without the readings' own noise.
     pub bound_mm: f64,
     /// See `bound_mm`.
@@ -49,7 +50,7 @@ pub fn coverage_rejected(t: &GrooveTracking) -> bool {
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 
-fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {
+pub(crate) fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {
     (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
 }
 
@@ -102,43 +103,6 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
         doubted: trajectories(|c| c.doubted),
         split: split.to_owned(),
         uncertainty: uncertainty(compared),
-    })
-}
-
-/// The same readings through the declared and through the accepted model; none where either compares nothing.
-pub fn contact_comparison(before: &[Compared], after: &[Compared]) -> Option<ContactComparison> {
-    let error = |all: &[Compared], trajectory: u32| {
-        let own: Vec<Compared> = all
-            .iter()
-            .filter(|c| c.trajectory == trajectory)
-            .copied()
-            .collect();
-        (!own.is_empty()).then(|| rms(&own, |c| c.error_mm))
-    };
-    let first: BTreeMap<u32, f64> = after
-        .iter()
-        .map(|c| (c.trajectory, c.arclength_mm))
-        .collect();
-    let of = |(&trajectory, &arclength_mm): (&u32, &f64)| {
-        let (before_mm, after_mm) = (error(before, trajectory)?, error(after, trajectory)?);
-        Some(TrajectoryContact {
-            trajectory,
-            arclength_mm,
-            before_mm,
-            after_mm,
-        })
-    };
-    (!before.is_empty() && !after.is_empty()).then(|| ContactComparison {
-        before: ContactError {
-            rms_mm: rms(before, |c| c.error_mm),
-        },
-        after: ContactError {
-            rms_mm: rms(after, |c| c.error_mm),
-        },
-        bound_mm: rms(after, |c| c.bound_mm),
-        readings: after.len(),
-        inside95: after.iter().filter(|c| c.held).count(),
-        trajectories: first.iter().filter_map(of).collect(),
     })
 }
 

@@ -13,6 +13,7 @@ pub mod arc;
 pub mod arc_posterior;
 pub mod calibrated_wire;
 mod contact_so_far;
+pub mod contact_validation;
 mod error;
 pub mod estimator;
 pub mod frame;

@@ -129,7 +129,7 @@ impl RegimeWeights {
             .sum()
     }
 
-    /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady; what its few
+    /// Where a surface explains all blocks, and better along the motion than along the reversed one: creeping is the first order of sliding over it, straight and steady; what its few
     /// numbers save in evidence says nothing of which it is. The surface, which has that course among others, takes its probability.
     fn of_one_surface(mut self) -> Self {
         self.0[Regime::Sliding as usize] += std::mem::take(&mut self.0[Regime::Creeping as usize]);

@@ -204,8 +204,8 @@ impl SessionGroove {
                 else {
                     continue;
                 };
-                let truth = groove + trajectory.direction * reading.added_mm + self.offset_mm;
-                let truth = self.frame.rotation() * truth;
+                let moved = trajectory.direction * reading.added_mm + self.offset_mm;
+                let truth = self.frame.rotation() * (groove + moved);
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else {
                     continue;
                 };
@@ -217,6 +217,8 @@ impl SessionGroove {
                     continue;
                 };
                 all.push(Compared {
+                    reading: reading.reading,
+                    moved_mm: moved.norm(),
                     trajectory: trajectory.id,
                     arclength_mm: state.s_mm,
                     error_mm: (at - truth).norm(),

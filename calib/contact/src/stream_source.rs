@@ -7,6 +7,7 @@ use crate::known_groove::{KnownGroove, KnownPlace};
 use crate::known_motion::MotionLog;
 use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::regimes::{ANY_OBJECT, GROOVE};
+use crate::sliding::FrictionPrior;
 use crate::stream_motion::{StreamMotion, kernel};
 use crate::track::Input;
 use crate::track_document::{
@@ -47,6 +48,8 @@ pub struct StreamSettings {
     pub vouched: bool,
     /// Relative standard deviation of the diameter of a wire that is not the calibration's own.
     pub diameter_sd: Option<f64>,
+    /// What is known of the friction on an object.
+    pub friction: FrictionPrior,
     /// What is assumed of the motion.
     pub accuracy: MotionAccuracy,
 }
@@ -368,7 +371,8 @@ impl<'a> Whisker<'a> {
                         .wire(&whisker)
                         .map_err(ContactError::in_file(&l.place))?;
                     let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm)
-                        .with_tolerance(stream.diameter_sd);
+                        .with_tolerance(stream.diameter_sd)
+                        .with_friction(stream.friction);
                     let middle_mm = frame.rotation().inverse() * wire.middle_mm();
                     // The prefix is long enough; a reading that comes sooner solves what it needs itself.
                     let filled = wire.clone();

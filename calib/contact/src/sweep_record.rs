@@ -18,6 +18,7 @@ const MIN_FREE: usize = 3;
 
 /// A reading, moments in the frame of the wire.
 pub(crate) struct SweepRow {
+    pub t_s: f64,
     pub moment_nmm: Vector2<f64>,
     pub noise_nmm2: Matrix2<f64>,
     pub shared_nmm: Vec<Vector2<f64>>,
@@ -42,6 +43,7 @@ pub(crate) fn sweep_rows(
     let one = |reading: Reading| {
         let (t_s, m) = (reading.t_s, in_wire_frame(frame, &reading).moments?);
         Some(SweepRow {
+            t_s,
             moment_nmm: m.moment_nmm.into(),
             noise_nmm2: m.pose_nmm2,
             shared_nmm: m.shared_nmm.iter().map(|h| Vector2::from(*h)).collect(),
@@ -65,12 +67,11 @@ pub(crate) struct SweepZero {
 }
 
 impl SweepZero {
-    /// From rows and where the free wire is clear of the object; a reading that is clear, but no longer steady, counts as loaded. None where
-    /// too few readings are free.
-    pub fn new(rows: &[SweepRow], clear: &[bool]) -> Option<Self> {
+    /// From rows and how many of the first the free wire is clear of the object, as the clock is said to be and with one that is off; a reading
+    /// that is clear, but no longer steady, counts as loaded. None where too few readings are free.
+    pub fn new(rows: &[SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
         let moments: Vec<Vector2<f64>> = rows.iter().map(|r| r.moment_nmm).collect();
-        let before = clear.iter().take_while(|c| **c).count();
-        let free = steady(&moments, 0.0).map_or(before, |s| s.count.min(before));
+        let free = steady(&moments, 0.0).map_or(clear.min(MIN_FREE), |s| s.count.min(at_most));
         if free < MIN_FREE {
             return None;
         }

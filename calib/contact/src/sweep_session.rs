@@ -9,8 +9,14 @@ use toml::{Table, Value};
 pub const KIND: &str = "sweep";
 /// A mesh that is placed by hand lies within this of where it is said to lie, mm, where the session states nothing.
 pub const PLACED_SD_MM: f64 = 0.5;
-/// Uncertainties that a place may state, mm.
-const PLACED_SD_RANGE_MM: [f64; 2] = [0.0, 100.0];
+/// What a session may state of its object in `[object]`, as standard deviations: key, unit, what is taken where nothing is stated, and the range.
+/// Clocks of two programs lie within two seconds of each other; what is set down by eye is a degree or two off; a part is within a per cent of its mesh.
+const UNKNOWNS: [(&str, &str, f64, [f64; 2]); 4] = [
+    ("clock_sd_s", "s", 1.0, [0.0, 60.0]),
+    ("sd_mm", "mm", PLACED_SD_MM, [0.0, 100.0]),
+    ("turn_sd_deg", "deg", 1.0, [0.0, 90.0]),
+    ("size_sd", "(a share of the size)", 0.01, [0.0, 0.5]),
+];
 
 /// Files of a sweep.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,8 +29,9 @@ pub struct SweepSession {
     pub object: Option<PathBuf>,
     /// Where the mesh lies in the frame of those poses, where it is known.
     pub world_from_object: Option<Isometry3<f64>>,
-    /// Standard deviation of that place in each coordinate, mm.
-    pub object_sd_mm: f64,
+    /// Standard deviations of the clock between readings and motion (s), and of the object's place in each coordinate (mm), turn (degrees) and
+    /// size (relative).
+    pub unknown_sd: [f64; 4],
 }
 
 impl SweepSession {
@@ -62,18 +69,22 @@ impl SweepSession {
                 Some(pose)
             }
         };
-        let object_sd_mm = match of_object("sd_mm") {
-            None => PLACED_SD_MM,
-            Some(value) => {
-                let [low, high] = PLACED_SD_RANGE_MM;
-                number(value)
+        let mut unknown_sd = [0.0; 4];
+        for (sd, (key, unit, usual, [low, high])) in unknown_sd.iter_mut().zip(UNKNOWNS) {
+            *sd = match of_object(key) {
+                None => usual,
+                Some(value) => number(value)
                     .filter(|sd| (low..=high).contains(sd))
                     .ok_or_else(|| {
-                        let expected = format!("{low} to {high} mm");
-                        ContactError::value(at("object.sd_mm"), expected, value.to_string())
-                    })?
-            }
-        };
+                        let expected = format!("{low} to {high} {unit}");
+                        ContactError::value(
+                            at(&format!("object.{key}")),
+                            expected,
+                            value.to_string(),
+                        )
+                    })?,
+            };
+        }
         let missing = || ContactError::value(at("files.points"), "a table of readings", "none");
         let id = session
             .get("id")
@@ -86,7 +97,7 @@ impl SweepSession {
             points,
             object: file("object"),
             world_from_object,
-            object_sd_mm,
+            unknown_sd,
         }))
     }
 }

@@ -281,7 +281,7 @@ impl ContactDocument {
 /// How well a motion predicts a sliding contact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct SlidingDocument {
-    /// Log likelihood of the predicted readings.
+    /// Marginal log likelihood of the readings along the motion, natural units of 1/(N mm)^2 a block.
     pub log_evidence: f64,
     /// The same of the reversed motion.
     pub reversed_log_evidence: f64,

@@ -16,7 +16,7 @@ const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
      world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,segment,arclength_regions95,\
-     several_probability,object_distance_mm";
+     several_probability,object_distance_mm,assumes";
 
 /// A row of a track.
 #[derive(Debug, Clone)]
@@ -47,6 +47,8 @@ pub struct TrackRow {
     pub several: Option<f64>,
     /// Distance of the contact from an object whose place is known, positive outside, mm.
     pub object_mm: Option<f64>,
+    /// What the contact's regions assume.
+    pub assumes: String,
 }
 
 /// Appends numbers, or as many empty cells.
@@ -152,7 +154,7 @@ impl TrackRow {
             1,
             4,
         );
-        out.push('\n');
+        let _ = writeln!(out, ",{}", self.assumes);
         out
     }
 

@@ -249,6 +249,10 @@ impl ContactTracker {
 }
 
 impl Estimator for ContactTracker {
+    fn assumes(&self) -> String {
+        self.of.wire.assumes()
+    }
+
     fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
         let number = self.readings;
         self.readings += 1;

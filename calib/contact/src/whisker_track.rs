@@ -183,6 +183,7 @@ impl<'a> WhiskerTrack<'a> {
             regions,
             several,
             object_mm,
+            assumes: estimate.map_or_else(String::new, |_| self.estimator.assumes()),
         }
     }
 

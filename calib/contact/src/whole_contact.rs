@@ -267,7 +267,7 @@ impl WholeContact {
             blocks,
             factors: true,
         };
-        Some(weighed.evidence(of.prior, sliding.ln_evidence, sliding.sure()))
+        Some(weighed.evidence(of.prior, sliding.ln_evidence, sliding.supported()))
     }
 
     /// Locates it in each way that its weights allow.
@@ -435,8 +435,8 @@ impl WholeContact {
             (None, _) if self.flags().has(Flags::UNDECIDED) => Some("a way in which its point of the object may move could not be looked at, for want of \
                  readings; marked undecided in status".to_owned()),
             (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
-            (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, or the motion turns \
-                 back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
+            (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, depends on its \
+                 start, or the motion turns back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
                 .to_owned()),
             (Some(Regime::Sliding), _) => Some("it slides over the object".to_owned()),
             _ => None,

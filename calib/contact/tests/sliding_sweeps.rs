@@ -96,7 +96,7 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let found: Vec<_> = followed().iter().map(one).collect();
     println!("SIMULATED; error of the wire's axis in space, mm");
     for (seed, rows, _, contact) in &found {
-        let cost = -2.0 * contact.evidence / contact.predicted.max(1) as f64;
+        let cost = contact.cost / contact.predicted.max(1) as f64;
         let sure = if contact.sure() { "sure" } else { "not sure" };
         println!("{seed}: {} J / n {cost:.2}, {sure}", said(rows));
     }

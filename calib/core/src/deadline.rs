@@ -166,11 +166,6 @@ impl Deadline {
         }
     }
 
-    /// The time that was allowed.
-    pub fn allowed(&self) -> Duration {
-        self.allowed
-    }
-
     /// What is left; zero when it is over or interrupted.
     pub fn remaining(&self) -> Duration {
         match self.interrupt.signal() {

@@ -12,6 +12,7 @@ pub mod device;
 pub mod document;
 pub mod files;
 pub mod format;
+pub mod jackknife;
 pub mod least_squares;
 pub mod lock;
 pub mod map_document;

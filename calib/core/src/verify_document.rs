@@ -90,7 +90,7 @@ pub struct VerifyDocument {
     pub coverage95: Option<f64>,
     /// The measurement that would decide.
     pub next_measurement: Option<NextMeasurement>,
-    /// Detectability of each effect: the smallest size found with 90 % power.
+    /// Detectability of each effect: the smallest size that these data show.
     pub detectable: Vec<Detectable>,
     /// Seed.
     pub seed: u64,

@@ -1,12 +1,11 @@
 //! Renders the results of a session to one self-contained HTML page that reads well offline, in print, in light and in dark.
 //!
 //! The crate computes nothing: it shows what other crates computed. The only arithmetic is that of display: scaling of
-//! axes, the difference measured − predicted, and the ratio of an error to the noise floor.
+//! axes, the difference measured − predicted, and the ratio of an error to what the model after expects.
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
-//! - [`plain_page`]: any other page, from its sections; [`plot`], [`Table`] and [`list`] make what is in them.
 //!
 //! ```
 //! let verify = wcal_core::verify_document::VerifyDocument::refused("session", "axis", "no readings", 1);
@@ -19,7 +18,7 @@ mod input;
 mod markup;
 mod number;
 mod page;
-pub mod plot;
+mod plot;
 mod sections;
 mod shapes;
 
@@ -27,8 +26,6 @@ pub use input::{
     EvidenceRow, Fact, GateTest, IndexEntry, NamedError, ReportInput, TwinMark, TwinTrajectory,
     model_after,
 };
-pub use markup::{Table, TableCell, list};
 pub use number::{number, p_value, percent, with_interval};
-pub use page::{plain_page, render, render_index};
-pub use sections::parts::{legend, series};
+pub use page::{render, render_index};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};

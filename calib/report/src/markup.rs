@@ -49,12 +49,10 @@ pub fn list(items: &[String]) -> String {
 /// One cell of a table.
 #[derive(Debug, Clone)]
 pub enum TableCell {
-    /// Left-aligned text.
+    /// Text, or a number that is formatted.
     Text(String),
-    /// Right-aligned number, already formatted.
-    Number(String),
-    /// Number with smaller lines below.
-    NumberWithNotes(String, Vec<String>),
+    /// The same with smaller lines below.
+    WithNotes(String, Vec<String>),
     /// Identifier in a fixed-width face.
     Code(String),
     /// Pill with a class for its colour.
@@ -64,28 +62,29 @@ pub enum TableCell {
 }
 
 impl TableCell {
-    fn html(&self) -> (&'static str, String) {
+    fn html(&self) -> String {
         match self {
-            Self::Text(text) => ("", escape(text)),
-            Self::Number(text) => ("num", escape(text)),
-            Self::NumberWithNotes(text, notes) => {
+            Self::Text(text) => escape(text),
+            Self::WithNotes(text, notes) => {
                 let notes: String = notes
                     .iter()
                     .map(|n| format!("<small>{}</small>", escape(n)))
                     .collect();
-                ("num", escape(text) + &notes)
+                escape(text) + &notes
             }
-            Self::Code(text) => ("", format!("<code>{}</code>", escape(text))),
-            Self::Badge(class, text) => (
-                "",
-                format!("<span class=\"pill {class}\">{}</span>", escape(text)),
-            ),
-            Self::Link(href, text) if href.is_empty() || href.contains(':') => ("", escape(text)),
-            Self::Link(href, text) => (
-                "",
-                format!("<a href=\"{}\">{}</a>", escape(href), escape(text)),
-            ),
+            Self::Code(text) => format!("<code>{}</code>", escape(text)),
+            Self::Badge(class, text) => {
+                format!("<span class=\"pill {class}\">{}</span>", escape(text))
+            }
+            Self::Link(href, text) if href.is_empty() || href.contains(':') => escape(text),
+            Self::Link(href, text) => format!("<a href=\"{}\">{}</a>", escape(href), escape(text)),
         }
+    }
+}
+
+impl From<String> for TableCell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
     }
 }
 
@@ -123,8 +122,8 @@ impl Table {
     }
 
     /// Adds a row.
-    pub fn row(&mut self, cells: Vec<TableCell>) {
-        self.marked_row("", cells);
+    pub fn row<C: Into<TableCell>>(&mut self, cells: impl IntoIterator<Item = C>) {
+        self.marked_row("", cells.into_iter().map(C::into).collect());
     }
 
     /// Adds a row with a class.
@@ -132,13 +131,11 @@ impl Table {
         self.rows.push((class, cells));
     }
 
-    /// True before the first row.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
-
     /// The table inside a box that scrolls sideways where the page is narrow.
     pub fn html(&self) -> String {
+        if self.rows.is_empty() {
+            return String::new();
+        }
         let caption = escape(&self.caption);
         let class = if self.stacked {
             " class=\"stacked\""
@@ -156,15 +153,14 @@ impl Table {
         for (class, cells) in &self.rows {
             let _ = write!(out, "<tr{}>", attribute("class", class));
             for (k, cell) in cells.iter().enumerate() {
-                let (kind, html) = cell.html();
-                let class = attribute("class", kind);
-                // A card has no head: each cell says what it is.
-                let name = self
+                let html = cell.html();
+                let (name, is_number) = self
                     .columns
                     .get(k)
-                    .filter(|_| self.stacked)
-                    .map_or("", |c| c.0.as_str());
-                let label = attribute("data-label", &escape(name));
+                    .map_or(("", false), |c| (c.0.as_str(), c.1));
+                let class = attribute("class", if is_number { "num" } else { "" });
+                // A card has no head: each cell says what it is.
+                let label = attribute("data-label", &escape(if self.stacked { name } else { "" }));
                 let _ = match k {
                     0 => write!(out, "<th scope=\"row\"{class}>{html}</th>"),
                     _ => write!(out, "<td{class}{label}>{html}</td>"),
@@ -198,10 +194,8 @@ mod tests {
     #[test]
     fn table_heads_rows_and_columns() {
         let mut table = Table::new("a <b>", &["name", "#value"]);
-        table.row(vec![
-            TableCell::Code("x&y".into()),
-            TableCell::Number("1".into()),
-        ]);
+        assert_eq!(table.html(), "");
+        table.row([TableCell::Code("x&y".into()), TableCell::Text("1".into())]);
         let html = table.html();
         assert!(html.contains("<caption>a &lt;b&gt;</caption>"));
         assert!(

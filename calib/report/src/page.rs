@@ -4,6 +4,7 @@ use crate::input::{Fact, IndexEntry, ReportInput};
 use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
+use wcal_core::verify_document::ContactError;
 
 /// Badge of simulated data.
 const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
@@ -36,11 +37,20 @@ pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
 /// Header with the verdict, contents and all sections of a session.
 fn session(input: &ReportInput) -> String {
     let sections = sections::all(input);
-    let mut out = format!(
-        "<article id=\"top\">\n<header>\n{}{}",
-        headline(input),
-        banner(input)
+    let verify = &input.verify;
+    let (kind, name) = (escape(&verify.kind), escape(&verify.session));
+    let over = format!("Calibration report · {kind} session <code>{name}</code>");
+    let how = input
+        .simulated_by
+        .as_ref()
+        .map_or(String::new(), |how| format!(": {how}"));
+    let head = headline(
+        &over,
+        input.heading(),
+        verify.simulated.then_some(how.as_str()),
+        &input.facts,
     );
+    let mut out = format!("<article id=\"top\">\n<header>\n{head}{}", banner(input));
     out.push_str("<nav aria-label=\"Contents\"><ul>");
     for section in &sections {
         let _ = write!(
@@ -64,23 +74,21 @@ fn section_html(id: &str, heading: &str, body: &str) -> String {
     )
 }
 
-fn headline(input: &ReportInput) -> String {
-    let verify = &input.verify;
-    let badge = if verify.simulated { SIMULATED } else { "" };
-    let mut out = format!(
-        "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<h1>{}</h1>\n",
-        escape(&verify.kind),
-        escape(&verify.session),
-        escape(input.heading())
-    );
-    if verify.simulated {
-        let how = input
-            .simulated_by
-            .as_ref()
-            .map_or(String::new(), |how| format!(": {}", escape(how)));
-        out += &format!("<p class=\"simulated\">Simulated data, not a measurement{how}.</p>\n");
-    }
-    out + &facts(&input.facts)
+/// What a page begins with, `over` its kind in HTML; `how` the data were simulated.
+fn headline(over: &str, title: &str, how: Option<&str>, stated: &[Fact]) -> String {
+    let mark = |how| {
+        format!(
+            "<p class=\"simulated\">Simulated data, not a measurement{}.</p>\n",
+            escape(how)
+        )
+    };
+    let badge = how.map_or("", |_| SIMULATED);
+    format!(
+        "<p class=\"over\">{over} {badge}</p>\n<h1>{}</h1>\n{}{}",
+        escape(title),
+        how.map(mark).unwrap_or_default(),
+        facts(stated)
+    )
 }
 
 fn banner(input: &ReportInput) -> String {
@@ -89,7 +97,7 @@ fn banner(input: &ReportInput) -> String {
         "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
         paragraph(&input.verify.reason)
     );
-    if let Some([name, before, after, floor]) =
+    if let Some([name, before, after, expected]) =
         before_after::summary(&input.verify, input.response_unit())
     {
         let cell = |head: &str, value: &str| {
@@ -101,21 +109,29 @@ fn banner(input: &ReportInput) -> String {
             escape(&name),
             cell("before", &before),
             cell("after", &after),
-            cell("noise floor", &floor)
+            cell("expected", &expected)
         );
     }
     for caution in &input.verify.cautions {
         let _ = write!(out, "<p>Caution: {}</p>", escape(caution));
     }
     if let Some(c) = &input.verify.contact {
-        let cell = |head: &str, mm: f64| format!("<div><dt>{head}</dt><dd>{mm:.2} mm</dd></div>");
+        let cell = |head: &str, mm: &str| format!("<div><dt>{head}</dt><dd>{mm}</dd></div>");
+        let interval = |e: &ContactError| {
+            e.interval95.map_or(String::new(), |[low, high]| {
+                format!(" [{low:.2}, {high:.2}]")
+            })
+        };
+        let error = |e: &ContactError| format!("{:.2} mm{}", e.rms_mm, interval(e));
         let _ = write!(
             out,
-            "<dl><div class=\"wide\"><dt>contact</dt><dd>{} readings at the groove</dd></div>{}{}{}</dl>",
+            "<dl><div class=\"wide\"><dt>contact{}</dt><dd>{} readings of {} trajectories, each left out in turn</dd></div>{}{}{}</dl>",
+            if c.is_same() { ": no difference" } else { "" },
             c.readings,
-            cell("before", c.before.rms_mm),
-            cell("after", c.after.rms_mm),
-            cell("bound", c.bound_mm)
+            c.trajectories.len(),
+            cell("before", &error(&c.before)),
+            cell("after", &error(&c.after)),
+            cell("expected", &format!("{:.2} mm", c.bound_mm))
         );
     }
     out + "</div>\n"
@@ -129,19 +145,8 @@ pub fn plain_page(
     input: &[Fact],
     parts: &[(&str, &str, String)],
 ) -> String {
-    let (badge, line) = match simulated {
-        true => (
-            SIMULATED,
-            "<p class=\"simulated\">Simulated data, not a measurement.</p>\n",
-        ),
-        false => ("", ""),
-    };
-    let mut body = format!(
-        "<header><p class=\"over\">{} {badge}</p>\n<h1>{}</h1>\n{line}{}</header>\n",
-        escape(over),
-        escape(title),
-        facts(input)
-    );
+    let head = headline(&escape(over), title, simulated.then_some(""), input);
+    let mut body = format!("<header>{head}</header>\n");
     for (id, heading, inner) in parts.iter().filter(|p| !p.2.is_empty()) {
         body += &section_html(id, heading, inner);
     }
@@ -189,13 +194,13 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
             "quantity",
             "#before",
             "#after",
-            "#noise floor",
+            "#expected",
             "#contact (mm)",
         ],
     );
     for entry in entries {
         let (class, short, _) = verdict::of(&entry.verify);
-        let [name, before, after, floor] =
+        let [name, before, after, expected] =
             before_after::summary(&entry.verify, &entry.response_unit)
                 .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
         let contact = entry.verify.contact.as_ref().map_or_else(
@@ -206,16 +211,16 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
             true => TableCell::Badge("sim", "SIMULATED".into()),
             false => TableCell::Text("measured".into()),
         };
-        table.row(vec![
+        table.row([
             TableCell::Link(entry.href.clone(), entry.title.clone()),
             data,
             TableCell::Badge(class, short.into()),
             TableCell::Text(entry.verify.reason.clone()),
             TableCell::Text(name),
-            TableCell::Number(before),
-            TableCell::Number(after),
-            TableCell::Number(floor),
-            TableCell::Number(contact),
+            TableCell::Text(before),
+            TableCell::Text(after),
+            TableCell::Text(expected),
+            TableCell::Text(contact),
         ]);
     }
     out + &table.html() + "</section>\n"

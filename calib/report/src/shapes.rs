@@ -6,7 +6,7 @@ use crate::markup::{Table, TableCell, escape, list};
 use crate::number::number;
 use crate::page::{facts, plain_page};
 use crate::plot::{Axis, Layer, Plot, svg};
-use crate::sections::parts::{legend, series};
+use crate::sections::parts::{badge, legend, series};
 use std::fmt::Write;
 
 /// What the page shows.
@@ -94,24 +94,9 @@ pub fn render_shapes(input: &ShapesInput) -> String {
 fn rejected(pairs: &[[String; 2]]) -> String {
     let mut table = Table::new("Pairs that could not be used", &["pair", "why"]);
     for [name, why] in pairs {
-        table.row(vec![
-            TableCell::Code(name.clone()),
-            TableCell::Text(why.clone()),
-        ]);
+        table.row([TableCell::Code(name.clone()), TableCell::Text(why.clone())]);
     }
-    if table.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    }
-}
-
-fn badge(simulated: bool) -> &'static str {
-    if simulated {
-        "<span class=\"pill sim\">SIMULATED</span> "
-    } else {
-        ""
-    }
+    table.html()
 }
 
 fn pair(input: &ShapePair, simulated: bool) -> String {
@@ -235,14 +220,10 @@ fn space(input: &ShapesInput) -> String {
         .filter_map(|p| Some((&p.name, p.groove_mm?)))
     {
         let mut row = vec![TableCell::Code(name.clone())];
-        row.extend(place.map(|v| TableCell::Number(number(v))));
+        row.extend(place.map(|v| TableCell::Text(number(v))));
         table.row(row);
     }
-    let table = if table.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    };
+    let table = table.html();
     format!(
         "<figure class=\"whole\"><canvas id=\"turn\" role=\"img\" aria-label=\"Centre lines in space\"></canvas>\
          <div id=\"names\" class=\"legend\"></div><figcaption>{}Centre lines in the base frame. Drag to turn, wheel to zoom.</figcaption>\

@@ -35,6 +35,5 @@ pub use kirchhoff::integrate;
 pub use kirchhoff::solve::{
     Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM, interpolated_point,
 };
-pub use kirchhoff::stability::Hold;
 pub use material::{Section, Softening};
 pub use shape::Shape;

@@ -39,6 +39,7 @@ const MISSING: &[&str] = &[
     "?",
     "inf",
     "infinity",
+    "\u{221e}",
     "ol",
     "0l",
     "over",

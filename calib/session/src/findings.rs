@@ -209,7 +209,20 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
     let rows = &data.rows;
     let any = |is: fn(&WhiskerRow) -> bool| rows.iter().any(is);
     let temperature = any(|r| r.reference_shift_pm.is_some() || r.temperature_degc.is_some());
-    vec![
+    let moving = any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0));
+    let averaging = [
+        (
+            "samples",
+            any(|r| r.samples.is_some()),
+            "how much shorter moving rows were averaged, where no reference grating shows it,",
+        ),
+        (
+            "average_s",
+            any(|r| r.average_s.is_some()),
+            "a lag apart from half the averaging time",
+        ),
+    ];
+    let columns = [
         (
             "stage_mm",
             any(|r| r.stage_mm.is_some()),
@@ -220,11 +233,7 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
             any(|r| r.direction == Some(-1.0)),
             "stage-backlash, hysteresis",
         ),
-        (
-            "a moving row (speed_mm_s above 0)",
-            any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0)),
-            "time-lag",
-        ),
+        ("a moving row (speed_mm_s above 0)", moving, "time-lag"),
         ("t_s", any(|r| r.t_s.is_some()), "zero-drift, creep"),
         (
             "dwell_s",
@@ -241,7 +250,11 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
             data.whisker.gravity_direction.is_some(),
             "gravity",
         ),
-    ]
+    ];
+    columns
+        .into_iter()
+        .chain(averaging.into_iter().filter(|_| moving))
+        .collect()
 }
 
 /// What the noise floor can be taken from: rows that repeat a pose, or trajectories that were run again.

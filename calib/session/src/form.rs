@@ -11,6 +11,9 @@ use csv::StringRecord;
 const BELOW: usize = 8;
 /// Lines among which the header is looked for.
 pub(crate) const LOOK: usize = 2000;
+/// How the columns are called under which an oscilloscope writes, once below the header, the first time and the step of its samples.
+const START: [&str; 5] = ["start", "x0", "xzero", "xorigin", "t0"];
+const STEP: [&str; 6] = ["increment", "xincrement", "delta", "interval", "dx", "dt"];
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
 const LVM: [&str; 2] = ["LabVIEW Measurement", "***End_of_Header***"];
 
@@ -244,13 +247,14 @@ impl Form {
             }
             all = rest;
         }
-        let (comments, all): (Vec<Record>, Vec<Record>) =
+        let (comments, mut all): (Vec<Record>, Vec<Record>) =
             all.into_iter().partition(|(_, cells)| is_comment(cells));
         if !comments.is_empty() {
             form.remarks
                 .push(format!("comments in line(s) {}", lines(&comments)));
         }
         form.units.clone_from(&preamble.units);
+        let sampled = form.sampling(&mut all);
         form.take(place, all)?;
         // A column at the end that has cells and no name.
         let width = form.columns.len();
@@ -266,8 +270,50 @@ impl Form {
         form.columns.extend(unnamed.into_iter().take(count));
         form.accounting();
         form.units.resize(form.columns.len(), String::new());
-        form.complete(preamble);
+        form.complete(sampled.or(preamble.times), sampled.is_some());
         Ok(form)
+    }
+
+    /// First time and step of samples that the first column counts: they stand in the line below the header alone, and are taken out of it.
+    fn sampling(&mut self, all: &mut [Record]) -> Option<[f64; 2]> {
+        let ((_, head), rows) = all.split_first_mut().filter(|(_, rows)| !rows.is_empty())?;
+        if head
+            .get(0)
+            .is_none_or(|first| content(first) != Content::Text)
+        {
+            return None;
+        }
+        let stated = |names: &[&str]| {
+            let called = |name: &String| {
+                let word: String = name
+                    .to_lowercase()
+                    .chars()
+                    .filter(|c| c.is_alphanumeric())
+                    .collect();
+                names.contains(&word.as_str())
+            };
+            let column = self.columns.iter().position(called)?;
+            let alone = rows
+                .iter()
+                .all(|(_, cells)| cells.get(column).is_none_or(str::is_empty));
+            Some((
+                column,
+                head.get(column)?.parse::<f64>().ok().filter(|_| alone)?,
+            ))
+        };
+        let (start, step) = (stated(&START)?, stated(&STEP)?);
+        let [of_start, of_step] = [start.0, step.0].map(|k| &self.columns[k]);
+        self.remarks.push(format!(
+            "{} counts samples: times in s by {of_start} and {of_step}",
+            self.columns[0]
+        ));
+        let words = head.iter().enumerate().map(|(k, cell)| match k {
+            0 => "s",
+            _ if k == start.0 || k == step.0 => "",
+            _ => cell,
+        });
+        *head = words.collect();
+        Some([start.1, step.1])
     }
 
     /// Takes the rows: of each part between two headers what is left without the lines of text below its header and at its end.
@@ -435,8 +481,9 @@ impl Form {
         Err(error.hint("another table begins there: split the file"))
     }
 
-    /// Says the units, and fills in what a LabVIEW measurement file leaves out of its rows: the times, and a comment that is empty.
-    fn complete(&mut self, preamble: &Preamble) {
+    /// Says the units, and fills in what a file with the first time and the step at its head leaves out of its rows: the times, where these are no
+    /// numbers of samples, and empty cells at the end.
+    fn complete(&mut self, times: Option<[f64; 2]>, counted: bool) {
         let units = self
             .columns
             .iter()
@@ -449,16 +496,16 @@ impl Form {
             self.remarks
                 .push(format!("units of the table: {}", units.join(", ")));
         }
-        let Some([start, step]) = preamble.times else {
-            return;
-        };
+        let Some([start, step]) = times else { return };
         let untimed = self.rows.iter().all(|(_, cells)| cells.get(0) == Some(""));
         for (k, (_, cells)) in self.rows.iter_mut().enumerate() {
-            let time = if untimed {
-                (start + step * k as f64).to_string()
+            let place = if counted {
+                cells[0].parse().ok()
             } else {
-                cells[0].to_owned()
+                untimed.then_some(k as f64)
             };
+            let time =
+                place.map_or_else(|| cells[0].to_owned(), |k| (start + step * k).to_string());
             let more = self.columns.len().saturating_sub(cells.len());
             let rest = cells
                 .iter()

@@ -223,17 +223,6 @@ impl Mesh {
         Ok(mesh)
     }
 
-    /// Turned and then shifted.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn placed(&self, turn: &Matrix3<f64>, shift_mm: &Vector3<f64>) -> Result<Self, SimError> {
-        let points: Vec<Vector3<f64>> = self.points().map(|p| turn * p + shift_mm).collect();
-        let mut mesh = Self::new(&self.name, &points, self.surface.indices())?;
-        mesh.notes.clone_from(&self.notes);
-        Ok(mesh)
-    }
-
     /// Corners, mm.
     pub fn points(&self) -> impl Iterator<Item = Vector3<f64>> + '_ {
         self.surface.vertices().iter().map(|v| vector(*v))

@@ -32,6 +32,17 @@ pub(crate) fn design_of(columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
     ))
 }
 
+/// A test of a part of the readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DesignTest {
+    /// Its level.
+    pub level: f64,
+    /// Length of a signature in that part.
+    pub norm: f64,
+    /// Degrees of freedom of what is left there.
+    pub dof: f64,
+}
+
 /// A session seen through a declared model and a catalogue: what the loop works on.
 ///
 /// The prediction is `design(terms) * B` with free coefficients B, one column a channel.
@@ -53,6 +64,10 @@ pub trait MeasurementModel: Sync {
     /// Catalogue entry of single readings far outside the noise.
     fn outliers(&self) -> Option<usize> {
         self.catalogue().iter().position(|e| e.is_outlier_process)
+    }
+    /// Columns that make a smooth curve of the declared model, whatever bends it: what single readings are judged by before anything has a name.
+    fn smooth_columns(&self) -> Vec<Vec<f64>> {
+        Vec::new()
     }
     /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
     /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
@@ -86,6 +101,15 @@ pub trait MeasurementModel: Sync {
     /// what repeats with them is no law of the clock, and a few places, or a single one, are no law of the stimulus.
     fn not_identified(&self, _h: &Hypothesis) -> Option<NotIdentified> {
         None
+    }
+    /// What the design of the experiment asks of a name beside the search: one of these tests of its `signature`, off what `h` takes up, must reject.
+    fn design_tests(
+        &self,
+        _h: &Hypothesis,
+        _term: &EffectTerm,
+        _signature: &DVector<f64>,
+    ) -> Vec<DesignTest> {
+        Vec::new()
     }
     /// Names among [`MeasurementModel::covariates`] of which nothing is known: they are tried in every shape.
     fn further_columns(&self) -> &[String] {

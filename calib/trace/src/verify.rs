@@ -15,7 +15,7 @@ mod explained;
 mod fold;
 pub mod judgement;
 mod left_out;
-mod refutation;
+pub mod prediction_residual;
 mod request;
 pub(crate) mod sealed_in_fit;
 pub mod session_model;
@@ -33,6 +33,7 @@ use decision::decide;
 use estimate_noise::{estimate_noise, fit_baseline};
 use evidence::MAX_ROUNDS;
 pub use explained::Explained;
+pub use left_out::FoldCalibrations;
 pub use request::VerifyRequest;
 pub use session_model::{HeldOut, SessionModel, SessionText};
 use wcal_core::Sealed;
@@ -54,7 +55,7 @@ pub fn verify<M: SessionModel>(
     if let Some(why) = model.refusal(&sealed) {
         return Ok(Verified::Refused(why)); //                                       1 data validation
     }
-    let mut e = fit_baseline(model, request)?; //                                   2 least trimmed squares, variable projection
+    let mut e = fit_baseline(model, request)?; //                                   2 variable projection, gross readings set apart
     let found = loop {
         while test_adequacy(&e.model, &e.search) {
             //                                                                      4 omnibus test

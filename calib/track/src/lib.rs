@@ -10,10 +10,8 @@ pub mod network;
 pub mod sd_factors;
 pub mod segments;
 pub mod stream;
-mod tare;
 pub mod tracker;
 
 pub use error::TrackError;
 pub use inverse::{InverseGrid, InverseSolution, StaticInverse};
-pub use tare::Tare;
 pub use tracker::{Sample, Tracker, TrackerStream};

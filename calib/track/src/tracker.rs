@@ -81,17 +81,6 @@ impl Tracker {
         }
     }
 
-    /// All answers of a series, each from what came before it.
-    pub fn track_series(&self, samples: &[Sample]) -> Vec<Prediction> {
-        self.track_series_with(self.filters, samples)
-    }
-
-    /// The same with other filters (measurement noise).
-    pub fn track_series_with(&self, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
-        let mut stream = self.stream_with(filters);
-        samples.iter().map(|sample| stream.push(sample)).collect()
-    }
-
     fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
         let k = self.config.nodes;
         let off = &out[k..k + 3];

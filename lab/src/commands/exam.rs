@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use wcal_exam::orders::MIXES;
 use wcal_exam::statements::{Auditor, LAYOUTS, NOISES, pooled};
+use wcal_exam::tracked_statements::TRACK_REGIMES;
 use wcal_exam::{
     Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise,
 };
@@ -61,9 +62,13 @@ pub struct ExamArgs {
     /// Keep sessions and results in this folder
     #[arg(long, value_name = "DIR")]
     pub keep: Option<PathBuf>,
-    /// Count how often each number that a user reads holds, in place of the mixes: `--draws` clean sessions of each noise and layout, and as many with an effect
-    #[arg(long, conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
-    pub statements: bool,
+    /// Count how often each number that a user reads holds, in place of the mixes
+    ///
+    /// `scalars`: `--draws` clean sessions of each noise and layout, and as many with an effect; `whiskers`: as many whiskers
+    /// without and with an effect; `tracks`: as many records of each regime; `all`.
+    #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks"],
+        conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
+    pub statements: Option<String>,
     /// Only write the sessions and truth.json
     #[arg(long, value_name = "DIR", conflicts_with_all = ["keep", "json", "record"])]
     pub write: Option<PathBuf>,
@@ -74,8 +79,8 @@ pub struct ExamArgs {
 /// # Errors
 /// Where a folder cannot be written, or this program's own place is not known.
 pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
-    if o.statements {
-        return audit(o);
+    if let Some(part) = &o.statements {
+        return audit(o, part);
     }
     let orders = orders(&o.mix, o.draws, o.seed, o.only.as_deref(), !o.no_rivals);
     if let Some(folder) = &o.write {
@@ -128,7 +133,7 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// The audit of statements: one line a statement over all draws, and one a noise and layout.
-fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
+fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
     let scratch = tempfile::tempdir()?;
     let auditor = Auditor {
         program: o
@@ -142,30 +147,52 @@ fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
         jobs: o.jobs,
         widened: 1.0,
     };
-    let rows = auditor.audit(&NOISES, &LAYOUTS, o.draws, o.seed)?;
+    let asked = |name: &str| part == "all" || part == name;
+    let rows = if asked("scalars") {
+        auditor.audit(&NOISES, &LAYOUTS, o.draws, o.seed)?
+    } else {
+        Vec::new()
+    };
+    let whiskers = if asked("whiskers") {
+        auditor.audit_whiskers(o.draws, o.seed)?
+    } else {
+        Vec::new()
+    };
+    let tracks = if asked("tracks") {
+        auditor.audit_tracks(&TRACK_REGIMES, o.draws, o.seed)?
+    } else {
+        Vec::new()
+    };
     println!("statement | noise | sweeps x readings | says | holds | of | 95 %");
     println!("---|---|---|---|---|---|---");
-    for row in pooled(&rows).iter().chain(&rows) {
+    for row in pooled(&rows)
+        .iter()
+        .chain(&whiskers)
+        .chain(&tracks)
+        .chain(&rows)
+    {
         let (k, n) = row.holds;
         let (low, high) = row.bounds();
         let [sweeps, places] = row.layout;
-        let layout = if sweeps == 0 {
-            "all".to_owned()
-        } else {
-            format!("{sweeps} x {places}")
+        let says = row
+            .says
+            .map_or_else(|| "-".to_owned(), |says| says.to_string());
+        let layout = match [sweeps, places] {
+            [0, _] => "all".to_owned(),
+            [records, 0] => format!("{records} records"),
+            _ => format!("{sweeps} x {places}"),
         };
         println!(
-            "{} | {} | {layout} | {} | {:.3} | {n} | [{low:.3}, {high:.3}]",
+            "{} | {} | {layout} | {says} | {:.3} | {n} | [{low:.3}, {high:.3}]",
             row.statement,
             row.noise,
-            row.says,
             k as f64 / n as f64
         );
     }
     if let Some(path) = &o.json {
         write(
             path,
-            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows}),
+            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows, "whiskers": whiskers, "tracks": tracks}),
         )?;
     }
     Ok(ExitCode::SUCCESS)

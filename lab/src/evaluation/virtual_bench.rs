@@ -6,6 +6,7 @@
 use crate::LabError;
 use crate::evaluation::request::{BenchCalibration, Calibrate};
 use crate::sweep_series::SweepSeries;
+use crate::tare::Tare;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -19,7 +20,6 @@ use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::session::draw_on;
 use wcal_plant::{CaseKind, Design, Kind, Request};
-use wcal_track::Tare;
 
 /// The bench.
 #[derive(Debug)]

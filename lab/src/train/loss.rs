@@ -167,6 +167,7 @@ mod tests {
     use super::super::window::WindowMaker;
     use super::super::window::tests::swept;
     use super::*;
+    use crate::evaluate::track_series;
     use crate::model_file::{preset, runnable};
     use std::collections::BTreeMap;
     use wcal_lab_sweeps::objects;
@@ -227,8 +228,7 @@ mod tests {
                 sd_factors,
             };
             let mut touching = 0;
-            for (k, answer) in tracker
-                .track_series(&samples)
+            for (k, answer) in track_series(&tracker, filters, &samples)
                 .iter()
                 .enumerate()
                 .filter(|(k, _)| lost[*k] > 0.0)

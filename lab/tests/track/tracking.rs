@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab::dataset::Dataset;
-use wcal_lab::evaluate::{Method, score_objects};
+use wcal_lab::evaluate::{Method, score_objects, track_series};
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{Card, Split, load, preset, runnable, save};
 use wcal_lab::network::TrainableNet;
@@ -237,7 +237,7 @@ fn a_base_that_goes_back_leaves_answers_finite() {
         all.iter_mut()
             .enumerate()
             .for_each(|(k, s)| s.base_mm_s = Some(speed(k)));
-        tracker.track_series(&all)
+        track_series(&tracker, tracker.filters, &all)
     };
     let back = answers(&|k| [0.0, -30.0, 5.0][k % 3]);
     assert!(
@@ -287,11 +287,11 @@ fn every_parameter_learns() {
 fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
     let tracker = tracker(tiny());
     let all = samples(&all_series()["ball"][0]);
-    let answers = tracker.track_series(&all);
+    let answers = track_series(&tracker, tracker.filters, &all);
     let change = |at: usize| {
         let mut changed = all.clone();
         changed[at].moment_nmm[0] += 0.3;
-        tracker.track_series(&changed)
+        track_series(&tracker, tracker.filters, &changed)
     };
     let middle = all.len() / 2;
     let later = change(middle);
@@ -346,16 +346,12 @@ fn a_network_that_weighs_two_filters_needs_both() {
             frictionless: Some(frictionless),
             ..both.filters
         };
-        Tracker {
-            filters,
-            ..both.clone()
-        }
-        .track_series(&all)
+        track_series(&both, filters, &all)
     };
     // The frictional filter in both places: another answer than with the one for objects without friction.
     let (alone, apart) = (
         with_frictionless(both.filters.frictional),
-        both.track_series(&all),
+        track_series(&both, both.filters, &all),
     );
     assert!(
         alone
@@ -414,7 +410,10 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         assert_eq!(card, read, "the same weights have one hash");
     }
     let all = samples(&all_series()["ball"][2]);
-    assert_eq!(before.track_series(&all), after.track_series(&all));
+    assert_eq!(
+        track_series(&before, before.filters, &all),
+        track_series(&after, after.filters, &all)
+    );
     // A card tells more than what is read: other keys are left alone.
     let path = folder.path().join("model.json");
     let mut old: serde_json::Value =
@@ -422,7 +421,11 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     old["remark"] = serde_json::json!({"slope": 0.5});
     std::fs::write(&path, old.to_string()).unwrap();
     let (of_old, read) = load(folder.path()).unwrap();
-    assert!(read == card && of_old.track_series(&all) == after.track_series(&all));
+    assert!(
+        read == card
+            && track_series(&of_old, of_old.filters, &all)
+                == track_series(&after, after.filters, &all)
+    );
     let weights = folder.path().join("model.safetensors");
     let bytes = std::fs::read(&weights).unwrap();
     std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();

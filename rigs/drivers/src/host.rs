@@ -19,3 +19,13 @@ pub(crate) fn io_error(device: &str, action: &str, error: &std::io::Error) -> De
     };
     DeviceError::new(kind, device, action, "a working link", error.to_string())
 }
+
+/// A number of a message, low byte first.
+pub(crate) fn u16_at(b: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes([b[at], b[at + 1]])
+}
+
+/// The same of four bytes.
+pub(crate) fn u32_at(b: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
+}

@@ -62,22 +62,24 @@ impl Drivers {
             chain.borrow_mut().reopen()?;
             return Ok(Rc::clone(chain));
         }
-        let chain = match (rig.port.starts_with("tcp://"), rig.baud) {
-            (false, None) => {
-                Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect)
-                    .map_err(|e| {
-                        self.silent(e, &Port::Serial(rig.port.clone(), BINARY_BAUD), rig.address)
-                    })?
-                    .0
-            }
-            _ => Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect)?,
+        let silent = |e| match probed(rig) {
+            true => self.silent(e, &Port::Serial(rig.port.clone(), BINARY_BAUD), rig.address),
+            false => e,
         };
-        let chain = Rc::new(RefCell::new(chain));
+        let chain = Rc::new(RefCell::new(self.open_chain(rig).map_err(silent)?));
         self.chain = Some(Rc::clone(&chain));
         Ok(chain)
     }
 
     /// The line of a binary rig; the second time the same one, on a new link.
+    fn open_chain(&self, rig: &StageRig) -> Result<Chain, DeviceError> {
+        if probed(rig) {
+            return Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect)
+                .map(|found| found.0);
+        }
+        Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect)
+    }
+
     fn line(&mut self, rig: &StageRig) -> Result<Rc<RefCell<BinaryLine>>, DeviceError> {
         if let Some(line) = &self.line {
             line.borrow_mut().reopen()?;
@@ -146,13 +148,7 @@ impl Drivers {
             );
         }
         line.borrow_mut().close();
-        let opened = match (rig.port.starts_with("tcp://"), rig.baud) {
-            (false, None) => {
-                Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect).map(|(c, _)| c)
-            }
-            _ => Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect),
-        };
-        match opened.and_then(|mut chain| chain.units()) {
+        match self.open_chain(rig).and_then(|mut chain| chain.units()) {
             Ok(units) if !units.is_empty() => {
                 let found =
                     "a unit that speaks the ASCII protocol: driver = \"zaber-ascii\" under [stage]";
@@ -193,6 +189,11 @@ fn nobody(why: DeviceError) -> DeviceError {
         }
         _ => why,
     }
+}
+
+/// Whether the speed of the rig's port is not known.
+fn probed(rig: &StageRig) -> bool {
+    !rig.port.starts_with("tcp://") && rig.baud.is_none()
 }
 
 fn port(rig: &StageRig, default_baud: u32) -> Port {

@@ -244,7 +244,17 @@ fn numbers_and_missing_values_of_other_programs_are_read() {
         let table = under("load,sig", &lines(|_, x, sig| format!("{},{sig}", load(x))));
         assert_eq!(import(&table, &[]).2, points(&[]), "{table}");
     }
-    for word in ["NaN", "n/a", "-", "", "OL", "#DIV/0!", "1.#INF", "Overflow"] {
+    for word in [
+        "NaN",
+        "n/a",
+        "-",
+        "",
+        "OL",
+        "#DIV/0!",
+        "1.#INF",
+        "Overflow",
+        "-\u{221e}",
+    ] {
         let table = under("load,sig", &rows).replace("0.9005", word);
         let (code, said, held) = import(&table, &[]);
         assert_eq!((code, held), (3, points(&[2])), "{word}: {said}");
@@ -274,6 +284,42 @@ fn numbers_and_missing_values_of_other_programs_are_read() {
     assert!(
         held[0].ends_with(",1") && held[4].ends_with(",-1"),
         "{held:?} {said}"
+    );
+}
+
+/// First time and step of the samples below the header of an oscilloscope.
+#[test]
+fn samples_that_are_counted_have_times() {
+    let rows = |last: &'static str| lines(move |k, load, sig| format!("{k},{load},{sig}{last}"));
+    for (head, below, last) in [
+        (
+            "X,load,sig,Start,Increment",
+            "Sequence,N,mV,-2.5e-1,0.5",
+            ",,",
+        ),
+        (
+            "X,load,sig,XZERO,XINCREMENT",
+            "Sequence,N,mV,-2.5e-1,5e-01",
+            "",
+        ),
+    ] {
+        let table = format!("{head}\n{below}\n{}", rows(last).concat());
+        let (code, said, held) = import(&table, &["--time", "X"]);
+        assert!(
+            code == 0 && said.contains("counts samples"),
+            "{code} {said}"
+        );
+        assert!(
+            held[0].ends_with(",-0.25") && held[4].ends_with(",1.75"),
+            "{held:?}"
+        );
+    }
+    // Control: columns of these names with a number in each row are columns.
+    let table = format!("X,load,sig,Start,Increment\n{}", rows(",0,0.5").concat());
+    let (_, said, held) = import(&table, &["--time", "X"]);
+    assert!(
+        !said.contains("counts samples") && held[4].ends_with(",4"),
+        "{said} {held:?}"
     );
 }
 

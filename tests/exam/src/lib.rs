@@ -7,6 +7,8 @@ mod run;
 mod score;
 pub mod statements;
 mod summary;
+pub mod tracked_statements;
+mod whisker_statements;
 
 pub use orders::{Order, orders};
 pub use run::{Examiner, Paper, answer};

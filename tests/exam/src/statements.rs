@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! interval, prediction: the truth lies inside;   p value: it lies below the level where nothing acts;
-//! detectable size: the effect is named where it acts at just that size in another recording of the instrument
+//! detectable size: with the effect at just that size, another recording of the instrument is not called adequate
 //! ```
 
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use anyhow::Context;
 use serde::Serialize;
 use serde_json::Value;
 use wcal_plant::scalar::{
-    self, EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest,
+    self, EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest, StatedLaw,
 };
 
 /// How often one kind of number held under one kind of noise and layout.
@@ -24,8 +24,8 @@ use wcal_plant::scalar::{
 pub struct StatementRow {
     /// The number.
     pub statement: String,
-    /// Share of cases in which it says that it holds.
-    pub says: f64,
+    /// Share of cases in which it says that it holds; none where nothing is said of it.
+    pub says: Option<f64>,
     /// Kind of noise.
     pub noise: &'static str,
     /// Sweeps of points.csv and readings of each.
@@ -53,10 +53,10 @@ impl StatementRow {
         clopper_pearson(self.holds.0, self.holds.1)
     }
 
-    /// Whether the counts agree with what the number says.
+    /// Whether the counts agree with what the number says, if anything.
     pub fn agrees(&self) -> bool {
         let (low, high) = self.bounds();
-        (low..=high).contains(&self.says)
+        self.says.is_none_or(|says| (low..=high).contains(&says))
     }
 }
 
@@ -88,7 +88,7 @@ const CLEAR: f64 = 20.0;
 const LEVEL: f64 = 0.05;
 
 type Key = (String, &'static str, [usize; 2]);
-type Tally = BTreeMap<Key, (f64, usize, usize)>;
+type Tally = BTreeMap<Key, (Option<f64>, usize, usize)>;
 
 /// One session and what is counted on it.
 struct Draw {
@@ -109,45 +109,48 @@ impl Auditor {
         draws: usize,
         seed: u64,
     ) -> anyhow::Result<Vec<StatementRow>> {
-        let orders = orders(noises, layouts, draws, seed);
-        let (next, tally, failed) = (
+        let counted = self.each(&orders(noises, layouts, draws, seed), |draw| {
+            let layout = [draw.layout.sweeps, draw.layout.places];
+            Ok(self
+                .one(draw)?
+                .into_iter()
+                .map(|c| (c, draw.request.noise.name(), layout))
+                .collect())
+        })?;
+        Ok(tallied(counted))
+    }
+
+    /// What is counted on each of these, some at a time.
+    pub(crate) fn each<T: Sync>(
+        &self,
+        orders: &[T],
+        one: impl Fn(&T) -> anyhow::Result<Vec<Labelled>> + Sync,
+    ) -> anyhow::Result<Vec<Labelled>> {
+        let (next, all, failed) = (
             AtomicUsize::new(0),
-            Mutex::new(Tally::new()),
+            Mutex::new(Vec::new()),
             Mutex::new(None),
         );
         std::thread::scope(|scope| {
             for _ in 0..self.jobs.max(1) {
                 scope.spawn(|| {
-                    while let Some(draw) = orders.get(next.fetch_add(1, Ordering::Relaxed)) {
-                        let counted = self.one(draw);
-                        let (Ok(mut tally), Ok(mut failed)) = (tally.lock(), failed.lock()) else {
+                    while let Some(order) = orders.get(next.fetch_add(1, Ordering::Relaxed)) {
+                        let counted = one(order);
+                        let (Ok(mut all), Ok(mut failed)) = (all.lock(), failed.lock()) else {
                             return;
                         };
                         match counted {
-                            Ok(counted) => {
-                                counted.into_iter().for_each(|c| c.add(draw, &mut tally))
-                            }
+                            Ok(counted) => all.extend(counted),
                             Err(error) => *failed = Some(error),
                         }
                     }
                 });
             }
         });
-        if let Some(error) = failed.into_inner().unwrap_or_default() {
-            return Err(error);
+        match failed.into_inner().unwrap_or_default() {
+            Some(error) => Err(error),
+            None => Ok(all.into_inner().unwrap_or_default()),
         }
-        Ok(tally
-            .into_inner()
-            .unwrap_or_default()
-            .into_iter()
-            .map(|((statement, noise, layout), (says, k, n))| StatementRow {
-                statement,
-                says,
-                noise,
-                layout,
-                holds: (k, n),
-            })
-            .collect())
     }
 
     fn one(&self, draw: &Draw) -> anyhow::Result<Vec<Counted>> {
@@ -156,7 +159,7 @@ impl Auditor {
             return Ok(parameters(&case, &verify));
         }
         let mut out = of_noise(&case, &verify);
-        out.extend(p_values(&verify));
+        out.extend(of_null(&verify));
         if !case.axis
             && self
                 .folder
@@ -187,7 +190,7 @@ impl Auditor {
         Ok((case, serde_json::from_str(&text)?))
     }
 
-    fn run(&self, arguments: &[&std::ffi::OsStr]) -> anyhow::Result<()> {
+    pub(crate) fn run(&self, arguments: &[&std::ffi::OsStr]) -> anyhow::Result<()> {
         let status = Command::new(&self.program)
             .args(arguments)
             .args(["--json"])
@@ -270,12 +273,14 @@ impl Auditor {
                 .into_iter()
                 .flatten()
                 .find(|d| d["id"] == effect.name());
-            let Some(smallest) = stated.and_then(|d| d["smallest"].as_f64()) else {
+            let Some((smallest, law)) =
+                stated.and_then(|d| Some((d["smallest"].as_f64()?, stated_law(d)?)))
+            else {
                 continue;
             };
             let request = ScalarRequest {
                 effect: Some(effect),
-                size: EffectSize::Parameter(smallest),
+                size: EffectSize::Stated(smallest, law),
                 noise_seed: Some(draw.request.seed ^ 0x0dec_7ab1),
                 ..draw.request
             };
@@ -304,44 +309,88 @@ impl Auditor {
                     .into_iter()
                     .flatten()
                     .any(among);
+            let name = effect.name();
+            let shows = planted["verdict"] != "adequate";
             out.push(Counted::new(
-                format!("detectable.smallest: {} found", effect.name()),
+                format!("detectable.smallest: {name} not called adequate"),
                 0.9,
-                found,
+                shows,
             ));
+            let named = format!("at that size {name} is named, alone or among others");
+            out.push(Counted::new(named, 0.0, found).unsaid());
         }
         Ok(out)
     }
 }
 
 /// One number that was stated and whether it held.
-struct Counted {
+pub(crate) struct Counted {
     statement: String,
-    says: f64,
+    says: Option<f64>,
     held: bool,
 }
 
+/// With its kind of noise and its layout.
+pub(crate) type Labelled = (Counted, &'static str, [usize; 2]);
+
 impl Counted {
-    fn new(statement: impl Into<String>, says: f64, held: bool) -> Self {
+    pub(crate) fn new(statement: impl Into<String>, says: f64, held: bool) -> Self {
         Self {
             statement: statement.into(),
-            says,
+            says: Some(says),
             held,
         }
     }
 
-    fn add(self, draw: &Draw, tally: &mut Tally) {
-        let layout = [draw.layout.sweeps, draw.layout.places];
-        let entry = tally
-            .entry((self.statement, draw.request.noise.name(), layout))
-            .or_insert((self.says, 0, 0));
-        entry.1 += usize::from(self.held);
-        entry.2 += 1;
+    /// Counted, though the program does not say that it holds.
+    pub(crate) fn unsaid(self) -> Self {
+        Self { says: None, ..self }
+    }
+
+    /// The same of a kind of instrument.
+    pub(crate) fn of(self, kind: &str) -> Self {
+        Self {
+            statement: format!("{kind}, {}", self.statement),
+            ..self
+        }
     }
 }
 
+/// One row a statement, noise and layout.
+pub(crate) fn tallied(counted: Vec<Labelled>) -> Vec<StatementRow> {
+    let mut tally = Tally::new();
+    for (counted, noise, layout) in counted {
+        let entry = tally
+            .entry((counted.statement, noise, layout))
+            .or_insert((counted.says, 0, 0));
+        entry.1 += usize::from(counted.held);
+        entry.2 += 1;
+    }
+    let row = |((statement, noise, layout), (says, k, n))| StatementRow {
+        statement,
+        says,
+        noise,
+        layout,
+        holds: (k, n),
+    };
+    tally.into_iter().map(row).collect()
+}
+
+/// The law of a stated size; none where the plant does not have it.
+fn stated_law(d: &Value) -> Option<StatedLaw> {
+    let of = |name: &str| d["shape"][name].as_f64();
+    Some(match d["law"].as_str()? {
+        "play" => StatedLaw::Play,
+        "over-time" => StatedLaw::WaveOverTime(of("period")?),
+        "over-stimulus" | "over-position" => StatedLaw::WaveOverStimulus(of("period")?),
+        "once" => StatedLaw::From(of("place")?),
+        "linear" | "power-2" => StatedLaw::Only,
+        _ => return None,
+    })
+}
+
 /// Whether a stated 95 % interval holds the truth; none where none is stated.
-fn holds(statement: &str, interval: &Value, truth: f64) -> Option<Counted> {
+pub(crate) fn holds(statement: &str, interval: &Value, truth: f64) -> Option<Counted> {
     let end = |k: usize| interval[k].as_f64();
     let inside = (end(0)?..=end(1)?).contains(&truth);
     Some(Counted::new(statement, 0.95, inside))
@@ -367,7 +416,8 @@ fn of_noise(case: &ScalarCase, verify: &Value) -> Vec<Counted> {
         .collect()
 }
 
-fn p_values(verify: &Value) -> Vec<Counted> {
+/// Where nothing acts: p values, the verdict, and the error that is expected beside the one that is stated.
+pub(crate) fn of_null(verify: &Value) -> Vec<Counted> {
     let omnibus = verify["reason"].as_str().and_then(|r| {
         r.split_once("omnibus p = ")?
             .1
@@ -397,7 +447,21 @@ fn p_values(verify: &Value) -> Vec<Counted> {
             verify["holdout"]["p"].as_f64(),
         ),
     ];
-    listed.into_iter().flatten().chain([named]).collect()
+    let after = &verify["after"];
+    let key = ["wavelength_rmse_pm", "response_rmse", "error_rmse_um"];
+    let expected = key.iter().find_map(|key| {
+        holds(
+            "after.expected inside after.interval95",
+            &after["interval95"][key],
+            after["expected"][key].as_f64()?,
+        )
+    });
+    listed
+        .into_iter()
+        .flatten()
+        .chain([named])
+        .chain(expected)
+        .collect()
 }
 
 fn parameters(case: &ScalarCase, verify: &Value) -> Vec<Counted> {

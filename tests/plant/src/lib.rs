@@ -8,6 +8,7 @@
 pub mod adversarial;
 pub mod bench;
 pub mod case;
+pub mod contacts;
 pub mod effects;
 pub mod layout;
 pub mod memory;
@@ -25,7 +26,9 @@ pub use case::{Case, CaseKind, Make, Request, Truth};
 pub use effects::{Effect, Kind};
 pub use layout::Design;
 pub use noise::Noise;
-pub use scalar::{EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+pub use scalar::{
+    EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest, StatedLaw,
+};
 pub use session::{draw, draw_under};
 
 /// What can go wrong while drawing or writing a session.

@@ -126,8 +126,23 @@ pub struct ScalarRequest {
 pub enum EffectSize {
     /// In noises, against the true covariance.
     Noises(f64),
-    /// First parameter of the effect as verify.json states it, in its unit.
-    Parameter(f64),
+    /// A size by a law of the effect as verify.json states both, in its units.
+    Stated(f64, StatedLaw),
+}
+
+/// A law of verify.json and its shape. Others act by the one law that they have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StatedLaw {
+    /// The only one.
+    Only,
+    /// Play of the stimulus.
+    Play,
+    /// A wave over time, of a period in s.
+    WaveOverTime(f64),
+    /// A wave over the stimulus, of a period in its unit.
+    WaveOverStimulus(f64),
+    /// A shift from a time on, s.
+    From(f64),
 }
 
 /// Sweeps up and down in turn over places at equal distances.
@@ -219,28 +234,39 @@ struct Signature {
     end_s: f64,
     /// Two random numbers of the effect (place, period, phase).
     shape: [f64; 2],
+    /// The law, where one is stated.
+    law: Option<StatedLaw>,
 }
 
 impl Signature {
     fn at(&self, amplitude: f64, rows: &[ScalarReading]) -> Vec<f64> {
         let mut held = rows.first().map_or(0.0, |r| r.x);
-        let play = self.effect == ScalarEffect::Backlash && !self.axis;
+        // um of an axis that stands by 1 mm.
+        let slope = if self.axis { 1e3 } else { self.slope };
+        let play = !self.axis || self.law == Some(StatedLaw::Play);
+        let turns = |r: &ScalarReading| match self.law {
+            Some(StatedLaw::WaveOverTime(period)) => r.t_s / period,
+            Some(StatedLaw::WaveOverStimulus(period)) => r.x / period,
+            _ => self.shape[0] * r.x / self.range,
+        };
+        let from = if let Some(StatedLaw::From(t_s)) = self.law {
+            t_s
+        } else {
+            self.shape[0] * self.end_s
+        };
         rows.iter()
             .map(|r| match self.effect {
                 ScalarEffect::Quadratic => amplitude * (2.0 * r.x / self.range - 1.0).powi(2),
                 ScalarEffect::Backlash if play => {
                     // The response hangs behind by the play, which is an input's.
                     held = held.clamp(r.x - 0.5 * amplitude, r.x + 0.5 * amplitude);
-                    self.slope * (held - r.x)
+                    slope * (held - r.x)
                 }
                 ScalarEffect::Backlash => -0.5 * amplitude * f64::from(r.direction),
                 ScalarEffect::Periodic => {
-                    let turns = self.shape[0] * r.x / self.range;
-                    amplitude * (std::f64::consts::TAU * (turns + self.shape[1])).sin()
+                    amplitude * (std::f64::consts::TAU * (turns(r) + self.shape[1])).sin()
                 }
-                ScalarEffect::Step => {
-                    amplitude * f64::from(u8::from(r.t_s > self.shape[0] * self.end_s))
-                }
+                ScalarEffect::Step => amplitude * f64::from(u8::from(r.t_s > from)),
                 ScalarEffect::Drift => amplitude * r.t_s / self.end_s,
             })
             .collect()
@@ -400,6 +426,11 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
     };
     let mut added = vec![0.0; readings.len()];
     let (mut amplitude, mut projected) = (0.0, 0.0);
+    let law = if let EffectSize::Stated(_, law) = request.size {
+        Some(law)
+    } else {
+        None
+    };
     let signature = request.effect.map(|effect| Signature {
         effect,
         axis: request.axis,
@@ -407,12 +438,13 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
         range,
         end_s,
         shape,
+        law,
     });
     if let Some(signature) = &signature {
         let play = slope > 0.0 && signature.effect == ScalarEffect::Backlash;
         amplitude = match request.size {
             EffectSize::Noises(_) => noise_sd * if play { 1.0 / slope } else { 1.0 },
-            EffectSize::Parameter(value) => signature.amplitude(value),
+            EffectSize::Stated(value, _) => signature.amplitude(value),
         };
         // All are in proportion to their amplitude, a play but nearly.
         for _ in 0..8 {

@@ -8,6 +8,9 @@ use nalgebra::{Matrix2, Vector3};
 /// Way of the object over a block, mm.
 const STEP_MM: f64 = 0.7;
 
+/// Between blocks that are nearer to each other readings are placed by time, mm.
+const MIN_STEP_MM: f64 = 0.2;
+
 /// A reading at an end lies up to this many steps past the middle of the last block.
 const PAST: f64 = 0.7;
 
@@ -103,7 +106,12 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
             .partition_point(|b| b.t_s <= row.t_s)
             .saturating_sub(1)
             .min(last);
-        let share = (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s);
+        let step = means[k + 1].moved_mm - means[k].moved_mm;
+        // A contact goes on with the motion: a hold where it turns lies at the turn, whatever its time.
+        let share = match step.norm() > MIN_STEP_MM {
+            true => (row.moved_mm - means[k].moved_mm).dot(&step) / step.norm_squared(),
+            false => (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s),
+        };
         (k, share.clamp(-PAST, 1.0 + PAST))
     };
     let places = rows.iter().map(place).collect();

@@ -10,6 +10,7 @@
 //! t, e2, e3: frame of the wire at the contact. The equilibrium is explicit from the contact inward (`DiscreteRod::under_point_load`). The
 //! links' frames jump at the joints; within a link the frame is turned by the wire's rest curvature, which is all that it has where no moment acts.
 
+use super::friction::FrictionPrior;
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 use wcal_core::observation::MomentAxes;
@@ -107,6 +108,8 @@ pub struct TouchedWire {
     pub length_mm: f64,
     /// Bending stiffness, N mm^2.
     pub ei_nmm2: f64,
+    /// What is known of its friction on what touches it.
+    pub friction: FrictionPrior,
     /// Turn of each joint at rest, rad.
     rest: Vec<Vector3<f64>>,
 }
@@ -123,6 +126,7 @@ impl TouchedWire {
         Ok(Self {
             rest,
             axes: axes.clone(),
+            friction: FrictionPrior::default(),
             length_mm,
             ei_nmm2,
             rod: links,

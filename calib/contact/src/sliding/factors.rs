@@ -7,7 +7,7 @@
 //! moments     R_k^-1/2 (m_k - m(x_k) - H_k c)                        R_k: noise of a reading and error of the wire's model
 //! surface     (P_k - P_(k-1)) . (n_k + n_(k-1)) / 2  ~ 0             exact for an arc; a change of curvature kappa within h errs by kappa h^2 / 16
 //! friction    (a, c)_k + mu w / sqrt(|w|^2 + e^2) ~ 0                w = dP - t ds in the directions along and across: slip of the wire's matter
-//! slip rate   (q_(k+1) - q_k) / dt_k - (q_k - q_(k-1)) / dt_(k-1) ~ 0     heavy tails: sticking, edges
+//! slip rate   (q_(k+1) - q_k) - g (q_k - q_(k-1)) ~ 0,  g = d_k . d_(k-1) / |d_(k-1)|^2     by step d of the motion; heavy tails: sticking, edges
 //! press       min(f, 0) = 0
 //! touch       |P_1 - free wire at q_1| ~ 0                          within a step of the motion and what the noise hides; not after a slip
 //! end         L - q_last ~ 0 where the load is lost at once: the wire has slipped off at its tip
@@ -39,6 +39,8 @@ const FRICTION_SD: f64 = 0.02;
 /// Changes of the slip rate from reading to reading, as a share of the motion's step, and constant, mm.
 const SLIP_SHARE: f64 = 0.15;
 const SLIP_MM: f64 = 0.02;
+/// Steps of the motion in a row are so unequal at most: where the object hardly moved its slip says nothing.
+const MAX_RATIO: f64 = 3.0;
 /// Standard deviation of a force that draws, N.
 const PULL_N: f64 = 1e-3;
 /// How far from its tip the wire is when it slips off, in steps and mm.
@@ -97,8 +99,9 @@ pub(super) struct Chain<'a> {
     whiten: Vec<Matrix2<f64>>,
     /// Derivative of the moments' two residuals by the common unknowns.
     by_common: Vec<[Vec<f64>; 2]>,
-    /// Way of the object from the reading before, mm.
+    /// Way of the object from the reading before, mm, and its part along the way before that, over that: -1 where the motion turns back.
     pub step_mm: Vec<f64>,
+    goes_on: Vec<f64>,
     pub ends: Ends,
     /// Common unknowns of the moments, and which of them are constants.
     pub shared: usize,
@@ -159,6 +162,12 @@ impl<'a> Chain<'a> {
             0 => 0.0,
             k => (rows[k].moved_mm - rows[k - 1].moved_mm).norm(),
         };
+        let way = |k: usize| rows[k].moved_mm - rows[k - 1].moved_mm;
+        let goes_on = |k: usize| match k {
+            0 | 1 => 1.0,
+            k => (way(k).dot(&way(k - 1)) / way(k - 1).norm_squared().max(1e-12))
+                .clamp(-MAX_RATIO, MAX_RATIO),
+        };
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
         let by_common = rows.iter().zip(&whiten).map(|(r, whiten)| {
             [0, 1].map(|i| {
@@ -174,6 +183,7 @@ impl<'a> Chain<'a> {
             by_common: by_common.collect(),
             whiten,
             step_mm: (0..rows.len()).map(step).collect(),
+            goes_on: (0..rows.len()).map(goes_on).collect(),
             ends,
             shared,
             constant: (0..shared).map(|j| is_constant(rows, j)).collect(),
@@ -269,11 +279,10 @@ impl<'a> Chain<'a> {
                 (acting - pull) / if all.len() == 1 { 0.1 } else { FRICTION_SD }
             }
             Kind::SlipRate => {
-                let dt = |n: usize| (self.rows[n].t_s - self.rows[n - 1].t_s).max(1e-9);
-                // Equal rates of slip in a row, to what the motion's step allows.
+                // The same slip for the same way of the object, to what the motion's step allows.
                 let [a, b] = [all[1].x[0] - all[0].x[0], all[2].x[0] - all[1].x[0]];
                 let sd = SLIP_SHARE * self.step_mm[k] + SLIP_MM;
-                single((b - a * dt(k) / dt(k - 1)) / sd)
+                single((b - a * self.goes_on[k]) / sd)
             }
             Kind::Touch => single(self.deflection(k, &here.x, &here.y)),
             Kind::Press => single(here.x[1].min(0.0) / PULL_N),

@@ -14,18 +14,21 @@
 //! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
 //!
 //! A sweep one way says little of the friction: J changes by a few over 0 to 0.3, while the places change by a few mm for one of the coefficient.
-//! So the hypotheses' spread is most of the stated uncertainty.
+//! So the hypotheses' spread is most of the stated uncertainty. It can be stated (`friction`). Where the motion turns back J tells it: there the
+//! hypotheses grow denser around the best (`smooth`).
 //!
 //! Where the contact slips to another place of the object at once, the moments leap (`slips`). The path ends there; the next one begins anywhere.
 //!
-//! The motion has to be this object's: J has to be lower than with the motion's sign reversed, and not more than a few for each of n blocks:
+//! The motion has to be this object's: its readings have more evidence than with the motion's sign reversed, both at the least friction, and J is
+//! not more than a few for each of n blocks. J alone does not tell: a surface bends to the reversed motion, too, by more of its prior.
 //!
 //! ```text
-//! E = -J / 2 > E_reversed,     J <= 3 n
+//! E = ln p(m | motion) > E_reversed = ln p(m | -motion),     J <= 3 n        (Laplace, smooth)
 //! ```
 //!
-//! An answer is sure where the motion goes one way, J <= 1.5 n, the surface has no gap, and the reversed motion is not clearly better. Else the contact may be lost: in simulated tracks that turn back a quarter of the
-//! readings lay outside, so that with this probability l nothing is known, `(1 - l) p + l uniform`.
+//! An answer is sure where the motion goes one way and its evidence is clearly more, J <= 1.5 n, the surface has no gap, and more than one start
+//! leads to the least J. Else the contact may be lost: in simulated tracks a quarter of such readings lay outside, so that with this probability l nothing is
+//! known, `(1 - l) p + l uniform`.
 //!
 //! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a clock that is wrong in a steady motion; only an
 //! object that is known shows them.
@@ -37,11 +40,13 @@ mod blocks;
 mod contact_state;
 mod factors;
 mod first_path;
+mod friction;
 mod slips;
 mod smooth;
 mod stream;
 
 pub use contact_state::TouchedWire;
+pub use friction::FrictionPrior;
 pub use stream::SlidingStream;
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
@@ -55,27 +60,23 @@ use first_path::{Candidate, candidates, first_paths};
 use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
 use slips::{LEAPS, parts};
-use smooth::{BlockPosterior, Smoothed, ln_evidence, mm_by_gain, posterior, smooth};
+use smooth::{BlockPosterior, SAME_COST, Smoothed, ln_evidence, mm_by_gain, posterior, refined};
 use std::ops::Range;
 
-/// Friction coefficients of the hypotheses.
-const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 /// Weight of a hypothesis by its sum of squares: 1/2 for independent residuals.
 const DISCOUNT: f64 = 0.4;
 /// Standard deviations added for what the model leaves out: along the wire, and in space, mm.
-const MODEL_SD_MM: f64 = 0.1;
+const MODEL_SD_MM: f64 = 0.05;
 /// Largest sum of squares for each block.
 const MAX_COST: f64 = 3.0;
 /// The same from which on an answer is not sure: simulated sweeps that are followed have 0.3 to 0.9, lost ones 2 and more.
 const SURE_COST: f64 = 1.5;
 /// Largest sum of squares of the surface of an answer that is sure: those that are followed have less than 2, lost ones 10 and more.
 const MAX_GAPS: f64 = 6.0;
-/// Log likelihood by which the reversed motion has to be better to speak against the motion.
-const AGAINST: f64 = 3.0;
+/// Evidence by which the motion has to be more probable than the reversed one, natural logarithm: twenty times.
+const CLEARLY: f64 = 3.0;
 /// Probability that a contact is lost where the answer is not sure (`tests/sliding.rs`).
 const LOST: f64 = 0.3;
-/// A motion that comes back by more than this has turned, mm: above the noise of an arm's log.
-const TURNED_MM: f64 = 0.5;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
 /// Fewer blocks have no change of slip.
@@ -84,6 +85,8 @@ const MIN_MEANS: usize = 3;
 const MIN_WEIGHED: usize = 4;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
+/// A motion that comes back by more than this has turned, mm: above the noise of an arm's log.
+const TURNED_MM: f64 = 0.5;
 /// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N mm.
 pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
 
@@ -98,14 +101,18 @@ pub struct SlidingContact {
     pub means: Means,
     /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a block; none where no path could be made.
     pub ln_evidence: Option<[f64; 2]>,
-    /// Log likelihood of the best hypothesis, up to a constant.
+    /// ln p(m) at the least friction: along the motion.
     pub evidence: f64,
-    /// The same of the motion with its sign reversed.
+    /// The same along the motion with its sign reversed.
     pub reversed_evidence: f64,
+    /// Sum of squares of the best hypothesis.
+    pub cost: f64,
     /// Blocks of readings that the motion was held against.
     pub predicted: usize,
-    /// Whether the motion comes back on itself while the wire is loaded.
+    /// Whether the motion comes back on itself while the wire is loaded: along the wire regions are too narrow then, where the object has edges.
     pub turns_back: bool,
+    /// Whether more than one start leads to each part's least sum of squares.
+    pub agreed: bool,
     /// Sum of squares by which the contacts are not on one surface; of the part between slips where it is largest.
     pub gaps: f64,
     /// First readings after slips of the contact to another place at once.
@@ -117,20 +124,21 @@ pub struct SlidingContact {
 }
 
 impl SlidingContact {
-    /// Whether the motion is the object's.
+    /// Whether the motion is the object's, and a surface explains the readings.
     pub fn supported(&self) -> bool {
         self.predicted >= MIN_BLOCKS
             && self.evidence > self.reversed_evidence
-            && -2.0 * self.evidence <= MAX_COST * self.predicted as f64
+            && self.cost <= MAX_COST * self.predicted as f64
     }
 
-    /// Whether the stated regions are those of the fit alone: it leaves no more than noise, and nothing speaks against the motion.
+    /// Whether the stated regions are those of the fit alone: it leaves no more than noise, starts agree, and nothing speaks against the motion.
     pub fn sure(&self) -> bool {
-        self.predicted >= MIN_BLOCKS
+        self.supported()
             && self.whole
-            && self.evidence > self.reversed_evidence - AGAINST
+            && self.agreed
             && !self.turns_back
-            && -2.0 * self.evidence <= SURE_COST * self.predicted as f64
+            && self.evidence > self.reversed_evidence + CLEARLY
+            && self.cost <= SURE_COST * self.predicted as f64
             && self.gaps <= MAX_GAPS
     }
 
@@ -143,8 +151,10 @@ impl SlidingContact {
             ln_evidence: None,
             evidence: f64::NEG_INFINITY,
             reversed_evidence: f64::NEG_INFINITY,
+            cost: f64::INFINITY,
             predicted: 0,
             turns_back: false,
+            agreed: false,
             gaps: f64::INFINITY,
             slips: Vec::new(),
             whole: false,
@@ -177,6 +187,8 @@ fn turns_back(rows: &[MotionRow]) -> bool {
 /// A hypothesis: a smoothed path under a coefficient of friction, its ln p(m), what of its sum of squares is of the surface, and its posterior.
 struct Hypothesis {
     friction: f64,
+    /// Of its friction before the record.
+    weight: f64,
     found: Smoothed,
     ln_evidence: f64,
     gaps: f64,
@@ -187,7 +199,7 @@ impl Hypothesis {
     /// With the posterior at some blocks; none where the sum has no curvature.
     fn new(
         chain: &Chain<'_>,
-        (friction, found): (f64, Smoothed),
+        (friction, weight, found): (f64, f64, Smoothed),
         blocks: Range<usize>,
     ) -> Option<Self> {
         let chain = chain.under(friction);
@@ -195,6 +207,7 @@ impl Hypothesis {
         let ln_evidence = ln_evidence(&chain, &found)?;
         Some(Self {
             friction,
+            weight,
             ln_evidence,
             gaps: chain.gaps(&found.x, &found.common),
             blocks,
@@ -225,14 +238,19 @@ pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact 
         known.push((ranges, found.clone()));
         found
     };
-    // A motion that turns back is sure in no way.
-    let sure = (!turns_back(held)).then(|| {
-        LEAPS
+    let sure = LEAPS
+        .into_iter()
+        .map(&mut located)
+        .find(SlidingContact::sure);
+    let supported = || {
+        [f64::INFINITY]
             .into_iter()
+            .chain(LEAPS)
             .map(&mut located)
-            .find(SlidingContact::sure)
-    });
-    sure.flatten().unwrap_or_else(|| located(f64::INFINITY))
+            .find(SlidingContact::supported)
+    };
+    sure.or_else(supported)
+        .unwrap_or_else(|| located(f64::INFINITY))
 }
 
 /// With a path for each of these ranges of the loaded readings `first ..= last`.
@@ -260,8 +278,11 @@ fn locate_parts(
     if each().count() == 0 {
         return all;
     }
-    all.evidence = each().map(|p| -0.5 * p.cost()).sum();
-    all.reversed_evidence = each().map(|p| -0.5 * p.reversed_cost).sum();
+    all.evidence = each().map(|p| p.by_motion[0]).sum();
+    all.reversed_evidence = each().map(|p| p.by_motion[1]).sum();
+    all.cost = each().map(Part::cost).sum();
+    all.turns_back = turns_back(held);
+    all.agreed = each().all(Part::agreed);
     all.predicted = each().map(|p| p.count).sum();
     // Parts that no path explains are anything.
     let anything = [(all.means.len() - all.predicted) as f64 * LN_ANYTHING, 0.0];
@@ -269,7 +290,6 @@ fn locate_parts(
     all.ln_evidence = Some(ln_evidence).filter(|_| all.means.len() >= MIN_WEIGHED);
     all.gaps = each().map(|p| p.best().gaps).fold(0.0, f64::max);
     all.mm_by_gain = each().map(|p| p.mm_by_gain).fold(0.0, f64::max);
-    all.turns_back = turns_back(held);
     all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
     all.whole = found.iter().all(Option::is_some);
     let lost = if all.sure() { 0.0 } else { LOST };
@@ -287,9 +307,9 @@ fn locate_parts(
 /// Readings of a contact without a slip between them, with their hypotheses.
 struct Part {
     hypotheses: Vec<Hypothesis>,
-    /// Least sum of squares under the reversed motion, and ln p(m) along the motion and along that.
-    reversed_cost: f64,
+    /// ln p(m) along the motion and along the reversed one: of the best, and at the least friction.
     ln_evidence: [f64; 2],
+    by_motion: [f64; 2],
     /// Blocks, and where each reading lies among them.
     count: usize,
     at: Vec<(usize, f64)>,
@@ -306,21 +326,30 @@ impl Part {
             return None;
         }
         let contacts = candidates(wire, &means);
+        let frictions = wire.friction.coefficients();
         let chain = Chain::new(wire, &means, ends);
         let (hypotheses, control) = rayon::join(
-            || hypotheses(&chain, &contacts, &FRICTIONS),
+            || hypotheses(&chain, &contacts, &frictions),
             || {
                 hypotheses(
                     &Chain::new(wire, &reversed(&means), ends),
                     &contacts,
-                    &FRICTIONS[..1],
+                    &frictions[..1],
                 )
             },
         );
-        let reversed_cost = control
+        // The law of friction is a prior of its own at each coefficient: their evidence compares at one alone.
+        let least = hypotheses
             .iter()
-            .map(Hypothesis::cost)
+            .map(|h| h.friction)
             .fold(f64::INFINITY, f64::min);
+        let at_least = |all: &[Hypothesis]| {
+            let those = all.iter().filter(|h| h.friction <= least);
+            those
+                .map(|h| h.ln_evidence)
+                .fold(f64::NEG_INFINITY, f64::max)
+        };
+        let by_motion = [at_least(&hypotheses), at_least(&control)];
         let hypotheses = of_one_surface(hypotheses, means.len());
         // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
         let most = MAX_COST * means.len() as f64;
@@ -335,8 +364,8 @@ impl Part {
         let count = means.len();
         let mut own = Self {
             hypotheses,
-            reversed_cost,
             ln_evidence,
+            by_motion,
             count,
             at,
             mm_by_gain: 0.0,
@@ -358,9 +387,23 @@ impl Part {
         self.best().cost()
     }
 
+    /// Whether more than one start leads to the best.
+    fn agreed(&self) -> bool {
+        let best = self.best();
+        let same = |h: &&Hypothesis| {
+            h.friction == best.friction && (h.cost() - best.cost()).abs() <= SAME_COST
+        };
+        self.hypotheses
+            .iter()
+            .filter(same)
+            .map(|h| h.found.starts)
+            .sum::<usize>()
+            > 1
+    }
+
     /// What the hypotheses say a share of the way from a block to the next, with their weights.
     fn mixture(&self, (block, share): (usize, f64)) -> Vec<(f64, BlockPosterior)> {
-        let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost() - self.cost())).exp();
+        let weight = |h: &Hypothesis| h.weight * (-DISCOUNT * (h.cost() - self.cost())).exp();
         self.hypotheses
             .iter()
             .map(|h| (weight(h), between(&h.blocks, block, share)))
@@ -416,10 +459,15 @@ fn hypotheses(
 ) -> Vec<Hypothesis> {
     let firsts = first_paths(chain, contacts);
     let one = |path: Vec<_>| {
-        let found = frictions
-            .iter()
-            .copied()
-            .zip(smooth(&mut chain.clone(), path, frictions));
+        let found = refined(&mut chain.clone(), path, frictions);
+        let weights = chain
+            .wire
+            .friction
+            .weights(&found.iter().map(|f| f.0).collect::<Vec<_>>());
+        let found = found
+            .into_iter()
+            .zip(weights)
+            .map(|((mu, found), weight)| (mu, weight, found));
         found
             .filter_map(|each| Hypothesis::new(chain, each, 0..chain.rows.len()))
             .collect::<Vec<_>>()

@@ -15,6 +15,9 @@ const SMALL: f64 = 3e-3;
 /// Damping: first, least, most.
 const DAMPING: [f64; 3] = [1e-3, 1e-9, 1e6];
 
+/// Descents to sums of squares so near to each other lead to one minimum.
+pub(super) const SAME_COST: f64 = 1.0;
+
 /// A smoothed contact.
 #[derive(Debug, Clone)]
 pub(super) struct Smoothed {
@@ -22,6 +25,8 @@ pub(super) struct Smoothed {
     pub common: DVector<f64>,
     /// Sum of the squares.
     pub cost: f64,
+    /// Descents that ended here.
+    pub starts: usize,
 }
 
 /// What a smoothed contact says of one block of readings.
@@ -42,6 +47,7 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
         x: first,
         common: chain.prior(),
         cost: f64::INFINITY,
+        starts: 1,
     };
     let start = [(false, false), (false, true)]
         .into_iter()
@@ -55,9 +61,64 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
     }
     for k in (0..frictions.len() - 1).rev() {
         let back = descend(chain, found[k + 1].clone(), frictions[k], true, true);
-        if back.cost < found[k].cost {
-            found[k] = back;
+        // One branch, both ways along the friction.
+        if (back.cost - found[k].cost).abs() <= SAME_COST {
+            found[k..k + 2].iter_mut().for_each(|f| f.starts = 2);
         }
+        if back.cost < found[k].cost {
+            found[k] = Smoothed {
+                starts: found[k].starts,
+                ..back
+            };
+        }
+    }
+    found
+}
+
+/// Differences of the sum of squares that tell a coefficient, and halvings of the step between two.
+const MIN_COST_RISE: f64 = 2.0;
+const HALVINGS: usize = 3;
+
+/// As `smooth`, with further coefficients around the best one while the sum of squares tells it from its neighbours.
+pub(super) fn refined(
+    chain: &mut Chain<'_>,
+    first: Vec<State>,
+    frictions: &[f64],
+) -> Vec<(f64, Smoothed)> {
+    let mut found: Vec<(f64, Smoothed)> = frictions
+        .iter()
+        .copied()
+        .zip(smooth(chain, first, frictions))
+        .collect();
+    for _ in 0..HALVINGS {
+        let Some(best) =
+            (0..found.len()).min_by(|a, b| found[*a].1.cost.total_cmp(&found[*b].1.cost))
+        else {
+            break;
+        };
+        let (mu, at) = found[best].clone();
+        let near = [best.checked_sub(1), Some(best + 1)]
+            .into_iter()
+            .flatten()
+            .filter_map(|k| found.get(k));
+        let between = near
+            .filter(|n| n.1.cost > at.cost + MIN_COST_RISE)
+            .map(|n| 0.5 * (n.0 + mu))
+            .collect::<Vec<_>>();
+        if between.is_empty() {
+            break;
+        }
+        for mu in between {
+            let next = descend(chain, at.clone(), mu, true, true);
+            found.push((
+                mu,
+                Smoothed {
+                    starts: at.starts,
+                    ..next
+                },
+            ));
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
     found
 }
@@ -71,7 +132,11 @@ pub(super) fn descend(
 ) -> Smoothed {
     (chain.friction, chain.by_slip, chain.heavy) = (friction, by_slip, heavy);
     let cost = chain.cost(&from.x, &from.common);
-    let mut here = Smoothed { cost, ..from };
+    let mut here = Smoothed {
+        cost,
+        starts: 1,
+        ..from
+    };
     let [mut damping, least, most] = DAMPING;
     for _ in 0..MAX_STEPS {
         let normal = chain.linearise(&here.x, &here.common, Common::Held, &KINDS);
@@ -85,7 +150,12 @@ pub(super) fn descend(
                 let cost = chain.cost(&x, &common);
                 if cost < here.cost {
                     damping = (0.1 * damping).max(least);
-                    break Some(Smoothed { x, common, cost });
+                    break Some(Smoothed {
+                        x,
+                        common,
+                        cost,
+                        starts: 1,
+                    });
                 }
             }
             damping *= 10.0;

@@ -12,7 +12,7 @@ use super::blocks::Means;
 use super::first_path::{candidates, first_paths};
 use super::smooth::{BlockPosterior, Smoothed, descend, smooth};
 use super::{Chain, Ends, Hypothesis, TouchedWire};
-use super::{DISCOUNT, FRICTIONS, LOST, arc, between, of_one_surface, place};
+use super::{DISCOUNT, LOST, arc, between, of_one_surface, place};
 use crate::arc_posterior::ArcDensity;
 use crate::known_motion::{EpisodeContact, MotionRow};
 use rayon::prelude::*;
@@ -72,7 +72,7 @@ impl SlidingStream {
             .iter()
             .map(Hypothesis::cost)
             .fold(f64::INFINITY, f64::min);
-        let weight = |p: &Hypothesis| (-DISCOUNT * (p.cost() - best)).exp();
+        let weight = |p: &Hypothesis| p.weight * (-DISCOUNT * (p.cost() - best)).exp();
         let at = |p: &Hypothesis| {
             (
                 weight(p),
@@ -102,12 +102,12 @@ impl SlidingStream {
         let blocks = means.len();
         let searched = blocks >= self.search_at;
         let chain = Chain::new(&self.wire, &means.rows, GOING_ON);
-        let found: Vec<(f64, Smoothed)> = if searched || self.paths.is_empty() {
+        let found: Vec<(f64, f64, Smoothed)> = if searched || self.paths.is_empty() {
             search(&chain)
         } else {
             self.paths
                 .par_iter()
-                .map(|p| (p.friction, drawn_on(&chain, p, self.solved)))
+                .map(|p| (p.friction, p.weight, drawn_on(&chain, p, self.solved)))
                 .collect()
         };
         let path = |each| Hypothesis::new(&chain, each, blocks - 2..blocks);
@@ -125,11 +125,16 @@ impl SlidingStream {
 }
 
 /// All paths under all coefficients.
-fn search(chain: &Chain<'_>) -> Vec<(f64, Smoothed)> {
+fn search(chain: &Chain<'_>) -> Vec<(f64, f64, Smoothed)> {
+    let frictions = chain.wire.friction.coefficients();
+    let weights = chain.wire.friction.weights(&frictions);
     let contacts = candidates(chain.wire, chain.rows);
     let one = |path: Vec<_>| {
-        let found = smooth(&mut chain.clone(), path, &FRICTIONS);
-        FRICTIONS.into_iter().zip(found).collect::<Vec<_>>()
+        let found = smooth(&mut chain.clone(), path, &frictions);
+        let known = frictions.iter().zip(&weights).zip(found);
+        known
+            .map(|((mu, weight), found)| (*mu, *weight, found))
+            .collect::<Vec<_>>()
     };
     first_paths(chain, &contacts)
         .into_par_iter()
@@ -154,6 +159,7 @@ fn drawn_on(chain: &Chain<'_>, path: &Hypothesis, solved: usize) -> Smoothed {
         x,
         common: path.found.common.clone(),
         cost: f64::INFINITY,
+        starts: 1,
     };
     descend(&mut chain.clone(), from, path.friction, true, true)
 }

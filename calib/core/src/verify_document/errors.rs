@@ -20,6 +20,10 @@ pub struct HeldOutError {
     pub moment_rmse_nmm_each: Option<[f64; 2]>,
     /// 95 % intervals by the names of the errors: of the root mean square over further groups (cycles, trajectories, folds) like those that counted.
     pub interval95: BTreeMap<String, [f64; 2]>,
+    /// What the model says of these very rows: root mean square of the standard deviations that noise and the uncertainty of what was fitted
+    /// give their errors, by the names of the errors.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub expected: BTreeMap<String, f64>,
     /// Rows that counted.
     pub points: usize,
 }
@@ -99,6 +103,9 @@ pub struct CalibrationJudgement {
 pub struct ContactError {
     /// Distance in space from where the contact is known to be, root mean square, mm.
     pub rms_mm: f64,
+    /// Its 95 % interval, mm (jackknife over trajectories, of the logarithm); null where fewer than two were compared.
+    #[serde(default)]
+    pub interval95: Option<[f64; 2]>,
 }
 
 /// Contact of a trajectory by both models.
@@ -114,21 +121,47 @@ pub struct TrajectoryContact {
     pub after_mm: f64,
 }
 
-/// Contacts whose place is known, tracked through the declared and through the accepted model.
+/// Contacts in the groove, whose place is stated, tracked through the declared and through the accepted model: every trajectory by the calibrations that
+/// were fitted without it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactComparison {
     /// Declared model.
     pub before: ContactError,
     /// Accepted model.
     pub after: ContactError,
-    /// Cramer-Rao bound of the accepted model's error, mm: what moments and motion of these readings allow.
+    /// After less before, mm.
+    #[serde(default)]
+    pub difference_mm: f64,
+    /// Its 95 % interval, mm (jackknife over trajectories): where it holds 0 there is no difference. Null where fewer than two were compared.
+    #[serde(default)]
+    pub difference_interval95: Option<[f64; 2]>,
+    /// The error of the accepted model that is expected, mm: what the noise of these readings and the calibration's own uncertainty allow (Cramer-Rao
+    /// bound).
     pub bound_mm: f64,
-    /// Readings compared.
+    /// Readings compared: loaded ones, settled and on the move, that both models locate.
     pub readings: usize,
+    /// Loaded readings that one of them does not locate.
+    #[serde(default)]
+    pub not_located: usize,
     /// Those whose place lies in the accepted model's 95 % region.
     pub inside95: usize,
+    /// How far from the stated place the accepted effects put the groove, root mean square, mm; after is the distance from there. 0 where they leave it
+    /// where it is stated.
+    #[serde(default)]
+    pub groove_moved_mm: f64,
     /// The same by trajectory, whose readings share one error.
     pub trajectories: Vec<TrajectoryContact>,
+    /// The same on sealed trajectories, through the calibrations of all the others; null where none was sealed.
+    #[serde(default)]
+    pub sealed: Option<Box<ContactComparison>>,
+}
+
+impl ContactComparison {
+    /// Nothing tells the accepted model's error from the declared one's; false where there is no interval to say so.
+    pub fn is_same(&self) -> bool {
+        self.difference_interval95
+            .is_some_and(|[low, high]| low <= 0.0 && high >= 0.0)
+    }
 }
 
 /// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.

@@ -202,6 +202,7 @@ fn whisker_error(pm: f64, pm95: [f64; 2], nmm: f64, nmm95: [f64; 2]) -> HeldOutE
         moment_rmse_nmm_each: Some([1.13 * nmm, 0.85 * nmm]),
         interval95: BTreeMap::from([(pm_key, pm95), (nmm_key, nmm95)]),
         points: 48,
+        expected: BTreeMap::new(),
     }
 }
 
@@ -216,9 +217,12 @@ fn parameter(name: &str, value: f64, unit: &str, interval95: [f64; 2]) -> Effect
 
 fn detectable(id: &str, smallest: Option<f64>, unit: &str, status: &str, why: &str) -> Detectable {
     let (id, unit, status, why) = (id.into(), unit.into(), status.into(), why.into());
+    let (law, shape) = (None, Default::default());
     Detectable {
         id,
         smallest,
+        law,
+        shape,
         smallest_without_pictures: None,
         unit,
         status,

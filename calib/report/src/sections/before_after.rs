@@ -1,4 +1,4 @@
-//! Held-out errors and the noise floor: table and picture.
+//! Held-out errors, what the model after says of them, and the noise floor: table and picture.
 
 use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
 use crate::markup::{Table, TableCell, escape, with_sign};
@@ -9,7 +9,7 @@ use wcal_core::verify_document::{
     TrajectoryContact, VerifyDocument, WitnessTest,
 };
 
-/// One column: an error and the floor that it is held against.
+/// One column: an error and what it is held against.
 struct Quantity {
     /// Key in `HeldOutError::rmse`, or `moment 1` and `moment 2` of the pair.
     key: String,
@@ -17,8 +17,10 @@ struct Quantity {
     name: String,
     /// Unit as printed.
     unit: String,
-    /// Noise floor in the same unit.
+    /// Noise floor in the same unit: of a typical reading.
     floor: Option<f64>,
+    /// What the model after expects of the rows that count.
+    expected: Option<f64>,
     /// Index into `moment_rmse_nmm_each`.
     each: Option<usize>,
 }
@@ -80,6 +82,7 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
                 name,
                 unit,
                 floor,
+                expected: expected(&input.verify, key),
                 each: None,
             }
         })
@@ -90,10 +93,22 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
             name: MOMENT_NAMES[k].into(),
             unit: "N\u{a0}mm".into(),
             floor: floor.moment_nmm,
+            expected: None,
             each: Some(k),
         }));
     }
     out
+}
+
+/// Error that the model after states for the rows that count.
+fn expected(verify: &VerifyDocument, key: &str) -> Option<f64> {
+    verify
+        .after
+        .as_ref()?
+        .expected
+        .get(key)
+        .copied()
+        .filter(|e| *e > 0.0)
 }
 
 fn describe(key: &str, floor: &NoiseFloor, response_unit: &str) -> (String, String, Option<f64>) {
@@ -126,12 +141,12 @@ fn value_text(value: f64, interval: Option<[f64; 2]>) -> (String, Option<String>
     }
 }
 
-fn ratio_text(value: f64, floor: Option<f64>) -> Option<String> {
-    let ratio = value / floor.filter(|f| *f > 0.0)?;
+fn ratio_text(value: f64, expected: Option<f64>) -> Option<String> {
+    let ratio = value / expected?;
     let decimals = if ratio < 10.0 { 2 } else { 1 };
     ratio
         .is_finite()
-        .then(|| format!("{ratio:.decimals$} × floor"))
+        .then(|| format!("{ratio:.decimals$} × expected"))
 }
 
 /// The tracker on the groove: error, bound and coverage in a sentence.
@@ -168,19 +183,9 @@ fn groove(t: &GrooveTracking) -> String {
             u.contact_u_mm,
         ];
         let counts = [number(u.arclength_mm), u.trajectories.to_string()];
-        table.row(
-            counts
-                .into_iter()
-                .chain(values.map(number))
-                .map(TableCell::Number)
-                .collect(),
-        );
+        table.row(counts.into_iter().chain(values.map(number)));
     }
-    let table = if t.uncertainty.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    };
+    let table = table.html();
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
          ({} {of}); by its covariance {} mm are expected there. Its 95 % regions hold the groove on {} of \
@@ -222,9 +227,26 @@ fn contact_figure(simulated: bool, c: &ContactComparison) -> String {
             points("s1", Marker::Diamond, &after),
         ],
     });
+    let moved = match c.groove_moved_mm {
+        mm if mm >= 0.005 => format!(
+            " The accepted effects put the groove {mm:.2} mm from where it is stated (RMS), each fitted without the trajectory; diamonds are distances from there."
+        ),
+        _ => String::new(),
+    };
+    let sealed = c.sealed.as_ref().map_or_else(String::new, |s| {
+        format!(
+            " Sealed trajectories, through the calibration of all the others: {:.2} mm, then {:.2} mm where {:.2} mm are expected ({} readings of {}).",
+            s.before.rms_mm,
+            s.after.rms_mm,
+            s.bound_mm,
+            s.readings,
+            s.trajectories.len()
+        )
+    });
     let caption = format!(
-        "Contacts in the groove, whose place is known: cross by the declared model ({:.2} mm RMS), diamond by the accepted one ({:.2} mm). Line: what \
-         moments and motion allow ({:.2} mm).",
+        "Contacts in the groove, each trajectory left out in turn and located by the calibrations of the others: cross by the declared model ({:.2} mm \
+         RMS), diamond by the accepted one ({:.2} mm). Line: the expected error ({:.2} mm), by the noise of the readings and the calibration's own \
+         uncertainty.{moved}{sealed}",
         c.before.rms_mm, c.after.rms_mm, c.bound_mm
     );
     super::parts::figure(simulated, "contacts", &chart, &caption)
@@ -266,7 +288,7 @@ pub(super) fn body(input: &ReportInput) -> String {
             input.verify.simulated,
             "forest",
             &charts,
-            "Held-out root-mean-square errors with their 95 % intervals, logarithmic scale. Dashed: noise floor.",
+            "Held-out root-mean-square errors with their 95 % intervals, logarithmic scale. Dashed: expected.",
         );
     }
     out
@@ -288,33 +310,42 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
         let mut cells = vec![
             TableCell::Text(name.clone()),
             TableCell::Text(split_words(&error.split).into()),
-            TableCell::Number(error.points.to_string()),
+            TableCell::Text(error.points.to_string()),
         ];
         for quantity in quantities {
             let (value, interval) = quantity.of(error);
-            cells.push(value.map_or(TableCell::Number("–".into()), |value| {
+            cells.push(value.map_or(TableCell::Text("–".into()), |value| {
                 let (text, interval) = value_text(value, interval);
                 let mut notes: Vec<String> = interval.into_iter().collect();
-                notes.extend(ratio_text(value, quantity.floor));
-                TableCell::NumberWithNotes(text, notes)
+                notes.extend(ratio_text(value, quantity.expected));
+                TableCell::WithNotes(text, notes)
             }));
         }
         table.row(cells);
     }
-    let source = input.verify.noise_floor.source.as_str();
-    let name = if source.is_empty() {
-        "noise floor".into()
-    } else {
-        format!("noise floor ({source})")
+    let mut row = |name: String, of: &dyn Fn(&Quantity) -> Option<f64>| {
+        let mut cells = vec![
+            TableCell::Text(name),
+            TableCell::Text("–".into()),
+            TableCell::Text("–".into()),
+        ];
+        let text = |q: &Quantity| TableCell::Text(of(q).map_or("unknown".into(), number));
+        cells.extend(quantities.iter().map(text));
+        table.marked_row("floor", cells);
     };
-    let mut cells = vec![
-        TableCell::Text(name),
-        TableCell::Text("–".into()),
-        TableCell::Number("–".into()),
-    ];
-    let floor = |q: &Quantity| q.floor.map_or("unknown".into(), number);
-    cells.extend(quantities.iter().map(|q| TableCell::Number(floor(q))));
-    table.marked_row("floor", cells);
+    row("expected by the model after, of these rows".into(), &|q| {
+        q.expected
+    });
+    let source = input.verify.noise_floor.source.as_str();
+    let name = "noise floor of a typical reading";
+    row(
+        if source.is_empty() {
+            name.into()
+        } else {
+            format!("{name} ({source})")
+        },
+        &|q| q.floor,
+    );
     table.html()
 }
 
@@ -339,14 +370,14 @@ fn witnesses(tests: &[WitnessTest]) -> String {
         } else {
             t.effects.join(" with ")
         };
-        table.row(vec![
-            TableCell::Text(t.witness.clone()),
-            TableCell::Text(name),
-            TableCell::Number(format!("{} {}", number(t.magnitude), t.unit)),
-            TableCell::Number(format!("{:.1}", t.statistic)),
-            TableCell::Number(format!("{:.0}", t.dof)),
-            TableCell::Number(p_value(t.p)),
-            TableCell::Text(if t.refuted { "refuted" } else { "stands" }.into()),
+        table.row([
+            t.witness.clone(),
+            name,
+            format!("{} {}", number(t.magnitude), t.unit),
+            format!("{:.1}", t.statistic),
+            format!("{:.0}", t.dof),
+            p_value(t.p),
+            if t.refuted { "refuted" } else { "stands" }.into(),
         ]);
     }
     table.html()
@@ -469,16 +500,15 @@ fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
         format!("error ({})", quantity.unit)
     };
     let description = format!(
-        "Held-out error of the {} for every model, and the noise floor",
+        "Held-out error of the {} for every model, and what is expected",
         quantity.name
     );
-    let floor = quantity.floor.filter(|f| *f > 0.0);
     Some(rows_chart(
         &capitalised(&quantity.name),
         &description,
         &label,
         &rows,
-        floor,
+        quantity.expected,
     ))
 }
 
@@ -501,7 +531,7 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
         let (before, after) = (of(&entry.verify.before)?, of(&entry.verify.after)?);
         let within = |share: &f64| *share > 0.0 && share.is_finite();
         let value = Some(after / before).filter(within)?;
-        let floor = describe(key, &entry.verify.noise_floor, &entry.response_unit).2;
+        let expected = expected(&entry.verify, key);
         let (mark, class) = if entry.verify.simulated {
             (" (SIMULATED)", "s4")
         } else {
@@ -515,7 +545,7 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
             class,
             value,
             interval: Some([value, 1.0]),
-            other: floor.map(|f| f / before).filter(within),
+            other: expected.map(|e| e / before).filter(within),
         })
     };
     let rows: Vec<Row> = entries.iter().filter_map(row).collect();
@@ -532,7 +562,7 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
             &rows,
             Some(1.0)
         ),
-        "Diamond: the model after, as a share of the declared model's held-out error (vertical line). Cross: the noise floor, where it is known."
+        "Diamond: the model after, as a share of the declared model's held-out error (vertical line). Cross: what it expects."
     )
 }
 
@@ -546,13 +576,13 @@ fn summary_key(verify: &VerifyDocument) -> Option<&String> {
         .max_by_key(|key| key.starts_with("wavelength"))
 }
 
-/// One line for the overview: quantity, before, after and floor with their unit.
+/// One line for the overview: quantity, before, after and expected with their unit.
 pub(crate) fn summary(verify: &VerifyDocument, response_unit: &str) -> Option<[String; 4]> {
     let before = verify.before.as_ref()?;
     let after = verify.after.as_ref()?;
     let key = summary_key(verify)?;
-    let (name, unit, floor) = describe(key, &verify.noise_floor, response_unit);
+    let (name, unit, _) = describe(key, &verify.noise_floor, response_unit);
     let text = |error: &HeldOutError| error.rmse.get(key).map(|v| join_unit(&number(*v), &unit));
-    let floor = floor.map_or("unknown".into(), |v| join_unit(&number(v), &unit));
-    Some([name, text(before)?, text(after)?, floor])
+    let expected = expected(verify, key).map_or("unknown".into(), |v| join_unit(&number(v), &unit));
+    Some([name, text(before)?, text(after)?, expected])
 }

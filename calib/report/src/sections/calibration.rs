@@ -1,6 +1,6 @@
 //! An existing calibration on readings that were not in its fit.
 
-use crate::markup::{Table, TableCell, escape};
+use crate::markup::{Table, escape};
 use crate::number::{number, percent, with_interval};
 use wcal_core::verify_document::CalibrationJudgement;
 
@@ -23,11 +23,7 @@ pub(super) fn body(judged: &CalibrationJudgement) -> String {
             .copied()
             .unwrap_or([f64::NAN; 2]);
         let (value, interval) = with_interval(*value, interval);
-        table.row(vec![
-            TableCell::Text(name.clone()),
-            TableCell::Number(value),
-            TableCell::Number(interval),
-        ]);
+        table.row([name.clone(), value, interval]);
     }
     format!(
         "<p><strong>{verdict}</strong> on {} readings that were not in its fit: {}.</p>{}<p><code>{}</code>; coverage of its 95 % intervals {}; \

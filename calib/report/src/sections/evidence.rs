@@ -21,18 +21,14 @@ fn gate(input: &ReportInput) -> String {
         &["test", "#statistic", "#p-value", "remark"],
     );
     for test in &input.gate {
-        table.row(vec![
-            TableCell::Text(test.name.clone()),
-            TableCell::Number(test.statistic.map_or("–".into(), number)),
-            TableCell::Number(test.p_value.map_or("–".into(), p_value)),
-            TableCell::Text(test.detail.clone()),
+        table.row([
+            test.name.clone(),
+            test.statistic.map_or("–".into(), number),
+            test.p_value.map_or("–".into(), p_value),
+            test.detail.clone(),
         ]);
     }
-    if table.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    }
+    table.html()
 }
 
 fn explanations(rows: &[EvidenceRow]) -> String {
@@ -54,16 +50,16 @@ fn explanations(rows: &[EvidenceRow]) -> String {
             (false, false) => TableCell::Badge("plain", "rejected".into()),
         };
         let parameters = vec![format!("for {}", row.degrees_of_freedom)];
-        table.row(vec![
+        table.row([
             TableCell::Code(match row.effects.as_slice() {
                 [] => "declared model alone".into(),
                 some => some.join(" + "),
             }),
             status,
             TableCell::Text(row.law.clone()),
-            TableCell::NumberWithNotes(number(row.chi2_gain), parameters),
-            TableCell::Number(number(row.log_likelihood_ratio)),
-            TableCell::Number(p_value(row.p_value)),
+            TableCell::WithNotes(number(row.chi2_gain), parameters),
+            TableCell::Text(number(row.log_likelihood_ratio)),
+            TableCell::Text(p_value(row.p_value)),
         ]);
     }
     table.html()
@@ -87,7 +83,10 @@ pub(super) fn detectable(input: &ReportInput) -> String {
     } else {
         &["effect", "status", "#smallest size", "why"]
     };
-    let mut table = Table::new("Smallest size found with 90 % probability", columns);
+    let mut table = Table::new(
+        "Smallest size that is not called adequate, with 90 % probability; its name may take more",
+        columns,
+    );
     for d in rows {
         let class = if d.status == "testable" {
             "good"
@@ -95,7 +94,7 @@ pub(super) fn detectable(input: &ReportInput) -> String {
             "plain"
         };
         let size = |size: Option<f64>| {
-            TableCell::Number(size.map_or("–".into(), |v| match unit_text(&d.unit) {
+            TableCell::Text(size.map_or("–".into(), |v| match unit_text(&d.unit) {
                 u if u.is_empty() => number(v),
                 _ => quantity(v, &d.unit),
             }))

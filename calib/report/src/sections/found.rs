@@ -3,7 +3,7 @@
 use super::parts::{absent, joined};
 use super::residuals;
 use crate::input::ReportInput;
-use crate::markup::{Table, TableCell, escape, paragraph, with_sign};
+use crate::markup::{Table, escape, paragraph, with_sign};
 use crate::number::{
     join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval,
 };
@@ -76,20 +76,18 @@ fn one_effect(effect: &NamedEffect) -> String {
     );
     for p in &effect.parameters {
         let (value, interval) = with_interval(p.value, p.interval95);
-        table.row(vec![
-            TableCell::Text(split_unit(&p.name).0),
-            TableCell::Number(value),
-            TableCell::Number(interval),
-            TableCell::Text(if p.unit == "1" {
+        table.row([
+            split_unit(&p.name).0,
+            value,
+            interval,
+            if p.unit == "1" {
                 "dimensionless".into()
             } else {
                 unit_text(&p.unit)
-            }),
+            },
         ]);
     }
-    if !table.is_empty() {
-        out += &table.html();
-    }
+    out += &table.html();
     out += &format!(
         "<p>Adjusted for the whole catalogue: p {}.",
         with_sign(&p_value(effect.p_value))
@@ -122,20 +120,16 @@ fn left_out(input: &ReportInput) -> String {
         ],
     );
     for e in &input.verify.leave_one_effect_out {
-        let error = |e: Option<f64>| TableCell::Number(e.map_or_else(|| "-".to_owned(), number));
-        table.row(vec![
-            TableCell::Text(e.id.clone()),
-            TableCell::Number(format!("{} times", number(e.misfit_ratio))),
-            TableCell::Number(p_value(e.p_value)),
+        let error = |e: Option<f64>| e.map_or_else(|| "-".to_owned(), number);
+        table.row([
+            e.id.clone(),
+            format!("{} times", number(e.misfit_ratio)),
+            p_value(e.p_value),
             error(e.left_out),
             error(e.left_out_without),
         ]);
     }
-    if table.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    }
+    table.html()
 }
 
 fn ambiguity(input: &ReportInput) -> String {
@@ -192,17 +186,15 @@ fn next_measurement(next: &NextMeasurement) -> String {
             0.0 => "settled".to_owned(),
             v => join_unit(&number(v), "mm/s"),
         };
-        table.row(vec![
-            TableCell::Number((k + 1).to_string()),
-            TableCell::Number(pose.trajectory.to_string()),
-            TableCell::Number(number(pose.stage_mm)),
-            TableCell::Text(format!("{direction} ({})", number(pose.direction))),
-            TableCell::Number(speed),
-            TableCell::Number(number(pose.dwell_s)),
+        table.row([
+            (k + 1).to_string(),
+            pose.trajectory.to_string(),
+            number(pose.stage_mm),
+            format!("{direction} ({})", number(pose.direction)),
+            speed,
+            number(pose.dwell_s),
         ]);
     }
-    if !table.is_empty() {
-        out += &table.html();
-    }
+    out += &table.html();
     out + "</div>"
 }

@@ -26,61 +26,34 @@ pub(crate) struct Section {
 
 /// Sections that apply to this session.
 pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
-    let mut sections = vec![
-        Section {
-            id: "before-after",
-            title: "Before and after",
-            body: before_after::body(input),
-        },
-        Section {
-            id: "found",
-            title: "What was found",
-            body: found::body(input),
-        },
-    ];
+    let mut sections = Vec::new();
+    let mut add = |id, title, body| sections.push(Section { id, title, body });
+    add(
+        "before-after",
+        "Before and after",
+        before_after::body(input),
+    );
+    add("found", "What was found", found::body(input));
     if let Some(judged) = &input.verify.calibration {
-        sections.push(Section {
-            id: "calibration",
-            title: "The given calibration",
-            body: calibration::body(judged),
-        });
+        add(
+            "calibration",
+            "The given calibration",
+            calibration::body(judged),
+        );
     }
     if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
-        sections.push(Section {
-            id: "twin",
-            title: "Twin check",
-            body: twin::body(input),
-        });
+        add("twin", "Twin check", twin::body(input));
     }
-    sections.push(Section {
-        id: "residuals",
-        title: "Residuals",
-        body: residuals::body(input),
-    });
-    sections.push(Section {
-        id: "evidence",
-        title: "Evidence",
-        body: evidence::body(input),
-    });
-    sections.push(Section {
-        id: "detectable",
-        title: "Detectability: smallest effects found with 90 % power",
-        body: evidence::detectable(input),
-    });
-    sections.push(Section {
-        id: "noise",
-        title: "Noise floor and remarks",
-        body: noise::body(input),
-    });
-    sections.push(Section {
-        id: "readings",
-        title: "Readings",
-        body: readings::body(input),
-    });
-    sections.push(Section {
-        id: "provenance",
-        title: "What was read, and how",
-        body: provenance::body(input),
-    });
+    add("residuals", "Residuals", residuals::body(input));
+    add("evidence", "Evidence", evidence::body(input));
+    let title = "Detectability: smallest effects that these data show";
+    add("detectable", title, evidence::detectable(input));
+    add("noise", "Noise floor and remarks", noise::body(input));
+    add("readings", "Readings", readings::body(input));
+    add(
+        "provenance",
+        "What was read, and how",
+        provenance::body(input),
+    );
     sections
 }

@@ -1,7 +1,7 @@
 //! Noise floor, its source, and remarks.
 
 use crate::input::ReportInput;
-use crate::markup::{Table, TableCell, list};
+use crate::markup::{Table, list};
 use crate::number::{number, unit_text};
 
 /// The section.
@@ -20,11 +20,11 @@ pub(super) fn body(input: &ReportInput) -> String {
     );
     for (name, value, unit) in rows {
         if let Some(value) = value {
-            table.row(vec![
-                TableCell::Text(name.into()),
-                TableCell::Number(number(value)),
-                TableCell::Text(unit_text(unit)),
-                TableCell::Text(floor.source.clone()),
+            table.row([
+                name.into(),
+                number(value),
+                unit_text(unit),
+                floor.source.clone(),
             ]);
         }
     }
@@ -37,11 +37,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         "none" | "" => "Unknown: this session cannot separate noise from error.",
         _ => "",
     };
-    let mut out = if table.is_empty() {
-        String::new()
-    } else {
-        table.html()
-    };
+    let mut out = table.html();
     if !source.is_empty() {
         out += &format!("<p>{source}</p>");
     }

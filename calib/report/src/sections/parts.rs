@@ -3,13 +3,18 @@
 use crate::markup::escape;
 use crate::plot::Marker;
 
-/// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
-pub(crate) fn figure(simulated: bool, class: &str, charts: &str, caption: &str) -> String {
-    let tag = if simulated {
+/// The mark of simulated data before a caption.
+pub(crate) fn badge(simulated: bool) -> &'static str {
+    if simulated {
         "<span class=\"pill sim\">SIMULATED</span> "
     } else {
         ""
-    };
+    }
+}
+
+/// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
+pub(crate) fn figure(simulated: bool, class: &str, charts: &str, caption: &str) -> String {
+    let tag = badge(simulated);
     format!(
         "<figure class=\"{class}\"><div class=\"charts\">{charts}</div><figcaption>{tag}{}</figcaption></figure>\n",
         escape(caption)

@@ -2,7 +2,7 @@
 
 use super::parts::absent;
 use crate::input::ReportInput;
-use crate::markup::{Table, TableCell};
+use crate::markup::Table;
 use crate::number::{join_unit, number, unit_text};
 use wcal_core::ResidualRecord;
 
@@ -34,12 +34,12 @@ pub(super) fn body(input: &ReportInput) -> String {
             &["#point", "file, line", "channel", "#measured", "why"],
         );
         for r in rejected.iter().take(MAX_REJECTED) {
-            table.row(vec![
-                TableCell::Number(r.point.to_string()),
-                TableCell::Text(place(r)),
-                TableCell::Text(r.channel.clone()),
-                TableCell::Number(join_unit(&number(r.measured), &r.unit)),
-                TableCell::Text(r.rejected.clone().unwrap_or_default()),
+            table.row([
+                r.point.to_string(),
+                place(r),
+                r.channel.clone(),
+                join_unit(&number(r.measured), &r.unit),
+                r.rejected.clone().unwrap_or_default(),
             ]);
         }
         out += &table.html();
@@ -89,19 +89,19 @@ fn listing(caption: &str, rows: &[&ResidualRecord]) -> String {
         ],
     );
     for r in rows {
-        table.row(vec![
-            TableCell::Number(r.point.to_string()),
-            TableCell::Text(place(r)),
-            TableCell::Text(r.role.clone()),
-            TableCell::Number(r.group.to_string()),
-            TableCell::Text(r.channel.clone()),
-            TableCell::Text(unit_text(&r.unit)),
-            TableCell::Number(number(r.measured)),
-            TableCell::Number(number(r.predicted_before)),
-            TableCell::Number(number(r.predicted_after)),
-            TableCell::Number(number(r.measured - r.predicted_before)),
-            TableCell::Number(number(r.measured - r.predicted_after)),
-            TableCell::Number(number(r.noise_sd)),
+        table.row([
+            r.point.to_string(),
+            place(r),
+            r.role.clone(),
+            r.group.to_string(),
+            r.channel.clone(),
+            unit_text(&r.unit),
+            number(r.measured),
+            number(r.predicted_before),
+            number(r.predicted_after),
+            number(r.measured - r.predicted_before),
+            number(r.measured - r.predicted_after),
+            number(r.noise_sd),
         ]);
     }
     table.html()

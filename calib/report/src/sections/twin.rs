@@ -24,7 +24,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         );
         for fault in faults {
             let points: Vec<String> = fault.points.iter().map(i64::to_string).collect();
-            table.row(vec![
+            table.row([
                 TableCell::Badge("bad", fault.kind.clone()),
                 TableCell::Text(points.join(", ")),
                 TableCell::Text(fault.detail.clone()),

@@ -199,16 +199,6 @@ impl<'a> BranchTracker<'a> {
         })
     }
 
-    /// The last equilibrium on the branch: where it ended, once it has.
-    pub fn last_held(&self) -> &Equilibrium {
-        &self.last.1
-    }
-
-    /// Smallest eigenvalue of the second variation at the last equilibrium, N: near zero where the branch ended in a snap.
-    pub fn smallest_eigenvalue(&self) -> f64 {
-        self.rod.smallest_eigenvalue(self.last_held())
-    }
-
     /// Equilibrium at `x_mm`, which must not lie before the last one.
     pub fn advance_to(&mut self, x_mm: f64) -> Outcome {
         if let Some(end) = self.end {

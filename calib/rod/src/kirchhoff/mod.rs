@@ -1,8 +1,6 @@
-//! The continuous rod in the groove: integration, one equilibrium, its branch along a path, its stability.
+//! The continuous rod in the groove: integration, one equilibrium, its branch along a path.
 
 pub mod broyden;
 pub mod continuation;
-mod equilibria;
 pub mod integrate;
 pub mod solve;
-pub mod stability;

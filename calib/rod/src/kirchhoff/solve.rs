@@ -481,10 +481,4 @@ impl Rod {
         }
         table.moments_nmm[0]
     }
-
-    /// Frame of the root once the base has given way under `moment_nmm`.
-    pub fn root_frame(&self, moment_nmm: &Vector3<f64>) -> Matrix3<f64> {
-        let turn = moment_nmm.component_mul(&self.compliance_axes) * self.compliance_rad_per_nmm;
-        Rotation3::new(turn).matrix() * self.shape.root
-    }
 }

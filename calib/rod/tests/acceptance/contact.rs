@@ -171,7 +171,9 @@ fn giving_root_equals_a_turned_root() {
     rod.compliance_rad_per_nmm = COMPLIANCE;
     let soft = held(&rod, &point);
     let mut turned = bent(2.0);
-    turned.shape.root = rod.root_frame(&soft.moment_nmm);
+    // The root turns about each base axis in proportion to the moment that it carries.
+    let turn = soft.moment_nmm.component_mul(&rod.compliance_axes) * COMPLIANCE;
+    turned.shape.root = Rotation3::new(turn).matrix() * rod.shape.root;
     let same = held(&turned, &point);
     assert!((same.moment_nmm - soft.moment_nmm).norm() < 1e-10);
     assert!(

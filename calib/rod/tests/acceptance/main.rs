@@ -7,7 +7,6 @@ mod elliptic;
 mod laws;
 mod order;
 mod rest_fit;
-mod stability;
 mod touch;
 
 #[path = "../../../../tests/support/wires.rs"]

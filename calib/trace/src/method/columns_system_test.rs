@@ -11,9 +11,15 @@ pub struct ColumnsSystem {
     columns: Vec<Vec<f64>>,
     catalogue: Vec<Effect>,
     groups: Vec<u32>,
+    covariates: Vec<(String, Vec<f64>)>,
 }
 
 impl ColumnsSystem {
+    /// The same with covariates.
+    pub fn with_covariates(self, covariates: Vec<(String, Vec<f64>)>) -> Self {
+        Self { covariates, ..self }
+    }
+
     /// `clean` with white noise of standard deviation 1, in groups of ten readings.
     pub fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
@@ -43,6 +49,7 @@ impl ColumnsSystem {
                 .collect(),
             columns,
             groups: (0..n).map(|i| (i / 10) as u32).collect(),
+            covariates: Vec::new(),
         }
     }
 
@@ -79,6 +86,6 @@ impl MeasurementModel for ColumnsSystem {
         &self.groups
     }
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
-        Vec::new()
+        self.covariates.clone()
     }
 }

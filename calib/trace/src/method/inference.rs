@@ -1,6 +1,6 @@
 //! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
 
-use super::fit::Fit;
+use super::fit::{Fit, Weights, fit};
 use super::hypothesis::Hypothesis;
 use super::linear::Basis;
 use super::search_result::SearchResult;
@@ -36,6 +36,38 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
             inverse[(i, j)] * variance / (scale[i] * scale[j])
         }
     })
+}
+
+/// Standard deviations of measured less predicted values, in the sensor's channels (readings x channels):
+///
+/// ```text
+/// sd_ic^2 = noise_i^2 sum_a P_ac^2 + G V G',     G = sum_a P_ac J_ia        P: channels_pm, J: tangents at the fitted values, V: their covariance
+/// ```
+///
+/// of `h`, fitted on readings of `system` or part of them; `noise_sd` of each reading, in the engine's channels. None where the model has no
+/// solution there.
+pub fn prediction_sd(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+    noise_sd: &[f64],
+) -> Option<DMatrix<f64>> {
+    let n = noise_sd.len();
+    // Tangents alone: the coefficients of this call are not used.
+    let jacobian = fit(system, &h.fit.terms, &Weights::equal(n), 0)?.jacobian();
+    let (spread, shares) = (covariance(&h.fit, h.fit.variance()), system.channels_pm());
+    if spread.nrows() != jacobian.ncols() {
+        return None;
+    }
+    let sd = |i: usize, c: usize| {
+        let shares = shares.column(c);
+        let rows = DMatrix::from_fn(shares.len(), jacobian.ncols(), |a, k| {
+            jacobian[(a * n + i, k)]
+        });
+        let gradient = shares.transpose() * rows;
+        let fitted = (&gradient * &spread * gradient.transpose())[0];
+        (noise_sd[i].powi(2) * shares.norm_squared() + fitted.max(0.0)).sqrt()
+    };
+    Some(DMatrix::from_fn(n, shares.ncols(), sd))
 }
 
 /// Quantile of Student's t for a two-sided 95 % interval.

@@ -106,6 +106,11 @@ const OF_STIMULUS: f64 = 100.0;
 /// Splits what `fit` leaves by `cells`, a key a reading; columns weighted by the readings' relative spread. Of a stimulus `x` that is read with scatter within cells, what
 /// follows it says nothing there.
 pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
+    split_of(fit.residual.column(0).as_slice(), fit, weights, cells, x)
+}
+
+/// The same of any whitened values, off what `fit` takes up.
+pub fn split_of(values: &[f64], fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
     let w = weights.relative();
     let cells = members(cells, w);
     let norms =
@@ -114,13 +119,7 @@ pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
     let negligible = OF_STIMULUS * scatter / size.max(1e-300);
     // Whitened, so that a part of the noise that neighbours share is no lack of fit.
     let left: Vec<f64> = (0..w.len())
-        .map(|i| {
-            if w[i] > 0.0 {
-                fit.residual[(i, 0)] / w[i]
-            } else {
-                0.0
-            }
-        })
+        .map(|i| if w[i] > 0.0 { values[i] / w[i] } else { 0.0 })
         .collect();
     let of = |within: bool| {
         let mut basis = Basis::default();

@@ -27,4 +27,5 @@ pub mod search;
 pub mod search_result;
 pub mod settings;
 pub mod signature;
+pub mod smooth_rival;
 pub mod subsets;

@@ -10,7 +10,8 @@
 //!
 //! with the noise theta estimated anew on both sides.
 
-use super::fit::Weights;
+use super::admissible::REFIT_STEPS;
+use super::fit::{Weights, fit};
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{
@@ -18,7 +19,7 @@ use super::noise::{
     correlated_gain, estimate,
 };
 use super::omnibus::{CovariateScore, OmnibusTest};
-use crate::levels::{GENERIC, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
+use crate::levels::{GENERIC, LEAD, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
 use crate::measurement_model::MeasurementModel;
 
 /// Generic drivers that are judged against correlated noise.
@@ -36,6 +37,44 @@ pub fn noise_for_predictions(
 ) -> Option<Noise> {
     let judge = NoiseEstimator::new(system, seed).with_correlated_gain(CORRELATED_PRICE);
     judge.noise(h, &[])
+}
+
+/// How well a model can do under any noise.
+struct Misfit {
+    noise: Noise,
+    best: RestrictedLikelihood,
+    /// Where a part that is correlated in time gains what it costs: whether it is a course over the session.
+    correlated: Option<bool>,
+}
+
+impl Misfit {
+    /// Akaike's criterion.
+    fn criterion(&self) -> f64 {
+        let shared = if self.correlated.is_some() {
+            CORRELATED_PRICE
+        } else {
+            0.0
+        };
+        // A law of the spread is one parameter.
+        let law = if self.noise.law.is_some() { PRICE } else { 0.0 };
+        self.best.plain - PRICE * self.best.dof + shared + law
+    }
+
+    /// Noise that neighbours share stands in the place of what the richer model `with` holds, which is the better description: a course in time in the place
+    /// of no such noise, or by more than a term leads that is chosen among many.
+    fn is_exchanged(&self, with: &Self) -> bool {
+        let course = self.correlated == Some(true) && with.correlated.is_none();
+        self.correlated.is_some()
+            && self.criterion() - with.criterion() > if course { 0.0 } else { LEAD }
+    }
+}
+
+/// A term that does not hold against the noise that would stand in its place.
+struct Unsupported {
+    p: f64,
+    /// It is the better description all the same.
+    exchanged: bool,
+    dropped: (usize, Hypothesis),
 }
 
 /// Estimates the noise of an explanation's residuals.
@@ -92,63 +131,95 @@ impl<'a> NoiseEstimator<'a> {
     }
 
     /// The same, and how well the model can do under any noise.
-    fn noise_and_misfit(
-        &self,
-        h: &Hypothesis,
-        columns: &[Vec<f64>],
-    ) -> Option<(Noise, RestrictedLikelihood)> {
+    fn noise_and_misfit(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<Misfit> {
         let noise = self.noise(h, columns)?;
-        let mut m = best_misfit(&MeanModel::of(&h.fit).with(columns), &self.inputs, &noise)?;
+        let (mut m, correlated) =
+            best_misfit(&MeanModel::of(&h.fit).with(columns), &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
         m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.auxiliary_variance();
         (m.values, m.dof) = (m.values + seen, m.dof + seen);
-        Some((noise, m))
+        Some(Misfit {
+            noise,
+            best: m,
+            correlated,
+        })
     }
 
     /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where nothing is left to test it by.
-    fn p_value(
-        &self,
-        without: &(Noise, RestrictedLikelihood),
-        with: &(Noise, RestrictedLikelihood),
-        family: &MinPDistribution,
-    ) -> f64 {
-        let (a, b) = (&without.1, &with.1);
+    fn p_value(&self, without: &Misfit, with: &Misfit, family: &MinPDistribution) -> f64 {
+        let (a, b) = (&without.best, &with.best);
         // Both sides have had every shared part; a law of the spread is one parameter.
         let law = |n: &Noise| if n.law.is_some() { PRICE } else { 0.0 };
-        let lead = (a.plain + law(&without.0) - b.plain - law(&with.0)) / a.values;
+        let lead = (a.plain + law(&without.noise) - b.plain - law(&with.noise)) / a.values;
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
         let worse = lead.min(MAX_LEAD).exp();
         f_test(worse - 1.0, worse, a.dof, extra as usize).map_or(1.0, |p| family.family_wise_p(p))
     }
 
-    /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`. A model that is degenerate under
-    /// another noise is judged under the one that it was found with.
+    /// The terms of `kept` that do not hold against the noise which would stand in their place, judged in `family`.
+    fn unsupported(
+        &self,
+        kept: &Hypothesis,
+        dropped: Vec<(usize, Hypothesis)>,
+        family: &MinPDistribution,
+    ) -> Option<Vec<Unsupported>> {
+        let with = self.noise_and_misfit(kept, &[])?;
+        let level = if with.noise.correlated.is_some() {
+            RETAIN_BESIDE_CORRELATED
+        } else {
+            RETAIN
+        };
+        let judged = dropped.into_iter().filter_map(|dropped| {
+            let without = self.noise_and_misfit(&dropped.1, &[])?;
+            let p = self.p_value(&without, &with, family);
+            Some(Unsupported {
+                p,
+                exchanged: without.is_exchanged(&with),
+                dropped,
+            })
+        });
+        Some(judged.filter(|u| u.p > level).collect())
+    }
+
+    /// The effects of `best` that hold against the noise which would stand in their place, and those that are not told from it. A model that is
+    /// degenerate under another noise is judged under the one that it was found with.
     pub(crate) fn backward_eliminate(
         &self,
         best: &Hypothesis,
         family: &MinPDistribution,
     ) -> Hypothesis {
         let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
-            let with = self.noise_and_misfit(kept, &[])?;
-            let level = if with.0.correlated.is_some() {
-                RETAIN_BESIDE_CORRELATED
-            } else {
-                RETAIN
-            };
-            let judged = dropped.into_iter().filter_map(|d| {
-                Some((
-                    self.p_value(&self.noise_and_misfit(&d.1, &[])?, &with, family),
-                    d,
-                ))
-            });
-            judged
-                .max_by(|a, b| a.0.total_cmp(&b.0))
-                .filter(|(p, _)| *p > level)
-                .map(|(_, d)| d)
+            let noise = self
+                .unsupported(kept, dropped, family)?
+                .into_iter()
+                .filter(|u| !u.exchanged);
+            noise.max_by(|a, b| a.p.total_cmp(&b.p)).map(|u| u.dropped)
         };
         best.eliminate(self.system, weakest).0
+    }
+
+    /// `best` without a term that is not told from noise that neighbours share.
+    pub(crate) fn noise_rivals(
+        &self,
+        best: &Hypothesis,
+        family: &MinPDistribution,
+    ) -> Vec<Hypothesis> {
+        let judged = self
+            .unsupported(best, best.drop1(self.system), family)
+            .unwrap_or_default();
+        let refit = |u: Unsupported| {
+            let (_, h) = u.dropped;
+            let weights = self.noise(&h, &[])?.weights.masked(|i| h.weights.counts(i));
+            let fit = fit(self.system, &h.fit.terms, &weights, REFIT_STEPS)?;
+            Some(Hypothesis { fit, weights, ..h })
+        };
+        judged
+            .into_iter()
+            .filter(|u| u.exchanged)
+            .filter_map(refit)
+            .collect()
     }
 
     /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.

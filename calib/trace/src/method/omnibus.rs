@@ -1,7 +1,7 @@
 //! The omnibus test: is anything left beyond noise? One family-wise level, shared (Bonferroni) between four kinds of alternative:
 //!
 //! ```text
-//! 0.01 named signatures + 0.005 generic drivers + 0.002 serial correlation + 0.002 lack of fit against pure error = 0.019
+//! 0.01 named signatures + 0.002 generic drivers + 0.0015 serial correlation + 0.002 lack of fit against pure error = 0.0155
 //! ```
 
 use super::covariates::{CovariateSignature, signatures_of_covariates};

@@ -1,49 +1,108 @@
 //! Single readings that do not belong: kept in the table, left out of the fit, taken back where a better model explains them.
 //!
-//! Residuals are judged by [`super::tails`]. The declared model's first fit must not lean on a gross reading, or it bends toward it and
-//! its neighbours look wrong: it starts from least trimmed squares (Rousseeuw & Van Driessen, Technometrics 41, 1999), the coefficients
-//! for which the smaller three quarters of the residuals have the least sum of squares.
+//! A gross reading bends the fit that holds it, so each is judged by a fit without it. The one with the largest `e_v^2 / (1 - h_v)` is deleted, then the
+//! next, and all are judged by what is left of the fit (Hadi & Simonoff, J. Am. Stat. Assoc. 88 (1993), 1264-1272):
+//!
+//! ```text
+//! e_u += h_uv e_v / (1 - h_v),   h_u += h_uv^2 / (1 - h_v)              v deleted; e: whitened residual, h: hat matrix
+//! d_v = e_v / sqrt(1 - h_v) of a reading that is held,   e_v / sqrt(1 + h_v) of a deleted one
+//! ```
+//!
+//! [`super::noise::tails`] says which of them no noise explains; these alone are left out of the next fit, until nothing changes. A gross reading beside a
+//! bend shows on a smooth curve of the model's own ([`MeasurementModel::smooth_columns`]), which is no name: the search goes on without that reading.
 
 use super::fit::{Fit, Weights, fit, linear};
 use super::hypothesis::Hypothesis;
+use super::inference::covariance;
 use super::noise::tails::extreme_values;
 use super::signature::nuisance_basis;
 use crate::effect::EffectTerm;
 use crate::levels::SINGLE_READINGS;
 use crate::measurement_model::MeasurementModel;
-use nalgebra::DMatrix;
-use rand::SeedableRng;
-use rand::seq::index::sample;
-use std::cmp::Ordering;
-use wcal_core::order_statistics::median;
+use nalgebra::{DMatrix, DVector};
 
 /// More flagged readings than this share are no longer single readings.
 const MAX_SHARE: f64 = 0.08;
 /// Rounds of flagging and refitting.
 const ROUNDS: usize = 6;
+/// Variance of the place that the others give a reading, in its own: where a smooth curve is known no better, it says nothing of the reading.
+const REACH: f64 = 1.0;
+/// A reading that determines itself has no residual to be judged by.
+const LEAST_LEFT: f64 = 0.05;
 
-/// Residuals in standard deviations of their own, readings x channels: a reading that counts by its whitened residual over the share that
-/// the fit leaves, one that does not by its prediction.
-pub fn studentised_residuals(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
-    let (n, channels) = fit.residual.shape();
+/// A residual in standard deviations of its own, `h` its leverage; NaN where the others do not say where the reading should be.
+fn studentised(left: f64, h: f64, held: bool, reach: f64) -> f64 {
+    let (variance, place) = if held {
+        (1.0 - h, h / (1.0 - h))
+    } else {
+        (1.0 + h, h)
+    };
+    if place > reach || !place.is_finite() {
+        f64::NAN
+    } else {
+        left / variance.max(LEAST_LEFT).sqrt()
+    }
+}
+
+/// Studentised residuals of a fit, readings x channels: a reading that does not count is judged by its prediction.
+fn studentised_residuals(fit: &Fit, weights: &Weights, reach: f64) -> DMatrix<f64> {
+    let ((n, channels), q) = (fit.residual.shape(), fit.design.ncols());
     let s = fit.variance().sqrt().max(1e-300);
-    let basis = nuisance_basis(fit);
+    let (basis, spread) = (nuisance_basis(fit), covariance(fit, 1.0));
     DMatrix::from_fn(n, channels, |i, c| {
         if weights.counts(i) {
-            fit.residual[(i, c)] / (s * basis.unexplained_sd(c * n + i))
-        } else {
-            fit.raw_residual[(i, c)] / (s * weights.total_sd(i))
+            let h = 1.0 - basis.unexplained_sd(c * n + i).powi(2);
+            return studentised(fit.residual[(i, c)] / s, h, true, reach);
         }
+        // Variance of the prediction by the parameters' covariance.
+        let mut row = DVector::zeros(spread.nrows());
+        row.rows_mut(c * q, q)
+            .copy_from(&fit.raw_design.row(i).transpose());
+        fit.raw_tangents
+            .iter()
+            .enumerate()
+            .for_each(|(k, t)| row[q * channels + k] = t[(i, c)]);
+        let own = weights.total_sd(i);
+        let h = row.dot(&(&spread * &row)) / (own * own);
+        studentised(fit.raw_residual[(i, c)] / (s * own), h, false, reach)
     })
 }
 
-/// Last digit of each channel's readings, 0 where they are written finely: a reading that is one digit off is no outlier, however well the others
-/// agree.
-fn quantisation_step(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
-    let steps = system.noise_inputs().step;
-    (0..channels)
-        .map(|c| steps.get(c).copied().flatten().unwrap_or(0.0))
-        .collect()
+/// The same of the linear model of a fit from which the `most` readings that stand farthest out are deleted, one after the other.
+fn without_the_farthest(fit: &Fit, weights: &Weights, most: usize, reach: f64) -> DMatrix<f64> {
+    let (n, channels) = fit.residual.shape();
+    let size = n * channels;
+    let basis = nuisance_basis(fit);
+    let row = |v: usize| DVector::from_iterator(basis.rank(), basis.vectors().iter().map(|q| q[v]));
+    let rows: Vec<DVector<f64>> = (0..size).map(row).collect();
+    let mut inverse = DMatrix::identity(basis.rank(), basis.rank());
+    let mut left = fit.residual.as_slice().to_vec();
+    let mut leverage: Vec<f64> = rows.iter().map(|r| r.norm_squared()).collect();
+    let mut held: Vec<bool> = (0..n).map(|i| weights.counts(i)).collect();
+    for _ in 0..most {
+        let fall = |v: &usize| left[*v] * left[*v] / (1.0 - leverage[*v]).max(LEAST_LEFT);
+        let open = (0..size).filter(|v| held[v % n]);
+        let Some(farthest) = open.max_by(|a, b| fall(a).total_cmp(&fall(b))) else {
+            break;
+        };
+        held[farthest % n] = false;
+        for v in (0..channels).map(|c| c * n + farthest % n) {
+            if leverage[v] > 1.0 - LEAST_LEFT {
+                continue;
+            }
+            let along = &inverse * &rows[v];
+            let (share, e) = (1.0 / (1.0 - leverage[v]), left[v]);
+            for u in 0..size {
+                let h = rows[u].dot(&along);
+                left[u] += h * e * share;
+                leverage[u] += h * h * share;
+            }
+            inverse += &along * along.transpose() * share;
+        }
+    }
+    DMatrix::from_fn(n, channels, |i, c| {
+        studentised(left[c * n + i], leverage[c * n + i], held[i], reach)
+    })
 }
 
 /// How far a reading of the digit beside the nearest one may lie from a model that passes between two, in digits.
@@ -56,10 +115,23 @@ pub fn reject_outliers(
     start: &Fit,
     weights: &Weights,
 ) -> Option<Hypothesis> {
+    reject(
+        system,
+        &|weights| fit(system, terms, weights, 15),
+        start,
+        weights,
+        f64::INFINITY,
+    )
+}
+
+fn reject(
+    system: &dyn MeasurementModel,
+    refit: &dyn Fn(&Weights) -> Option<Fit>,
+    start: &Fit,
+    weights: &Weights,
+    reach: f64,
+) -> Option<Hypothesis> {
     let (n, channels) = start.residual.shape();
-    if n < 12 {
-        return None;
-    }
     let most = (MAX_SHARE * n as f64) as usize + 1;
     let all = weights.unmasked();
     let mut current = start.clone();
@@ -67,18 +139,31 @@ pub fn reject_outliers(
     let mut flagged: Vec<usize> = (0..n)
         .filter(|&i| all.counts(i) && !weights.counts(i))
         .collect();
-    let (mut p_value, digit) = (1.0, quantisation_step(system, channels));
+    let (mut p_value, digit) = (1.0, system.noise_inputs().step);
+    let values = channels * (0..n).filter(|&i| all.counts(i)).count();
+    let dof = values.saturating_sub(start.design.ncols() * channels + start.tangents.len());
+    let mut z = if flagged.is_empty() {
+        without_the_farthest(start, &weights, most, reach)
+    } else {
+        studentised_residuals(start, &weights, reach)
+    };
     for _ in 0..ROUNDS {
-        let z = studentised_residuals(&current, &weights);
         let judged: Vec<f64> = (0..n)
             .filter(|&i| all.counts(i))
-            .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())
+            .flat_map(|i| {
+                z.row(i)
+                    .iter()
+                    .copied()
+                    .filter(|z| z.is_finite())
+                    .collect::<Vec<_>>()
+            })
             .collect();
-        let found = extreme_values(&judged, most * channels, SINGLE_READINGS);
+        let found = extreme_values(&judged, most * channels, dof, SINGLE_READINGS);
         let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
             let beyond = |i: usize, c: usize| {
                 z[(i, c)].abs() >= f.beyond
-                    && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]
+                    && current.raw_residual[(i, c)].abs()
+                        > ONE_DIGIT * digit.get(c).copied().flatten().unwrap_or(0.0)
             };
             (0..n)
                 .filter(|&i| all.counts(i) && (0..channels).any(|c| beyond(i, c)))
@@ -93,7 +178,8 @@ pub fn reject_outliers(
         }
         flagged = next;
         weights = all.masked(|i| !flagged.contains(&i));
-        current = fit(system, terms, &weights, 15)?;
+        current = refit(&weights)?;
+        z = studentised_residuals(&current, &weights, reach);
     }
     let singly = !flagged.is_empty() && are_isolated(system, &all, &flagged);
     singly.then_some(Hypothesis {
@@ -102,6 +188,52 @@ pub fn reject_outliers(
         flagged,
         flag_p: p_value,
     })
+}
+
+/// The declared model without readings that stand out of every smooth curve through the others, bent or not.
+pub fn without_gross_readings(system: &dyn MeasurementModel, declared: Hypothesis) -> Hypothesis {
+    let columns = system.smooth_columns();
+    let curve = |weights: &Weights| {
+        let plain = fit(system, &[], weights, 15)?;
+        let (n, q) = plain.raw_design.shape();
+        let raw = DMatrix::from_fn(n, q + columns.len(), |i, j| {
+            if j < q {
+                plain.raw_design[(i, j)]
+            } else {
+                columns[j - q][i]
+            }
+        });
+        let design = weights.apply(&raw);
+        let (coefficients, residual, _) = linear(&design, &weights.apply(system.measured()));
+        let dof = plain.dof - (columns.len() * residual.ncols()) as f64;
+        let ssr = residual.norm_squared() + plain.auxiliary_residual.norm_squared();
+        let raw_residual = system.measured() - &raw * &coefficients;
+        Some(Fit {
+            raw_design: raw,
+            raw_residual,
+            design,
+            coefficients,
+            residual,
+            ssr,
+            dof,
+            ..plain
+        })
+    };
+    // Beyond the last of the others only a declared model says where a reading should be.
+    let reach = if columns.is_empty() {
+        f64::INFINITY
+    } else {
+        REACH
+    };
+    let found = curve(&declared.weights)
+        .and_then(|start| reject(system, &curve, &start, &declared.weights, reach));
+    let apart = found.and_then(|found| {
+        Some(Hypothesis {
+            fit: fit(system, &[], &found.weights, 15)?,
+            ..found
+        })
+    });
+    apart.unwrap_or(declared)
 }
 
 /// Fewest flagged readings of which it can be said that they are no single ones.
@@ -148,108 +280,4 @@ fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize])
         neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
     let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
     !(stretch || resting || whole_group || whole_setting)
-}
-
-/// Draws of the elemental sets.
-const DRAWS: usize = 300;
-/// Fits of a set, each to the readings that the one before holds.
-const CONCENTRATIONS: usize = 4;
-/// Share of the readings that the trimmed fit holds on to.
-const HELD: f64 = 0.75;
-/// Robust standard deviations from which a reading is gross: what anything less does to the first fit, flagging anew mends.
-const GROSS: f64 = 20.0;
-/// Robust standard deviations that noise with heavy tails reaches now and then.
-const LARGE: f64 = 5.0;
-
-/// Readings that stand so far out of the declared model that its first fit must not see them.
-pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
-    let Some(raw) = system.design(&[]) else {
-        return Vec::new();
-    };
-    let rows: Vec<usize> = (0..weights.len()).filter(|&i| weights.counts(i)).collect();
-    let (n, q) = (rows.len(), raw.ncols());
-    let held = ((HELD * n as f64) as usize).max(q + 2);
-    if n < q + 6 || held >= n {
-        return Vec::new();
-    }
-    let scaled = |m: &DMatrix<f64>| {
-        DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]))
-    };
-    let (x, y) = (scaled(&raw), scaled(system.measured()));
-    let channels = y.ncols();
-    let digit = quantisation_step(system, channels);
-    // Channels may have noises of different sizes; a reading is as far out as its worst channel.
-    let sizes = |subset: &[usize]| -> Vec<f64> {
-        let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
-        let r = &y - &x * b;
-        let scale: Vec<f64> = (0..channels)
-            .map(|c| {
-                let typical = median(r.column(c).iter().map(|v| v.abs())).unwrap_or(0.0);
-                typical.max(0.6745 * digit[c] / 12.0_f64.sqrt()).max(1e-300)
-            })
-            .collect();
-        (0..n)
-            .map(|k| {
-                (0..channels)
-                    .map(|c| r[(k, c)].abs() / scale[c])
-                    .fold(0.0, f64::max)
-                    * 0.6745
-            })
-            .collect()
-    };
-    // The whole fit's trimmed sum in the worst channel's units would change with the scale: compare by the spread itself.
-    let spread = |subset: &[usize]| -> (f64, Vec<usize>) {
-        let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
-        let r = &y - &x * b;
-        let squares: Vec<f64> = r.row_iter().map(|r| r.norm_squared()).collect();
-        let mut ranked = squares.clone();
-        let limit = *ranked.select_nth_unstable_by(held - 1, f64::total_cmp).1;
-        let mut ties = held
-            - squares
-                .iter()
-                .filter(|s| s.total_cmp(&limit).is_lt())
-                .count();
-        // In the order of the table, so that sums do not depend on how they were picked; of equal ones the first.
-        let mut is_held = |square: f64| match square.total_cmp(&limit) {
-            Ordering::Equal if ties > 0 => {
-                ties -= 1;
-                true
-            }
-            by => by.is_lt(),
-        };
-        let order: Vec<usize> = (0..n).filter(|&k| is_held(squares[k])).collect();
-        (order.iter().map(|&k| squares[k]).sum(), order)
-    };
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0175);
-    let mut best: Option<(f64, Vec<usize>)> = None;
-    for _ in 0..DRAWS {
-        let mut subset = sample(&mut rng, n, (q + 1).min(n)).into_vec();
-        let mut cost = f64::INFINITY;
-        for _ in 0..CONCENTRATIONS {
-            let (next_cost, next) = spread(&subset);
-            let settled = next == subset;
-            (cost, subset) = (next_cost, next);
-            if settled {
-                break;
-            }
-        }
-        if best.as_ref().is_none_or(|b| cost < b.0) {
-            best = Some((cost, subset));
-        }
-    }
-    let Some((_, subset)) = best else {
-        return Vec::new();
-    };
-    let size = sizes(&subset);
-    let out: Vec<usize> = (0..n)
-        .filter(|&k| size[k] > GROSS)
-        .map(|k| rows[k])
-        .collect();
-    // Many such readings, or a slope of large ones beside them, are structure: what the model lacks, not gross readings.
-    let large = (0..n)
-        .filter(|&k| size[k] > LARGE && size[k] <= GROSS)
-        .count() as f64;
-    let structure = out.len() as f64 > 0.03 * n as f64 + 2.0
-        || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
-    if structure { Vec::new() } else { out }
 }

@@ -8,7 +8,7 @@ use super::inference::indistinguishable;
 use super::min_p::f_test;
 use super::omnibus::{OmnibusTest, omnibus_test};
 use super::options::Options;
-use super::outliers::{initial_outliers, reject_outliers};
+use super::outliers::{reject_outliers, without_gross_readings};
 use super::refine::{continue_to_convergence, refine_level, refit as refit_starts};
 use super::search_result::{RankedHypothesis, SearchResult};
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
@@ -27,8 +27,6 @@ const PARENTS: usize = 3;
 /// A search under one noise: the best explanation of each size so far.
 pub struct Search {
     options: Options,
-    /// Terms that gross readings of the declared model's first fit stand for: no step of the search.
-    given: usize,
     size: usize,
     /// Explanations of the last size, best first.
     level: Vec<Hypothesis>,
@@ -44,11 +42,10 @@ impl Search {
         options: &Options,
     ) -> Option<Self> {
         options.progress.at("testing the declared model", 0.0);
-        let base = fit_declared_model(system, weights, options.seed)?;
+        let base = fit_declared_model(system, weights)?;
         let test = omnibus_test(system, &base.fit, &base.weights, options);
         Some(Self {
             options: options.clone(),
-            given: count(system, &base.key(system, outlier_index(system))),
             size: 1,
             level: vec![base.clone()],
             found: SearchResult {
@@ -189,16 +186,19 @@ pub fn select_model(
         gate: Gate::NotConverged,
         why: String::new(),
     }));
-    let size = search.given + search.size;
+    // Gross readings that a step takes back, or that were there before the first, are no step of the search.
+    let size = count(system, &search.found.best.key(system, outliers)) + 1;
     refitted.retain(|h| h.is_admissible(system) && count(system, &h.key(system, outliers)) == size);
     let (mut physical, refused) = split_by_identifiability(system, refitted);
     let base = &search.found.base.fit;
     let unidentified = |taken: &Hypothesis| {
-        best_unidentified_rival(&refused, taken, base).map(|n| Rejection {
-            effects: vec![system.catalogue()[n.effect].id.to_owned()],
-            gate: Gate::Identifiability,
-            why: n.why,
-        })
+        unidentified_rivals(&refused, taken, base)
+            .first()
+            .map(|(_, n)| Rejection {
+                effects: vec![system.catalogue()[n.effect].id.to_owned()],
+                gate: Gate::Identifiability,
+                why: n.why.clone(),
+            })
     };
     let Some(scale) = physical
         .iter()
@@ -223,7 +223,13 @@ pub fn select_model(
     if p > CATALOGUE || candidate.aic(base, scale) >= search.found.best.aic(base, scale) {
         return false;
     }
+    let rivals = unidentified_rivals(&refused, &candidate, base);
     take(system, search, physical);
+    // A name does not win by a test that only its rival can fail.
+    search
+        .found
+        .refitted
+        .extend(rivals.into_iter().map(|(h, _)| h));
     true
 }
 
@@ -483,20 +489,19 @@ fn split_by_identifiability(
     (kept, refused)
 }
 
-/// The best of `refused`, where it would have stood in place of `taken`.
-fn best_unidentified_rival(
-    refused: &[Refused],
-    taken: &Hypothesis,
-    base: &Fit,
-) -> Option<NotIdentified> {
+/// Those of `refused` that would have stood in place of `taken`, the best first.
+fn unidentified_rivals(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Vec<Refused> {
     let lead = |h: &Hypothesis| {
         let scale = h.fit.variance().min(taken.fit.variance());
         taken.aic(base, scale) - h.aic(base, scale)
     };
-    let best = refused
+    let mut rivals: Vec<Refused> = refused
         .iter()
-        .max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
-    (lead(&best.0) > 0.0).then(|| best.1.clone())
+        .filter(|r| lead(&r.0) > 0.0)
+        .cloned()
+        .collect();
+    rivals.sort_by(|a, b| lead(&b.0).total_cmp(&lead(&a.0)));
+    rivals
 }
 
 /// One generic score alone explains the residual better than the accepted effects do.
@@ -522,23 +527,14 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
         && reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).is_some()
 }
 
-/// The declared model, fitted without readings that stand far out of it.
-pub fn fit_declared_model(
-    system: &dyn MeasurementModel,
-    weights: &Weights,
-    seed: u64,
-) -> Option<Hypothesis> {
-    let plain = |weights: &Weights| Hypothesis::fitted(system, &[], weights, 15);
-    let out = if outlier_index(system).is_some() {
-        initial_outliers(system, weights, seed)
+/// The declared model, fitted without readings that stand far out of any smooth curve.
+pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights) -> Option<Hypothesis> {
+    let declared = Hypothesis::fitted(system, &[], weights, 15)?;
+    Some(if outlier_index(system).is_some() {
+        without_gross_readings(system, declared)
     } else {
-        Vec::new()
-    };
-    if out.is_empty() {
-        return plain(weights);
-    }
-    let without = plain(&weights.masked(|i| !out.contains(&i)))?;
-    reject_outliers(system, &[], &without.fit, &without.weights).or_else(|| plain(weights))
+        declared
+    })
 }
 
 /// Flags of a model that has changed: a reading that it explains is taken back.

@@ -10,6 +10,7 @@ use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::distributions::f_tail;
 use crate::method::hypothesis::Hypothesis;
+use crate::method::smooth_rival::SmoothRival;
 
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
@@ -23,6 +24,8 @@ pub enum Unfit {
     Unusable(String),
     /// Its error is far above the floor: error, floor.
     FarAboveFloor([f64; 2]),
+    /// Something smooth predicts what it leaves.
+    Predictable(SmoothRival),
 }
 
 impl Unfit {
@@ -41,6 +44,16 @@ impl Unfit {
                 error / floor,
                 with(*floor)
             ),
+            Self::Predictable(SmoothRival { driver, factor }) => {
+                let what = if *factor {
+                    "A characteristic that follows"
+                } else {
+                    "A smooth course over"
+                };
+                format!(
+                    "{what} {driver} predicts what the model leaves of readings that no fit saw."
+                )
+            }
         }
     }
 }

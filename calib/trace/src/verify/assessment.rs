@@ -1,26 +1,22 @@
 //! One look at the sealed readings: do they agree with what was decided?
 //!
 //! ```text
-//! F = |L^-1 e|^2 / (n s^2),   L L' = C + J V J'         e: measured less predicted, C: noise in units of s^2, V: covariance of the parameters
-//! contradicted: P(F_{n, dof} > F) < alpha_k              look k of the same files: alpha_k = alpha / (k (k + 1))
+//! contradicted: P(F_{n, dof} > F) < alpha_k              F of `prediction_residual`; look k of the same files: alpha_k = alpha / (k (k + 1))
 //! ```
 //!
-//! Prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5. The decision cannot change by it: the sealed readings confirm it, do
-//! not contradict it, or veto its calibration. A reading is set aside only where both models put it beyond the limit that the open readings gave.
+//! The decision cannot change by it: the sealed readings confirm it, do not contradict it, or veto its calibration. A reading is set aside only
+//! where both models put it beyond the limit that the open readings gave.
 
 use super::acceptance::far_above_floor;
 use super::decision::Decision;
 use super::error_summary::{coverage95, summarise};
 use super::left_out::{Errors, SharedNoise, noise_ratio};
-use super::refutation::error_rise_test;
+use super::prediction_residual::PredictionResidual;
 use super::session_model::{HeldOut, Quantity, Record, SessionModel};
 use crate::error::TraceError;
-use crate::levels::{HOLDOUT, RIVAL, SEALED_ABOVE_FLOOR, SEALED_SINGLE_READINGS, z};
-use crate::method::distributions::f_tail;
+use crate::levels::{HOLDOUT, SEALED_ABOVE_FLOOR, SEALED_RIVAL, SEALED_SINGLE_READINGS};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::covariance;
-use crate::method::linear::stack;
 use crate::method::noise::Noise;
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -67,9 +63,7 @@ pub fn assess<M: SessionModel>(
     let counts = whole.scored().contains(&true);
     let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise));
     let holdout = match (&errors, look) {
-        (Some(errors), Some(look)) => {
-            judgement(decision, &whole, [&before, &after], &flagged, errors, look)
-        }
+        (Some(errors), Some(look)) => judgement(decision, &whole, &flagged, errors, look),
         _ => HoldoutJudgement::default(),
     };
     let residuals = residuals(decision, &whole, [&before, &after], &flagged);
@@ -127,13 +121,24 @@ fn errors<M: SessionModel>(
 fn judgement<M: SessionModel>(
     decision: &Decision<M>,
     whole: &M,
-    [before, after]: [&M::Predictions; 2],
     flagged: &[usize],
     errors: &Errors,
     look: &Look,
 ) -> HoldoutJudgement {
     let (noise, accepted) = (&decision.of.noise, &decision.conclusion.accepted);
-    let p = holdout_p(whole, accepted, noise, flagged);
+    let upper = noise.at_upper_ends();
+    let judged = |i: usize| whole.scored()[i] && !flagged.contains(&i);
+    let of = |h: &Hypothesis| {
+        let tangents = fit(
+            whole,
+            &h.fit.terms,
+            &Weights::equal(whole.scored().len()),
+            0,
+        )?;
+        PredictionResidual::of(whole, h, &tangents, &upper, judged)
+    };
+    let (declared, after) = (of(&decision.of.explained.found.base), of(accepted));
+    let p = after.as_ref().and_then(PredictionResidual::p);
     let level = look.level(HOLDOUT);
     // The error without readings that are set aside, against what repeats differ by.
     let trimmed = errors
@@ -151,31 +156,34 @@ fn judgement<M: SessionModel>(
         &decision.floor,
         look.level(SEALED_ABOVE_FLOOR),
     );
-    let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
-    let sd: Vec<f64> = scored_rows(whole, flagged)
-        .iter()
-        .map(|&i| sd[i] * whole.noise_factor())
-        .collect();
-    let of = |p: &M::Predictions| scored(whole, p, flagged);
-    // Of two models the one that the other's readings speak against.
-    let against = |wrong, right| {
-        error_rise_test(&of(right), &of(wrong), &sd, look.level(2.0 * RIVAL))
-            && !accepted.fit.terms.is_empty()
+    let (plain, unit) = (accepted.fit.terms.is_empty(), whole.quantities()[0].unit);
+    // Of two models the one that the other refutes.
+    let group = |i: usize| whole.groups()[i];
+    let refuted = |wrong: &Option<PredictionResidual>, right: &Option<PredictionResidual>| {
+        let p = wrong
+            .as_ref()
+            .zip(right.as_ref())
+            .and_then(|(wrong, right)| wrong.beside(right, group).p());
+        !plain && p.is_some_and(|p| p < look.level(SEALED_RIVAL))
     };
-    let unit = whole.quantities()[0].unit;
-    let contradicted = |why: String| (HoldoutOutcome::Contradicted, why);
     let (outcome, why) = match (p, far) {
-        (Some(p), _) if p < level => contradicted(
+        (Some(p), _) if p < level => (
+            HoldoutOutcome::Contradicted,
             "The sealed readings contradict what the fitted readings allow: something acts there that they do not show."
                 .to_owned(),
         ),
-        (_, Some(far)) => contradicted(far.sentence(unit)),
-        _ if against(after, before) => contradicted(
+        (_, Some(far)) => (HoldoutOutcome::Contradicted, far.sentence(unit)),
+        _ if refuted(&after, &declared) => (
+            HoldoutOutcome::Contradicted,
             "The sealed readings contradict the accepted effects: their error rises with them, beyond chance.".to_owned(),
         ),
-        (Some(_), _) if accepted.fit.terms.is_empty() || against(before, after) => {
+        (Some(_), _) if plain => {
             (HoldoutOutcome::Confirmed, "The sealed readings agree with the accepted model.".to_owned())
         }
+        _ if refuted(&declared, &after) => (
+            HoldoutOutcome::Confirmed,
+            "The sealed readings agree with the accepted model, and contradict the declared one.".to_owned(),
+        ),
         _ => (
             HoldoutOutcome::NotContradicted,
             "The sealed readings do not contradict the accepted model, and do not tell it from the declared one."
@@ -256,59 +264,6 @@ fn holdout_outliers<M: SessionModel>(
     } else {
         out
     }
-}
-
-/// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
-/// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
-pub fn holdout_p<M: SessionModel>(
-    whole: &M,
-    accepted: &Hypothesis,
-    noise: &Noise,
-    left_out: &[usize],
-) -> Option<f64> {
-    let (n, rows) = (whole.scored().len(), scored_rows(whole, left_out));
-    if rows.is_empty() || !(noise.repeat.value > 0.0) {
-        return None;
-    }
-    // Tangents at the fitted values on every reading; the coefficients of this call are not used.
-    let local = fit(whole, &accepted.fit.terms, &Weights::equal(n), 0)?;
-    let left = residual(whole, accepted)?;
-    // Rows stand channel by channel within a reading.
-    let channels = left.ncols();
-    let at: Vec<usize> = rows
-        .iter()
-        .flat_map(|i| (0..channels).map(move |c| c * n + i))
-        .collect();
-    let (count, jacobian, off) = (
-        at.len(),
-        local.jacobian().select_rows(&at),
-        stack(&left).select_rows(&at),
-    );
-    let spread = covariance(&accepted.fit, 1.0);
-    if spread.nrows() != jacobian.ncols() {
-        return None;
-    }
-    // All channels share one law of the noise.
-    let own = noise
-        .at_upper_ends()
-        .weights_of(&whole.noise_inputs())
-        .covariance(&rows);
-    let own = DMatrix::from_fn(count, count, |a, b| {
-        if a % channels == b % channels {
-            own[(a / channels, b / channels)]
-        } else {
-            0.0
-        }
-    });
-    let shape = own + &jacobian * spread * jacobian.transpose();
-    let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&off)? / noise.repeat.value;
-    if let Some(tails) = noise.tails.filter(|t| t.heavy && t.heaviest.is_finite()) {
-        // Each value as far out as a Gaussian would have it with the same chance.
-        let gaussian = |x: f64| z((0.5 * tails.two_sided(x)).clamp(1e-300, 0.5)).min(30.0);
-        whitened.apply(|w| *w = w.signum() * gaussian(w.abs()));
-    }
-    let f = whitened.norm_squared() / count as f64;
-    f_tail(f, [count as f64, accepted.fit.dof])
 }
 
 /// Readings of which the covariance is taken at most: it is dense.

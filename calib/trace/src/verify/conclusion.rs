@@ -43,7 +43,7 @@ pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     }
 }
 
-/// Effects that were taken back, since the error of readings left out in turn rises with them.
+/// Effects that were taken back, since they do not predict readings left out in turn better than chance would.
 pub struct Withdrawn {
     /// Their identifiers.
     pub names: Vec<String>,
@@ -545,7 +545,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let changes = if withdrawn.errors[1] > withdrawn.errors[0] {
             "rises"
         } else {
-            "hardly falls"
+            "falls by no more than chance"
         };
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",

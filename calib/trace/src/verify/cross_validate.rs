@@ -8,7 +8,7 @@ use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::effect::Role;
 use crate::error::TraceError;
-use crate::levels::{CATALOGUE, NEGLIGIBLE};
+use crate::levels::{CATALOGUE, LEFT_OUT_GAIN, NEGLIGIBLE};
 use crate::measurement_model::MeasurementModel;
 use crate::method::cross_validated_gain::retain_cross_validated;
 use crate::method::distributions::f_tail;
@@ -71,11 +71,17 @@ pub fn cross_validate<M: SessionModel>(
     let facts = Facts::of(&model, &explained, &faults);
     let (found, mut noise) = (&explained.found, &explained.noise);
     let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
-    // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
-    let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
-    let rise = left_out.insufficient_gain(&model).filter(|_| !judged);
+    let asked = !accepted.fit.terms.is_empty() && !on_request;
+    let p = if asked {
+        left_out.gain_p(&model, &accepted)
+    } else {
+        None
+    };
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
-    let withdrawn = rise.map(|errors| Withdrawn {
+    let by_chance = p
+        .filter(|p| *p >= LEFT_OUT_GAIN)
+        .and_then(|_| left_out.change(&model));
+    let withdrawn = by_chance.map(|errors| Withdrawn {
         names: names(&accepted),
         errors,
     });
@@ -117,8 +123,7 @@ fn settle_noise<M: SessionModel>(
     } = e;
     found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
-    let base = fit_declared_model(&model, &independent(&model), options.seed)
-        .ok_or(TraceError::NoSolution)?;
+    let base = fit_declared_model(&model, &independent(&model)).ok_or(TraceError::NoSolution)?;
     let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?;
     if exact {
         let noise = Noise::none(declared_noise.weights.len());
@@ -143,6 +148,9 @@ fn settle_noise<M: SessionModel>(
     if model.cross_validates_terms() {
         withdraw_below_model_error(&model, &mut found, &options);
     }
+    found
+        .survivors
+        .extend(judge.noise_rivals(&found.best, &found.first_test.family));
     let columns = found
         .failed_adequacy_test()
         .and_then(|g| g.covariates.first())

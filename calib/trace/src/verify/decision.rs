@@ -4,7 +4,7 @@ use super::acceptance::{Unfit, far_above_floor};
 use super::conclusion::{Conclusion, Facts};
 use super::cross_validate::Validated;
 use super::explained::Explained;
-use super::left_out::LeftOut;
+use super::left_out::{FoldCalibrations, LeftOut, declared_calibration};
 use super::request::VerifyRequest;
 use super::session_model::{FloorStatement, SessionModel};
 use super::witness::{self, Witness};
@@ -14,6 +14,7 @@ use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::noise::tails::Tails;
 use crate::method::noise::{Noise, SpreadModel};
+use crate::method::smooth_rival::smooth_rival;
 use serde_json::{Value, json};
 use wcal_core::Decide;
 use wcal_core::text::number;
@@ -26,6 +27,7 @@ pub struct Decision<M: SessionModel> {
     pub(super) floor: FloorStatement,
     pub(super) ablations: Vec<EffectAblation>,
     pub(super) calibration: M::Calibration,
+    predicting: Noise,
     pub(super) claims: Vec<String>,
     pub(super) seed: u64,
 }
@@ -53,18 +55,17 @@ impl<M: SessionModel> Decision<M> {
 
     /// The declared model as a calibration would keep it: what a user without the effects has.
     pub fn declared_calibration(&self) -> M::Calibration {
-        let Explained {
-            found,
-            declared_noise,
-            ..
-        } = self.explained();
-        self.of.model.calibration(
-            &found.base,
-            &found.base,
-            declared_noise,
-            self.floor.sd,
-            self.seed,
-        )
+        let models = [&self.explained().found.base, &self.conclusion.accepted];
+        declared_calibration(&self.of.model, models, &self.predicting, self.floor.sd)
+    }
+
+    /// The declared and the chosen model of each fold as calibrations, which know nothing of the readings that the fold leaves out.
+    pub fn fold_calibrations(&self) -> Vec<FoldCalibrations<'_, M>>
+    where
+        M::Calibration: Send,
+    {
+        let left = self.explained().found.failed_adequacy_test().is_some();
+        self.of.left_out.calibrations(&self.of.model, left)
     }
 
     /// The accepted model as a calibration keeps it.
@@ -107,15 +108,32 @@ pub fn decide<M: SessionModel>(
     } = &of;
     let unfit =
         unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
+    let rival =
+        || smooth_rival(model, accepted, noise, &left_out.split.fold, seed).map(Unfit::Predictable);
+    // Rounding is a function of the place, and what an accepted effect leaves that is not quite of its law is said.
+    let left = &explained.found.last_test;
+    let is_said =
+        left.is_rounding || (left.rejected() && model.residual_explained(&explained.found));
+    let unfit = unfit.or_else(|| {
+        if explained.exact || is_said {
+            None
+        } else {
+            rival()
+        }
+    });
     let facts = Facts::of(model, explained, faults);
     let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
     let ablations = left_out.ablations(model, &explained.found, accepted);
-    let calibration = model.calibration(&explained.found.base, accepted, noise, floor.sd, seed);
+    let predicting = model
+        .prediction_noise(accepted, seed)
+        .unwrap_or_else(|| noise.clone());
+    let calibration = model.calibration(&explained.found.base, accepted, &predicting, floor.sd);
     Ok(Decision {
         conclusion,
         floor,
         ablations,
         calibration,
+        predicting,
         claims,
         seed,
         of,
@@ -161,8 +179,8 @@ fn of_noise(noise: &Noise) -> Value {
             json!([follows, rounded(spread.exponent, spread.interval95), round_to_error(*typical, 0.0)])
         }),
         "common": round_to_error(*common, 0.0),
-        "tails": tails.as_ref().map(|Tails { dof, heaviest, lightest, scale, heaviest_scale, heavy, by_one }| {
-            json!([dof, heaviest, lightest, coarse(*scale), coarse(*heaviest_scale), heavy, by_one])
+        "tails": tails.as_ref().map(|Tails { dof, heaviest, interval95, scale, heaviest_scale, heavy, by_one }| {
+            json!([dof, heaviest, interval95, coarse(*scale), coarse(*heaviest_scale), heavy, by_one])
         }),
         "step": step.iter().map(|step| step.map(|step| round_to_error(step, 0.0))).collect::<Vec<_>>(),
     })
@@ -244,7 +262,7 @@ mod tests {
         let tails = Tails {
             dof: 5.0,
             heaviest: 4.0,
-            lightest: f64::INFINITY,
+            interval95: [4.0, f64::INFINITY],
             scale: 1.0,
             heaviest_scale: 0.9,
             heavy: false,

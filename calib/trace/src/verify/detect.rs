@@ -1,17 +1,25 @@
-//! Detectability: the smallest size of every effect that is found with 90 % power.
+//! Detectability: the smallest size of every effect with which 90 % of such sessions are not called adequate. Its name is a choice among rivals and
+//! may take more.
 //!
 //! ```text
-//! |P s| a / sigma >= sqrt(chi2_{d, 1 - level}) + z_0.9      s: signature for a unit amplitude, P: off nuisances and what is accepted
+//! |P s| a / sigma >= t + z_0.9 sqrt(1 + t^2 / (2 n)),    t^2 = d F_{d, n}(1 - level)       s: signature for a unit amplitude, n: degrees of freedom
 //! ```
 //!
-//! What all readings share and no number of them averages out (the alignment of two clocks) is added in squares.
+//! (Noncentral t; Johnson & Kotz, "Continuous Univariate Distributions" 2, ch. 31.) P takes off the nuisances and what is accepted. A name has to pass the search, at the level
+//! beside noise that neighbours share where there is some, and the tests that the design asks for ([`MeasurementModel::design_tests`]). What all readings share and no number
+//! of them averages out (the alignment of two clocks) is added in squares.
 
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, Parameter, Role};
-use crate::levels::CATALOGUE;
+use crate::levels::{CATALOGUE, RETAIN_BESIDE_CORRELATED};
+use crate::measurement_model::DesignTest;
 use crate::method::fit::Fit;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::omnibus::OmnibusTest;
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use crate::method::signature::Signature;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use std::collections::BTreeMap;
+use wcal_core::text::number;
 use wcal_core::verify_document::Detectable;
 
 /// Normal quantile of 90 % power.
@@ -23,6 +31,8 @@ const MUCH_LARGER: f64 = 1e3;
 /// Smallest size by one law.
 struct DetectableSize {
     law: usize,
+    /// Shape of the law at which it is that size: name, value, unit.
+    shape: Vec<(&'static str, f64, String)>,
     size: f64,
     unit: String,
     share_left: f64,
@@ -31,13 +41,19 @@ struct DetectableSize {
 }
 
 /// One row an effect. `test` is the omnibus test on `fit`.
-pub fn table<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest) -> Vec<Detectable> {
+pub fn table<M: SessionModel>(model: &M, h: &Hypothesis, test: &OmnibusTest) -> Vec<Detectable> {
     (0..model.catalogue().len())
-        .map(|effect| row(model, fit, test, effect))
+        .map(|effect| row(model, h, test, effect))
         .collect()
 }
 
-fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Detectable {
+fn row<M: SessionModel>(
+    model: &M,
+    h: &Hypothesis,
+    test: &OmnibusTest,
+    effect: usize,
+) -> Detectable {
+    let fit = &h.fit;
     let candidate = &model.catalogue()[effect];
     let laws = &candidate.laws;
     let first = laws.first();
@@ -51,6 +67,8 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
     let entry = |status: &str, smallest: Option<f64>, unit: String, why: String| Detectable {
         id: candidate.id.to_owned(),
         smallest,
+        law: None,
+        shape: BTreeMap::new(),
         smallest_without_pictures: None,
         unit,
         status: status.to_owned(),
@@ -83,9 +101,22 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
             "part of the best explanation".into(),
         );
     }
-    match smallest(model, fit, test, effect) {
+    match smallest(model, h, test, effect) {
+        Some(s) if !s.size.is_finite() => {
+            let why = "the readings that repeat leave nothing to tell it from their protocol";
+            entry("absorbed", None, unit, why.into())
+        }
         Some(s) => {
             let law = model.law_name(laws[s.law].name);
+            let shape = s.shape.iter().map(|(name, value, unit)| {
+                format!("{} {} {unit}", name.replace('_', " "), number(*value, 3))
+            });
+            let shape = shape.collect::<Vec<_>>().join(", ");
+            let at = if shape.is_empty() {
+                shape
+            } else {
+                format!(" ({shape})")
+            };
             let left = 100.0 * s.share_left;
             let by_readings = s.alone.filter(|alone| *alone <= MUCH_LARGER * s.size);
             let only = s.alone.is_some() && by_readings.is_none();
@@ -95,12 +126,19 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
                 ""
             };
             let why = format!(
-                "law {law}; {left:.0} % of its signature is independent of {} and of the accepted effects{pictures}",
+                "law {law}{at}; {left:.0} % of its signature is independent of {} and of the accepted effects{pictures}",
                 model.nuisances()
             );
             let row = entry("testable", Some(s.size), s.unit, why);
+            let shape = s
+                .shape
+                .into_iter()
+                .map(|(name, value, _)| (name.to_owned(), value))
+                .collect();
             Detectable {
                 smallest_without_pictures: by_readings,
+                law: Some(law),
+                shape,
                 ..row
             }
         }
@@ -139,28 +177,73 @@ fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
         })
 }
 
+/// Length of a signature, in standard deviations of a reading, that a test with `d` and `dof` degrees of freedom finds with 90 %.
+fn noncentrality(level: f64, d: f64, dof: f64) -> Option<f64> {
+    let t = (d * FisherSnedecor::new(d, dof).ok()?.inverse_cdf(1.0 - level)).sqrt();
+    Some(t + POWER_90 * (1.0 + t * t / (2.0 * dof)).sqrt())
+}
+
+/// Values of a signature's shape, in the session's units.
+fn shape<M: SessionModel>(model: &M, signature: &Signature) -> Vec<(&'static str, f64, String)> {
+    let term = &signature.term;
+    let parameters = model.catalogue()[term.effect]
+        .law(term.law)
+        .parameters
+        .iter()
+        .zip(&term.values);
+    let stated = parameters.filter(|(p, _)| matches!(p.role, Role::Shape { .. }));
+    stated
+        .map(|(p, value)| {
+            let (value, unit) = model.physical(p.unit, *value, term.law);
+            (p.name, value, unit)
+        })
+        .collect()
+}
+
 /// By the plainest law that this session can show, at the shape that it shows best.
 fn smallest<M: SessionModel>(
     model: &M,
-    fit: &Fit,
+    h: &Hypothesis,
     test: &OmnibusTest,
     effect: usize,
 ) -> Option<DetectableSize> {
+    let fit = &h.fit;
     let sd = fit.variance().sqrt();
-    let critical = test.family.critical_p(CATALOGUE);
+    let shared = h.weights.shared().is_some_and(|s| s.correlated.is_some());
+    let critical = test.family.critical_p(if shared {
+        RETAIN_BESIDE_CORRELATED
+    } else {
+        CATALOGUE
+    });
     let laws = &model.catalogue()[effect].laws;
     let signatures = test.signatures.iter().filter(|a| a.term.effect == effect);
     signatures
         .filter_map(|a| {
             let law = a.term.law;
-            let chi = ChiSquared::new(a.dimension() as f64).ok()?;
-            // Noncentrality that is found with 90 %: critical value of the family and the quantile of the power.
-            let needed = chi.inverse_cdf(1.0 - critical).sqrt() + POWER_90;
+            let signature = a.projected.first()?.norm();
+            // Of a law with one sign half the tail is left.
+            let level = if a.one_sided {
+                2.0 * critical
+            } else {
+                critical
+            };
+            let d = a.dimension() as f64;
+            let of_search = noncentrality(level, d, fit.dof - d)?;
+            let of_design = |t: DesignTest| {
+                Some(noncentrality(t.level, d, t.dof)? * signature / t.norm.max(1e-300))
+            };
+            let tests = model.design_tests(h, &a.term, a.projected.first()?);
+            let asked = !tests.is_empty();
+            let of_design = tests
+                .into_iter()
+                .filter_map(of_design)
+                .min_by(f64::total_cmp);
+            let needed =
+                of_search.max(of_design.unwrap_or(if asked { f64::INFINITY } else { 0.0 }));
             let (unit, probe) = match a.amplitudes.first() {
                 Some((slot, probe)) => (laws[law].parameters[*slot].unit, probe.abs()),
                 None => (laws[law].linear.first()?.1, 1.0),
             };
-            let signature = a.projected.first()?.norm();
             let shared = a.amplitudes.first().map_or(0.0, |(slot, _)| {
                 needed * model.systematic_sd(effect, laws[law].parameters[*slot].name)
             });
@@ -178,8 +261,10 @@ fn smallest<M: SessionModel>(
                 });
             let (size, unit) =
                 model.physical(unit, (needed * sd * probe / signature).hypot(shared), law);
+            let shape = shape(model, a);
             (signature > 0.0).then_some(DetectableSize {
                 law,
+                shape,
                 size,
                 unit,
                 share_left: a.share_left,

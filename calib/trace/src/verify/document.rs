@@ -34,15 +34,10 @@ pub fn document<M: SessionModel>(
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
         .then(|| model.next_measurement(&found.best, &rivals));
-    let test = if ids(model, &conclusion.accepted) == ids(model, &found.best) {
-        &found.last_test
+    let (test, tested) = if ids(model, &conclusion.accepted) == ids(model, &found.best) {
+        (&found.last_test, &found.best)
     } else {
-        &found.first_test
-    };
-    let fit = if std::ptr::eq(test, &found.last_test) {
-        &found.best.fit
-    } else {
-        &found.base.fit
+        (&found.first_test, &found.base)
     };
     let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
@@ -63,7 +58,7 @@ pub fn document<M: SessionModel>(
         after_trimmed: errors.trimmed.as_ref().and_then(|[_, after]| after.clone()),
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
-        detectable: detect::table(model, fit, test),
+        detectable: detect::table(model, tested, test),
         cautions: (model.cautions(&conclusion.accepted).into_iter())
             .chain(
                 noise
@@ -286,7 +281,7 @@ fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> Nois
         rounding,
         tails_dof: heavy.map(|t| NoisePart {
             value: t.dof,
-            interval95: [t.heaviest, t.lightest.min(1e3)],
+            interval95: t.interval95.map(|nu| nu.min(1e3)),
         }),
         // Load and depth go from 0 to 1.
         law: noise.law.as_ref().map(|l| NoiseLaw {

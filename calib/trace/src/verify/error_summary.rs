@@ -18,11 +18,11 @@ const UPPER: f64 = 0.05;
 
 /// Root mean square of quantity `q` over rows; NaN without any.
 pub fn rmse<'a>(rows: impl IntoIterator<Item = &'a HeldOut>, q: usize) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for value in rows.into_iter().flat_map(|r| &r.errors[q]) {
-        sum += value * value;
-        count += 1.0;
-    }
+    root_mean_square(rows.into_iter().flat_map(|r| &r.errors[q]))
+}
+
+fn root_mean_square<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
     if count > 0.0 {
         f64::sqrt(sum / count)
     } else {
@@ -74,6 +74,14 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str) -> Opti
         interval95(&shown.collect::<Vec<_>>())
     };
     let named = |q: &Quantity| q.key.to_owned();
+    let shown = |of: &dyn Fn(usize) -> f64| -> BTreeMap<String, f64> {
+        quantities
+            .iter()
+            .enumerate()
+            .map(|(q, k)| (named(k), of(q)))
+            .filter(|(_, e)| e.is_finite())
+            .collect()
+    };
     let moments = quantities.iter().position(|q| q.key == "moment_rmse_nmm");
     let of_component = |q: usize, c: usize| {
         let one = |r: &HeldOut| HeldOut {
@@ -85,12 +93,8 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str) -> Opti
     Some(HeldOutError {
         split: split.to_owned(),
         // What no row shows (a contact without pictures) has no error.
-        rmse: quantities
-            .iter()
-            .enumerate()
-            .map(|(q, k)| (named(k), rmse(rows, q)))
-            .filter(|(_, e)| e.is_finite())
-            .collect(),
+        rmse: shown(&|q| rmse(rows, q)),
+        expected: shown(&|q| root_mean_square(rows.iter().flat_map(|r| &r.stated_sd[q]))),
         moment_rmse_nmm_each: moments.map(|q| [0, 1].map(|c| of_component(q, c))),
         interval95: (quantities.iter().enumerate())
             .filter_map(|(q, k)| Some((named(k), interval(q)?)))

@@ -20,7 +20,8 @@ fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
     let mut sizes: Vec<f64> = system.measured().iter().map(|v| v.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let size = sizes.get(3 * sizes.len() / 4).copied().unwrap_or(0.0);
-    base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * size)
+    // Without single readings that stand out of it, the search is to name them.
+    base.flagged.is_empty() && base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * size)
 }
 
 /// The declared model on readings that are taken for independent, and the instrument as it shows it.
@@ -31,7 +32,7 @@ pub fn fit_baseline<M: SessionModel>(
     model: M,
     request: &VerifyRequest,
 ) -> Result<Evidence<M>, TraceError> {
-    let fitted = |model: &M| fit_declared_model(model, &independent(model), request.search.seed);
+    let fitted = |model: &M| fit_declared_model(model, &independent(model));
     let model = model.prepared(&fitted).ok_or(TraceError::NoSolution)?;
     Evidence::new(model, request.search.clone())
 }

@@ -31,6 +31,8 @@ pub struct Fold<M> {
     pub model: Option<M>,
     /// The explanation that they choose.
     pub chosen: Hypothesis,
+    /// Noise of the kept readings.
+    pub noise: Noise,
     /// Noise of every reading.
     pub reading_sd: Vec<f64>,
     declared: Weights,
@@ -51,6 +53,7 @@ impl<M: SessionModel> Fold<M> {
             Some(Self {
                 model: None,
                 chosen,
+                noise,
                 reading_sd,
                 declared: declared.weights,
             })
@@ -91,7 +94,7 @@ fn explain_kept(
 ) -> Option<(Hypothesis, Hypothesis, Noise)> {
     let judge = NoiseEstimator::new(system, seed).without(left_out);
     let every = judge.independent();
-    let declared = fit_declared_model(system, &every, seed)?;
+    let declared = fit_declared_model(system, &every)?;
     let chosen = |weights: &Weights| {
         Some(flag_outliers(
             system,

@@ -12,24 +12,18 @@ pub const MIN_COVERAGE: f64 = 0.8;
 /// Largest error in stated standard deviations, root mean square.
 pub const MAX_RATIO: f64 = 2.0;
 
-/// One reading through the calibration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct JudgedReading {
-    /// Its errors.
-    pub held_out: HeldOut,
-    /// Errors in stated standard deviations.
-    pub in_sd: Vec<f64>,
-}
-
-/// The judgement over readings; none without any.
-pub fn judge(readings: &[JudgedReading], quantities: &[Quantity]) -> Option<CalibrationJudgement> {
-    let rows: Vec<HeldOut> = readings.iter().map(|r| r.held_out.clone()).collect();
-    let error = summarise(&rows, quantities, "holdout")?;
-    let coverage95 = coverage95(&rows)?;
-    let all: Vec<f64> = readings
-        .iter()
-        .flat_map(|r| r.in_sd.iter().copied())
-        .collect();
+/// The judgement over readings through the calibration; none without any.
+pub fn judge(readings: &[HeldOut], quantities: &[Quantity]) -> Option<CalibrationJudgement> {
+    let error = summarise(readings, quantities, "holdout")?;
+    let coverage95 = coverage95(readings)?;
+    let of = |r: &HeldOut| {
+        r.errors[0]
+            .iter()
+            .zip(&r.stated_sd[0])
+            .map(|(e, sd)| e / sd)
+            .collect::<Vec<f64>>()
+    };
+    let all: Vec<f64> = readings.iter().flat_map(of).collect();
     let ratio = (all.iter().map(|z| z * z).sum::<f64>() / all.len().max(1) as f64).sqrt();
     let mut why = Vec::new();
     if !(coverage95 >= MIN_COVERAGE) {
@@ -72,17 +66,15 @@ mod tests {
             key: "response_rmse",
             unit: "",
         }];
-        let readings = |size: f64| -> Vec<JudgedReading> {
+        let readings = |size: f64| -> Vec<HeldOut> {
             let of = |k: u32| {
                 let z = size * (f64::from(k) - 9.5) / 5.8;
-                let held_out = HeldOut {
+                let stated_sd = vec![vec![1.0]];
+                HeldOut {
                     group: k,
                     errors: vec![vec![z]],
+                    stated_sd,
                     inside95: vec![z.abs() < 1.96],
-                };
-                JudgedReading {
-                    held_out,
-                    in_sd: vec![z],
                 }
             };
             (0..20).map(of).collect()

@@ -2,6 +2,7 @@
 
 use super::error_summary::{coverage95, rmse, summarise};
 use super::fold::Fold;
+use super::prediction_residual::{PairedTest, PredictionResidual};
 use super::session_model::{Folds, HeldOut, SessionModel};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::Noise;
@@ -51,24 +52,92 @@ impl Errors {
     }
 }
 
-/// Part of the error, root mean square, that effects may leave: a hundredth of the squares is within the model's error.
-const EARNED: f64 = 0.995;
+/// The declared model as a calibration, under the noise of the chosen one as many times as large as it leaves more: what acts and is not in it is noise to it.
+pub(super) fn declared_calibration<M: SessionModel>(
+    model: &M,
+    [declared, chosen]: [&Hypothesis; 2],
+    noise: &Noise,
+    floor_sd: f64,
+) -> M::Calibration {
+    let more = (declared.fit.variance() / chosen.fit.variance()).sqrt();
+    let times = if more.is_finite() { more } else { 1.0 };
+    model.calibration(declared, declared, &noise.scaled(times), times * floor_sd)
+}
+
+/// The models of a fold as calibrations would keep them: nothing in them is known from the readings that it leaves out.
+pub struct FoldCalibrations<'a, M: SessionModel> {
+    /// The instrument.
+    pub model: &'a M,
+    /// Whether the fold leaves a reading out.
+    pub left_out: Vec<bool>,
+    /// The declared model.
+    pub declared: M::Calibration,
+    /// The explanation that the fold's readings choose.
+    pub chosen: M::Calibration,
+}
 
 /// Errors of open readings that were left out in turn, and how they were.
 pub struct LeftOut<M> {
     /// Declared and accepted model.
     pub errors: Errors,
-    split: Folds,
+    pub(super) split: Folds,
     folds: Vec<Option<Fold<M>>>,
 }
 
 impl<M: SessionModel> LeftOut<M> {
-    /// Error before and after in the first quantity, where the accepted effects do not earn their names: it rises with them, or falls by less than matters.
-    pub fn insufficient_gain(&self, model: &M) -> Option<[f64; 2]> {
+    /// Chance that what each fold chose predicts the readings which it left out so much better than the declared model; none without noise.
+    pub fn gain_p(&self, model: &M, accepted: &Hypothesis) -> Option<f64> {
+        let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
+            let fold = fold.as_ref()?;
+            let model = fold.model.as_ref().unwrap_or(model);
+            let judged = |i: usize| self.split.fold[i] == Some(f) && accepted.weights.counts(i);
+            let of = |h: &Hypothesis| PredictionResidual::of(model, h, &h.fit, &fold.noise, judged);
+            let declared = fold.declared(model, self.split.refit_steps)?;
+            Some(of(&declared)?.beside(&of(&fold.chosen)?, |_| f as u32))
+        };
+        let folds: Vec<_> = self
+            .folds
+            .par_iter()
+            .enumerate()
+            .filter_map(of_fold)
+            .collect();
+        PairedTest::of_folds(folds)?.p()
+    }
+
+    /// Error before and after in the first quantity.
+    pub fn change(&self, model: &M) -> Option<[f64; 2]> {
         let key = model.quantities()[0].key;
         let of = |e: &Option<HeldOutError>| e.as_ref()?.rmse.get(key).copied();
-        let (before, after) = (of(&self.errors.before)?, of(&self.errors.after)?);
-        (after > EARNED * before).then_some([before, after])
+        Some([of(&self.errors.before)?, of(&self.errors.after)?])
+    }
+
+    /// Both models of every fold that has them, each under its own noise; `left`: something is left, so that only replicates tell the floor.
+    pub(super) fn calibrations<'a>(
+        &'a self,
+        model: &'a M,
+        left: bool,
+    ) -> Vec<FoldCalibrations<'a, M>>
+    where
+        M::Calibration: Send,
+    {
+        let of_fold = |(f, fold): (usize, &'a Option<Fold<M>>)| {
+            let fold = fold.as_ref()?;
+            let model = fold.model.as_ref().unwrap_or(model);
+            let base = fold.declared(model, self.split.refit_steps)?;
+            let (chosen, noise) = (&fold.chosen, &fold.noise);
+            let floor = model.floor(chosen, noise, left);
+            Some(FoldCalibrations {
+                model,
+                left_out: self.split.fold.iter().map(|own| *own == Some(f)).collect(),
+                declared: declared_calibration(model, [&base, chosen], noise, floor.sd),
+                chosen: model.calibration(&base, chosen, noise, floor.sd),
+            })
+        };
+        self.folds
+            .par_iter()
+            .enumerate()
+            .filter_map(of_fold)
+            .collect()
     }
 
     /// What the fit and the left-out readings lose without each accepted effect, the others refitted.

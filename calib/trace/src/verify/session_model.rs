@@ -30,6 +30,8 @@ pub struct HeldOut {
     pub group: u32,
     /// Measured less predicted, one list a [`Quantity`]; the first quantity is the measured one, channel by channel.
     pub errors: Vec<Vec<f64>>,
+    /// Standard deviations that the model states for them, of the same shape; NaN where it states none.
+    pub stated_sd: Vec<Vec<f64>>,
     /// Whether each stated 95 % interval holds its value.
     pub inside95: Vec<bool>,
 }
@@ -190,6 +192,10 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn unusable_reason(&self, _accepted: &Hypothesis) -> Option<String> {
         None
     }
+    /// Noise under which further readings are predicted, where it is not the one that a verdict rests on.
+    fn prediction_noise(&self, _accepted: &Hypothesis, _seed: u64) -> Option<Noise> {
+        None
+    }
     /// The calibration of `accepted` under its noise, `base` the declared model and `floor_sd` the floor of a reading in the sensor's unit.
     fn calibration(
         &self,
@@ -197,7 +203,6 @@ pub trait SessionModel: SessionText + Sized + Send {
         accepted: &Hypothesis,
         noise: &Noise,
         floor_sd: f64,
-        seed: u64,
     ) -> Self::Calibration;
     /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
     fn predict_by_labels(&self, _weights: &Weights) -> Option<Self::Predictions> {

@@ -48,7 +48,7 @@ fn run(data: &TransducerData) -> ScalarVerification {
     let search = Options {
         seed: 1,
         draws: 400,
-        largest: 2,
+        largest: 3,
         ..Options::default()
     };
     let request = VerifyRequest {
@@ -620,4 +620,154 @@ fn stated_uncertainties_of_the_stimulus_weigh_the_readings() {
             .sqrt()
     };
     assert!(rms(&weighed) < 3e-7, "{}", rms(&weighed));
+}
+
+/// One false reading beside a bend that no law of the declared model has: the bend is named, and that reading.
+#[test]
+fn a_gross_reading_beside_a_bend_is_told_from_it() {
+    let trial = |seed: u64| {
+        let mut rng = Noise::new(seed);
+        let (count, own) = (10 + 2 * (seed as usize % 4), 3 + seed as usize % 4);
+        let bend = if seed.is_multiple_of(2) { 0.02 } else { -0.04 };
+        let noise: Vec<f64> = (0..count).map(|_| 0.01 * rng.next()).collect();
+        let of = |off: f64| {
+            let response =
+                |k: usize, x: f64| x + bend * x * x + noise[k] + if k == own { off } else { 0.0 };
+            run(&table(
+                ["N", "V"],
+                TransducerModel::Linear,
+                &places(0.0, 10.0, count, 1),
+                response,
+            ))
+        };
+        let points = |v: &ScalarVerification| {
+            v.document
+                .flagged
+                .iter()
+                .map(|f| f.point)
+                .collect::<Vec<_>>()
+        };
+        let v = of(0.6);
+        assert_eq!(points(&v), [own as i64], "{seed}: {}", v.document.reason);
+        explained(&v, &["nonlinearity-quadratic", "outliers"], 0.03);
+        // Control: without it none is flagged.
+        assert!(points(&of(0.0)).is_empty(), "{seed}");
+    };
+    (0..8).into_par_iter().for_each(trial);
+}
+
+/// A thermometer's log that begins while it still settles from another bath.
+#[test]
+fn a_log_that_begins_in_mid_run_gives_the_lag() {
+    let record = |seed: u64, first: f64| {
+        let mut rng = Noise::new(seed);
+        let at: Vec<At> = (0..200_usize)
+            .map(|k| {
+                (
+                    [40.0, 22.0, 35.0, 28.0][k / 25 % 4],
+                    Some(10.0 * k as f64),
+                    None,
+                )
+            })
+            .collect();
+        let mut shown = first;
+        let response = |k: usize, bath: f64| {
+            shown = if k == 0 {
+                first
+            } else {
+                bath + (shown - bath) * (-10.0 / 70.0_f64).exp()
+            };
+            shown + 0.03 * rng.next()
+        };
+        run(&table(
+            ["degC", "degC"],
+            TransducerModel::Linear,
+            &at,
+            response,
+        ))
+    };
+    for (seed, first) in [(1, 33.0), (2, 45.0), (3, 38.0)] {
+        let v = record(seed, first);
+        // Readings at the beginning are left out, too: without them nothing says what the first state was.
+        explained(&v, &["lag"], 0.2);
+        assert!((value(&v, "time_constant") - 70.0).abs() < 0.5);
+        assert!(
+            (value(&v, "first_state") - (first - 40.0)).abs() < 0.1,
+            "{first}"
+        );
+    }
+    // Control: a log that begins at rest has the same lag.
+    let v = record(4, 40.0);
+    explained(&v, &["lag"], 0.04);
+    assert!((value(&v, "time_constant") - 70.0).abs() < 0.5);
+}
+
+/// A stimulus that moved up and down, or swung, and was cut to whole degrees: nothing lags. Control: what really lags does so in whole degrees, too.
+#[test]
+fn a_stimulus_recorded_in_steps_is_no_lag() {
+    let ramps = |t: f64| 25.3 + 30.0 * (1.0 - (t / 400.0 - 1.0).abs());
+    let swings = |t: f64| 40.3 + 12.0 * (TAU * t / 400.0).sin() + 6.0 * (TAU * t / 131.0).sin();
+    let record = |seed: u64, truth: &dyn Fn(f64) -> f64, late_s: f64| {
+        let mut rng = Noise::new(seed);
+        let at: Vec<At> = (0..200)
+            .map(|k| {
+                (
+                    truth(4.0 * f64::from(k)).floor(),
+                    Some(4.0 * f64::from(k)),
+                    None,
+                )
+            })
+            .collect();
+        let response =
+            |k: usize, _: f64| 0.02 * truth(4.0 * k as f64 - late_s) + 0.004 * rng.next();
+        run(&table(
+            ["degC", "V"],
+            TransducerModel::Linear,
+            &at,
+            response,
+        ))
+    };
+    for seed in 0..4 {
+        for (motion, v) in [record(seed, &ramps, 0.0), record(seed, &swings, 0.0)]
+            .iter()
+            .enumerate()
+        {
+            assert!(
+                answer(v).0 != Verdict::Effect,
+                "{seed} {motion}: {:?} {}",
+                answer(v),
+                v.document.reason
+            );
+        }
+        let v = record(seed, &swings, 12.0);
+        assert!(
+            answer(&v).1.contains(&"lag"),
+            "{seed}: {:?} {}",
+            answer(&v),
+            v.document.reason
+        );
+    }
+}
+
+/// A compass that reads 360 deg less from a heading on, which is one of the places, with a deviation once and twice a turn.
+#[test]
+fn a_wrap_at_one_heading_is_taken_up_beside_the_deviation() {
+    let record = |offset: f64, size: f64| {
+        let mut rng = Noise::new(7);
+        let deviation =
+            |a: f64| offset + size * (7.0 * a.sin() - 4.0 * a.cos() + 2.5 * (2.0 * a).sin());
+        let turn: Vec<At> = (0..72)
+            .map(|k| (f64::from(15 * k % 360), None, None))
+            .collect();
+        run(&table(
+            ["deg", "deg"],
+            TransducerModel::Linear,
+            &turn,
+            |_, x| (x + deviation(x.to_radians()) + 0.4 * rng.next()).rem_euclid(360.0),
+        ))
+    };
+    explained(&record(-2.5, 1.0), &["periodic", "count-wrap"], 0.6);
+    explained(&record(-2.5, 0.0), &["count-wrap"], 0.6);
+    // Control: nothing wraps.
+    assert_eq!(answer(&record(4.0, 0.0)), (Verdict::Adequate, Vec::new()));
 }

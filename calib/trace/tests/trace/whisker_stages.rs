@@ -14,10 +14,10 @@ use wcal_trace::method::hypothesis::Hypothesis;
 use wcal_trace::method::noise_estimator::NoiseEstimator;
 use wcal_trace::method::options::Options;
 use wcal_trace::method::search_result::SearchResult;
-use wcal_trace::verify::assessment::holdout_p;
 use wcal_trace::verify::conclusion::Facts;
 use wcal_trace::verify::detect;
 use wcal_trace::verify::error_summary::{coverage95, summarise};
+use wcal_trace::verify::prediction_residual::PredictionResidual;
 use wcal_trace::verify::{Explained, HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::floor::noise_floor;
@@ -224,7 +224,7 @@ fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
 #[test]
 fn every_effect_has_a_line_saying_what_could_have_been_seen() {
     let (_, system, found) = null();
-    let table = detect::table(system, &found.best.fit, &found.last_test);
+    let table = detect::table(system, &found.best, &found.last_test);
     assert_eq!(table.len(), system.catalogue().len());
     let row = |id: &str| table.iter().find(|d| d.id == id).unwrap();
     assert_eq!(
@@ -274,6 +274,7 @@ fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
     let row = |group: u32, e: f64| HeldOut {
         group,
         errors: vec![vec![e, -e], vec![0.1 * e, 0.0]],
+        stated_sd: vec![vec![2.0, 2.0], vec![0.1, f64::NAN]],
         inside95: vec![e < 2.0, true],
     };
     let quantities = null().1.quantities();
@@ -325,7 +326,11 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         let noise = NoiseEstimator::new(system, 1)
             .noise(&found.base, &[])
             .unwrap();
-        holdout_p(&whole, &found.base, &noise, &[]).unwrap()
+        let tangents = fit(&whole, &[], &Weights::equal(whole.scored().len()), 0).unwrap();
+        let judged = |i: usize| whole.scored()[i];
+        PredictionResidual::of(&whole, &found.base, &tangents, &noise, judged)
+            .and_then(|r| r.p())
+            .unwrap()
     };
     assert!(p_of(0.0) > 0.01);
     assert!(p_of(5.0) < HOLDOUT);

@@ -54,38 +54,6 @@ pub const NETWORK_RANGES: &[Range] = &[
 const MAX_PARAMETERS: usize = 20_000_000;
 
 impl NetworkConfig {
-    /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
-    pub fn paper(inputs: usize) -> Self {
-        Self {
-            inputs,
-            nodes: 0,
-            encoder: 64,
-            layers: 6,
-            heads: 8,
-            width: 128,
-            feed_forward: 512,
-            dropout: 0.1,
-            context: 128,
-            two_filters: false,
-        }
-    }
-
-    /// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots with two.
-    pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> Self {
-        Self {
-            inputs,
-            nodes,
-            encoder: 80,
-            layers: 2,
-            heads: 4,
-            width: 64,
-            feed_forward: 144,
-            dropout: 0.0,
-            context: 128,
-            two_filters,
-        }
-    }
-
     /// # Errors
     /// Where the sizes do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {

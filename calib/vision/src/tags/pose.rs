@@ -32,8 +32,6 @@ pub struct BodyPose {
     pub information: Matrix6<f64>,
     /// Weighted sum of squared corner residuals.
     pub chi2: f64,
-    /// Corner coordinates minus six.
-    pub redundancy: usize,
     /// chi2 of the other planar solution minus that of this one; small values: the pose is ambiguous.
     pub margin: f64,
 }
@@ -132,12 +130,10 @@ pub fn minimise(
             ..
         },
     ) = (found.place, found.at);
-    let redundancy = (8 * observations.len()).saturating_sub(6);
     Some(BodyPose {
         left_from_body: pose,
         information,
         chi2,
-        redundancy,
         margin: f64::INFINITY,
     })
 }

@@ -2,6 +2,7 @@
 
 use super::link::Wire;
 use super::world::{BenchState, Scan};
+use crate::host::{u16_at, u32_at};
 use std::io;
 use std::net::TcpStream;
 
@@ -35,9 +36,8 @@ pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
             pending.extend_from_slice(&bytes[..count]);
         }
         while pending.len() >= 8 {
-            let command = usize::from(u16::from_le_bytes([pending[2], pending[3]]));
-            let arguments =
-                u32::from_le_bytes([pending[4], pending[5], pending[6], pending[7]]) as usize;
+            let command = usize::from(u16_at(&pending, 2));
+            let arguments = u32_at(&pending, 4) as usize;
             let total = 8 + command + arguments;
             if pending.len() < total {
                 break;

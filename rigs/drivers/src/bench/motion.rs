@@ -21,6 +21,16 @@ struct MotionSegment {
 }
 
 impl MotionSegment {
+    fn rest(t_s: f64, x_mm: f64) -> Self {
+        Self {
+            t_s,
+            length_s: f64::INFINITY,
+            x_mm,
+            v_mm_s: 0.0,
+            a_mm_s2: 0.0,
+        }
+    }
+
     fn at(&self, t_s: f64) -> (f64, f64) {
         let dt = (t_s - self.t_s).clamp(0.0, self.length_s);
         (
@@ -44,15 +54,8 @@ pub struct Motion {
 impl Motion {
     /// At rest at `x_mm`; every move uses `acceleration_mm_s2`.
     pub fn at_rest(x_mm: f64, acceleration_mm_s2: f64) -> Self {
-        let rest = MotionSegment {
-            t_s: f64::NEG_INFINITY,
-            length_s: f64::INFINITY,
-            x_mm,
-            v_mm_s: 0.0,
-            a_mm_s2: 0.0,
-        };
         Self {
-            pieces: VecDeque::from([MotionSegment { t_s: -1.0, ..rest }]),
+            pieces: VecDeque::from([MotionSegment::rest(-1.0, x_mm)]),
             acceleration_mm_s2,
         }
     }
@@ -179,14 +182,8 @@ impl Plan<'_> {
     }
 
     fn rest(&mut self, exact_mm: Option<f64>) {
-        let x_mm = exact_mm.unwrap_or(self.x_mm);
-        self.pieces.push_back(MotionSegment {
-            t_s: self.t_s,
-            length_s: f64::INFINITY,
-            x_mm,
-            v_mm_s: 0.0,
-            a_mm_s2: 0.0,
-        });
+        self.pieces
+            .push_back(MotionSegment::rest(self.t_s, exact_mm.unwrap_or(self.x_mm)));
     }
 }
 

@@ -1,5 +1,6 @@
 //! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
 
+use crate::host::u32_at;
 use crate::link::Link;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
@@ -59,10 +60,6 @@ impl NetCamera {
         }
         Ok(Some(HEADER + width as usize * height as usize))
     }
-}
-
-fn u32_at(b: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
 }
 
 fn u64_at(b: &[u8], at: usize) -> u64 {

@@ -1,5 +1,6 @@
 //! Requests, responses and the peak record of Hyperion units, all little-endian.
 
+use crate::host::{u16_at, u32_at};
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
 
 /// Length of the header of a response.
@@ -38,8 +39,8 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
     if bytes.len() < RESPONSE_HEADER {
         return Ok(None);
     }
-    let message = usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
-    let content = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
+    let message = usize::from(u16_at(bytes, 2));
+    let content = u32_at(bytes, 4) as usize;
     if content > MAX_LENGTH {
         return Err(format!(
             "content of at most {MAX_LENGTH} bytes, found {content}"
@@ -69,25 +70,17 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
             content.len()
         ));
     }
-    let header = usize::from(u16::from_le_bytes([content[0], content[1]]));
+    let header = usize::from(u16_at(content, 0));
     if header < PEAK_HEADER || header > content.len() || !(header - PEAK_HEADER).is_multiple_of(2) {
         return Err(format!(
             "a header length of {PEAK_HEADER} and two a channel, found {header}"
         ));
     }
-    let u32_at = |at: usize| {
-        u32::from_le_bytes([
-            content[at],
-            content[at + 1],
-            content[at + 2],
-            content[at + 3],
-        ])
-    };
-    let serial = u64::from(u32_at(8)) | u64::from(u32_at(12)) << 32;
-    let (seconds, nanoseconds) = (u32_at(16), u32_at(20));
+    let serial = u64::from(u32_at(content, 8)) | u64::from(u32_at(content, 12)) << 32;
+    let (seconds, nanoseconds) = (u32_at(content, 16), u32_at(content, 20));
     let counts: Vec<usize> = content[PEAK_HEADER..header]
         .chunks_exact(2)
-        .map(|c| usize::from(u16::from_le_bytes([c[0], c[1]])))
+        .map(|c| usize::from(u16_at(c, 0)))
         .collect();
     let total: usize = counts.iter().sum();
     if content.len() != header + 8 * total {

@@ -1,5 +1,6 @@
 //! One data frame: an 88-byte little-endian header and the peaks of four channels as u32.
 
+use crate::host::{u16_at, u32_at};
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
 
 /// Length of the header.
@@ -46,14 +47,6 @@ impl Frame {
             },
         }
     }
-}
-
-fn u16_at(b: &[u8], at: usize) -> u16 {
-    u16::from_le_bytes([b[at], b[at + 1]])
-}
-
-fn u32_at(b: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
 }
 
 /// Length of the frame that starts with this header, or what makes it implausible.

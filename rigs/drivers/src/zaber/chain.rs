@@ -1,6 +1,6 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Connect, Port, Wire};
+use super::wire::{Connect, Port, Wire, closed};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -330,17 +330,9 @@ impl Chain {
     }
 
     fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
-        let error = || {
-            let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-            DeviceError::new(
-                kind,
-                &self.name,
-                command_name(command),
-                expected,
-                "a port that is closed",
-            )
-        };
-        self.port.as_mut().ok_or_else(error)
+        self.port
+            .as_mut()
+            .ok_or_else(|| closed(&self.name, command_name(command)))
     }
 
     /// Sends a command to a unit and axis; its number.

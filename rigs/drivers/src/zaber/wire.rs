@@ -7,7 +7,7 @@ use std::net::TcpStream;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::DeviceError;
+use wcal_core::device::{DeviceError, DeviceErrorKind};
 use zproto::backend::Backend;
 
 /// Longest time in which a disturbed line is emptied.
@@ -227,6 +227,12 @@ impl Backend for Wire {
 }
 
 /// Why a port was not opened, in words that say what to do.
+/// The error of a question on a port that was given back.
+pub(crate) fn closed(name: &str, action: &str) -> DeviceError {
+    let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
+    DeviceError::new(kind, name, action, expected, "a port that is closed")
+}
+
 fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline) -> DeviceError {
     match port {
         Port::Tcp(address) => trouble::of_connection(device, address, error, deadline),

@@ -51,6 +51,25 @@ pub struct Body {
 const PIECES: usize = 240;
 
 impl Outline {
+    /// Draws one of some millimetres.
+    pub(super) fn draw(rng: &mut impl Rng) -> Self {
+        match rng.random_range(0..3_u32) {
+            0 => {
+                let r = rng.random_range(6.0..25.0);
+                Self::Ellipse { a_mm: r, b_mm: r }
+            }
+            1 => Self::Ellipse {
+                a_mm: rng.random_range(6.0..25.0),
+                b_mm: rng.random_range(6.0..25.0),
+            },
+            _ => Self::RoundedBox {
+                a_mm: rng.random_range(8.0..20.0),
+                b_mm: rng.random_range(8.0..20.0),
+                edge_mm: rng.random_range(2.0..6.0),
+            },
+        }
+    }
+
     /// Signed distance (mm, positive outside) and outward normal at the nearest point of the outline.
     pub fn closest(&self, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
         match *self {
@@ -140,22 +159,13 @@ fn rounded(a: f64, b: f64, edge: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) 
 
 impl Body {
     /// Across the free wire, tilted about the world's x and z.
-    pub(super) fn draw(rng: &mut impl Rng, wire: &Wire, about_x: f64, about_z: f64) -> Self {
-        let outline = match rng.random_range(0..3_u32) {
-            0 => {
-                let r = rng.random_range(6.0..25.0);
-                Outline::Ellipse { a_mm: r, b_mm: r }
-            }
-            1 => Outline::Ellipse {
-                a_mm: rng.random_range(6.0..25.0),
-                b_mm: rng.random_range(6.0..25.0),
-            },
-            _ => Outline::RoundedBox {
-                a_mm: rng.random_range(8.0..20.0),
-                b_mm: rng.random_range(8.0..20.0),
-                edge_mm: rng.random_range(2.0..6.0),
-            },
-        };
+    pub(super) fn draw(
+        outline: Outline,
+        rng: &mut impl Rng,
+        wire: &Wire,
+        about_x: f64,
+        about_z: f64,
+    ) -> Self {
         let within = Rotation3::from_axis_angle(&Vector3::y_axis(), rng.random_range(-0.8..0.8));
         let turn: Matrix3<f64> = (Rotation3::from_axis_angle(&Vector3::x_axis(), about_x)
             * Rotation3::from_axis_angle(&Vector3::z_axis(), about_z)

@@ -10,8 +10,9 @@ pub mod slide;
 use crate::bench::Bench;
 use crate::case::{Case, CaseKind, Request, put};
 use crate::layout::Design;
+use crate::rod::Wire;
 use crate::{PlantError, WireError, session};
-use body::Body;
+use body::{Body, Outline};
 use nalgebra::{Rotation3, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -35,6 +36,10 @@ const MAX_OVERLAP_MM: f64 = 0.03;
 /// Steps in which it is looked for where the wire slips off a body, and how deep the free wire lies there in the next body, mm.
 const SNAP_STEP_MM: f64 = 0.5;
 const SNAP_DEPTH_MM: [f64; 2] = [1.0, 5.0];
+/// Radius of a needle, mm; relative standard deviation of another wire's diameter; time that a base stands where it turns, s.
+const NEEDLE_MM: f64 = 0.3;
+const OTHER_DIAMETER: f64 = 0.01;
+const HOLD_S: f64 = 0.5;
 /// Draws before it is given up.
 const MAX_DRAWS: u32 = 60;
 
@@ -59,6 +64,41 @@ pub struct Scene {
     pub noise_pm: f64,
     /// See `noise_pm`.
     pub drift_pm: [f64; 2],
+    /// Diameter of the wire that is swept over that of the bench's, on which the map was measured.
+    pub thicker: f64,
+    /// Whether the base turns when two thirds of the readings in contact are taken, and goes back after a hold.
+    pub returns: bool,
+}
+
+/// What is drawn of a sweep beside the usual: the bench follows from the seed alone, so that all kinds of a seed share a calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SweepKind {
+    /// Over ellipses and rounded boxes.
+    OneWay,
+    /// The same, held for half a second and back the same way.
+    ThereAndBack,
+    /// Over ellipses of half axes of 4 to 8 mm.
+    SmallEllipse,
+    /// Past a round needle of 0.3 mm radius, across the motion.
+    Needle,
+    /// One way by another wire than the calibration's: its diameter is off by 1 % (standard deviation), its stiffness by 4 %; its map is the same.
+    OtherWire,
+}
+
+impl SweepKind {
+    fn outline(self, rng: &mut impl Rng) -> Outline {
+        match self {
+            Self::SmallEllipse => Outline::Ellipse {
+                a_mm: rng.random_range(4.0..8.0),
+                b_mm: rng.random_range(4.0..8.0),
+            },
+            Self::Needle => Outline::Ellipse {
+                a_mm: NEEDLE_MM,
+                b_mm: NEEDLE_MM,
+            },
+            _ => Outline::draw(rng),
+        }
+    }
 }
 
 /// A reading of a sweep with its truth.
@@ -89,29 +129,45 @@ pub struct SweepCase {
     pub readings: Vec<SweepReading>,
 }
 
+/// Bench of a foreign wire, and the gain of its map over that of the usual diameter.
+fn foreign_bench(rng: &mut impl Rng) -> (Bench, f64) {
+    let usual = Bench::draw(rng);
+    let diameter_mm = rng.random_range(0.22..0.36_f64);
+    let gain = (crate::bench::DIAMETER_MM / diameter_mm).powi(3);
+    let straight_mm = rng.random_range(18.0..38.0_f64);
+    let youngs_gpa = rng.random_range(55.0..80.0_f64).round();
+    let bench = Bench {
+        diameter_mm: (1e3 * diameter_mm).round() / 1e3,
+        straight_mm: straight_mm.round(),
+        arc_radius_mm: rng.random_range(15.0..40.0_f64).round(),
+        length_mm: (straight_mm + rng.random_range(18.0..32.0_f64)).round(),
+        youngs_gpa,
+        shear_gpa: (1e4 * youngs_gpa / 2.66).round() / 1e4,
+        k: usual.k.map(|row| row.map(|v| gain * v)),
+        ..usual
+    };
+    (bench, gain)
+}
+
 impl Scene {
     fn draw(rng: &mut impl Rng) -> Self {
-        let usual = Bench::draw(rng);
-        let diameter_mm = rng.random_range(0.22..0.36_f64);
-        let gain = (crate::bench::DIAMETER_MM / diameter_mm).powi(3);
-        let straight_mm = rng.random_range(18.0..38.0_f64);
-        let youngs_gpa = rng.random_range(55.0..80.0_f64).round();
-        let bench = Bench {
-            diameter_mm: (1e3 * diameter_mm).round() / 1e3,
-            straight_mm: straight_mm.round(),
-            arc_radius_mm: rng.random_range(15.0..40.0_f64).round(),
-            length_mm: (straight_mm + rng.random_range(18.0..32.0_f64)).round(),
-            youngs_gpa,
-            shear_gpa: (1e4 * youngs_gpa / 2.66).round() / 1e4,
-            k: usual.k.map(|row| row.map(|v| gain * v)),
-            ..usual
-        };
+        let bench = foreign_bench(rng);
+        Self::on(bench, rng, Outline::draw)
+    }
+
+    /// On a bench.
+    fn on<R: Rng>(
+        (bench, gain): (Bench, f64),
+        rng: &mut R,
+        outline: impl Fn(&mut R) -> Outline,
+    ) -> Self {
         let wire = bench.wire();
         let side = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
         let [a, b, c] = [0.18, 0.12, 0.18].map(|most: f64| rng.random_range(-most..most));
         let direction = Rotation3::from_euler_angles(a, b, 0.0) * V3::z() * side;
-        let body = Body::draw(rng, &wire, c, a);
-        let drift = |rng: &mut dyn Rng| rng.random_range(-0.5..0.5);
+        let outline = outline(rng);
+        let body = Body::draw(outline, rng, &wire, c, a);
+        let drift = |rng: &mut R| rng.random_range(-0.5..0.5);
         Self {
             friction: if rng.random_bool(0.3) {
                 0.0
@@ -126,12 +182,23 @@ impl Scene {
             body,
             beyond: None,
             direction,
+            thicker: 1.0,
+            returns: false,
         }
+    }
+
+    /// The wire that is swept.
+    fn wire(&self) -> Wire {
+        Bench {
+            diameter_mm: self.bench.diameter_mm * self.thicker,
+            ..self.bench.clone()
+        }
+        .wire()
     }
 
     /// With a second body, where the wire snaps onto it when it slips off the first; none where it does not slip off at once.
     fn with_body_beyond(mut self, rng: &mut impl Rng) -> Option<Self> {
-        let wire = self.bench.wire();
+        let wire = self.wire();
         let start = self.start(&wire)?;
         // Without friction: where about it slips off is enough.
         let mut slide = Slide::new(&wire, &self.body, 0.0, start);
@@ -144,7 +211,8 @@ impl Scene {
                 left || (was && !touched)
             })?;
         let [a, c] = [0.18, 0.18].map(|most: f64| rng.random_range(-most..most));
-        let mut beyond = Body::draw(rng, &wire, c, a);
+        let outline = Outline::draw(rng);
+        let mut beyond = Body::draw(outline, rng, &wire, c, a);
         let depth_mm = rng.random_range(SNAP_DEPTH_MM[0]..SNAP_DEPTH_MM[1]);
         let first = Self {
             body: beyond.clone(),
@@ -174,7 +242,31 @@ impl Scene {
 
     /// Runs the sweep; none where it is none.
     fn run(&self, rng: &mut impl Rng) -> Option<Vec<SweepReading>> {
-        let wire = self.bench.wire();
+        let mut readings = self.pass(None)?;
+        if self.returns {
+            let touches: Vec<f64> = readings
+                .iter()
+                .filter(|r| r.touch.is_some())
+                .map(|r| r.t_s)
+                .collect();
+            readings = self.pass(touches.get(2 * touches.len() / 3).copied())?;
+        }
+        self.read(&mut readings, rng);
+        Some(readings)
+    }
+
+    /// How far the base has gone, mm: on, or from the turn on, after the hold, back as it came.
+    fn way_mm(&self, t_s: f64, turn_s: Option<f64>) -> f64 {
+        let t_s = match turn_s {
+            Some(turn_s) => t_s.min(turn_s) - (t_s - turn_s - HOLD_S).max(0.0),
+            None => t_s,
+        };
+        self.speed_mm_s * t_s + 0.1 * (0.7 * t_s).sin()
+    }
+
+    /// True readings of a sweep that turns at a time, or does not.
+    fn pass(&self, turn_s: Option<f64>) -> Option<Vec<SweepReading>> {
+        let wire = self.wire();
         let start = self.start(&wire)?;
         let mut slide = Slide::new(&wire, &self.body, self.friction, start);
         let mut second = self
@@ -186,7 +278,7 @@ impl Scene {
         let (mut readings, mut touches, mut free) = (Vec::new(), 0, 0);
         for k in 0.. {
             let t_s = f64::from(k) / self.rate_hz;
-            let way = self.speed_mm_s * t_s + 0.1 * (0.7 * t_s).sin();
+            let way = self.way_mm(t_s, turn_s);
             let base_mm = start + self.direction * way;
             slide.advance(&base_mm).ok()?;
             if let Some(next) = second
@@ -227,7 +319,6 @@ impl Scene {
                 return None;
             }
         }
-        self.read(&mut readings, rng);
         (touches >= MIN_TOUCHES).then_some(readings)
     }
 
@@ -261,6 +352,42 @@ impl SweepCase {
     /// As [`SweepCase::draw`].
     pub fn draw_with_slip(seed: u64) -> Result<Self, PlantError> {
         Self::of(seed, |rng| Scene::draw(rng).with_body_beyond(rng))
+    }
+
+    /// Draws a sweep of a kind.
+    ///
+    /// # Errors
+    /// As [`SweepCase::draw`].
+    pub fn draw_kind(seed: u64, kind: SweepKind) -> Result<Self, PlantError> {
+        let bench = foreign_bench(&mut ChaCha8Rng::seed_from_u64(seed));
+        Self::of(seed ^ ((kind as u64 + 1) << 40), |rng| {
+            let scene = Scene::on(bench.clone(), rng, |rng| kind.outline(rng));
+            let off: f64 = StandardNormal.sample(rng);
+            let thicker = if kind == SweepKind::OtherWire {
+                1.0 + OTHER_DIAMETER * off
+            } else {
+                1.0
+            };
+            Some(Scene {
+                thicker,
+                returns: kind == SweepKind::ThereAndBack,
+                ..scene
+            })
+        })
+    }
+
+    /// The same scene under another friction, with other noise; none where that is no sweep.
+    pub fn under_friction(&self, friction: f64) -> Option<Self> {
+        let scene = Scene {
+            friction,
+            ..self.scene.clone()
+        };
+        let readings = scene.run(&mut ChaCha8Rng::seed_from_u64(!self.seed))?;
+        Some(Self {
+            scene,
+            readings,
+            ..self.clone()
+        })
     }
 
     fn of(seed: u64, scene: impl Fn(&mut ChaCha8Rng) -> Option<Scene>) -> Result<Self, PlantError> {
@@ -305,12 +432,20 @@ impl SweepCase {
         self.scene.noise_pm / (a * d - b * c).abs().sqrt()
     }
 
-    /// Writes `session/` (27 poses), `readings.csv`, `base.csv`, `object.stl` (world frame) and `truth.csv` into a folder.
+    /// Writes `session/` (27 poses), and the files of [`SweepCase::write_record`] into a folder.
     ///
     /// # Errors
     /// [`PlantError::Write`] with the file that could not be written, and those of [`SweepCase::session`].
     pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
         self.session()?.write(&folder.join("session"))?;
+        self.write_record(folder)
+    }
+
+    /// Writes `readings.csv`, `base.csv`, `object.stl` (world frame) and `truth.csv` into a folder.
+    ///
+    /// # Errors
+    /// [`PlantError::Write`] with the file that could not be written.
+    pub fn write_record(&self, folder: &Path) -> Result<(), PlantError> {
         let mut readings = "k,t_s,fbg_ref_nm,temperature_degc,fbg_1_nm,fbg_2_nm\n".to_owned();
         let mut base = "t_s,base_x_mm,base_y_mm,base_z_mm\n".to_owned();
         let mut truth =

@@ -9,7 +9,9 @@ mod spread_model;
 pub mod tails;
 mod whitening;
 
-pub use estimate::{CORRELATED_PRICE, MIN_HELD_REPEATS, best_misfit, correlated_gain, estimate};
+pub use estimate::{
+    CORRELATED_PRICE, COURSE, MIN_HELD_REPEATS, best_misfit, correlated_gain, estimate,
+};
 pub use inputs::NoiseInputs;
 pub use likelihood::{MeanModel, RestrictedLikelihood, restricted_likelihood};
 pub use parts::Noise;

@@ -66,6 +66,21 @@ impl Noise {
         }
     }
 
+    /// The same noise `times` as large.
+    pub fn scaled(&self, times: f64) -> Self {
+        let part = |e: NoisePart| NoisePart {
+            value: e.value * times,
+            interval95: e.interval95.map(|v| v * times),
+        };
+        let correlated = self.correlated.map(|(e, tau)| (part(e), tau));
+        Self {
+            repeat: part(self.repeat),
+            pose: self.pose.map(part),
+            correlated,
+            ..self.clone()
+        }
+    }
+
     /// Weights of other readings of the same session (sealed ones among them) under this noise.
     pub fn weights_of(&self, inputs: &NoiseInputs) -> Weights {
         let own = self.law.as_ref().map_or_else(

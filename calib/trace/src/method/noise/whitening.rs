@@ -13,6 +13,7 @@
 //! (Harvey, "Forecasting, Structural Time Series Models and the Kalman Filter", 1989, ch. 3.)
 
 use nalgebra::DMatrix;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// What readings share of their noise, in units of the repeat noise `s`.
@@ -207,6 +208,23 @@ impl Weights {
         }
     }
 
+    /// Makes of white values readings with this noise: the inverse of whitening, readings that do not count stay zero.
+    pub fn colour(&self, column: &mut [f64]) {
+        let (mut correlated, mut pose) = (0.0, 0.0);
+        for (v, f) in column.iter_mut().zip(&self.filter) {
+            correlated *= f.decay;
+            if f.new_setting {
+                pose = 0.0;
+            }
+            if f.scale > 0.0 {
+                let surprise = *v / f.scale;
+                *v = surprise + correlated + f.posed * pose;
+                correlated += f.gain[0] * surprise;
+                pose += f.gain[1] * surprise;
+            }
+        }
+    }
+
     /// Logarithm of the determinant of the covariance of the readings that count, `s` = 1.
     pub fn log_determinant(&self) -> f64 {
         // Whitening is triangular: the determinant is the product of the innovations' variances.
@@ -223,6 +241,27 @@ impl Weights {
                 .map(|w| -2.0 * w.ln())
                 .sum()
         }
+    }
+
+    /// Variance of the sum of readings times `share` of each one's own noise, `s` = 1.
+    pub fn variance_of(&self, share: &[f64]) -> f64 {
+        let own: f64 = share.iter().map(|v| v * v).sum();
+        let Some(s) = &self.shared else { return own };
+        let [sd, tau] = s.correlated.unwrap_or([0.0, 1.0]);
+        // Sum over pairs of an exponential: each reading carries on the decayed sum of those before it.
+        let (mut before, mut correlated, mut clock) = (0.0, 0.0, s.clock[0]);
+        let mut poses: BTreeMap<usize, f64> = BTreeMap::new();
+        for (i, (v, weight)) in share.iter().zip(&self.relative).enumerate() {
+            before *= (-(s.clock[i] - clock).max(0.0) / tau).exp();
+            clock = s.clock[i];
+            let v = v * weight;
+            correlated += v * (v + 2.0 * before);
+            before += v;
+            if s.posed[i] {
+                *poses.entry(s.settings[i]).or_insert(0.0) += v;
+            }
+        }
+        own + sd * sd * correlated + s.pose * s.pose * poses.values().map(|v| v * v).sum::<f64>()
     }
 
     /// Covariance of readings `rows`, `s` = 1 (dense; for few readings).
@@ -296,6 +335,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::DVector;
 
     fn example() -> Weights {
         let clock: Vec<f64> = (0..9).map(|k| f64::from(k * k)).collect();
@@ -320,6 +360,26 @@ mod tests {
             let white = &w * &covariance * w.transpose();
             assert!((white - DMatrix::identity(rows.len(), rows.len())).norm() < 1e-10);
             assert!((covariance.determinant().ln() - weights.log_determinant()).abs() < 1e-9);
+            // The variance of a sum is that of the covariance.
+            let share: Vec<f64> = (0..9)
+                .map(|i| {
+                    if weights.counts(i) {
+                        i as f64 - 3.5
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
+            let sum =
+                DVector::from_iterator(rows.len(), rows.iter().map(|&i| share[i] * weights.of(i)));
+            let variance = sum.dot(&(&covariance * &sum));
+            assert!((weights.variance_of(&share) / variance - 1.0).abs() < 1e-10);
+            // Coloured, they are readings again.
+            let mut again = weights.apply_to(&[1.0, -2.0, 3.0, 0.5, 0.0, 1.5, -1.0, 2.0, 4.0]);
+            weights.colour(&mut again);
+            assert!(rows.iter().all(|&i| {
+                (again[i] - [1.0, -2.0, 3.0, 0.5, 0.0, 1.5, -1.0, 2.0, 4.0][i]).abs() < 1e-12
+            }));
             // Negative control: readings taken for independent are not white.
             let plain = Weights::independent(weights.relative().to_vec());
             let p = plain

@@ -96,23 +96,12 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
         && !is_polynomial(system, found.accepted());
     // The errors of an axis have a table of their own.
     let may_be_smooth = system.frame.declared != Declared::Axis;
-    if let Some(noise) = slow_noise(system, found.accepted(), options.seed) {
-        beside_slow_noise(system, explained, &noise, options);
-    } else if may_be_smooth && (in_pieces || smooth_rest(system, explained)) {
+    if may_be_smooth && (in_pieces || smooth_rest(system, explained)) {
         prefer_polynomial(system, explained, in_pieces, options);
     } else if bends == 1 && !found.covariate_beats_catalogue {
         let outcome = Contest::of(system, &found.best, &explained.noise, true).outcome();
         take(system, explained, outcome, options);
     }
-}
-
-/// Noise that is correlated in time, where the time and the stimulus are one line.
-fn slow_noise(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Noise> {
-    let swept = system.frame.swept_once();
-    swept
-        .then(|| noise_for_predictions(system, h, seed))
-        .flatten()
-        .filter(|n| n.correlated.is_some())
 }
 
 /// Takes the bends that stand in place of every bend that was found.
@@ -306,60 +295,6 @@ impl<'a> Contest<'a> {
 struct Outcome {
     remaining: Vec<Hypothesis>,
     competed: Vec<Vec<usize>>,
-}
-
-/// Bends that predict readings left out, where noise that is correlated in time is a bend by another name: those that stand, and the noise alone where it
-/// took the place of a bend and the noise beside a bend lets its lead be chance.
-fn beside_slow_noise(
-    system: &ScalarSystem,
-    explained: &mut Explained,
-    noise: &Noise,
-    options: &Options,
-) {
-    let accepted = explained.found.accepted().clone();
-    let contest = Contest::of(system, &accepted, noise, false);
-    let bent = contest.others.len() < accepted.fit.terms.len();
-    let Some(plain) = contest.left_out(&contest.others) else {
-        return;
-    };
-    let better = |h: &Hypothesis| {
-        let beside = Contest::of(
-            system,
-            h,
-            &noise_for_predictions(system, h, options.seed)?,
-            false,
-        );
-        Some(plain.is_behind(&contest.left_out(&h.fit.terms)?, &beside.noise, z(RIVAL)))
-    };
-    let set = contest.outcome().remaining;
-    let Some(first) = set
-        .first()
-        .filter(|_| bent || set.iter().any(|h| better(h).unwrap_or(false)))
-    else {
-        return;
-    };
-    let Some(noise) = noise_for_predictions(system, first, options.seed) else {
-        return;
-    };
-    let of = |terms: &[EffectTerm]| {
-        let fit = fit(system, terms, &noise.weights, REFIT_STEPS)?;
-        Some(Hypothesis {
-            fit,
-            weights: noise.weights.clone(),
-            ..accepted.clone()
-        })
-    };
-    let mut set: Vec<Hypothesis> = set.iter().filter_map(|h| of(&h.fit.terms)).collect();
-    set.extend(of(&contest.others).filter(|_| !bent));
-    let found = &mut explained.found;
-    let (Some(base), Some(best)) = (of(&[]), set.first().cloned()) else {
-        return;
-    };
-    found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
-    found.covariate_beats_catalogue = false;
-    found.refitted = set.clone();
-    (found.base, found.best, found.survivors) = (base, best, set);
-    explained.noise = noise;
 }
 
 /// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them, or any

@@ -11,15 +11,15 @@ use super::frame::ScalarRow;
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
-use crate::measurement_model::MeasurementModel;
+use crate::measurement_model::{DesignTest, MeasurementModel};
 use crate::method::admissible::REFIT_STEPS;
 use crate::method::deletion_diagnostics::influential_set;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
-use crate::method::lack_of_fit::{extra_sum_of_squares_p, members, split};
+use crate::method::lack_of_fit::{Part, extra_sum_of_squares_p, members, split, split_of};
 use crate::method::min_p::{f_test, strongest};
 use crate::method::search_result::SearchResult;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
@@ -36,6 +36,8 @@ fn repeated(cells: &[u64], weights: &[f64]) -> bool {
 
 /// Why a law over the clock is none.
 const REPEATS: &str = "not observable: the protocol repeats with it";
+/// Why a law of the clock, or of the way of the stimulus, is none.
+const IN_STEPS: &str = "the stimulus moved while it was recorded in steps, which explains as much";
 /// Why a law of the stimulus is none.
 const AS_A_TABLE: &str = "a table of as many places would explain as much";
 
@@ -93,13 +95,46 @@ impl ScalarSystem {
         effect.has_memory && effect.law(term.law).needs.iter().any(by_time)
     }
 
+    /// The tests of [`Strata::explains_between_strata`], of a term's signature.
+    pub fn strata_tests(
+        &self,
+        h: &Hypothesis,
+        term: &EffectTerm,
+        signature: &DVector<f64>,
+    ) -> Vec<DesignTest> {
+        let by_clock = self.runs_with_the_clock(term);
+        let Some(strata) = self.strata(h) else {
+            return Vec::new();
+        };
+        let cells = if by_clock {
+            &strata.protocol
+        } else {
+            &strata.cells
+        };
+        let parts = split_of(
+            signature.as_slice(),
+            &h.fit,
+            &h.weights,
+            cells,
+            &self.frame.read_u,
+        );
+        let test = |part: Part, level| DesignTest {
+            level,
+            norm: part.ss.sqrt(),
+            dof: part.dof - 1.0,
+        };
+        let within = test(parts.within, WITHIN_STRATA);
+        let between = (!by_clock).then(|| test(parts.between, BETWEEN_STRATA));
+        [within].into_iter().chain(between).collect()
+    }
+
     /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
     /// level or one cycle.
     pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
-            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k)?.fit);
+            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k)?);
             let terms: Vec<EffectTerm> =
                 h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
             let by_clock = self.runs_with_the_clock(term);
@@ -109,6 +144,12 @@ impl ScalarSystem {
                     why,
                 })
             };
+            if (by_clock || self.catalogue()[term.effect].has_memory)
+                && self.smooths_steps(h, &without)
+            {
+                return why(IN_STEPS.to_owned());
+            }
+            let without = without.fit;
             if let Some(plainer) = self.not_told_from(&terms, term, h) {
                 return why(format!(
                     "on this range it cannot be distinguished from {plainer}"
@@ -128,7 +169,10 @@ impl ScalarSystem {
                 return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
             }
             let (levels, value) = self.driving_levels(term, &h.weights);
-            if let Some(level) = influential_set(&h.fit, &without, &levels) {
+            let one_is_enough = self.effects[term.effect].shows_on_one_level;
+            if let Some(level) =
+                influential_set(&h.fit, &without, &levels).filter(|_| !one_is_enough)
+            {
                 return why(format!(
                     "it rests on one level ({})",
                     value(&self.frame.rows[levels[level][0]])

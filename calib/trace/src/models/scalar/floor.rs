@@ -33,6 +33,17 @@ pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, frame.direction.as_deref())
 }
 
+/// Keys of readings that repeat each other: set alike, or, where none is, at one place on either way.
+pub fn repeat_keys(frame: &Frame) -> Vec<u64> {
+    let keys = replicate_keys(frame);
+    let settings = keys.iter().max().map_or(0, |k| 1 + *k as usize);
+    if keys.len() < settings + MIN_DOF {
+        place_keys(frame)
+    } else {
+        keys
+    }
+}
+
 /// The same by the way of the stimulus in the order of the table, where that is known: what repeats with the protocol.
 pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
     let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.setting));
@@ -89,7 +100,7 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     let counts = |i: &usize| h.weights.counts(*i);
     let scatter = Scatter { h, shape };
     // Readings of one stimulus and direction: n - 1 degrees of freedom a cell.
-    let keys = replicate_keys(frame);
+    let keys = repeat_keys(frame);
     let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
     rows.sort_by_key(|&i| keys[i]);
     let cells: Vec<&[usize]> = rows

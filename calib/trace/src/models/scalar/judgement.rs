@@ -4,7 +4,6 @@ use super::model::{ModelError, ScalarModel};
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::inference::t95;
-use crate::verify::judgement::JudgedReading;
 use crate::verify::{HeldOut, SessionModel};
 
 /// All readings, or those that were sealed, through the calibration.
@@ -15,20 +14,17 @@ pub fn of_model(
     system: &ScalarSystem,
     model: &ScalarModel,
     only_sealed: bool,
-) -> Result<Vec<JudgedReading>, ModelError> {
+) -> Result<Vec<HeldOut>, ModelError> {
     let rows = &system.frame.rows;
     let predictions = model.predict(rows)?;
     let quantile = t95(model.dof);
     let of = |i: usize| {
         let (error, half95) = (rows[i].y - predictions[i].value, predictions[i].half95);
-        let held_out = HeldOut {
+        HeldOut {
             group: system.groups()[i],
             errors: vec![vec![error]],
+            stated_sd: vec![vec![half95 / quantile]],
             inside95: vec![error.abs() <= half95],
-        };
-        JudgedReading {
-            held_out,
-            in_sd: vec![error * quantile / half95],
         }
     };
     Ok((0..rows.len())

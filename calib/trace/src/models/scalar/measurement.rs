@@ -3,7 +3,7 @@
 use super::admission;
 use super::bends::compete;
 use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE, ZERO_BY_SERIES};
-use super::floor::{noise_floor, replicate_keys};
+use super::floor::{noise_floor, repeat_keys};
 use super::frame::Declared;
 use super::model::ScalarModel;
 use super::parameters::{self, of_effect, zero_scatter};
@@ -20,6 +20,7 @@ use crate::error::TraceError;
 use crate::levels::CATALOGUE;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::t95;
 use crate::method::lack_of_fit::{LackOfFit, split};
 use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
@@ -29,14 +30,16 @@ use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
 use nalgebra::DVector;
+use wcal_core::order_statistics::median;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor};
 use wcal_core::{ResidualRecord, Sealed};
 
-/// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
+/// Predictions at every row, in the system's own values, with half widths of 95 % intervals and how many standard deviations those are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScalarPredictions {
     value: DVector<f64>,
     half95: Vec<f64>,
+    quantile: f64,
 }
 
 /// Covariates over which a period can run.
@@ -84,7 +87,7 @@ impl ScalarSystem {
         let lack = LackOfFit::of(split(
             &h.fit,
             &h.weights,
-            &replicate_keys(&self.frame),
+            &repeat_keys(&self.frame),
             &self.frame.read_u,
         ))?;
         // Repeats of a coarse read-out agree; that says nothing of how well a model does.
@@ -319,7 +322,11 @@ impl SessionModel for ScalarSystem {
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<ScalarPredictions> {
         let (value, half95) = predict(self, &Fitted::of(&h.fit), reading_sd)?;
-        Some(ScalarPredictions { value, half95 })
+        Some(ScalarPredictions {
+            value,
+            half95,
+            quantile: t95(h.fit.dof),
+        })
     }
 
     fn quantities(&self) -> &'static [Quantity] {
@@ -341,6 +348,7 @@ impl SessionModel for ScalarSystem {
         HeldOut {
             group: self.frame.groups[reading],
             errors: vec![vec![error]],
+            stated_sd: vec![vec![predictions.half95[reading] / predictions.quantile]],
             inside95: vec![error.abs() <= predictions.half95[reading]],
         }
     }
@@ -360,7 +368,28 @@ impl SessionModel for ScalarSystem {
         } else {
             Grouping::Stimuli
         };
-        folds(&self.frame, grouping)
+        let mut folds = folds(&self.frame, grouping);
+        // What shows at one place alone (a count that starts again) is not predicted where that is left out.
+        let local = |t: &EffectTerm| self.effects[t.effect].shows_on_one_level;
+        let slots = accepted.fit.slots(self.catalogue());
+        for (_, slots) in accepted
+            .fit
+            .terms
+            .iter()
+            .zip(slots)
+            .filter(|(t, _)| local(t))
+        {
+            let column = accepted.fit.raw_design.column(slots.columns.start);
+            let typical = median(column.iter().copied()).unwrap_or(0.0);
+            let own = column.map(|v| (v - typical).abs()).imax();
+            let kept = folds.fold[own];
+            folds
+                .fold
+                .iter_mut()
+                .filter(|fold| **fold == kept)
+                .for_each(|fold| *fold = None);
+        }
+        folds
     }
 
     fn calibration(
@@ -369,7 +398,6 @@ impl SessionModel for ScalarSystem {
         accepted: &Hypothesis,
         noise: &Noise,
         _floor_sd: f64,
-        _seed: u64,
     ) -> ScalarModel {
         let lack = [base, accepted].map(|h| self.pure_error(h));
         // Where the fit takes its readings for independent, its variance holds what they share already.

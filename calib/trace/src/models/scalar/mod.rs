@@ -14,6 +14,7 @@ pub mod parameters;
 pub mod polynomial;
 pub mod predictions;
 mod range_limit;
+mod recorded_steps;
 mod row;
 mod scalar_effect;
 mod sequence;

@@ -14,6 +14,8 @@ pub struct ScalarEffect {
     pub bend: bool,
     /// The power of the stimulus that it adds to a polynomial of one degree less.
     pub degree: Option<usize>,
+    /// A single level says what it is: nothing else has its size.
+    pub shows_on_one_level: bool,
     /// Laws whose columns are functions of the stimulus alone, although they are no bend.
     pub waves_of_stimulus: &'static [&'static str],
     /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
@@ -50,6 +52,7 @@ impl From<Effect> for ScalarEffect {
             not_observable: |_| None,
             bend: false,
             degree: None,
+            shows_on_one_level: false,
             waves_of_stimulus: &[],
             looks_like: |_, _| None,
             spans_too_few_periods: &[],

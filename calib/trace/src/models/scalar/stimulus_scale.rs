@@ -1,6 +1,6 @@
 //! What the unit of the stimulus and the read-out's range say: a full turn, absolute zero, and where a count starts again.
 
-use super::row::ScalarRow;
+use super::row::{ScalarRow, range};
 use std::f64::consts::TAU;
 
 /// A full turn in a unit of angle.
@@ -42,52 +42,71 @@ fn moduli() -> impl Iterator<Item = f64> {
 /// Steps up to this many times the typical one are steps of the same slope.
 const SAME_SLOPE: f64 = 3.0;
 
-/// Where a count starts again (between two places of the stimulus), rising: jumps by its whole range after which the responses go on as before.
-/// Empty where none does.
+/// Where a count starts again, rising: jumps by its whole range after which the responses go on as before, between two places of the stimulus, or at one
+/// whose readings lie on both sides. Empty where none does.
 pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
     let mut all: Vec<(f64, f64)> = rows.iter().map(|r| (r.x, r.y)).collect();
-    all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let (low, high) = all
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| {
-            (a.min(r.1), b.max(r.1))
-        });
-    let steps: Vec<([f64; 2], f64)> = all
-        .windows(2)
-        .map(|p| ([p[0].0, p[1].0], p[1].1 - p[0].1))
-        .collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let [low, high] = range(rows.iter().map(|r| r.y));
+    let levels: Vec<&[(f64, f64)]> = all.chunk_by(|a, b| a.0 == b.0).collect();
     let of = |modulus: f64| {
-        let unwrapped = |d: f64| d - modulus * (d / modulus).round();
-        let taken: Vec<f64> = steps.iter().map(|(_, d)| unwrapped(*d)).collect();
-        let largest = taken.iter().fold(0.0_f64, |a, d| a.max(d.abs()));
-        let places: Vec<([f64; 2], f64)> = steps
-            .iter()
-            .copied()
-            .filter(|(_, d)| d.abs() > 0.5 * modulus)
-            .collect();
-        let between: Vec<f64> = taken
-            .iter()
-            .zip(&steps)
-            .filter(|(_, s)| s.0[0] < s.0[1])
-            .map(|(d, _)| *d)
-            .collect();
-        let typical = between.iter().sum::<f64>().abs() / between.len().max(1) as f64;
+        // Each reading as near as whole ranges bring it to the mean of the place before.
+        let mut before = levels.first()?[0].1;
+        let (mut means, mut passed) = (Vec::new(), Vec::new());
+        for level in &levels {
+            let counts: Vec<f64> = level
+                .iter()
+                .map(|(_, y)| ((before - y) / modulus).round())
+                .collect();
+            let whole = level
+                .iter()
+                .zip(&counts)
+                .map(|((_, y), k)| y + modulus * k)
+                .sum::<f64>();
+            before = whole / level.len() as f64;
+            means.push(before);
+            passed.push(range(counts.into_iter()));
+        }
+        let steps: Vec<f64> = means.windows(2).map(|m| m[1] - m[0]).collect();
+        let typical = steps.iter().sum::<f64>().abs() / steps.len().max(1) as f64;
         // All of one count's range is used, and what is left of every step is a step of the slope.
-        let fits = !places.is_empty()
-            && high - low < modulus
+        let fits = high - low < modulus
             && high - low + SAME_SLOPE * typical > modulus
-            && largest < SAME_SLOPE * typical
-            && places
-                .iter()
-                .all(|(x, d)| x[0] < x[1] && d.signum() == places[0].1.signum());
-        fits.then(|| {
-            places
-                .iter()
-                .map(|(x, _)| 0.5 * (x[0] + x[1]))
-                .collect::<Vec<f64>>()
-        })
+            && steps.iter().all(|d| d.abs() < SAME_SLOPE * typical);
+        let mixed = |p: &[f64; 2]| p[0] < p[1];
+        let within = levels
+            .iter()
+            .zip(&passed)
+            .filter(|(_, p)| mixed(p))
+            .map(|(level, _)| level[0].0);
+        let between = passed.windows(2).zip(levels.windows(2));
+        let between = between.filter(|(p, _)| p[0] != p[1] && !p.iter().any(mixed));
+        let between = between.map(|(_, level)| 0.5 * (level[0][0].0 + level[1][0].0));
+        let mut places: Vec<f64> = between.chain(within).collect();
+        places.sort_by(f64::total_cmp);
+        (fits && !places.is_empty()).then_some(places)
     };
     moduli().find_map(of).unwrap_or_default()
+}
+
+/// How often the count of each reading has started again. At a place whose readings lie on both sides each is told by its neighbours.
+pub(super) fn times_wrapped(rows: &[ScalarRow], wraps: &[f64]) -> Vec<f64> {
+    let [low, high] = range(rows.iter().map(|r| r.y));
+    let of = |r: &ScalarRow| {
+        let before = wraps.iter().filter(|place| r.x > **place).count() as f64;
+        // The nearest reading on one side is in the same round.
+        let same = |after: bool| {
+            let near =
+                |a: &&ScalarRow, b: &&ScalarRow| (a.x - r.x).abs().total_cmp(&(b.x - r.x).abs());
+            let beyond = rows.iter().filter(|o| o.x != r.x && (o.x > r.x) == after);
+            beyond
+                .min_by(near)
+                .map(|o| (2.0 * (r.y - o.y).abs() < high - low) == after)
+        };
+        let after = || same(true).or_else(|| same(false)).unwrap_or(false);
+        before + f64::from(u8::from(wraps.contains(&r.x) && after()))
+    };
+    rows.iter().map(of).collect()
 }
 
 #[cfg(test)]
@@ -109,6 +128,19 @@ mod tests {
     fn a_count_that_starts_again_is_told_from_a_step() {
         assert_eq!(wraps(&counts(12, 3000.0, 0.5)), vec![94.5]);
         assert_eq!(wraps(&counts(14, 5000.0, 0.5)), vec![256.5]);
+        // At the first place noise alone takes readings below zero.
+        let mut turn: Vec<ScalarRow> = (0..72)
+            .map(|k| bare(0, f64::from(k % 24) * 15.0, 0.0))
+            .collect();
+        turn.iter_mut()
+            .enumerate()
+            .for_each(|(k, r)| r.y = (r.x + [0.3, -0.2, 0.1][k / 24]).rem_euclid(360.0));
+        assert_eq!(wraps(&turn), vec![0.0]);
+        let times = times_wrapped(&turn, &[0.0]);
+        assert!(
+            (0..72).all(|k| times[k] == if k == 24 { 0.0 } else { 1.0 }),
+            "{times:?}"
+        );
         // Controls: from zero on nothing wraps, and a step by another height is none.
         assert!(wraps(&counts(14, 0.0, 0.5)).is_empty());
         let mut stepped = counts(14, 0.0, 0.5);

@@ -6,12 +6,13 @@ use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
 use super::range_limit::{RangeLimit, read_out};
 use super::row::all;
 use super::scalar_effect::ScalarEffect;
+use super::stimulus_scale::times_wrapped;
 use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
-use crate::measurement_model::{MeasurementModel, design_of, finite};
+use crate::measurement_model::{DesignTest, MeasurementModel, design_of, finite};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
 use crate::method::noise::spread::{Spread, SpreadLaw};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use wcal_core::order_statistics::median;
@@ -109,6 +110,10 @@ fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
         sd.iter().map(variance).collect()
     }
 }
+
+/// Stimuli that a further power of a smooth curve takes, and most of them: higher ones swing between the places.
+const READINGS_A_POWER: usize = 3;
+const MAX_POWERS: usize = 5;
 
 /// An axis is measured from a point this many times the largest error away.
 const FAR: f64 = 1e5;
@@ -280,6 +285,19 @@ impl MeasurementModel for ScalarSystem {
         design_of(&columns)
     }
 
+    fn smooth_columns(&self) -> Vec<Vec<f64>> {
+        let Declared::Polynomial(declared) = self.frame.declared else {
+            return Vec::new();
+        };
+        let further = self.frame.levels().saturating_sub(declared + 1) / READINGS_A_POWER;
+        let power = |k: usize| self.frame.u.iter().map(|u| u.powi(k as i32)).collect();
+        let powers = (declared + 1..=declared + further.min(MAX_POWERS)).map(power);
+        let wraps = Some(&self.frame.scaling.wraps).filter(|wraps| !wraps.is_empty());
+        powers
+            .chain(wraps.map(|wraps| times_wrapped(&self.frame.rows, wraps)))
+            .collect()
+    }
+
     fn catalogue(&self) -> &[Effect] {
         &self.catalogue
     }
@@ -308,6 +326,15 @@ impl MeasurementModel for ScalarSystem {
 
     fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
         self.unidentified_term(h)
+    }
+
+    fn design_tests(
+        &self,
+        h: &Hypothesis,
+        term: &EffectTerm,
+        signature: &DVector<f64>,
+    ) -> Vec<DesignTest> {
+        self.strata_tests(h, term, signature)
     }
 
     fn further_columns(&self) -> &[String] {

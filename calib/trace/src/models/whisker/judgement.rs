@@ -5,7 +5,6 @@ use super::system::WhiskerSystem;
 use crate::effect::EffectTerm;
 use crate::levels::NORMAL_95;
 use crate::verify::HeldOut;
-use crate::verify::judgement::JudgedReading;
 use crate::verify::session_model::Quantity;
 use wcal_map::{MapArtefact, MapPredictor};
 
@@ -15,17 +14,16 @@ pub const QUANTITIES: [Quantity; 1] = [Quantity {
     unit: "N mm",
 }];
 
-fn judged_reading(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
+fn judged_reading(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> HeldOut {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);
-    let in_sd: Vec<f64> = (0..2).map(|c| error[c] / sd[c]).collect();
-    let inside95 = in_sd.iter().map(|z| z.abs() <= NORMAL_95).collect();
-    JudgedReading {
-        held_out: HeldOut {
-            group,
-            errors: vec![error.to_vec()],
-            inside95,
-        },
-        in_sd,
+    let inside95 = (0..2)
+        .map(|c| error[c].abs() <= NORMAL_95 * sd[c])
+        .collect();
+    HeldOut {
+        group,
+        errors: vec![error.to_vec()],
+        stated_sd: vec![sd.to_vec()],
+        inside95,
     }
 }
 
@@ -50,7 +48,7 @@ pub fn of_model(
     system: &WhiskerSystem,
     model: &PhysicalModel,
     only_sealed: bool,
-) -> Option<Vec<JudgedReading>> {
+) -> Option<Vec<HeldOut>> {
     let terms: Vec<EffectTerm> = model.terms().into_iter().map(|a| a.term).collect();
     let (sensed, base) = system.moments(&terms)?;
     let memory: Vec<[f64; 2]> = base
@@ -81,7 +79,7 @@ pub fn of_map(
     system: &WhiskerSystem,
     map: &MapArtefact,
     only_sealed: bool,
-) -> Option<Vec<JudgedReading>> {
+) -> Option<Vec<HeldOut>> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
     let mut of = |i: usize| {

@@ -245,12 +245,13 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Predictions> {
-        let sd_pm: Vec<f64> = reading_sd
-            .iter()
-            .map(|sd| sd * self.noise_factor())
-            .collect();
-        let typical = sd_pm.iter().sum::<f64>() / sd_pm.len().max(1) as f64;
-        predict(self, h, &PhysicalModel::new(self, h, typical), &sd_pm)
+        let typical = reading_sd.iter().sum::<f64>() / reading_sd.len().max(1) as f64;
+        predict(
+            self,
+            h,
+            &PhysicalModel::new(self, h, typical * self.noise_factor()),
+            reading_sd,
+        )
     }
 
     fn quantities(&self) -> &'static [Quantity] {
@@ -277,6 +278,14 @@ impl SessionModel for WhiskerSystem {
                         .map(|_| p.contact_error_mm.into_iter().collect()),
                 )
                 .collect(),
+            stated_sd: [p.shift_sd_pm, p.moment_sd_nmm]
+                .map(|sd| sd.to_vec())
+                .into_iter()
+                .chain(
+                    self.pictures()
+                        .map(|_| vec![f64::NAN; usize::from(p.contact_error_mm.is_some())]),
+                )
+                .collect(),
             inside95: vec![inside(0), inside(1)],
         }
     }
@@ -301,16 +310,17 @@ impl SessionModel for WhiskerSystem {
         }
     }
 
+    fn prediction_noise(&self, accepted: &Hypothesis, seed: u64) -> Option<Noise> {
+        noise_for_predictions(self, accepted, seed)
+    }
+
     fn calibration(
         &self,
         _base: &Hypothesis,
         accepted: &Hypothesis,
         noise: &Noise,
         floor_sd: f64,
-        seed: u64,
     ) -> PhysicalModel {
-        let predicting = noise_for_predictions(self, accepted, seed);
-        let noise = predicting.as_ref().unwrap_or(noise);
         PhysicalModel::new(self, accepted, floor_sd).with_noise(self, noise)
     }
 

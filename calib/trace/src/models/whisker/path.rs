@@ -38,6 +38,8 @@ pub struct Reading {
     pub sample_sd_pm: [f64; 2],
     /// Samples averaged, where the session says so.
     pub samples: Option<u32>,
+    /// The same for how readings' noise compares: of a session that does not say so, in units of a settled reading's.
+    pub averaged: Option<f64>,
     /// Trajectory identifier (0 at rest without one).
     pub group: u32,
     /// Replicate number.
@@ -164,13 +166,16 @@ impl ReadoutOrigin {
 /// Averages of more different lengths than this ratio have variances of their own.
 const AVERAGED_ALIKE: f64 = 1.5;
 
+/// How long a reading was averaged, whether it is loaded, and whether it had settled.
+type Averaged = (Option<f64>, bool, bool);
+
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
-/// number is missing. Each reading: samples, loaded, settled.
-pub(crate) fn averaging_variance(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
+/// number is missing.
+fn averaging_variance(readings: &[Averaged]) -> Vec<f64> {
     let Some(typical) = typical(readings) else {
         return Vec::new();
     };
-    let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
+    let variance = |r: &Averaged| r.0.map(|n| typical / n);
     let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
         return Vec::new();
     };
@@ -184,52 +189,80 @@ pub(crate) fn averaging_variance(readings: &[(Option<u32>, bool, bool)]) -> Vec<
 }
 
 /// Samples of a typical settled loaded reading; of a loaded one where none settled.
-fn typical(readings: &[(Option<u32>, bool, bool)]) -> Option<f64> {
+fn typical(readings: &[Averaged]) -> Option<f64> {
     let of = |settled: bool| {
         let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
-        median(kept.filter_map(|r| r.0).map(f64::from))
+        median(kept.filter_map(|r| r.0))
     };
     of(true).or_else(|| of(false))
 }
 
-fn sizes(readings: &[Reading]) -> Vec<(Option<u32>, bool, bool)> {
-    readings
-        .iter()
-        .map(|r| (r.samples, !r.rest, r.dwell_s > 0.0))
-        .collect()
-}
-
-/// [`averaged`] of readings on a path.
+/// [`averaging_variance`] of readings on a path.
 pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
-    averaging_variance(&sizes(readings))
+    let of = |r: &Reading| (r.averaged, !r.rest, r.dwell_s > 0.0);
+    averaging_variance(&readings.iter().map(of).collect::<Vec<_>>())
 }
 
-/// [`typical`] of readings on a path.
+/// [`typical`] of the stated samples of readings on a path.
 pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
-    typical(&sizes(readings))
+    let of = |r: &Reading| (r.samples.map(f64::from), !r.rest, r.dwell_s > 0.0);
+    typical(&readings.iter().map(of).collect::<Vec<_>>())
 }
 
-/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
+fn settled(row: &WhiskerRow) -> bool {
+    row.dwell_s.is_some_and(|d| d > 0.0)
+}
+
+/// How long a row was averaged: its samples, or, where `moving_variance` is known instead, in units of a settled one's.
+fn averaged(row: &WhiskerRow, moving_variance: Option<f64>) -> Option<f64> {
+    let by_reference = moving_variance.map(|v| if settled(row) { 1.0 } else { 1.0 / v });
+    row.samples.map(|n| f64::from(n.max(1))).or(by_reference)
+}
+
+/// Variances of a moving reading's noise that are tried, 1 for a settled one's: two a decade.
+const MOVING_VARIANCES: [f64; 6] = [3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+/// Rise of twice the log likelihood from which they are unlike: chance gives as much once in a thousand sessions.
+const UNLIKE: f64 = 10.8;
+
+/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter. All gratings of a row are averaged alike,
+/// and no moment moves the reference: where the rows do not say how many samples they average, its noise shows how much less a moving row is.
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
-    let sizes: Vec<_> = rows
-        .iter()
-        .map(|r| {
-            (
-                r.samples,
-                r.role != Role::Rest,
-                r.dwell_s.is_some_and(|d| d > 0.0),
-            )
+    let walk = |moving_variance: Option<f64>| {
+        let sizes: Vec<Averaged> = rows
+            .iter()
+            .map(|r| {
+                (
+                    averaged(r, moving_variance),
+                    r.role != Role::Rest,
+                    settled(r),
+                )
+            })
+            .collect();
+        let variances = or_equal(averaging_variance(&sizes), rows.len());
+        let mut read: Vec<(f64, f64, f64)> = rows
+            .iter()
+            .zip(variances)
+            .map(|(r, variance)| Some((r.t_s?, temperature_of(r, fbg)?, variance)))
+            .collect::<Option<_>>()?;
+        read.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let column = |f: fn(&(f64, f64, f64)) -> f64| read.iter().map(f).collect::<Vec<f64>>();
+        let found = RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))?;
+        Some(RandomWalkModel {
+            moving_variance,
+            ..found
         })
-        .collect();
-    let variances = or_equal(averaging_variance(&sizes), rows.len());
-    let mut read: Vec<(f64, f64, f64)> = rows
-        .iter()
-        .zip(variances)
-        .map(|(r, variance)| Some((r.t_s?, temperature_of(r, fbg)?, variance)))
-        .collect::<Option<_>>()?;
-    read.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let column = |f: fn(&(f64, f64, f64)) -> f64| read.iter().map(f).collect::<Vec<f64>>();
-    RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))
+    };
+    let alike = walk(None)?;
+    let by_reference = fbg.needs_reference() && rows.iter().all(|r| r.reference_shift_pm.is_some());
+    if !by_reference || rows.iter().any(|r| r.samples.is_some()) {
+        return Some(alike);
+    }
+    let unlike = MOVING_VARIANCES.iter().filter_map(|v| walk(Some(*v)));
+    let best = unlike.min_by(|a, b| a.misfit.total_cmp(&b.misfit));
+    Some(
+        best.filter(|b| b.misfit < alike.misfit - UNLIKE)
+            .unwrap_or(alike),
+    )
 }
 
 fn or_equal(variances: Vec<f64>, n: usize) -> Vec<f64> {
@@ -295,6 +328,7 @@ impl WhiskerPath {
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
                     samples: r.samples,
+                    averaged: averaged(r, walk.and_then(|w| w.moving_variance)),
                     group: r.trajectory.unwrap_or(0),
                     replicate: r.replicate.unwrap_or(0),
                     holdout: r.sealed,
@@ -512,7 +546,54 @@ pub(crate) fn bare_row(k: usize, t_s: f64, shift_pm: [f64; 2]) -> WhiskerRow {
 
 #[cfg(test)]
 mod tests {
-    use super::{Reading, exclude_ramps, places};
+    use super::{Reading, WhiskerRow, bare_row, exclude_ramps, places, temperature_walk};
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use wcal_core::observation::FbgSpec;
+
+    /// Of twenty sessions, each of 40 strokes of eight settled and twelve moving rows whose noise is `sd` times as large: what their reference grating
+    /// says of the variance.
+    fn moving_variances(sd: f64) -> Vec<Option<f64>> {
+        let fbg = FbgSpec {
+            temperature_pm_per_degc: Some([10.0, 10.0]),
+            reference_temperature_pm_per_degc: Some(10.0),
+            ..FbgSpec::default()
+        };
+        let of = |seed: u64| {
+            let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+            let (mut t_s, mut level) = (0.0, 0.0);
+            let mut row = |k: usize| {
+                let moving = k % 20 >= 8;
+                let step_s: f64 = if moving { 0.1 } else { 4.0 };
+                t_s += step_s;
+                level += 0.1 * step_s.sqrt() * normal();
+                let noise = if moving { sd } else { 1.0 } * normal();
+                WhiskerRow {
+                    dwell_s: Some(if moving { 0.0 } else { 3.0 }),
+                    reference_shift_pm: Some(level + noise),
+                    ..bare_row(k, t_s, [0.0; 2])
+                }
+            };
+            let rows: Vec<WhiskerRow> = (0..800).map(&mut row).collect();
+            let rows: Vec<&WhiskerRow> = rows.iter().collect();
+            temperature_walk(&rows, &fbg).unwrap().moving_variance
+        };
+        (0..20).map(of).collect()
+    }
+
+    #[test]
+    fn the_reference_grating_shows_how_much_less_moving_rows_are_averaged() {
+        let found = moving_variances(10.0);
+        assert!(
+            found
+                .iter()
+                .all(|v| v.is_some_and(|v| (30.0..=300.0).contains(&v))),
+            "{found:?}"
+        );
+        // Control: rows that are averaged alike.
+        assert_eq!(moving_variances(1.0), [None; 20]);
+    }
 
     fn reading(t_s: f64, x_mm: f64, velocity_mm_s: f64) -> Reading {
         Reading {
@@ -529,6 +610,7 @@ mod tests {
             shift_pm: [0.0; 2],
             sample_sd_pm: [0.0; 2],
             samples: Some(10),
+            averaged: Some(10.0),
             group: 1,
             replicate: 0,
             holdout: false,

@@ -6,6 +6,7 @@ use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Weights;
 use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::prediction_sd;
 use nalgebra::{DMatrix, Matrix2, Vector2};
 
 /// One reading under one model.
@@ -17,6 +18,8 @@ pub struct Predicted {
     pub moment_sd_nmm: [f64; 2],
     /// Compensated shift predicted from the pose, pm, zero included.
     pub shift_pm: [f64; 2],
+    /// Standard deviation of the measured shift less this one, pm; NaN where the model states none.
+    pub shift_sd_pm: [f64; 2],
     /// Base moment predicted from the pose, N mm.
     pub pose_moment_nmm: [f64; 2],
     /// Distance of the contact that the cameras saw from the one that the pose predicts, mm; none without a picture.
@@ -32,13 +35,18 @@ pub struct Predictions {
     pub sensitivity: Matrix2<f64>,
 }
 
-/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each, pm; none where the model has no solution.
+/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each in the engine's channels; none where the model has no solution.
 pub fn predict(
     system: &WhiskerSystem,
     h: &Hypothesis,
     model: &PhysicalModel,
-    noise_sd_pm: &[f64],
+    noise_sd: &[f64],
 ) -> Option<Predictions> {
+    let noise_sd_pm: Vec<f64> = noise_sd
+        .iter()
+        .map(|sd| sd * system.noise_factor())
+        .collect();
+    let shift_sd_pm = prediction_sd(system, h, noise_sd)?;
     let terms: &[EffectTerm] = &h.fit.terms;
     let design: DMatrix<f64> = system.design(terms)?;
     let shifts = design * &h.fit.coefficients * system.channels_pm();
@@ -48,7 +56,7 @@ pub fn predict(
         .zip(&sensed)
         .map(|(b, f)| [b[0] - f[0], b[1] - f[1]])
         .collect();
-    let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
+    let inferred = model.infer_under(&system.path, Some(&memory), &noise_sd_pm);
     let mut contact = vec![None; base.len()];
     if let Some(pictures) = system.pictures() {
         for ((i, _, shown), predicted) in pictures.each().zip(system.predict_pictures(terms)?) {
@@ -63,6 +71,7 @@ pub fn predict(
             moment_nmm: m.moment_nmm,
             moment_sd_nmm: m.sd_nmm,
             shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+            shift_sd_pm: [shift_sd_pm[(i, 0)], shift_sd_pm[(i, 1)]],
             pose_moment_nmm: *b,
             contact_error_mm: contact[i],
         });
@@ -98,6 +107,7 @@ pub fn by_labels(
             moment_nmm: [m[0], m[1]],
             moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
             shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+            shift_sd_pm: [variance.sqrt(); 2],
             pose_moment_nmm: moments[i],
             contact_error_mm: None,
         }

@@ -176,7 +176,12 @@ impl WhiskerSystem {
                 .iter()
                 .map(|row| *row >= data.rows.len())
                 .collect(),
-            scored: path.readings.iter().map(|r| r.holdout).collect(),
+            // Where the groove stood on a ramp is not known well enough to be scored.
+            scored: path
+                .readings
+                .iter()
+                .map(|r| r.holdout && !r.unsteady)
+                .collect(),
             rows,
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
             origin: ReadoutOrigin::of(data),

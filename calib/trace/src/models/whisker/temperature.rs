@@ -12,9 +12,13 @@ const MIN_READINGS: usize = 12;
 /// Growth of the walk's variance, 1/s, in units of the noise's, and the noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RandomWalkModel {
-    ratio_per_s: f64,
+    pub(super) ratio_per_s: f64,
     /// Standard deviation of the noise.
-    noise_sd: f64,
+    pub(super) noise_sd: f64,
+    /// -2 log likelihood.
+    pub(super) misfit: f64,
+    /// Variance of a moving reading's noise, 1 for a settled one's, where this tells it and not the session.
+    pub(super) moving_variance: Option<f64>,
 }
 
 /// The level at a reading.
@@ -34,7 +38,7 @@ struct Filtered {
     before: Vec<f64>,
     /// -2 log likelihood with the noise's variance concentrated out; infinite where nothing scatters.
     misfit: f64,
-    noise_sd: f64,
+    pub(super) noise_sd: f64,
 }
 
 fn steps_s(t_s: &[f64]) -> Vec<f64> {
@@ -52,18 +56,24 @@ impl RandomWalkModel {
         // From a level that stays to readings without noise of their own, four places a decade.
         let ratios = (-16..=16).map(|k| 10f64.powf(f64::from(k) / 4.0) / typical);
         let tried = ratios.map(|ratio_per_s| {
-            let mut walk = Self {
+            let walk = Self {
                 ratio_per_s,
                 noise_sd: 0.0,
+                misfit: f64::INFINITY,
+                moving_variance: None,
             };
-            let filtered = walk.filter(t_s, values, variances);
-            walk.noise_sd = filtered.noise_sd;
-            (filtered.misfit, walk)
+            let Filtered {
+                noise_sd, misfit, ..
+            } = walk.filter(t_s, values, variances);
+            Self {
+                noise_sd,
+                misfit,
+                ..walk
+            }
         });
         tried
-            .filter(|(misfit, _)| misfit.is_finite())
-            .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map(|(_, walk)| walk)
+            .filter(|walk| walk.misfit.is_finite())
+            .min_by(|a, b| a.misfit.total_cmp(&b.misfit))
     }
 
     /// Standard deviation of a typical reading's noise, in the readings' unit.

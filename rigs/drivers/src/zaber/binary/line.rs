@@ -1,6 +1,6 @@
 //! The line of a T-series unit: questions, replies and what is passed over, opened anew where it is lost.
 
-use crate::zaber::wire::{Connect, Port, Wire};
+use crate::zaber::wire::{Connect, Port, Wire, closed};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -119,11 +119,6 @@ impl BinaryLine {
         self.failed = true;
     }
 
-    /// Where the line hangs.
-    pub fn place(&self) -> &Port {
-        &self.place
-    }
-
     /// Numbers of the units that answer an echo to all.
     ///
     /// # Errors
@@ -162,11 +157,7 @@ impl BinaryLine {
     }
 
     fn open_port(&mut self, action: &str) -> Result<&mut BinaryPort<'static, Wire>, DeviceError> {
-        let error = || {
-            let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-            DeviceError::new(kind, &self.name, action, expected, "a port that is closed")
-        };
-        self.port.as_mut().ok_or_else(error)
+        self.port.as_mut().ok_or_else(|| closed(&self.name, action))
     }
 
     pub(super) fn send(

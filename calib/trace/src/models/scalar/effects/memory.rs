@@ -105,11 +105,6 @@ pub fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
     time.iter().map(|t| stimulus(t - delay)).collect()
 }
 
-/// State of a first-order lag at the first reading of a stimulus that has been in motion as it is after it.
-pub fn begun_in_motion(u: &[f64], time: &[f64], tau: f64) -> f64 {
-    delayed(u, time, tau, true).first().copied().unwrap_or(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -153,14 +148,20 @@ mod tests {
         let out = delayed(&time, &time, 3.25, false);
         assert!((out[40] - 36.75).abs() < 1e-12 && out[0] == 0.0);
         assert_eq!(delayed(&time, &time, 0.0, false), time);
-        // In motion before the first reading, too: the state of a ramp is its delay, and so is that of a lag.
+        // In motion before the first reading, too: the state of a ramp is its delay.
         assert!((delayed(&time, &time, 3.25, true)[0] + 3.25).abs() < 1e-12);
-        let ramp = relaxed_from(begun_in_motion(&time, &time, 3.25), &time, &time, 3.25);
-        assert!(
-            ramp.iter()
-                .zip(&time)
-                .all(|(r, t)| (r - (t - 3.25)).abs() < 1e-12)
-        );
+    }
+
+    /// Another state at the first reading is a column of its own: r' = (u - r) / tau is linear.
+    #[test]
+    fn the_first_state_dies_away_with_the_time_constant() {
+        let time: Vec<f64> = (0..50).map(f64::from).collect();
+        let u: Vec<f64> = time.iter().map(|t| (0.3 * t).sin()).collect();
+        let (still, other) = (relaxed(&u, &time, 7.0), relaxed_from(-2.0, &u, &time, 7.0));
+        let died = |tau: f64| {
+            (0..50).all(|k| (other[k] - still[k] + 2.0 * (-time[k] / tau).exp()).abs() < 1e-12)
+        };
+        assert!(died(7.0) && !died(7.1));
     }
 
     #[test]

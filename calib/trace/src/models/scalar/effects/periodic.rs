@@ -68,7 +68,8 @@ pub fn periodic() -> ScalarEffect {
         },
         ..Effect {
             superposes: true,
-            min_shape_ratio: 1.5,
+            // Of the third wave a turn to the fourth.
+            min_shape_ratio: 1.3,
             ..Effect::new(
                 PERIODIC,
                 "The residual repeats with a fixed period.",

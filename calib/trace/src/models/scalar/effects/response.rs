@@ -18,9 +18,14 @@ pub fn drift() -> ScalarEffect {
     }
 }
 
-/// Temperature moves the zero or the sensitivity (OIML R 60).
+/// Temperature moves the zero, the sensitivity (OIML R 60), or both: where the lines of all temperatures meet need not be the stimulus zero (a pH
+/// electrode's isopotential point).
 pub fn temperature() -> ScalarEffect {
     let warm = |name| law(name).needing(&[LawRequirement::Temperature]);
+    let (zero, slope) = (
+        ("zero_shift", "response/degc"),
+        ("slope_shift", "response/half-range/degc"),
+    );
     ScalarEffect {
         columns: |values, frame| {
             let rise = frame.temperature.as_ref()?;
@@ -30,24 +35,23 @@ pub fn temperature() -> ScalarEffect {
                     .map(|(t, u)| t * (u - frame.zero_u))
                     .collect()
             };
-            Some(vec![if values.law() == "zero" {
-                rise.clone()
-            } else {
-                sensitivity()
-            }])
+            Some(match values.law() {
+                "zero" => vec![rise.clone()],
+                "sensitivity" => vec![sensitivity()],
+                _ => vec![rise.clone(), sensitivity()],
+            })
         },
-        ..Effect {
-            superposes: true,
-            ..Effect::new(
-                "temperature",
-                "The response moves with the temperature.",
-                vec![
-                    warm("zero").column("zero_shift", "response/degc"),
-                    warm("sensitivity").column("slope_shift", "response/half-range/degc"),
-                ],
-            )
-        }
-        .into()
+        ..ScalarEffect::new(
+            "temperature",
+            "The response moves with the temperature.",
+            vec![
+                warm("zero").column(zero.0, zero.1),
+                warm("sensitivity").column(slope.0, slope.1),
+                warm("zero-and-sensitivity")
+                    .column(zero.0, zero.1)
+                    .column(slope.0, slope.1),
+            ],
+        )
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::effect::law;
 use crate::scalar::scalar_effect::ScalarEffect;
+use crate::scalar::stimulus_scale::times_wrapped;
 
 /// Identifier of the zeros of series.
 pub const ZERO_BY_SERIES: &str = "zero-by-series";
@@ -46,17 +47,15 @@ pub fn zero_by_series(count: usize) -> ScalarEffect {
 /// A count that starts again at zero: one jump by its modulus between neighbouring places, the same slope on both sides.
 pub fn count_wrap() -> ScalarEffect {
     ScalarEffect {
+        // Its size is that of the read-out's range.
+        shows_on_one_level: true,
         not_observable: |frame| {
             let none = frame.scaling.wraps.is_empty();
             none.then(|| {
                 "no jump by the whole range of a count between neighbouring places".to_owned()
             })
         },
-        columns: |_, frame| {
-            let wraps = &frame.scaling.wraps;
-            let passed = |x: f64| wraps.iter().filter(|place| x > **place).count() as f64;
-            Some(vec![frame.rows.iter().map(|r| passed(r.x)).collect()])
-        },
+        columns: |_, frame| Some(vec![times_wrapped(&frame.rows, &frame.scaling.wraps)]),
         ..ScalarEffect::new(
             "count-wrap",
             "The count starts again within the range: take the jump off the readings beyond it.",

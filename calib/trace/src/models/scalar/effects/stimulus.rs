@@ -1,8 +1,7 @@
 //! Effects on the stimulus, and those that can act on it.
 
 use super::memory::{
-    begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from,
-    spread_of_jumps,
+    bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from, spread_of_jumps,
 };
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
@@ -270,12 +269,37 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
     }
 }
 
+/// What ends the name of a lag whose state at the first reading is free.
+const FROM_ANY_STATE: &str = "-from-any-state";
+
 /// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a first-order low pass. What the stimulus did before
-/// the first reading is not known: it stood still, or moved as it does after it. Nor is what it did between readings: it moved evenly, or jumped.
+/// the first reading is not known: it stood still, it moved as it does after it, or it left the low pass in any state r0. Nor is what it did between
+/// readings: it moved evenly, or jumped.
+///
+/// ```text
+/// r(t) = r_still(t) + (r0 - u0) exp(-(t - t0) / tau)          r' = (u - r) / tau
+/// ```
 pub fn lag() -> ScalarEffect {
     let late = |name, value| {
         let timed = law(name).needing(&[LawRequirement::Slope, LawRequirement::Time]);
         timed.amplitude(value, "duration", [0.0, 0.1], 2e-3)
+    };
+    let first_order = late("first-order", "time_constant");
+    // A step at a reading is estimated a little before or after it.
+    let by_steps = late("first-order-by-steps", "time_constant").shape(
+        "moment_of_step",
+        "interval",
+        [-0.2, 1.2],
+        &[0.0, 0.5, 1.0],
+    );
+    // Bounded, and not a free column: readings after it died away leave it where it is.
+    let from_any = |name, law: EffectModel| {
+        EffectModel { name, ..law }.shape(
+            "first_state",
+            "half-range",
+            [-2.0, 2.0],
+            &[-0.5, 0.0, 0.5],
+        )
     };
     ScalarEffect {
         warp: |values, frame, u| {
@@ -284,17 +308,21 @@ pub fn lag() -> ScalarEffect {
             };
             let late = values.all()[0];
             if late > 0.0 {
-                let moved = match values.law() {
+                let mut moved = match values.law() {
                     "delay" => delayed(u, time, late, false),
                     "delay-in-motion" => delayed(u, time, late, true),
-                    "first-order-by-steps" => {
+                    law if law.contains("by-steps") => {
                         relaxed_by_steps(u, time, late, values.of("moment_of_step"))
-                    }
-                    "first-order-in-motion" => {
-                        relaxed_from(begun_in_motion(u, time, late), u, time, late)
                     }
                     _ => relaxed(u, time, late),
                 };
+                if values.law().ends_with(FROM_ANY_STATE) {
+                    let off = values.of("first_state");
+                    moved
+                        .iter_mut()
+                        .zip(time)
+                        .for_each(|(m, t)| *m += off * (-t / late).exp());
+                }
                 u.copy_from_slice(&moved);
             }
             true
@@ -306,16 +334,11 @@ pub fn lag() -> ScalarEffect {
                 "The response lags behind the stimulus in time.",
                 vec![
                     late("delay", "delay"),
-                    late("first-order", "time_constant"),
+                    first_order.clone(),
                     late("delay-in-motion", "delay"),
-                    late("first-order-in-motion", "time_constant"),
-                    // A step at a reading is estimated a little before or after it.
-                    late("first-order-by-steps", "time_constant").shape(
-                        "moment_of_step",
-                        "interval",
-                        [-0.2, 1.2],
-                        &[0.0, 0.5, 1.0],
-                    ),
+                    by_steps.clone(),
+                    from_any("first-order-from-any-state", first_order),
+                    from_any("first-order-by-steps-from-any-state", by_steps),
                 ],
             )
         }

@@ -3,7 +3,6 @@
 mod arguments;
 mod columns;
 mod description;
-mod hints;
 mod imported;
 mod sweep;
 mod units;
@@ -13,7 +12,6 @@ use anyhow::Context;
 pub use arguments::ImportArgs;
 use arguments::{Kind, layout, name_of};
 use columns::Plan;
-pub(crate) use hints::{option_of, quoted};
 pub use imported::ImportDocument;
 use imported::{Noticed, RESULT, refuse_other_tables, say};
 use std::process::ExitCode;

@@ -10,6 +10,7 @@
 #[macro_use]
 pub mod printing;
 
+mod column_words;
 mod demo;
 pub mod fit_gpr;
 pub mod fit_whisker;
@@ -123,7 +124,7 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
         Command::FitWhisker(args) => fit_whisker::run(args),
         Command::Twin(args) => twin::run(args),
         Command::Track(args) => track::run(args),
-        Command::StageSweep(args) => stage_sweep::run(args),
+        Command::StageSweep(args) => stage_sweep::run(args, plan_check::of_plan),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),
     }

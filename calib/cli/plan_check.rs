@@ -7,9 +7,10 @@ use anyhow::{Context, Result, bail, ensure};
 use std::fmt::Write as _;
 use wcal_acquisition::plan::{Plan, Pose, Step};
 use wcal_acquisition::rig::Rig;
+use wcal_core::plan_check_document::PlanCheck;
 use wcal_core::{SessionData, WhiskerData};
 use wcal_session::load;
-use wcal_trace::whisker::plan_check::{PlanCheck, plan_check};
+use wcal_trace::whisker::plan_check::plan_check;
 
 /// What the readings of a grating determine before any effect: the sensitivity to two moments, and a zero.
 const UNKNOWNS: usize = 3;
@@ -28,44 +29,6 @@ pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
         "so few readings show no effect: {readings} where sensitivity and zero alone take {UNKNOWNS}"
     );
     Ok(plan_check(&planned_session(rig, plan, steps)?)?)
-}
-
-/// The same for people.
-///
-/// # Errors
-/// None in practice: text is made in memory.
-pub fn text(check: &PlanCheck) -> Result<String> {
-    let mut out = String::new();
-    for e in &check.effects {
-        let mut line = format!("{:<24}{:<16}{}", e.id, e.status, e.why);
-        if !e.never_apart.is_empty() {
-            write!(
-                line,
-                "; never distinguished from {}",
-                e.never_apart.join(", ")
-            )?;
-        }
-        if !e.sometimes_alike.is_empty() {
-            write!(
-                line,
-                "; at some shapes like {}",
-                e.sometimes_alike.join(", ")
-            )?;
-        }
-        writeln!(out, "{line}")?;
-    }
-    for a in &check.additions {
-        let pairs: Vec<String> = a.separates.iter().map(|p| p.join(" from ")).collect();
-        let mut gains = Vec::new();
-        if !pairs.is_empty() {
-            gains.push(format!("distinguishes {}", pairs.join(", ")));
-        }
-        if !a.testable.is_empty() {
-            gains.push(format!("shows {}", a.testable.join(", ")));
-        }
-        writeln!(out, "with {}: {}", a.what, gains.join("; "))?;
-    }
-    Ok(out)
 }
 
 /// Time to turn the mount, s, and between poses at the least.

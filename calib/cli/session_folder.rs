@@ -1,6 +1,6 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
-use crate::import::{option_of, quoted};
+use crate::column_words::{option_of, quoted};
 use anyhow::{Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;

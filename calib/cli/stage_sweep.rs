@@ -14,13 +14,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
-use wcal_acquisition::plan::{Step, duration_s};
+use wcal_acquisition::plan::{Plan, Step, duration_s};
 use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
+use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
+use wcal_core::plan_check_document::PlanCheck;
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;
-use wcal_trace::whisker::plan_check::PlanCheck;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -63,11 +64,14 @@ pub struct StageSweepArgs {
     pub json: bool,
 }
 
-/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
+/// What the steps of a plan on a rig can show; an error where that cannot be said.
+pub type ShowsOfPlan = fn(&Rig, &Plan, &[Step]) -> Result<PlanCheck>;
+
+/// Runs a sweep; `shows` is asked by `--dry-run` alone. Exit codes: 0 good, 1 stopped by a fault (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
-pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
+pub fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<ExitCode> {
     let rig_file = if arguments.rig.is_dir() {
         arguments.rig.join("rig.toml")
     } else {
@@ -88,7 +92,8 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         rig = own_rig.with_context(|| rig_file.display().to_string())?;
     }
     if arguments.dry_run {
-        return dry_run((&rig_file, &rig), (&arguments.plan, &plan), arguments.json);
+        let (rig, plan) = ((&*rig_file, &*rig), (&*arguments.plan, &*plan));
+        return dry_run(rig, plan, shows, arguments.json);
     }
     let (resume, folder) = match (&arguments.resume, &arguments.out) {
         (Some(folder), _) => (true, folder.clone()),
@@ -228,7 +233,12 @@ struct CauseDocument {
     text: String,
 }
 
-fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<ExitCode> {
+fn dry_run(
+    rig: (&Path, &str),
+    plan: (&Path, &str),
+    shows: ShowsOfPlan,
+    as_json: bool,
+) -> Result<ExitCode> {
     let (rig, plan, steps) = plan_only(
         (&rig.0.display().to_string(), rig.1),
         (&plan.0.display().to_string(), plan.1),
@@ -239,7 +249,7 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
         .count();
     let time_s = duration_s(&steps, &rig, &plan);
     // A path can be driven although the wire has no equilibrium on it.
-    let shows = crate::plan_check::of_plan(&rig, &plan, &steps);
+    let shows = shows(&rig, &plan, &steps);
     if let Err(why) = &shows {
         eprintln!("warning: what the plan can show is not known: {why:#}");
     }
@@ -258,7 +268,7 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
             (time_s / 60.0).ceil()
         );
         if let Ok(shows) = &shows {
-            print!("{}", crate::plan_check::text(shows)?);
+            print!("{}", shows.text());
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -22,7 +22,6 @@ use wcal_contact::contact_validation::{
     contact_comparison, groove_places, left_out_places, loaded,
 };
 use wcal_contact::groove_comparison::{calibration_contact, groove_tracking};
-use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
 use wcal_core::verify_document::{
@@ -30,6 +29,7 @@ use wcal_core::verify_document::{
 };
 use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
+use wcal_session::sweep_session::SweepSession;
 use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, ScalarModel, verify_scalar};

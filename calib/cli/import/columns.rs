@@ -1,8 +1,8 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind};
-use super::hints::is_deviation;
 use super::units;
+use crate::column_words::is_deviation;
 use anyhow::{bail, ensure};
 use wcal_core::TransducerModel;
 use wcal_session::{

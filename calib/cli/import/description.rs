@@ -2,8 +2,8 @@
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use super::columns::Plan;
-use super::hints::is_deviation;
 use super::imported::Noticed;
+use crate::column_words::is_deviation;
 use crate::input::{read, read_text};
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};

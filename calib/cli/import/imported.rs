@@ -2,8 +2,8 @@
 
 use super::arguments::ImportArgs;
 use super::columns::{Plan, WAY_IN};
-use super::hints::{option_of, quoted};
 use super::units::is_uncertainty;
+use crate::column_words::{option_of, quoted};
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
 use schemars::JsonSchema;

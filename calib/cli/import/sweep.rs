@@ -9,9 +9,8 @@ use anyhow::{Context, bail, ensure};
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use toml::Value;
-use wcal_contact::motion_table;
-use wcal_contact::sweep_session::{KIND, PLACED_SD_MM, pose_of};
-use wcal_contact::table_source::base_pose;
+use wcal_session::motion_table;
+use wcal_session::sweep_session::{KIND, PLACED_SD_MM, pose_of};
 use wcal_session::{TextTable, read_text_table};
 use wcal_sim::Mesh;
 use wcal_sim::mesh_file::as_stl;
@@ -76,7 +75,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
         write!(points, "{k},{t_s},{},", values.join(","))?;
         match logged.log.at(t_s, &nalgebra::Vector3::zeros()) {
             Ok(motion) => {
-                let pose = base_pose(&motion).world_from_base;
+                let pose = motion.world_from_base();
                 let (t, q) = (pose.translation.vector, pose.rotation);
                 writeln!(
                     points,

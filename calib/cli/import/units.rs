@@ -1,6 +1,6 @@
 //! Units of the foreign table: those that stand in its names and below its header become the session's.
 
-use super::hints::quoted;
+use crate::column_words::quoted;
 use anyhow::bail;
 use wcal_core::text::number;
 use wcal_session::{

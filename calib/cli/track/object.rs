@@ -3,7 +3,7 @@
 use anyhow::Result;
 use std::path::Path;
 use wcal_contact::mesh_score::{KnownObject, MeshScore};
-use wcal_contact::sweep_session::SweepSession;
+use wcal_session::sweep_session::SweepSession;
 use wcal_sim::Mesh;
 
 /// Contacts farther than this from a mesh whose place is known do not belong to it, mm, in the median.

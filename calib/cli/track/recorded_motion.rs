@@ -4,8 +4,8 @@ use super::arguments::TrackArgs;
 use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::replay::{self, Message};
-use wcal_contact::known_motion::MotionLog;
-use wcal_contact::motion_table::{LoggedMotion, read};
+use wcal_session::MotionLog;
+use wcal_session::motion_table::{LoggedMotion, read};
 
 /// The session whose recording is tracked: the folder that was named, or without a network the one that the recording lies in.
 pub fn session_folder(args: &TrackArgs) -> Option<&Path> {

@@ -12,11 +12,9 @@ use wcal_contact::ContactError;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
-use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::reading::Reading;
 use wcal_contact::regimes::{ANY_OBJECT, SWEPT_OBJECT};
 use wcal_contact::session_groove::{SessionGroove, without_groove};
-use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
 use wcal_contact::track::Input;
 use wcal_contact::track_document::{
@@ -27,6 +25,8 @@ use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_contact::zero::{FreeStart, beginning};
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
+use wcal_session::motion_table::{LoggedMotion, has_motion, read};
+use wcal_session::sweep_session::SweepSession;
 use wcal_trace::whisker::WhiskerSystem;
 
 /// Readings and what locates their contacts.

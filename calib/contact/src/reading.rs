@@ -9,9 +9,9 @@
 //! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
 //! that readings of like moments share.
 
-use crate::known_motion::{Motion, MotionUnknown};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_session::{Motion, MotionUnknown};
 use wcal_track::stream::BasePose;
 
 /// Moments that are larger by 1 %, over those that are read.

@@ -8,12 +8,12 @@
 //!
 //! A row's moments went through a low-pass; the motion is averaged by the same weights.
 
-use crate::known_motion::{MotionLog, MotionUnknown};
 use crate::reading::RowMotion;
 use nalgebra::{Isometry3, Rotation3, Vector3};
 use std::collections::BTreeMap;
 use wcal_acquisition::message::SweepEvent;
 use wcal_acquisition::rig::{BaseRig, Rig};
+use wcal_session::{MotionLog, MotionUnknown};
 use wcal_track::stream::{BaseMotion, BasePose};
 
 /// Times at which a motion is averaged over the filter.

@@ -4,7 +4,6 @@ use crate::ContactError;
 use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::Estimator;
 use crate::known_groove::{KnownGroove, KnownPlace};
-use crate::known_motion::MotionLog;
 use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::regimes::{ANY_OBJECT, GROOVE};
 use crate::sliding::FrictionPrior;
@@ -26,6 +25,7 @@ use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::WhiskerSpec;
 use wcal_core::device::FbgReading;
 use wcal_core::stream::MomentSpread;
+use wcal_session::MotionLog;
 use wcal_track::stream::{Row, SignalChain, SignalChainSettings};
 
 /// The moments' table is filled so far from the wire while the stream begins, mm.

@@ -2,16 +2,16 @@
 
 use crate::ContactError;
 use crate::frame::in_wire_frame;
-use crate::motion_table;
 use crate::reading::Reading;
-use crate::sweep_session::SweepSession;
-use crate::table_source::{TableSource, base_pose};
+use crate::table_source::TableSource;
 use crate::zero::steady;
 use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::CalibrationNoise;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::wire_frame::WireFrame;
+use wcal_session::motion_table;
+use wcal_session::sweep_session::SweepSession;
 
 /// Free readings that a zero needs at least.
 const MIN_FREE: usize = 3;
@@ -47,7 +47,7 @@ pub(crate) fn sweep_rows(
             moment_nmm: m.moment_nmm.into(),
             noise_nmm2: m.pose_nmm2,
             shared_nmm: m.shared_nmm.iter().map(|h| Vector2::from(*h)).collect(),
-            world_from_base: base_pose(&log.at(t_s, &Vector3::zeros()).ok()?).world_from_base,
+            world_from_base: log.at(t_s, &Vector3::zeros()).ok()?.world_from_base(),
         })
     };
     Ok(source.alone().into_iter().filter_map(one).collect())

@@ -25,7 +25,6 @@
 
 use crate::ContactError;
 use crate::sweep_record::{SweepRow, SweepZero, sweep_rows};
-use crate::sweep_session::SweepSession;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
 use scene::{BasePath, Gap, REACH_MM, Scene, UNKNOWNS, Unknowns};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -36,6 +35,7 @@ use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_core::order_statistics::median;
 use wcal_core::verify_document::WitnessTest;
 use wcal_rod::Shape;
+use wcal_session::sweep_session::SweepSession;
 use wcal_sim::Mesh;
 use wcal_trace::MeasurementModel;
 use wcal_trace::TraceError;

@@ -3,16 +3,15 @@
 use crate::ContactError;
 use crate::groove_table::known_places;
 use crate::known_groove::{KnownPlace, velocities};
-use crate::known_motion::Motion;
-use crate::motion_table::{LoggedMotion, is_motion_column};
 use crate::reading::{Moments, Reading, RowMotion};
-use nalgebra::{Isometry3, Matrix2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use std::path::Path;
 use wcal_calibration::{SensedRow, SensedTable, WhiskerCalibration};
 use wcal_core::order_statistics::median;
 use wcal_core::stream::Flags;
 use wcal_core::{CalibrationNoise, WhiskerSpec};
-use wcal_session::{SessionWarning, TextTableLayout, WarningKind, read_text_table};
+use wcal_session::motion_table::{LoggedMotion, is_motion_column};
+use wcal_session::{Motion, SessionWarning, TextTableLayout, WarningKind, read_text_table};
 use wcal_trace::whisker::groove_motion::AcceptedWire;
 use wcal_track::stream::BasePose;
 
@@ -203,12 +202,9 @@ pub fn median_step_s(path: &Path) -> Result<Option<f64>, ContactError> {
 }
 
 /// Pose of the base where the object's frame is the world's.
-pub fn base_pose(motion: &Motion) -> BasePose {
-    let back: Rotation3<f64> = motion.turn.inverse();
-    let place = Translation3::from(back * -motion.moved_mm);
-    let world_from_base = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back));
+fn base_pose(motion: &Motion) -> BasePose {
     BasePose {
-        world_from_base,
+        world_from_base: motion.world_from_base(),
         velocity_mm_s: Some(-motion.velocity_mm_s),
     }
 }

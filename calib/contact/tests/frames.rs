@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
-use wcal_contact::known_motion::{Friction, MomentField, MotionUnknown};
+use wcal_contact::known_motion::{Friction, MomentField};
 use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use wcal_contact::regimes::ANY_OBJECT;
 use wcal_contact::track_table::TrackRow;
@@ -15,6 +15,7 @@ use wcal_contact::whisker_track::{WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_core::wire_frame::WireFrame;
 use wcal_rod::Rod;
+use wcal_session::MotionUnknown;
 
 const NOISE_NMM: f64 = 2e-3;
 const ACCURACY: MotionAccuracy = MotionAccuracy {

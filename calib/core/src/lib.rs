@@ -18,6 +18,7 @@ pub mod lock;
 pub mod map_document;
 pub mod observation;
 pub mod order_statistics;
+pub mod plan_check_document;
 pub mod provenance;
 pub mod ranges;
 pub mod repeats;

@@ -15,6 +15,8 @@ mod foreign;
 mod form;
 mod holdout;
 mod ledger;
+mod motion_log;
+pub mod motion_table;
 mod quantity;
 mod row;
 mod screening;
@@ -22,6 +24,7 @@ mod separated;
 mod session;
 mod shapes;
 mod stamp;
+pub mod sweep_session;
 mod table;
 mod transducer;
 mod units;
@@ -38,6 +41,7 @@ pub use findings::{Finding, Severity, examine};
 pub use foreign::{AskedColumn, Stamps, asked_name};
 pub use holdout::{add_session, attach_holdout};
 pub use ledger::{LedgerError, LedgerFile, SessionLedger};
+pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
 pub use quantity::{
     Relation, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
 };

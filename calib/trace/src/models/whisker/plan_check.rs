@@ -1,4 +1,4 @@
-//! Which effects a plan can distinguished, before anything is measured.
+//! Which effects a plan can distinguish, before anything is measured.
 //!
 //! The signature of an effect is the derivative of the predicted readings by its parameter, off K and the zero. With orthonormal bases A, B of
 //! what two effects can do at given shapes,
@@ -15,48 +15,12 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Weights, fit};
 use crate::method::inference::CLASS_COSINE;
 use crate::method::signature::{Signature, nuisance_basis, signatures_of_catalogue};
-use schemars::JsonSchema;
-use serde::Serialize;
 use wcal_core::WhiskerData;
 use wcal_core::observation::{Role, WhiskerRow};
+use wcal_core::plan_check_document::{Addition, PlanCheck, PlannedEffect};
 
 /// Sensitivity of a typical sensor, pm/(N mm): signatures off K do not depend on it but for their scale.
 const TYPICAL_PM_PER_NMM: [[f64; 2]; 2] = [[75.0, 6.0], [-6.0, 75.0]];
-
-/// What a plan can say of an effect.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct PlannedEffect {
-    /// Effect.
-    pub id: String,
-    /// `testable`, `absorbed` or `not-observable`.
-    pub status: String,
-    /// Why it cannot be seen, or what is left of its signature.
-    pub why: String,
-    /// Effects that imitate it at every shape: not to be distinguished from it on this plan.
-    pub never_apart: Vec<String>,
-    /// Effects that imitate it at some shapes.
-    pub sometimes_alike: Vec<String>,
-}
-
-/// Something that could be added to the plan, and what it would do.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct Addition {
-    /// What.
-    pub what: String,
-    /// Effects that become testable by it.
-    pub testable: Vec<String>,
-    /// Pairs that it distinguishes.
-    pub separates: Vec<[String; 2]>,
-}
-
-/// The answer for a plan.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct PlanCheck {
-    /// Every effect of the catalogue.
-    pub effects: Vec<PlannedEffect>,
-    /// Additions that would help, the most helpful first.
-    pub additions: Vec<Addition>,
-}
 
 /// Checks the plan whose rows `data` holds; their shifts are not used.
 ///

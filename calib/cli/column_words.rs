@@ -63,7 +63,7 @@ const DEVIATIONS: [&str; 9] = [
 ];
 
 /// Whether a column's name says that it is a deviation of the stimulus.
-pub(super) fn is_deviation(name: &str) -> bool {
+pub(crate) fn is_deviation(name: &str) -> bool {
     let name = name.to_lowercase();
     name.split(|c: char| !c.is_alphanumeric())
         .any(|word| DEVIATIONS.contains(&word))

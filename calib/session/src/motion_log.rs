@@ -9,8 +9,8 @@
 //!
 //! Source of the rotation: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985, 245.
 
-use crate::ContactError;
-use nalgebra::{Rotation3, Vector3};
+use crate::error::InputError;
+use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use wcal_core::order_statistics::median;
 
 /// Longest interval between rows over which the motion is interpolated: this many times the log's median step, at least this many s.
@@ -52,6 +52,15 @@ pub struct Motion {
     pub velocity_mm_s: Vector3<f64>,
     /// Index of the piece, incremented at every jump: the motion across a jump is unknown.
     pub piece: u32,
+}
+
+impl Motion {
+    /// Pose of the base in the frame in which the object rests.
+    pub fn world_from_base(&self) -> Isometry3<f64> {
+        let back = self.turn.inverse();
+        let place = Translation3::from(back * -self.moved_mm);
+        Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back))
+    }
 }
 
 /// Why the motion at a time is not known.
@@ -99,18 +108,15 @@ impl MotionLog {
     ///
     /// # Errors
     /// Fewer than two rows, or times that do not increase, by line.
-    pub fn new(rows: Vec<LogRow>) -> Result<Self, ContactError> {
+    pub fn new(rows: Vec<LogRow>) -> Result<Self, InputError> {
         if rows.len() < 2 {
-            return Err(ContactError::value(
-                "motion",
-                "at least two rows",
-                rows.len().to_string(),
-            ));
+            let found = rows.len().to_string();
+            return Err(InputError::new("motion", "at least two rows", found));
         }
         if let Some(w) = rows.windows(2).find(|w| !(w[1].t_s > w[0].t_s)) {
-            let what = format!("motion, line {}, t_s", w[1].line);
             let expected = format!("a later time than {} s", w[0].t_s);
-            return Err(ContactError::value(what, expected, w[1].t_s.to_string()));
+            let error = InputError::new("motion", expected, w[1].t_s.to_string());
+            return Err(error.at(w[1].line).field("t_s"));
         }
         let speeds = |w: &[LogRow]| step_mm(&w[0], &w[1]) / (w[1].t_s - w[0].t_s);
         let moving = rows
@@ -147,18 +153,18 @@ impl MotionLog {
     ///
     /// # Errors
     /// Where they have nothing in common, or spans that only another unit of time explains.
-    pub fn check_clock(&self, readings_s: [f64; 2]) -> Result<(), ContactError> {
+    pub fn check_clock(&self, readings_s: [f64; 2]) -> Result<(), InputError> {
         let ([a, b], [first, last]) = (self.span_s(), readings_s);
         let ratio = (b - a) / (last - first).max(f64::MIN_POSITIVE);
         let found = format!("{a} to {b} s");
         if last > first && !(1.0 / SPANS..=SPANS).contains(&ratio) {
             let expected = format!("seconds by the readings' clock ({first} to {last} s)");
-            return Err(ContactError::value("clock of the motion", expected, found));
+            return Err(InputError::new("clock of the motion", expected, found));
         }
         if b < first || a > last {
             let expected =
                 format!("times that overlap those of the readings ({first} to {last} s)");
-            return Err(ContactError::value("clock of the motion", expected, found));
+            return Err(InputError::new("clock of the motion", expected, found));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! A session of kind "sweep": readings along a motion of the base, past an object where it is known.
 
-use crate::ContactError;
+use crate::error::{InputError, SessionError};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -39,7 +39,7 @@ impl SweepSession {
     ///
     /// # Errors
     /// A description of a sweep that cannot be used, by key.
-    pub fn of(folder: &Path) -> Result<Option<Self>, ContactError> {
+    pub fn of(folder: &Path) -> Result<Option<Self>, SessionError> {
         let place = folder.join("session.toml");
         let Ok(text) = wcal_core::files::read_text(&place) else {
             return Ok(None);
@@ -50,7 +50,10 @@ impl SweepSession {
         if session.get("kind").and_then(Value::as_str) != Some(KIND) {
             return Ok(None);
         }
-        let at = |key: &str| format!("{}: {key}", place.display());
+        let shown = place.display().to_string();
+        let error = |key: &str, expected: &str, found: String| {
+            InputError::new(&shown, expected, found).field(key)
+        };
         let file = |key: &str| Some(folder.join(session.get("files")?.get(key)?.as_str()?));
         let of_object = |key: &str| session.get("object").and_then(|o| o.get(key));
         let world_from_object = match of_object("world_from_object") {
@@ -64,7 +67,7 @@ impl SweepSession {
                     .collect();
                 let pose = pose_of(&numbers).ok_or_else(|| {
                     let expected = "x, y, z (mm) and a unit quaternion qw, qx, qy, qz";
-                    ContactError::value(at("object.world_from_object"), expected, value.to_string())
+                    error("object.world_from_object", expected, value.to_string())
                 })?;
                 Some(pose)
             }
@@ -77,15 +80,11 @@ impl SweepSession {
                     .filter(|sd| (low..=high).contains(sd))
                     .ok_or_else(|| {
                         let expected = format!("{low} to {high} {unit}");
-                        ContactError::value(
-                            at(&format!("object.{key}")),
-                            expected,
-                            value.to_string(),
-                        )
+                        error(&format!("object.{key}"), &expected, value.to_string())
                     })?,
             };
         }
-        let missing = || ContactError::value(at("files.points"), "a table of readings", "none");
+        let missing = || error("files.points", "a table of readings", "none".to_owned());
         let id = session
             .get("id")
             .and_then(Value::as_str)

@@ -1,10 +1,11 @@
 //! The log of a relative motion as a table: what the object does in the base frame, or the base in the world where the object stands still.
 
-use crate::ContactError;
-use crate::known_motion::{LogRow, MotionLog};
+use crate::error::{InputError, SessionError};
+use crate::motion_log::{LogRow, MotionLog};
+use crate::table::{TextTable, TextTableLayout, read_text_table};
+use crate::warning::SessionWarning;
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use std::path::Path;
-use wcal_session::{SessionWarning, TextTable, TextTableLayout, read_text_table};
 
 /// More rows than this are no log that was meant, and would fill the memory.
 const MAX_ROWS: usize = 5_000_000;
@@ -49,7 +50,7 @@ pub fn is_motion_column(name: &str) -> bool {
 ///
 /// # Errors
 /// Where it cannot be read.
-pub fn has_motion(path: &Path) -> Result<bool, ContactError> {
+pub fn has_motion(path: &Path) -> Result<bool, SessionError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
     Ok(["object", "base"]
         .iter()
@@ -60,16 +61,12 @@ pub fn has_motion(path: &Path) -> Result<bool, ContactError> {
 ///
 /// # Errors
 /// What cannot be used, by line and column.
-pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
+pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
     let name = path.display().to_string();
     if table.rows.len() > MAX_ROWS {
         let expected = format!("at most {MAX_ROWS} rows");
-        return Err(ContactError::value(
-            name,
-            expected,
-            table.rows.len().to_string(),
-        ));
+        return Err(InputError::new(&name, expected, table.rows.len().to_string()).into());
     }
     let time = table.column("t_s")?;
     let (columns, mm, posed) = match [
@@ -80,13 +77,13 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
         [None, Some((columns, mm))] => (columns, mm, true),
         [Some(_), Some(_)] => {
             const EITHER: &str = "either object_x_mm .. object_z_mm (base frame) or base_x_mm .. base_z_mm (world frame, the object at rest)";
-            return Err(ContactError::value(name, EITHER, "both"));
+            return Err(InputError::new(&name, EITHER, "both").into());
         }
         [None, None] => {
             const ONE: &str =
                 "object_x_mm .. object_z_mm or base_x_mm .. base_z_mm (_m for metres)";
             let found = format!("the columns {}", table.columns.join(", "));
-            return Err(ContactError::value(name, ONE, found));
+            return Err(InputError::new(&name, ONE, found).into());
         }
     };
     let turn: Vec<usize> = TURN.iter().filter_map(|c| table.column(c).ok()).collect();
@@ -98,11 +95,11 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
             .map(|c| table.columns[*c].as_str())
             .collect::<Vec<_>>()
             .join(", ");
-        return Err(ContactError::value(name, ALL, found));
+        return Err(InputError::new(&name, ALL, found).into());
     }
     let mut rows = Vec::with_capacity(table.rows.len());
     for (k, (line, _)) in table.rows.iter().enumerate() {
-        let cells = |columns: &[usize]| -> Result<Option<Vec<f64>>, ContactError> {
+        let cells = |columns: &[usize]| -> Result<Option<Vec<f64>>, SessionError> {
             let all = columns
                 .iter()
                 .map(|c| table.number(k, *c))
@@ -121,9 +118,9 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
             (true, q) => {
                 let q = Quaternion::new(q[0], q[1], q[2], q[3]);
                 if !((q.norm() - 1.0).abs() < 1e-3) {
-                    let place = format!("{name}: line {line}: base_qw..base_qz");
                     let found = format!("norm {}", q.norm());
-                    return Err(ContactError::value(place, "a unit quaternion", found));
+                    let error = InputError::new(&name, "a unit quaternion", found).at(*line);
+                    return Err(error.field("base_qw..base_qz").into());
                 }
                 // The object's frame is the world's: p_base = R' (p - t).
                 let back = UnitQuaternion::new_normalize(q)
@@ -139,7 +136,8 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
             moved_mm,
         });
     }
-    let log = MotionLog::new(rows).map_err(ContactError::in_file(path))?;
+    let in_file = |e: InputError| e.of_source(&name, |line| line, |_| None);
+    let log = MotionLog::new(rows).map_err(in_file)?;
     Ok(LoggedMotion {
         log,
         posed,

@@ -76,13 +76,13 @@ pub(crate) fn option_of(name: &str) -> Option<&'static str> {
         .split(|c: char| !c.is_alphanumeric())
         .filter(|word| !word.is_empty())
         .collect();
-    // A temperature may be told by its unit alone: T_C, T (K).
+    // A temperature may be recognised by its unit alone: T_C, T (K).
     let whole = words.join("_");
-    let told =
+    let holds =
         |of: &[&str]| of.contains(&whole.as_str()) || words.iter().any(|word| of.contains(word));
     WORDS
         .iter()
-        .find(|(_, of)| told(of))
+        .find(|(_, of)| holds(of))
         .map(|(option, _)| *option)
 }
 

@@ -88,7 +88,7 @@ const SWEEP: Recording = recording!(
     None
 );
 
-/// Title of the first page, by which an earlier demonstration is told.
+/// Title of the first page, by which an earlier demonstration is recognised.
 const TITLE: &str = "wcal demo";
 
 /// Runs a command line of the program.
@@ -187,7 +187,7 @@ fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> 
         "Four recordings that come with the program, through the whole residual loop: what does the declared model lack, and how far \
          does the error on readings that it was not fitted to fall once that is added?",
         "bench-clamp (SIMULATED): a whisker bench whose clamp yields, which nobody declared; the contact column says what that does to a contact in the \
-         groove, and what is left once it is found. whiskerfbg-27: the whisker of a paper at 27 measured poses. Its explanations are judged by a second measurement that none of them has \
+         groove, and the residual once it is found. whiskerfbg-27: the whisker of a paper at 27 measured poses. Its explanations are judged by a second measurement that none of them has \
          seen, the sweep of the same whisker over a bottle (bottle/track.csv has its contacts). pontius: a load cell of NIST, declared as a \
          straight line. case-004: a whisker bench without any effect.",
     ];

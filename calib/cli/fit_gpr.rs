@@ -217,7 +217,7 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
     (out, unlabelled)
 }
 
-/// Trajectory and place on it to 1 um; none at rest. A row without stage position is a pose of its own (by point).
+/// Trajectory and place on it to 1 um; none at rest. A row without stage position is its own pose (by point).
 fn pose_of(row: &WhiskerRow) -> Option<(u32, i64)> {
     let trajectory = row.trajectory.filter(|_| row.role != Role::Rest)?;
     Some((

@@ -146,7 +146,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     for pair in &document.pairs {
         match measured(pair) {
             Ok(shape) => usable.push(shape),
-            Err(why) => warnings.push(format!("{} is left out: {why}", pair.name)),
+            Err(why) => warnings.push(format!("{} is omitted: {why}", pair.name)),
         }
     }
     let choice = match args.rest {
@@ -268,7 +268,7 @@ fn doubts(fit: &RestFit, no_common_errors: bool) -> Vec<String> {
     all.extend(
         fit.excluded
             .iter()
-            .map(|(name, why)| format!("{name} is left out: {why}")),
+            .map(|(name, why)| format!("{name} is omitted: {why}")),
     );
     if fit.covariance.is_none() {
         let found = fit.shapes.len();

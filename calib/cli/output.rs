@@ -30,7 +30,7 @@ pub struct Overwrite {
     pub force: bool,
 }
 
-/// How an earlier result of a command is told from other files. In names one `*` stands for any text.
+/// How an earlier result of a command is distinguished from other files. In names one `*` stands for any text.
 #[derive(Debug, Clone, Copy)]
 pub struct ResultKind<'a> {
     /// Name of the command.
@@ -94,7 +94,7 @@ impl ResultKind<'_> {
 
     /// The first entry that is not of an earlier result.
     fn foreign(&self, folder: &Path) -> Result<Option<String>> {
-        let (mut told, mut others) = (false, None);
+        let (mut recognised, mut others) = (false, None);
         for name in entries(folder)? {
             if self.files.contains(&name.as_str()) {
                 others.get_or_insert(name);
@@ -105,14 +105,14 @@ impl ResultKind<'_> {
                 if !own && (!self.resumes || text.contains("\"format\"")) {
                     return Ok(Some(name));
                 }
-                told |= own;
+                recognised |= own;
             } else if self.files.iter().any(|own| matches(own, &name)) {
                 others.get_or_insert(name);
             } else if !self.kept.contains(&name.as_str()) {
                 return Ok(Some(name));
             }
         }
-        Ok(others.filter(|_| !told && !self.resumes))
+        Ok(others.filter(|_| !recognised && !self.resumes))
     }
 
     /// Whether a file of this name is replaced with the result.
@@ -257,7 +257,7 @@ impl<'a> OutputFolder<'a> {
     }
 }
 
-/// Refuses a `--out FILE` that is neither new, nor empty, nor a table of the same command, told by its first line.
+/// Refuses a `--out FILE` that is neither new, nor empty, nor a table of the same command, recognised by its first line.
 ///
 /// # Errors
 /// Where something else is there without `force`, or nothing can be written.
@@ -443,7 +443,7 @@ mod tests {
         assert_eq!(
             fs::read_dir(&folder).unwrap().count(),
             3,
-            "nothing hidden is left"
+            "nothing hidden remains"
         );
     }
 

@@ -114,7 +114,7 @@ fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
     names.into_iter().all(in_mm) && (product(1) / product(0) - 1.0).abs() < 0.05
 }
 
-/// The command that imports a table with this header and these rows; what they do not tell is left in capitals.
+/// The command that imports a table with this header and these rows; what they do not state is written in capitals.
 fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
     let separator = ['\t', ';', ',']
         .into_iter()

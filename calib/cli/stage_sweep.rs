@@ -175,7 +175,7 @@ pub struct PathDocument {
     duration_s: f64,
     /// In order.
     steps: Vec<Step>,
-    /// Which effects the plan can tell apart; null where that cannot be told.
+    /// Which effects the plan can distinguish; null where that is not known.
     shows: Option<PlanCheck>,
 }
 
@@ -385,7 +385,7 @@ fn by_hand(trajectory: u32) -> Result<(), DeviceError> {
     // Without a terminal to write to there is nobody to read it either.
     let question = format!("\nturn the mount to trajectory {trajectory}, then press Enter ");
     let _ = std::io::stderr().write_all(question.as_bytes());
-    // The line is read in a thread of its own: a read from a terminal does not end with a signal.
+    // The line is read in its own thread: a read from a terminal does not end with a signal.
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         let mut line = String::new();

@@ -232,7 +232,7 @@ fn exit_code(verify: &VerifyDocument, doubtful: bool) -> (u8, &'static str) {
         ),
         Verdict::UnknownEffect => (
             4,
-            "something is left that no effect explains, and no calibration was written; report.html shows what it follows",
+            "something remains that no effect explains, and no calibration was written; report.html shows what it follows",
         ),
         Verdict::TwinFault => (
             4,

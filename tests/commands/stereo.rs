@@ -230,7 +230,7 @@ fn shapes_become_the_rest_geometry_and_a_model() {
     let (code, output, text) = wcal(&[&fit[..], &["--rig", &at("nominal.toml")]].concat());
     assert_eq!(code, 3, "one shape was left out: {text}");
     assert!(
-        text.contains("t9 is left out: ") && text.contains("zero bytes"),
+        text.contains("t9 is omitted: ") && text.contains("zero bytes"),
         "{text}"
     );
     let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();

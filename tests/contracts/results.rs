@@ -132,7 +132,7 @@ fn whisker() -> Row {
             rmse(&swept, "after")
         ),
         format!(
-            "{}; the sweep refutes {refuted} of them, {} is left",
+            "{}; the sweep refutes {refuted} of them, {} remains",
             verdict(&v),
             verdict(&swept)
         ),

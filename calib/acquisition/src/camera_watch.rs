@@ -1,4 +1,4 @@
-//! Records the pairs of a camera pair while a sweep runs, in a thread of its own.
+//! Records the pairs of a camera pair while a sweep runs, in its own thread.
 
 use crate::camera_pair::{CameraPair, FramePair};
 use crate::clocks::ClockPair;

@@ -1,4 +1,4 @@
-//! A device's clock that steps or stands still, told from a device or a computer that is late.
+//! A device's clock that steps or stands still, distinguished from a device or a computer that is late.
 //!
 //! ```text
 //! x host time, y device time less x, n scans since the last good one, p time of a scan by the device's own clock

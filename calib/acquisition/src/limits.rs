@@ -8,7 +8,7 @@ use crate::error::AcquisitionError;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 use wcal_core::rig_devices::StageRig;
 
-/// Positions that a stage may be sent to, mm of its own scale: the rig's soft limits within the unit's travel.
+/// Positions that a stage may be sent to, mm of the stage's scale: the rig's soft limits within the unit's travel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     low_mm: f64,

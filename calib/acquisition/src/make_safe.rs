@@ -1,4 +1,4 @@
-//! The end of a sweep that stopped: the stage stands, the cause is recorded, and the wire is left where that is safe.
+//! The end of a sweep that stopped: the stage stands, the cause is recorded, and the stage leaves the wire where that is safe.
 
 use crate::message::SweepEvent;
 use crate::recorder::Level;

@@ -55,7 +55,7 @@ pub(crate) fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
-/// Numbers that the fields of a message may have. A time in seconds still tells microseconds apart, and whole numbers are exact as floats.
+/// Numbers that the fields of a message may have. A time in seconds still distinguishes microseconds, and whole numbers are exact as floats.
 mod range {
     use wcal_core::ranges::Range;
 

@@ -38,7 +38,7 @@ const RANGES: &[Range] = &[
     Range::real("block.average_s", 1e-3, DAY_S),
     Range::real("block.on_the_fly_hz", 0.0, 1e4),
     Range::whole("block.trajectories", 0.0, 4e9),
-    // What is left: depths by trajectory.
+    // The remaining rows: depths by trajectory.
     Range::real("", 1e-6, 1e4),
 ];
 

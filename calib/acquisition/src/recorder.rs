@@ -132,7 +132,7 @@ impl Recorder {
         first_failure(&self.path, &self.failed, error)
     }
 
-    /// Records a message; false where a reader would refuse it: it is left out and counted.
+    /// Records a message; false where a reader would refuse it: it is omitted and counted.
     ///
     /// # Errors
     /// When the disk does not take it.

@@ -83,7 +83,7 @@ impl fmt::Display for End {
 /// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture. A longer one is a damaged length.
 const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// Passes every message in file order to `take`, each once. A chunk with a wrong checksum is left out whole, a message that makes no sense
+/// Passes every message in file order to `take`, each once. A chunk with a wrong checksum is omitted whole, a message that makes no sense
 /// alone; at a wrong length the rest cannot be found and reading stops. None is an error: the result states what was lost.
 ///
 /// # Errors

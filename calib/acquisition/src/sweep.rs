@@ -102,7 +102,7 @@ impl SweepReport {
     }
 }
 
-/// A thread that records: one that panics is a fault that is told to those who would wait for it.
+/// A thread that records: one that panics is a fault that is reported to those who would wait for it.
 pub struct Watched<F: Fn(DeviceError)>(pub F);
 
 impl<F: Fn(DeviceError)> Drop for Watched<F> {
@@ -124,7 +124,7 @@ impl<F: Fn(DeviceError)> Drop for Watched<F> {
     }
 }
 
-/// Reads the stream until `done`, into monitor and recorder. Runs in a thread of its own.
+/// Reads the stream until `done`, into monitor and recorder. Runs in its own thread.
 pub fn acquire(
     interrogator: &mut dyn Interrogator,
     monitor: &Mutex<Monitor>,

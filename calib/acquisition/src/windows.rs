@@ -40,7 +40,7 @@ pub struct WindowMean {
     pub sensing_nm: [f64; 2],
     /// Spread of single samples, pm.
     pub sensing_sd_pm: [f64; 2],
-    /// Mean time of the samples since the window's begin, s: in motion half a scan from the window's centre is a place of its own.
+    /// Mean time of the samples since the window's begin, s: in motion half a scan from the window's centre is its own place.
     pub time_s: f64,
     /// Samples averaged.
     pub samples: usize,

@@ -10,7 +10,7 @@ use wcal_core::covariance;
 use wcal_core::shapes_document::{PairErrors, ShapesDocument};
 use wcal_rod::MeasuredShape;
 
-/// Share of the shapes' variance by common errors below which a part of it is left out, and largest number of parts.
+/// Share of the shapes' variance by common errors below which a part of it is omitted, and largest number of parts.
 const LEFT_OUT: f64 = 1e-4;
 const MAX_PARTS: usize = 8;
 

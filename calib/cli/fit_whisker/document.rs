@@ -115,7 +115,7 @@ impl Geometry {
             }
         };
         let youngs_gpa = stiffness.map(|s| s.youngs_gpa);
-        // The ratio is kept: at a pose the moment barely tells the two apart.
+        // The ratio is kept: at a pose the moment barely distinguishes the two.
         let shear_gpa = youngs_gpa.map(|e| SHEAR_GPA * e / YOUNGS_GPA);
         Self {
             diameter_mm,
@@ -145,7 +145,7 @@ pub fn curvature(fit: &RestFit) -> Option<Curvature> {
     })
 }
 
-/// Models that BIC chose from; a fit that did not converge has no finite one and is left out.
+/// Models that BIC chose from; a fit that did not converge has no finite one and is omitted.
 pub fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
     let row = |c: &wcal_rod::fit::ModelScore| RestModelRow {
         model: c.model.name(),

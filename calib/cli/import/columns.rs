@@ -476,7 +476,7 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         .filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
     let mut wanted: Vec<(String, String)> = given.collect();
     for text in &args.covariates {
-        // Without a name of its own a column keeps that of the table.
+        // Without a name here a column keeps that of the table.
         let (name, column) = text.split_once('=').unwrap_or((text, text));
         wanted.push((name.to_owned(), column.to_owned()));
     }

@@ -153,7 +153,7 @@ mod tests {
         assert_eq!(
             next(),
             Some((200, 50, 100)),
-            "the gap is told with the first scan after it"
+            "the gap is reported with the first scan after it"
         );
         intake.scans(scans(250, 50)).unwrap();
         assert_eq!(next(), Some((250, 50, 0)));

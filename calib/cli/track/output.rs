@@ -19,7 +19,7 @@ pub fn is_track(first: &str) -> bool {
 /// Where something else is there without `force`, or nothing can be written.
 pub fn check(out: &Path, force: bool) -> Result<()> {
     check_file(out, "track", is_track, force)?;
-    // What lies beside an earlier track belongs to it.
+    // What stands beside an earlier track belongs to it.
     let earlier = out.exists() && is_track(&first_line(out)?);
     let own = |start: &str| start.contains("wcal-track/");
     check_beside(&[companion(out, SUMMARY)], own, force || earlier)

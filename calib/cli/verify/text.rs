@@ -278,12 +278,12 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     );
 }
 
-/// What it is all for, in one line: by which trajectories, and with an interval whether anything tells both models apart.
+/// What it is all for, in one line: by which trajectories, and with an interval whether anything distinguishes both models.
 fn contact_line(c: &ContactComparison, interval95: Option<[f64; 2]>, how: &str) -> String {
     let [before, after, expected] =
         [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));
     let same = if c.is_same() { ", no difference" } else { "" };
-    let told = interval95.map_or(String::new(), |[low, high]| {
+    let interval = interval95.map_or(String::new(), |[low, high]| {
         format!(" [{low:.2}, {high:.2}]{same}")
     });
     let moved = match c.groove_moved_mm {
@@ -293,7 +293,7 @@ fn contact_line(c: &ContactComparison, interval95: Option<[f64; 2]>, how: &str) 
         _ => String::new(),
     };
     format!(
-        "{before} mm -> {after} mm{told}, expected {expected} ({} readings of {} trajectories, {how}; {} inside their 95 % regions){moved}",
+        "{before} mm -> {after} mm{interval}, expected {expected} ({} readings of {} trajectories, {how}; {} inside their 95 % regions){moved}",
         c.readings,
         c.trajectories.len(),
         c.inside95

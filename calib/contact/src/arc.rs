@@ -43,7 +43,7 @@ pub(crate) fn allowed_weights(
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
-    // A contact anywhere on the wire is as probable by length; the tip has a mass of its own, shared by its tilts.
+    // A contact anywhere on the wire is as probable by length; the tip has its own mass, shared by its tilts.
     let tilts = nodes.iter().filter(|n| n.tilt > 0.0).count().max(1) as f64;
     let whole: f64 = lengths.iter().sum();
     let prior = |k: usize| match nodes[k].tilt > 0.0 {

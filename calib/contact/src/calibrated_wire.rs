@@ -147,7 +147,7 @@ impl CalibratedWire {
             .collect()
     }
 
-    /// A reading along its motion, where its moments and motion are known; without a noise of its own it has that from pose to pose.
+    /// A reading along its motion, where its moments and motion are known; without its own noise it has that from pose to pose.
     pub fn row(&self, reading: &Reading, accuracy: &MotionAccuracy) -> Option<MotionRow> {
         let (m, motion) = (reading.moments.as_ref()?, reading.motion.as_ref().ok()?);
         Some(MotionRow {

@@ -30,7 +30,7 @@ use wcal_core::stream::Flags;
 pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
-/// A regime of less weight is left out of what is stated.
+/// A regime of less weight is omitted from what is stated.
 pub const MIN_WEIGHT: f64 = 1e-3;
 /// A mistake is stated from this weight on: a 95 % region need not hold a rarer one, which is far off and would be most of the covariance.
 const MIN_MISTAKE: f64 = 0.05;
@@ -570,15 +570,15 @@ mod tests {
     fn evidence_moves_the_weights_and_no_evidence_leaves_them() {
         let after = |ln: [f64; 5]| ANY_OBJECT.after(&ln.map(Some));
         assert_eq!(after([0.0; 5]).certain(), None);
-        let told = after([0.0, 0.0, 10.0, -5.0, 0.0]);
-        assert_eq!(told.certain(), Some(Regime::Sliding));
-        assert!(told.at_a_point() + told.no_motion() < 1e-2);
+        let posterior = after([0.0, 0.0, 10.0, -5.0, 0.0]);
+        assert_eq!(posterior.certain(), Some(Regime::Sliding));
+        assert!(posterior.at_a_point() + posterior.no_motion() < 1e-2);
         assert_eq!(after([OUT; 5]), ANY_OBJECT);
         // A straight creep is the surface that it approximates; the surface alone stays what it is.
         let creeps = after([-20.0, 20.0, 0.0, -99.0, -99.0]);
         assert_eq!(creeps.certain(), Some(Regime::Creeping));
         assert_eq!(creeps.of_one_surface().certain(), Some(Regime::Sliding));
-        assert!(told.of_one_surface().of(Regime::Sliding) >= told.of(Regime::Sliding));
+        assert!(posterior.of_one_surface().of(Regime::Sliding) >= posterior.of(Regime::Sliding));
         // A groove holds the wire at one point, whatever the evidence of creeping.
         assert_eq!(
             GROOVE
@@ -591,10 +591,11 @@ mod tests {
     #[test]
     fn a_way_that_could_not_be_looked_at_keeps_its_prior() {
         let untried = [Some(30.0), Some(0.0), None, Some(0.0), Some(0.0)];
-        let told = ANY_OBJECT.after(&untried);
+        let posterior = ANY_OBJECT.after(&untried);
         assert!(
-            (told.of(Regime::Sliding) - 0.28).abs() < 1e-12 && told.of(Regime::Fixed) > 0.7,
-            "{told:?}"
+            (posterior.of(Regime::Sliding) - 0.28).abs() < 1e-12
+                && posterior.of(Regime::Fixed) > 0.7,
+            "{posterior:?}"
         );
         let weights = |ln: &[Option<f64>; 5]| {
             let (regimes, untried) = (ANY_OBJECT.after(ln), ANY_OBJECT.untried(ln));

@@ -282,7 +282,7 @@ impl Estimator for SessionGroove {
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
         let contacts = self.tracker.finish()?;
         self.groove = groove_tracking(&self.compared()?, "fit");
-        // A trajectory is no contact of its own.
+        // A trajectory is no separate contact.
         Ok(contacts
             .into_iter()
             .map(|c| Contact { number: None, ..c })

@@ -1,4 +1,4 @@
-//! How base and object move at the rows of a stream: by the stage's positions in it, or by a log of its own.
+//! How base and object move at the rows of a stream: by the stage's positions in it, or by its own log.
 //!
 //! ```text
 //! [base] carried_along a      base at world_from_base a x(t), object at rest: d = -a x

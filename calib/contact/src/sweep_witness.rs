@@ -1,7 +1,7 @@
 //! A sweep over an object that is known judges the explanations of a calibration session.
 //!
 //! The moments m of a reading allow a contact anywhere on the curve p(s; m), with a force along n(s; m) (`StaticInverse`). The object allows it
-//! where its surface is, with the force along its normal and friction. The gap d of a reading is what is left between both ([`scene`]), a function
+//! where its surface is, with the force along its normal and friction. The gap d of a reading is what remains between both ([`scene`]), a function
 //! of what else is not known: eta, the clock between readings and motion, the object's place, turn and size, and friction. All readings from
 //! first load to release count:
 //!
@@ -221,7 +221,7 @@ impl SweepWitness {
             return Err(ContactError::value(
                 place(),
                 expected,
-                format!("{free}: the sweep has no zero of its own"),
+                format!("{free}: the sweep has no free readings, so no zero"),
             ));
         };
         let largest = zero.largest_nmm;

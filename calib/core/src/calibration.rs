@@ -53,7 +53,7 @@ impl CalibrationFrame {
 /// What the errors of a calibration's moments are made of: standard deviations of the two moments, N mm; none where they are not known.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationNoise {
-    /// Noise of a reading, of its own.
+    /// Noise of a single reading.
     pub reading_sd_nmm: Option<[f64; 2]>,
     /// Drift of the zero within a session.
     pub drift_sd_nmm: Option<[f64; 2]>,

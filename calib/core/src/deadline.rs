@@ -166,7 +166,7 @@ impl Deadline {
         }
     }
 
-    /// What is left; zero when it is over or interrupted.
+    /// Time that remains; zero when it is over or interrupted.
     pub fn remaining(&self) -> Duration {
         match self.interrupt.signal() {
             Some(_) => Duration::ZERO,
@@ -179,7 +179,7 @@ impl Deadline {
         standstill::total().saturating_sub(self.still)
     }
 
-    /// Whether nothing is left.
+    /// Whether no time remains.
     pub fn is_over(&self) -> bool {
         self.remaining().is_zero()
     }

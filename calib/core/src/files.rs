@@ -62,7 +62,7 @@ pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
     read_within(path, MAX_BYTES)
 }
 
-/// Reads a text document of at most [`MAX_DOCUMENT_BYTES`]; a byte order mark is left out.
+/// Reads a text document of at most [`MAX_DOCUMENT_BYTES`]; a byte order mark is omitted.
 ///
 /// # Errors
 /// As [`open`], or where the file is larger or no UTF-8 text, with what it is instead.

@@ -1,4 +1,4 @@
-//! The jackknife: how far a statistic moves when each unit is left out in turn.
+//! The jackknife: how far a statistic moves when each unit is omitted in turn.
 //!
 //! ```text
 //! v = (n - 1)/n sum_k (T_(k) - mean T_(.))^2,     interval = T +- t_(0.975, n - 1) sqrt(v)          T_(k): without unit k

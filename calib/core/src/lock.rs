@@ -37,7 +37,7 @@ pub struct FileLock {
 }
 
 impl FileLock {
-    /// Locks `path`, which is made anew; `purpose` is what another process is told, e.g. `stage-sweep of s1`.
+    /// Locks `path`, which is made anew; `purpose` is what another process reads, e.g. `stage-sweep of s1`.
     ///
     /// # Errors
     /// [`LockError::Held`] with process and purpose of the holder, or what is there in place of a file.
@@ -185,7 +185,7 @@ mod tests {
         };
         assert_eq!(who, format!("process {} (sweep of s1)", std::process::id()));
         drop(first);
-        assert!(!path.exists(), "nothing is left");
+        assert!(!path.exists(), "nothing remains");
         // Control: given back, it is there for the next.
         FileLock::take(&path, "sweep of s2").unwrap();
     }

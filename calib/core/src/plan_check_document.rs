@@ -10,7 +10,7 @@ pub struct PlannedEffect {
     pub id: String,
     /// `testable`, `absorbed` or `not-observable`.
     pub status: String,
-    /// Why it cannot be seen, or what is left of its signature.
+    /// Why it cannot be seen, or what remains of its signature.
     pub why: String,
     /// Effects that imitate it at every shape: not to be distinguished from it on this plan.
     pub never_apart: Vec<String>,

@@ -28,13 +28,13 @@ pub const VERIFY_FORMAT: &str = "wcal-verify/2";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Nothing beyond noise is left.
+    /// Nothing beyond noise remains.
     Adequate,
     /// One class of effects explains what was left.
     Effect,
     /// Explanations of more than one class survive.
     Ambiguous,
-    /// Something is left that nothing in the catalogue explains.
+    /// Something remains that nothing in the catalogue explains.
     UnknownEffect,
     /// The twin's labels were faulty; repaired, nothing else is found.
     TwinFault,
@@ -66,7 +66,7 @@ pub struct VerifyDocument {
     pub effects: Vec<NamedEffect>,
     /// Every surviving explanation, best first, the best included.
     pub alternatives: Vec<Vec<String>>,
-    /// What is left where nothing of the catalogue explains it.
+    /// The residual where nothing of the catalogue explains it.
     pub unknown: Option<UnknownEffect>,
     /// What a new reading at a new pose can reach.
     pub noise_floor: NoiseFloor,

@@ -21,7 +21,7 @@ pub enum MapKind {
     Affine,
     /// Quadratic least squares.
     Quadratic,
-    /// Thin plate about an affine mean. The radius cancels: with an affine mean only r^3 is left of the kernel.
+    /// Thin plate about an affine mean. The radius cancels: with an affine mean only r^3 remains of the kernel.
     ThinPlate,
     /// Thin plate about a constant mean; the radius sets how steep the map is expected to be.
     ThinPlateConstant,
@@ -69,7 +69,7 @@ impl MapKind {
 
     /// Starting kernel and range of its shape, for a region of this diameter (scaled input units).
     fn kernel(self, diameter: f64, radius: f64) -> (Kernel, Option<ShapeSearch>) {
-        // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the trend is left.
+        // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the trend remains.
         let length = ShapeSearch {
             low: 0.1 * diameter,
             high: 20.0 * diameter,
@@ -241,7 +241,7 @@ impl MapKind {
     }
 }
 
-/// Fits both moments and leaves out poses and trajectories. Each moment has hyperparameters of its own: the two are
+/// Fits both moments and leaves out poses and trajectories. Each moment has its own hyperparameters: the two are
 /// determined to very different degrees, and a shared noise ratio would smooth the good one for the bad one's sake.
 pub(crate) fn fit_candidate(
     name: &'static str,

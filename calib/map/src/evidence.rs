@@ -52,7 +52,7 @@ pub(crate) struct TrendNull {
 
 impl TrendNull {
     pub(crate) fn new(trend: Trend, inputs: &[[f64; 2]]) -> Self {
-        // Column by column: what is left below the diagonal is reflected onto it.
+        // Column by column: what remains below the diagonal is reflected onto it.
         let mut h = trend.matrix(inputs);
         let n = h.nrows();
         let mut reflectors = Vec::with_capacity(h.ncols());

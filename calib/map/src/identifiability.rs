@@ -58,7 +58,7 @@ pub struct IdentifiabilityReport {
     pub singular_pm_per_nmm: [f64; 2],
     /// Standard deviation of each moment's labels, N mm.
     pub label_sd_nmm: [f64; 2],
-    /// Share of each moment's variance that the chosen map explains when a reading is left out.
+    /// Share of each moment's variance that the chosen map explains when a reading is omitted.
     pub explained: [f64; 2],
     /// Principal deviations of the readings, pm, largest first.
     pub cloud_sd_pm: [f64; 2],

@@ -3,7 +3,7 @@
 //! [`fit_map`] fits every candidate (affine, quadratic, thin plate, Matern 5/2), leaves out poses and whole trajectories,
 //! chooses one and returns it as a [`MapArtefact`]; [`MapPredictor`] evaluates that artefact one reading at a time.
 //!
-//! - Each moment is a process of its own: trend + correlated part + noise, with hyperparameters by restricted likelihood.
+//! - Each moment is a separate process: trend + correlated part + noise, with hyperparameters by restricted likelihood.
 //! - Intervals are Student t: the variance is estimated from the same readings. They are widened where left-out coverage
 //!   contradicts 95 %; the factor is in the artefact.
 //! - The choice goes by leave-one-trajectory-out, with everything refitted, and leans to the simpler map.

@@ -197,7 +197,7 @@ impl Process {
         p
     }
 
-    /// Errors of each group when it is left out, from the inverse alone (Dubrule 1983; Rasmussen & Williams 2006, eq. 5.12):
+    /// Errors of each group when it is omitted, from the inverse alone (Dubrule 1983; Rasmussen & Williams 2006, eq. 5.12):
     /// e_g = (P_gg)^-1 (P y)_g. Hyperparameters stay; trend and, where it is estimated, s2 are those of the rest.
     pub fn leave_out(&self, groups: &[Vec<usize>]) -> Vec<LeftOut> {
         let p = self.projection();

@@ -1,4 +1,4 @@
-//! MuJoCo, in a program of its own (`wcal-mujoco`, calib/mujoco/engine) that is spoken to by lines of JSON.
+//! MuJoCo, in its own program (`wcal-mujoco`, calib/mujoco/engine) that is spoken to by lines of JSON.
 //!
 //! MuJoCo ends the process on some errors (a plugin that does not load, an inconsistent model) and its library may be missing: behind
 //! a pipe both are errors with a name, and whatever else runs goes on. Units of the protocol are SI, as MuJoCo's; the border is here.
@@ -32,7 +32,7 @@ const ENDING_TENTHS: u32 = 50;
 pub struct MujocoEngine {
     child: Child,
     to: ChildStdin,
-    /// Lines of the program, read by a thread of its own: a program that hangs must not hang its reader.
+    /// Lines of the program, read by its own thread: a program that hangs must not hang its reader.
     from: Receiver<String>,
     /// Longest wait for an answer, as [`WAIT_VARIABLE`] says.
     wait_s: Option<f64>,

@@ -117,7 +117,7 @@ fn pair(input: &ShapePair, simulated: bool) -> String {
     out + &residuals(input, simulated)
 }
 
-/// The picture itself brings no coordinates of its own: half a pixel lies before the first centre.
+/// The picture itself brings no own coordinates: half a pixel lies before the first centre.
 fn picture(input: &ShapePicture) -> String {
     let [width, height] = input.size_px;
     let side = escape(&input.side);

@@ -26,7 +26,7 @@ pub(crate) fn sections<T: DeserializeOwned>(
 ) -> Result<T, InputError> {
     let mut track = Track::new();
     let document = Deserializer::new(table.clone(), &mut track);
-    // An optional table is a part of its own in the path of a key.
+    // An optional table is a separate part in the path of a key.
     let note = |key: serde_ignored::Path<'_>| unknown.push(key.to_string().replace(".?", ""));
     let read: Result<T, toml::de::Error> = serde_ignored::deserialize(document, note);
     read.map_err(|e| of_serde(file, &track.path(), e.message()))

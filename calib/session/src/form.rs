@@ -19,7 +19,7 @@ const LVM: [&str; 2] = ["LabVIEW Measurement", "***End_of_Header***"];
 
 type Record = (usize, StringRecord);
 
-/// What a file says of its own form before its table.
+/// What a file says of its form before its table.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Preamble {
     pub(crate) separator: Option<Separator>,
@@ -316,7 +316,7 @@ impl Form {
         Some([start.1, step.1])
     }
 
-    /// Takes the rows: of each part between two headers what is left without the lines of text below its header and at its end.
+    /// Takes the rows: of each part between two headers what remains without the lines of text below its header and at its end.
     fn take(&mut self, place: &Place<'_>, all: Vec<Record>) -> Result<(), InputError> {
         let stated = place.stated.is_some() && place.skipped == 0;
         let numeric = numeric_columns(&all, self.columns.len());

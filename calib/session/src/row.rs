@@ -17,7 +17,7 @@ pub(crate) struct Row<'a> {
 
 type Outcome<T> = Result<T, InputError>;
 
-/// Largest number of a point. Beyond this a table's numbers, read as 64-bit floats, are no longer told apart.
+/// Largest number of a point. Beyond this a table's numbers, read as 64-bit floats, are no longer distinguished.
 const MAX_POINT: f64 = 9_007_199_254_740_992.0;
 
 impl<'a> Row<'a> {

@@ -1,6 +1,6 @@
 //! `[files] shapes`: what the cameras saw of the session's poses (`shapes.json`), each pair with its row of the points table.
 //!
-//! A pair that cannot be used with the wavelengths is left out by name and the rest is used. All are left out where the file belongs to
+//! A pair that cannot be used with the wavelengths is omitted by name and the rest is used. All are omitted where the file belongs to
 //! another session, or to other cameras or another rig than the session states, or where its shared covariance is none. Only a file
 //! that is no shapes.json is an error.
 

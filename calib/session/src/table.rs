@@ -34,7 +34,7 @@ pub const SIMULATED_COLUMN: &str = "simulated";
 pub struct TextTableLayout {
     /// Lines before the table.
     pub skip_lines: usize,
-    /// Names of the columns where the table has no header line of its own.
+    /// Names of the columns where the table has no own header line.
     pub columns: Option<Vec<String>>,
     /// Separator; none leaves it to what the file says of itself, else a comma.
     pub separator: Option<Separator>,
@@ -58,7 +58,7 @@ pub struct TextTable {
     pub rows: Vec<(usize, StringRecord)>,
     /// Its encoding, where that is not UTF-8.
     pub encoding: Option<&'static str>,
-    /// Unit of each column as the table states it in a line of its own; empty where it does not.
+    /// Unit of each column as the table states it in its own line; empty where it does not.
     pub units: Vec<String>,
     /// Lines that are no rows and were passed over.
     pub remarks: Vec<String>,

@@ -19,7 +19,7 @@ pub struct SessionFiles {
 /// every check, and only then renamed.
 ///
 /// # Errors
-/// Where `folder` exists and is not empty, where the content does not pass [`load`], or on I/O errors; nothing is left then.
+/// Where `folder` exists and is not empty, where the content does not pass [`load`], or on I/O errors; nothing remains then.
 pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSession, SessionError> {
     let fail = |source| SessionError::Io {
         action: "writing",
@@ -47,7 +47,7 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
         Ok(session)
     });
     let mut session = written.inspect_err(|_| {
-        // What is left of it says nothing more than the error.
+        // Removing it may fail: that says nothing more than the error.
         let _ = fs::remove_dir_all(&staging);
     })?;
     sync_folder(parent)?;

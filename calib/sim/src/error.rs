@@ -10,7 +10,7 @@ pub enum SimError {
         action: &'static str,
         /// Where.
         path: PathBuf,
-        /// Why not; part of the message, so no source of its own.
+        /// Why not; part of the message, so no separate source.
         cause: std::io::Error,
     },
     /// A mesh that no sweep can use.

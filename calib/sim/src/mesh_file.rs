@@ -1,4 +1,4 @@
-//! Mesh files as CAD programs and scanners write them: STL (`stl`), Wavefront OBJ, PLY, any of them in gzip; told by their content.
+//! Mesh files as CAD programs and scanners write them: STL (`stl`), Wavefront OBJ, PLY, any of them in gzip; recognised by their content.
 
 use crate::stl::{MAX_BYTES, Stl, check_count};
 use flate2::read::GzDecoder;
@@ -46,7 +46,7 @@ pub fn as_stl(bytes: Vec<u8>) -> Result<Vec<u8>, String> {
     }
 }
 
-/// Of Wavefront's OBJ each line begins with a word of its own, and comments with #.
+/// Of Wavefront's OBJ each line begins with a keyword, and comments with #.
 fn is_obj(bytes: &[u8]) -> bool {
     const WORDS: [&str; 9] = ["v", "vn", "vt", "f", "o", "g", "s", "mtllib", "usemtl"];
     let start = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);

@@ -171,7 +171,7 @@ impl<'a> Values<'a> {
             .unwrap_or(f64::NAN)
     }
 
-    /// How many columns of its own the law has.
+    /// How many columns the law has.
     pub fn linear(&self) -> usize {
         self.law.linear.len()
     }
@@ -191,11 +191,11 @@ pub struct Effect {
     pub sentence: &'static str,
     /// Laws, the plainest first.
     pub laws: Vec<EffectModel>,
-    /// Richer laws, tried only where the effect is accepted already and something is left. Their indices go on after those of `laws`.
+    /// Richer laws, tried only where the effect is accepted already and something remains. Their indices go on after those of `laws`.
     pub refinements: Vec<EffectModel>,
     /// What it does to a reading depends on the readings before.
     pub has_memory: bool,
-    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has a shape of its own;
+    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has its own shape;
     /// else they describe one thing, and only one of them is true.
     pub superposes: bool,
     /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.

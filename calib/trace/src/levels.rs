@@ -13,7 +13,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 pub const FALSE_ALARM: f64 = 0.025;
 /// Share of the catalogue: names an effect.
 pub const CATALOGUE: f64 = 0.40 * FALSE_ALARM;
-/// Share of the generic drivers: says that something is left.
+/// Share of the generic drivers: says that something remains.
 pub const GENERIC: f64 = 0.08 * FALSE_ALARM;
 /// Share of a smooth course that predicts what the accepted model leaves of readings left out.
 pub const SMOOTH_RIVAL: f64 = 0.14 * FALSE_ALARM;
@@ -43,13 +43,13 @@ pub const SEALED_ABOVE_FLOOR: f64 = 0.016 * FALSE_ALARM;
 /// Chance that any verdict-changing test of the omnibus family rejects where nothing is there.
 pub const OMNIBUS: f64 = CATALOGUE + GENERIC + SERIAL + REPLICATES;
 
-/// Chance that a true name is taken back.
+/// Chance that a true name is withdrawn.
 pub const FALSE_DROP: f64 = 0.07;
 /// Share of the noise that would stand in its place.
 pub const RETAIN: f64 = 2.0 * FALSE_DROP / 7.0;
 /// Share of readings left out in turn that show no gain, of names just at CATALOGUE; see LEFT_OUT_GAIN.
 pub const LEFT_OUT: f64 = FALSE_DROP / 7.0;
-/// Share of what is left without one level of the stimulus or one cycle.
+/// Share of what remains without one level of the stimulus or one cycle.
 pub const DELETION: f64 = FALSE_DROP / 7.0;
 /// Share of what physics allows of a parameter.
 pub const RANGE: f64 = FALSE_DROP / 7.0;
@@ -60,7 +60,7 @@ pub const SEALED_RIVAL: f64 = FALSE_DROP / 7.0;
 
 /// The same against correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
 pub const RETAIN_BESIDE_CORRELATED: f64 = 1e-3;
-/// Chance below which something is there, even where the name that was found for it is taken back.
+/// Chance below which something is there, even where the name that was found for it is withdrawn.
 pub const NEGLIGIBLE: f64 = 1e-3;
 /// Within the strata of a protocol that repeats.
 pub const WITHIN_STRATA: f64 = 1e-4;

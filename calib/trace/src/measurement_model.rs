@@ -39,7 +39,7 @@ pub struct DesignTest {
     pub level: f64,
     /// Length of a signature in that part.
     pub norm: f64,
-    /// Degrees of freedom of what is left there.
+    /// Degrees of freedom of what remains there.
     pub dof: f64,
 }
 
@@ -87,7 +87,7 @@ pub trait MeasurementModel: Sync {
     fn auxiliary_variance(&self) -> f64 {
         1.0
     }
-    /// Its groups are repetitions of one task, so that what is left out in turn judges each effect and what is left.
+    /// Its groups are repetitions of one task, so that what is omitted in turn judges each effect and what remains.
     fn cross_validates_terms(&self) -> bool {
         false
     }
@@ -97,7 +97,7 @@ pub trait MeasurementModel: Sync {
     }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;
-    /// An effect of an explanation that cannot be told from the design of the experiment itself: where readings repeat with the protocol,
+    /// An effect of an explanation that cannot be distinguished from the design of the experiment itself: where readings repeat with the protocol,
     /// what repeats with them is no law of the clock, and a few places, or a single one, are no law of the stimulus.
     fn not_identified(&self, _h: &Hypothesis) -> Option<NotIdentified> {
         None

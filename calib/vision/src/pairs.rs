@@ -94,7 +94,7 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
             .extension()
             .map(|e| e.to_string_lossy().to_lowercase())
             .unwrap_or_default();
-        // macOS writes a file of its own beside each picture: `._NAME`.
+        // macOS writes a file beside each picture: `._NAME`.
         let hidden = name.starts_with('.') && !pattern.starts_with('.');
         let picture = [
             "png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm",

@@ -5,7 +5,7 @@
 //! constraint is the contact force `F`. The variation of the contact point with the curvature of element `i` is
 //! the integral of `R (du) x (P - r)` over it, so stationarity reads: the elastic moment of every element equals
 //! the mean of `R' ((P - r) x F)` over it. The scheme is second order; two meshes and Richardson's
-//! extrapolation make it fourth. What is left are four unknowns (`F` and the contact's arc length).
+//! extrapolation make it fourth. The residual are four unknowns (`F` and the contact's arc length).
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 

@@ -14,7 +14,7 @@ pub(crate) const CONNECT: Duration = Duration::from_secs(3);
 /// Longest wait until the other end takes what is sent.
 const SEND: Duration = Duration::from_secs(3);
 
-/// Connects to `host:port`. Names are resolved and the handshake is made in a thread of its own, since neither can be interrupted.
+/// Connects to `host:port`. Names are resolved and the handshake is made in its own thread, since neither can be interrupted.
 ///
 /// # Errors
 /// What the system says, or `TimedOut` when the deadline is over.

@@ -8,7 +8,7 @@
 //! S is the covariance of the moments at the truth: each reading's own noise, what motion and table add, the part that is correlated in time,
 //! and the columns of what all readings share (module head of [`super`]).
 //!
-//! A uniform prior has no Fisher information of its own; those of s and x (widths L_s, L_x) count as Gaussians of their variance L^2 / 12.
+//! A uniform prior has no own Fisher information; those of s and x (widths L_s, L_x) count as Gaussians of their variance L^2 / 12.
 //! Source: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 1968, 2.4.3.
 
 use super::contact_path::{ContactPath, State};

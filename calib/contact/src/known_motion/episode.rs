@@ -65,7 +65,7 @@ pub struct Settings {
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
     pub max_rows: usize,
-    /// Noise of which successive readings share part; none where every reading has noise of its own alone.
+    /// Noise of which successive readings share part; none where every reading has its own noise alone.
     pub correlated: Option<CorrelatedNoise>,
 }
 

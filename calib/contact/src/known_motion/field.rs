@@ -53,7 +53,7 @@ pub struct ContactMoments {
     pub arclength_mm: f64,
 }
 
-/// Interpolated values at a place: what is left is the parabola through the ratios.
+/// Interpolated values at a place: what remains is the parabola through the ratios.
 pub(crate) struct InterpolatedField<'a> {
     field: &'a MomentField,
     place_mm: Vector3<f64>,

@@ -25,7 +25,7 @@
 //!
 //! One standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
 //! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
-//! The interpolated m(P) has an error of its own, s_p (mm) and s_q (relative), which dominates where the noise is negligible.
+//! The interpolated m(P) has its own error, s_p (mm) and s_q (relative), which dominates where the noise is negligible.
 //!
 //! Posterior: the recursion over the readings on a grid of s, Gaussian in all else ([`recursive`]): s uniform over the wire, x uniform over the
 //! episode, `g ~ N(0, s_g^2)`. The state of an episode is constant, so that the posterior after its last reading is that of all of them. The

@@ -87,7 +87,7 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
         let mut to = (from + 1..rows.len())
             .find(|k| way(*k) >= STEP_MM)
             .unwrap_or(rows.len());
-        // What is left at the end joins the last block.
+        // The readings at the end join the last block.
         if rows[to..]
             .iter()
             .all(|r| (r.moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM)

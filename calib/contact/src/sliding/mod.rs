@@ -338,7 +338,7 @@ impl Part {
                 )
             },
         );
-        // The law of friction is a prior of its own at each coefficient: their evidence compares at one alone.
+        // The law of friction is a separate prior at each coefficient: their evidence compares at one alone.
         let least = hypotheses
             .iter()
             .map(|h| h.friction)

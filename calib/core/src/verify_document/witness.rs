@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// An explanation before a witness: a measurement of the same instrument with noise of its own, or its own readings that repeat.
+/// An explanation before a witness: a measurement of the same instrument with its own noise, or its repeated readings.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct WitnessTest {
     /// Identifier of the witness: `sweep`, `pictures`, `replicates`.
@@ -18,7 +18,7 @@ pub struct WitnessTest {
     #[schemars(range(min = 0, max = 1))]
     pub p: f64,
     /// Whether the witness refutes the explanation; pictures join the fit and are weighed by their scatter: they refute nothing by themselves.
-    /// Replicates that refute say that something is left beside it.
+    /// Replicates that refute say that something remains beside it.
     pub refuted: bool,
     /// Size of what speaks against it: of a sweep the median distance of the nearest possible contact from the object, of pictures their scatter
     /// over what the shapes state, of replicates the standard deviation within a setting.

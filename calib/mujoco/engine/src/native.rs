@@ -61,10 +61,10 @@ fn compare(path: &Path, name: &str) -> Result<(), String> {
 }
 
 /// Compares the libmujoco that the system has loaded with this program. That happens before the program's first line: what is compared is
-/// whether anything is asked of it.
+/// whether it is used.
 ///
 /// # Errors
-/// Where it is another one, or cannot be told.
+/// Where it is another one, or cannot be determined.
 #[cfg(mujoco)]
 pub fn loaded() -> Result<(), String> {
     let maps = std::fs::read_to_string("/proc/self/maps")

@@ -38,7 +38,7 @@ pub(super) fn body(input: &ReportInput) -> String {
             None => String::new(),
         };
         out += &format!(
-            "<div class=\"card\"><h3>Unknown effect</h3><p>What is left follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
+            "<div class=\"card\"><h3>Unknown effect</h3><p>The residual follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
             escape(&residuals::label_of(&unknown.driver)),
             escape(&unknown.shape),
             escape(&period),

@@ -148,7 +148,7 @@ struct View<'a> {
     unit: String,
     /// Common scale of before and after.
     common: Axis,
-    /// Own scale of what is left; none where the common one shows it well enough.
+    /// Own scale of what remains; none where the common one shows it well enough.
     close: Option<Axis>,
     band: Option<f64>,
 }

@@ -5,7 +5,7 @@ use wcal_core::verify_document::{HoldoutOutcome, Verdict, VerifyDocument};
 /// Style class, short form and what it means.
 fn words(verdict: Verdict) -> (&'static str, &'static str, &'static str) {
     match verdict {
-        Verdict::Adequate => ("good", "Adequate", "nothing beyond the noise is left"),
+        Verdict::Adequate => ("good", "Adequate", "nothing beyond the noise remains"),
         Verdict::Effect => (
             "named",
             "Effect found",

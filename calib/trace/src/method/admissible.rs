@@ -95,7 +95,7 @@ impl Hypothesis {
         })
     }
 
-    /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where nothing is left to test it by.
+    /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where nothing remains to test it by.
     pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
         let extra = (self.fit.dof - with.dof).max(1.0) as usize;
         let p = f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra);
@@ -113,7 +113,7 @@ impl Hypothesis {
         (0..self.fit.terms.len()).filter_map(without).collect()
     }
 
-    /// Backward elimination: `weakest` picks the term that goes from those dropped in turn, until none has to. What is left, and effects that went.
+    /// Backward elimination: `weakest` picks the term that goes from those dropped in turn, until none has to. The remaining hypothesis, and effects that went.
     pub fn eliminate(
         &self,
         system: &dyn MeasurementModel,

@@ -179,7 +179,7 @@ const MAX_CYCLES: f64 = 30.0;
 const MIN_PLACES: usize = 12;
 
 /// Cycles over the range of a column (values from 0 to 1) at which waves are tried: half cycles, so that neighbouring frequencies are still half
-/// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is told
+/// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is recognised
 /// from its aliases by the unevenness alone.
 fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
     let last = settings(unit).into_iter().max().unwrap_or(0);

@@ -62,7 +62,7 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
     members.iter().map(of_group).collect()
 }
 
-/// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation; none where it cannot be told.
+/// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation; none where it cannot be determined.
 fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64, f64)> {
     let (a, b) = (
         left_out_squares(system, without)?,

@@ -6,7 +6,7 @@
 //!
 //! with e the residual and Q an orthonormal basis of the model's tangent space (Cook & Weisberg, "Residuals and Influence in Regression"
 //! (1982), 2.2). Directions that L alone determines (eigenvalue 1 of Q_L' Q_L) go with it. A name survives where the F test of its term
-//! on what is left still speaks for it.
+//! on what remains still speaks for it.
 
 use super::fit::Fit;
 use super::min_p::f_test;

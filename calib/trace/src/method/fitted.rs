@@ -1,4 +1,4 @@
-//! A fitted model: coefficients, what is left of readings and second witness, and the derivatives there.
+//! A fitted model: coefficients, what remains of readings and second witness, and the derivatives there.
 
 use super::linear::stack_with;
 use crate::effect::{Catalogue, EffectModel, EffectTerm};

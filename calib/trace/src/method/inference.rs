@@ -153,7 +153,7 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
 }
 
-/// Cosine between what two explanations explain of their own, without sign; 1 where neither has anything of its own. What both share (effects in
+/// Cosine between what two explanations explain by themselves, without sign; 1 where neither has a part that the other lacks. What both share (effects in
 /// common, whatever both leave unexplained) is projected off first: a large common effect makes any two look alike.
 pub fn signature_cosine(
     system: &dyn MeasurementModel,

@@ -27,7 +27,7 @@ pub struct LackOfFit {
     pub f: f64,
     /// Its degrees of freedom.
     pub dof: f64,
-    /// p-value; null where nothing is left to test.
+    /// p-value; null where nothing remains to test.
     pub p_value: Option<f64>,
 }
 
@@ -155,7 +155,7 @@ pub fn split_of(values: &[f64], fit: &Fit, weights: &Weights, cells: &[u64], x: 
     Split { between, within }
 }
 
-/// Chance of a fall from `without` to `with` beside what is left; none where nothing more is asked or nothing is left to compare with.
+/// Chance of a fall from `without` to `with` beside what remains; none where nothing more is asked or nothing remains to compare with.
 pub fn extra_sum_of_squares_p(without: Part, with: Part) -> Option<f64> {
     let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
     let f = gain / extra / (with.ss / with.dof).max(1e-300);

@@ -13,7 +13,7 @@ pub struct Basis {
     vectors: Vec<DVector<f64>>,
 }
 
-/// A direction counts as new if this share of it is left after projection.
+/// A direction counts as new if this share of it remains after projection.
 const NEW_SHARE: f64 = 1e-6;
 
 impl Basis {
@@ -49,7 +49,7 @@ impl Basis {
         self.push_beside(v, v.norm())
     }
 
-    /// The same where `v` is what is left of something of norm `size`: rounding of that is no direction.
+    /// The same where `v` is what remains of something of norm `size`: rounding of that is no direction.
     pub fn push_beside(&mut self, v: &DVector<f64>, size: f64) -> bool {
         let left = self.project_off(v);
         let norm = left.norm();
@@ -92,7 +92,7 @@ pub struct JointSpan {
     factor: DMatrix<f64>,
 }
 
-/// A direction of unit length is new where this part of its square is left: its own rounding is a thousandth of that.
+/// A direction of unit length is new where this part of its square remains: its own rounding is a thousandth of that.
 const NEW_SQUARE: f64 = 1e-10;
 
 /// Relative difference up to which two pivots are one.

@@ -26,13 +26,13 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> Option<f64> {
     if left < 1.0 {
         return None;
     }
-    // Where nothing is left before, nothing is gained.
+    // Where nothing remains before, nothing is gained.
     f_tail(if f.is_nan() { 0.0 } else { f.min(1e200) }, [d, left]).map(|p| p.max(1e-300))
 }
 
 /// p-value of an signature on a residual, none where no degrees of freedom are left; one-sided laws use half the F tail.
 pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> Option<f64> {
-    // Under the null either sign is equally likely, and one of them is not admissible: half the tail is left.
+    // Under the null either sign is equally likely, and one of them is not admissible: half the tail remains.
     let p = f_test(gain, ssr, dof, signature.dimension())?;
     Some(if signature.one_sided { 0.5 * p } else { p })
 }

@@ -146,7 +146,7 @@ impl<'a> NoiseEstimator<'a> {
         })
     }
 
-    /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where nothing is left to test it by.
+    /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where nothing remains to test it by.
     fn p_value(&self, without: &Misfit, with: &Misfit, family: &MinPDistribution) -> f64 {
         let (a, b) = (&without.best, &with.best);
         // Both sides have had every shared part; a law of the spread is one parameter.
@@ -183,7 +183,7 @@ impl<'a> NoiseEstimator<'a> {
         Some(judged.filter(|u| u.p > level).collect())
     }
 
-    /// The effects of `best` that hold against the noise which would stand in their place, and those that are not told from it. A model that is
+    /// The effects of `best` that hold against the noise which would stand in their place, and those that are not distinguished from it. A model that is
     /// degenerate under another noise is judged under the one that it was found with.
     pub(crate) fn backward_eliminate(
         &self,
@@ -200,7 +200,7 @@ impl<'a> NoiseEstimator<'a> {
         best.eliminate(self.system, weakest).0
     }
 
-    /// `best` without a term that is not told from noise that neighbours share.
+    /// `best` without a term that is not distinguished from noise that neighbours share.
     pub(crate) fn noise_rivals(
         &self,
         best: &Hypothesis,

@@ -53,34 +53,34 @@ pub struct OmnibusTest {
     pub covariates: Vec<CovariateScore>,
     /// Correlation of neighbouring residuals.
     pub serial_correlation: f64,
-    /// What is left is significant, but so small a part of the misfit that the model of the recording itself may leave it.
+    /// The residual is significant, but so small a part of the misfit that the model of the recording itself may leave it.
     pub within_model_error: bool,
-    /// What is left is what rounding makes of the model's responses.
+    /// The residual is what rounding makes of the model's responses.
     pub is_rounding: bool,
 }
 
-/// Share of the sum of squares from which what is left is no model error: a tenth of the noise, root mean square.
+/// Share of the sum of squares from which what remains is no model error: a tenth of the noise, root mean square.
 const MODEL_ERROR: f64 = 0.01;
 /// Correlation of neighbours from which it is none.
 const MODEL_CORRELATION: f64 = 0.1;
 
 impl OmnibusTest {
-    /// Something beyond noise is left.
+    /// Something beyond noise remains.
     pub fn rejected(&self) -> bool {
         self.is_unexplained() && (self.p_catalogue < CATALOGUE || self.generic())
     }
 
-    /// Something is left that need not be in the catalogue.
+    /// Something remains that need not be in the catalogue.
     pub fn generic(&self) -> bool {
         self.is_unexplained() && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
     }
 
-    /// What is left is neither rounding nor the model's own error.
+    /// The residual is neither rounding nor the model's own error.
     fn is_unexplained(&self) -> bool {
         !self.within_model_error && !self.is_rounding
     }
 
-    /// Judges the catalogue without `effects`, which were tried on `fit` and taken back.
+    /// Judges the catalogue without `effects`, which were tried on `fit` and withdrawn.
     pub fn leave_out(&mut self, fit: &Fit, effects: &[usize]) {
         let residual = fit.stacked();
         let others = self

@@ -1,7 +1,7 @@
-//! Single readings that do not belong: kept in the table, left out of the fit, taken back where a better model explains them.
+//! Single readings that do not belong: kept in the table, left out of the fit, readmitted where a better model explains them.
 //!
 //! A gross reading bends the fit that holds it, so each is judged by a fit without it. The one with the largest `e_v^2 / (1 - h_v)` is deleted, then the
-//! next, and all are judged by what is left of the fit (Hadi & Simonoff, J. Am. Stat. Assoc. 88 (1993), 1264-1272):
+//! next, and all are judged by what remains of the fit (Hadi & Simonoff, J. Am. Stat. Assoc. 88 (1993), 1264-1272):
 //!
 //! ```text
 //! e_u += h_uv e_v / (1 - h_v),   h_u += h_uv^2 / (1 - h_v)              v deleted; e: whitened residual, h: hat matrix
@@ -30,7 +30,7 @@ const REACH: f64 = 1.0;
 /// A reading that determines itself has no residual to be judged by.
 const LEAST_LEFT: f64 = 0.05;
 
-/// A residual in standard deviations of its own, `h` its leverage; NaN where the others do not say where the reading should be.
+/// A residual in its standard deviations, `h` its leverage; NaN where the others do not say where the reading should be.
 fn studentised(left: f64, h: f64, held: bool, reach: f64) -> f64 {
     let (variance, place) = if held {
         (1.0 - h, h / (1.0 - h))

@@ -1,4 +1,4 @@
-//! An accepted effect by a richer law of its own, where the plain one leaves something: two time constants, a stack of plays.
+//! An accepted effect by a richer law of it, where the plain one leaves something: two time constants, a stack of plays.
 
 use super::fit::{Status, fit};
 use super::hypothesis::Hypothesis;

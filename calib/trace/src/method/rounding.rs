@@ -19,7 +19,7 @@ const MOVED: f64 = 0.564;
 /// Largest noise beyond half a step, in standard deviations.
 const REACH: f64 = 3.0;
 
-/// Mean square of what is left, beside that of rounding, from which on something else is most of it.
+/// Mean square of what remains, beside that of rounding, from which on something else is most of it.
 const MAX_LEFT: f64 = 4.0;
 
 /// The readings are those of the fitted model, rounded: of one channel, and where rounding is most of their noise.

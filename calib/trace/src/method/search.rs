@@ -81,14 +81,14 @@ impl Search {
         }
     }
 
-    /// Something was found or is left: heavier tails would be a reason to look again.
+    /// Something was found or remains: heavier tails would be a reason to look again.
     pub fn is_inadequate(&self) -> bool {
         let found = !self.found.best.fit.terms.is_empty() || !self.found.best.flagged.is_empty();
         found || self.found.last_test.rejected() || self.generic_driver_wins()
     }
 }
 
-/// Whether anything is left beyond noise by the best explanation of the last size, and a larger one may be tried.
+/// Whether anything remains beyond noise by the best explanation of the last size, and a larger one may be tried.
 pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
     let done = (search.size - 1) as f64 / search.options.largest as f64;
     search.options.progress.at("searching for effects", done);
@@ -267,7 +267,7 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
     }
 }
 
-/// The explanations of a size, the first of them the best so far; richer laws of it where something is left.
+/// The explanations of a size, the first of them the best so far; richer laws of it where something remains.
 fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hypothesis>) {
     let test = |h: &Hypothesis, round: usize| {
         let seed = search
@@ -434,7 +434,7 @@ fn merge(
     }
 }
 
-/// p-value of the step from `from` to `to`, adjusted by the family that was searched; 1 where nothing is left to test it by.
+/// p-value of the step from `from` to `to`, adjusted by the family that was searched; 1 where nothing remains to test it by.
 fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
     if to.flagged.len() > from.flagged.len() {
         return to.flag_p;
@@ -520,7 +520,7 @@ fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, vari
     test.generic() && by_covariate + LEAD < best.aic(&base.fit, variance)
 }
 
-/// Readings stand out singly although nothing smooth is left.
+/// Readings stand out singly although nothing smooth remains.
 fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
     h.flagged.is_empty()
         && outlier_index(system).is_some()
@@ -537,7 +537,7 @@ pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights) -> O
     })
 }
 
-/// Flags of a model that has changed: a reading that it explains is taken back.
+/// Flags of a model that has changed: a reading that it explains is readmitted.
 fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.flagged.is_empty() {
         h

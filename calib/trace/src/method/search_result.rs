@@ -45,14 +45,14 @@ pub struct SearchResult {
     pub evidence: Vec<RankedHypothesis>,
     /// The same as hypotheses, best first.
     pub refitted: Vec<Hypothesis>,
-    /// What was never named or was taken back, and at which gate.
+    /// What was never named or was withdrawn, and at which gate.
     pub rejections: Vec<Rejection>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
 }
 
 impl SearchResult {
-    /// The omnibus test that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
+    /// The omnibus test that says what remains, where something does: on the declared model where a generic driver beats the catalogue.
     pub fn failed_adequacy_test(&self) -> Option<&OmnibusTest> {
         if self.covariate_beats_catalogue {
             Some(&self.first_test)

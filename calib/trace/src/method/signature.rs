@@ -117,7 +117,7 @@ pub fn signatures_of_effect(
                 ));
                 amplitudes.push((slot, probe));
             }
-            // A law with columns of its own is linear in them: each is a direction as it stands.
+            // A law with its own columns is linear in them: each is a direction as it stands.
             if !law.linear.is_empty() {
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm {
@@ -153,7 +153,7 @@ pub fn signatures_of_effect(
 /// Below this share of itself a signature counts as absorbed by the nuisance parameters.
 const ABSORBED_SHARE: f64 = 2e-3;
 
-/// Projects raw signatures; none where nothing of them is left.
+/// Projects raw signatures; none where nothing of them remains.
 pub fn build(
     term: EffectTerm,
     amplitudes: Vec<(usize, f64)>,

@@ -47,7 +47,7 @@ const MIN_FOLDS: usize = 3;
 /// A value that its own coefficient takes up is not scaled to the others.
 const LEAST_LEFT: f64 = 0.1;
 
-/// What predicts what is left.
+/// What predicts what remains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmoothRival {
     /// Covariate by its name.

@@ -89,7 +89,7 @@ pub fn far_above_floor<M: SessionModel>(
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
     let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
     let chance = f_tail(ratio * ratio, [values, dof])?;
-    // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
+    // A level that is omitted at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor()
         <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);

@@ -43,7 +43,7 @@ pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     }
 }
 
-/// Effects that were taken back, since they do not predict readings left out in turn better than chance would.
+/// Effects that were withdrawn, since they do not predict readings left out in turn better than chance would.
 pub struct Withdrawn {
     /// Their identifiers.
     pub names: Vec<String>,
@@ -62,7 +62,7 @@ pub struct Facts<'a, M> {
     same_class: Vec<bool>,
     /// Survivors of another class, or of the same names driven by something else.
     rivals: Vec<Hypothesis>,
-    /// A test says that something is left.
+    /// A test says that something remains.
     left: bool,
     /// Lack of fit against pure error where it is significant, and what it would follow.
     lack: Option<UnknownEffect>,
@@ -282,7 +282,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         &self.explained.found
     }
 
-    /// The explanation that stands before a term is taken back.
+    /// The explanation that stands before a term is withdrawn.
     pub fn accepted(&self) -> &'a Hypothesis {
         if self.explained.exact {
             &self.found().base
@@ -345,7 +345,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         effects
     }
 
-    /// The omnibus test of `accepted`, or of the declared model where the best explanation was taken back, rejects it.
+    /// The omnibus test of `accepted`, or of the declared model where the best explanation was withdrawn, rejects it.
     fn rejects(&self, accepted: &Hypothesis) -> bool {
         let SearchResult {
             best,
@@ -395,7 +395,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         all
     }
 
-    /// The conclusion that `accepted` is the model; `withdrawn` was taken back for it, `unfit` says why it cannot be called one that holds.
+    /// The conclusion that `accepted` is the model; `withdrawn` lost its name for it, `unfit` says why it cannot be called one that holds.
     pub fn conclude(
         &self,
         accepted: Hypothesis,
@@ -422,7 +422,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let (model, found) = (self.model, self.found());
         let effects = self.effects(&accepted);
         let verdict = self.verdict(&accepted, &effects);
-        // A term that is none was taken back: what else survives was found beside it.
+        // A term that is none was withdrawn: what else survives was found beside it.
         let reduced = accepted.fit.terms.len() < self.accepted().fit.terms.len() && !on_request;
         let own = || effects.iter().map(|e| e.id.clone()).collect::<Vec<_>>();
         let mut alternatives = if reduced {

@@ -1,4 +1,4 @@
-//! What predicts readings that are left out in turn keeps its name; what does not is taken back.
+//! What predicts readings that are left out in turn keeps its name; what does not is withdrawn.
 
 use super::conclusion::{Facts, Withdrawn};
 use super::evidence::{Evidence, independent};
@@ -37,7 +37,7 @@ pub struct Validated<M> {
     pub accepted: Hypothesis,
     /// It was asked for.
     pub on_request: bool,
-    /// What was taken back for it.
+    /// What was withdrawn for it.
     pub withdrawn: Option<Withdrawn>,
     /// Its noise.
     pub noise: Noise,
@@ -102,7 +102,7 @@ pub fn cross_validate<M: SessionModel>(
     })
 }
 
-/// The noise that a decision rests on, and what is left under it. Correlated noise that takes up everything is one description; a smooth course
+/// The noise that a decision rests on, and what remains under it. Correlated noise that takes up everything is one description; a smooth course
 /// that no catalogue has may be the better one.
 ///
 /// # Errors
@@ -179,7 +179,7 @@ fn withdraw_below_model_error(
     let (best, within) = retain_cross_validated(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
-        // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.
+        // Where nothing was left beside it, what remains is what was withdrawn: a finding of chance, or more than that.
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
@@ -204,7 +204,7 @@ fn withdraw_below_model_error(
 }
 
 /// `h` without the terms that are none: beside the others each has to pass the level at which the search names, with a size that is not zero. The
-/// least supported one first; itself where all are. Noise is then that of what is kept; where the fit needs a term of no size, something is left.
+/// least supported one first; itself where all are. Noise is then that of what is kept; where the fit needs a term of no size, something remains.
 fn drop_unsupported<M: SessionModel>(
     model: &M,
     explained: &mut Explained,

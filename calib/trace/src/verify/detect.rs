@@ -221,7 +221,7 @@ fn smallest<M: SessionModel>(
         .filter_map(|a| {
             let law = a.term.law;
             let signature = a.projected.first()?.norm();
-            // Of a law with one sign half the tail is left.
+            // Of a law with one sign half the tail remains.
             let level = if a.one_sided {
                 2.0 * critical
             } else {

@@ -29,7 +29,7 @@ pub struct Evidence<M> {
     pub plain_test: OmnibusTest,
     /// Searches that were made.
     pub rounds: usize,
-    /// Nothing but rounding is left by the declared model: structure in it means nothing.
+    /// Nothing but rounding remains by the declared model: structure in it means nothing.
     pub exact: bool,
     /// What each witness says of each hypothesis.
     pub tests: Vec<WitnessTest>,

@@ -12,7 +12,7 @@ pub struct Explained {
     pub noise: Noise,
     /// Noise of the declared model's residuals.
     pub declared_noise: Noise,
-    /// Nothing but rounding is left by the declared model: structure in it means nothing.
+    /// Nothing but rounding remains by the declared model: structure in it means nothing.
     pub exact: bool,
     /// What each witness says of each hypothesis.
     pub tests: Vec<WitnessTest>,

@@ -111,7 +111,7 @@ impl<M: SessionModel> LeftOut<M> {
         Some([of(&self.errors.before)?, of(&self.errors.after)?])
     }
 
-    /// Both models of every fold that has them, each under its own noise; `left`: something is left, so that only replicates tell the floor.
+    /// Both models of every fold that has them, each under its own noise; `left`: something remains, so that only replicates tell the floor.
     pub(super) fn calibrations<'a>(
         &'a self,
         model: &'a M,

@@ -9,7 +9,7 @@
 //! W = |r off the direction of S^(-1/2) d|^2 / (n - 1)                 scatter of readings
 //! ```
 //!
-//! e: measured less predicted, each in units of its own noise; C: noise in units of s^2; V: covariance of the fitted parameters, which all these readings
+//! e: measured less predicted, each in units of its noise; C: noise in units of s^2; V: covariance of the fitted parameters, which all these readings
 //! share. With C = L L' and L^-1 J V J' L'^-1 = Q diag(v) Q', S^(-1/2) is (1 + Q diag((1 + v)^(-1/2) - 1) Q') L^-1. Prediction F test: Seber & Lee,
 //! "Linear Regression Analysis", 2nd ed., ch. 5; heavy tails: each r is as far out as a Gaussian value of the same chance.
 //!
@@ -216,7 +216,7 @@ impl PredictionResidual {
     }
 }
 
-/// Every reading in units of its own noise; those that do not count are zero.
+/// Every reading in units of its noise; those that do not count are zero.
 fn in_own_noise(weights: &Weights, mut m: DMatrix<f64>) -> DMatrix<f64> {
     m.row_iter_mut()
         .zip(weights.relative())

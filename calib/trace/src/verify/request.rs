@@ -1,4 +1,4 @@
-//! What is asked of `verify`.
+//! A request to `verify`.
 
 use crate::method::options::Options;
 use wcal_core::Ledger;

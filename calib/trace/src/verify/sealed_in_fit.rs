@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Readings without a clock agree by chance as often as the fitted ones agree with each other (I. J. Good, Biometrika 40 (1953), 237-264). Under a clock
-//! every reading has a time of its own: one that agrees is the same row. Where fitted rows of one time agree, the clock is too coarse to tell.
+//! every reading has its own time: one that agrees is the same row. Where fitted rows of one time agree, the clock is too coarse to tell.
 
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::collections::BTreeMap;

@@ -99,7 +99,7 @@ pub trait SessionText: MeasurementModel {
     fn physical(&self, unit: &str, value: f64, _law: usize) -> (f64, String) {
         (value, unit.to_owned())
     }
-    /// What takes up a signature of which nothing is left.
+    /// What takes up a signature of which nothing remains.
     fn nuisances(&self) -> &'static str;
     /// What limits the use of the accepted model although nothing contradicts it: what no reading tests, what is no measurement.
     fn cautions(&self, _accepted: &Hypothesis) -> Vec<String> {
@@ -147,11 +147,11 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn noise_effect(&self) -> Option<NamedEffect> {
         None
     }
-    /// What is left follows from an accepted effect that is not quite of its law.
+    /// The residual follows from an accepted effect that is not quite of its law.
     fn residual_explained(&self, _found: &SearchResult) -> bool {
         false
     }
-    /// A driver of what is left that repeats with the protocol: its columns explain nothing among readings that are equal in every input.
+    /// A driver of what remains that repeats with the protocol: its columns explain nothing among readings that are equal in every input.
     fn repeats_with_protocol(&self, _h: &Hypothesis, _columns: &[Vec<f64>]) -> bool {
         false
     }
@@ -159,7 +159,7 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn lack_of_fit(&self, _h: &Hypothesis) -> Option<LackOfFit> {
         None
     }
-    /// Floor under the accepted model; `left`: something is left, so that only replicates tell.
+    /// Floor under the accepted model; `left`: something remains, so that only replicates tell.
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
 
     /// Next measurement: what would decide between the best explanation and its rivals of another class.

@@ -8,7 +8,7 @@ use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
 use crate::method::search_result::SearchResult;
 use wcal_core::verify_document::WitnessTest;
 
-/// A measurement of the same instrument with noise of its own.
+/// A measurement of the same instrument with its own noise.
 pub trait Witness<M: SessionModel>: Sync {
     /// How unlikely its data are if `h` is right within its uncertainty; none where it cannot tell.
     ///

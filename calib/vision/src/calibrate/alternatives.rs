@@ -90,7 +90,7 @@ fn charuco(stated: &Board, stated_legacy: bool) -> Vec<Statement> {
     found
 }
 
-/// Other sides and gaps. Pictures tell the ratio of the two; which of them is wrong is told by what explains it.
+/// Other sides and gaps. Pictures tell the ratio of the two; which of them is wrong shows in what explains it.
 fn tag_sizes(stated: &Board, gap: f64, noise: &CornerNoise) -> Vec<Statement> {
     let side = stated.square_mm;
     // Without the digits of rounding.

@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, DVector, Vector2};
 
 /// Terms of a cubic in two coordinates.
 const TERMS: usize = 10;
-/// Corners of one picture from which their scatter about the cubic is told.
+/// Corners of one picture from which their scatter about the cubic is estimated.
 const FEWEST: usize = 2 * TERMS;
 /// Rounds in which homographies and the kinds' offsets settle.
 const ROUNDS: usize = 3;
@@ -28,7 +28,7 @@ pub(crate) struct GridPlace {
     pub kind: usize,
 }
 
-/// The corners' noise, and where each kind of corner lies beside its step of the grid, in steps.
+/// The corners' noise, and where each kind of corner is off its step of the grid, in steps.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CornerNoise {
     /// Per-corner RMS (both coordinates), px, as the solve's `rms_px`; NaN where no picture shows enough corners.

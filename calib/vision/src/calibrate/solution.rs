@@ -1,7 +1,7 @@
 //! `stereo-calibrate`: from pairs of pictures of a board to both cameras, their relative pose, and how well each is known.
 //!
 //! Views are judged by their RMS under the joint solution, corners by the robust standard deviation 1.4826 median |e|, the board's warp
-//! by the F test `F = ((Q_flat - Q_warped) / 2) / (Q_warped / n)`. What is left is checked on pairs left out of the solve, by the distance
+//! by the F test `F = ((Q_flat - Q_warped) / 2) / (Q_warped / n)`. The residual is checked on pairs left out of the solve, by the distance
 //! of a corner q from its partner's epipolar line `l = [t]x R p` in the undistorted pictures: `|l . q| / |(l_x / fx, l_y / fy)|`.
 //! Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 9.6 (essential matrix).
 
@@ -18,9 +18,9 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::order_statistics::MAD_TO_SD;
 
-/// A view is left out where its RMS exceeds this multiple of the median view's: 13 real pairs spread by a factor 2.
+/// A view is omitted where its RMS exceeds this multiple of the median view's: 13 real pairs spread by a factor 2.
 const VIEW_OUTLIER: f64 = 4.0;
-/// A corner is left out where its error exceeds this multiple of the robust sd of a coordinate.
+/// A corner is omitted where its error exceeds this multiple of the robust sd of a coordinate.
 const CORNER_OUTLIER: f64 = 7.0;
 
 /// The solved calibration.

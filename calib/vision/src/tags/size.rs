@@ -84,8 +84,8 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
         let sd = cameras_sd.hypot(own.max(spread) / (seen.len() as f64).sqrt());
         let off = (typical - tag.size_mm).abs();
         // Of a tag that stands still one pair is enough; one that moves between the pictures of a single pair is no other size.
-        let told = tag.base_from_tag.is_some() || agreeing >= OTHERS;
-        if told && 2 * agreeing > seen.len() && off > (MATTERS * tag.size_mm).max(BEYOND_SD * sd) {
+        let known = tag.base_from_tag.is_some() || agreeing >= OTHERS;
+        if known && 2 * agreeing > seen.len() && off > (MATTERS * tag.size_mm).max(BEYOND_SD * sd) {
             changed.push((k, typical, sd));
         }
     }

@@ -15,7 +15,7 @@ use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
 /// Bounds of blur (px) and of width over the expected width.
 const BLUR: [f64; 2] = [0.35, 3.0];
 const WIDTH: [f64; 2] = [0.6, 1.5];
-/// Pieces used; of these the worst quarter is left out.
+/// Pieces used; of these the worst quarter is omitted.
 const PIECES: usize = 32;
 
 /// A piece's pixels and where its centre is now.

@@ -50,7 +50,7 @@ pub enum Fault {
         /// Begins or ends.
         on: bool,
     },
-    /// The next motion of the stage never ends: it stays BUSY at its target until it is told to stop.
+    /// The next motion of the stage never ends: it stays BUSY at its target until it is stopped.
     BusyForEver,
     /// Stage and interrogator answer to no new connection.
     NeverAccept {

@@ -280,7 +280,7 @@ impl Mount for OwnMount {
     }
 }
 
-/// The interrogator, read by a thread of its own.
+/// The interrogator, read by its own thread.
 struct OwnInterrogator {
     bench: InProcess,
     next: u64,

@@ -1,4 +1,4 @@
-//! The scene of the virtual bench's cameras; the bench has no pictures of its own.
+//! The scene of the virtual bench's cameras; the bench has no own pictures.
 
 /// The bench before the cameras at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -112,7 +112,7 @@ impl BenchState {
         Self::by_clock(scenario, plant, clock)
     }
 
-    /// A bench by a clock of its own.
+    /// A bench by its own clock.
     pub fn by_clock(scenario: Scenario, plant: Box<dyn Plant>, clock: BenchClock) -> Arc<Self> {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {

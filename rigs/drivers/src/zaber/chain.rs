@@ -60,7 +60,7 @@ impl Drop for Chain {
             if self.failed {
                 return;
             }
-            // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
+            // Nobody remains to tell; a unit that does not hear it keeps the sweep's speed.
             let set = format!("set maxspeed {data}");
             let sent = self.once((device, axis), &set, &Deadline::uninterruptible(REPLY));
             self.failed = sent.is_err();

@@ -78,7 +78,7 @@ pub fn estimate(
             (weights, correlated, pose, law) = (plain, c, p, None);
         }
     }
-    // The readings that do not count keep their spread, so that they can be taken back.
+    // The readings that do not count keep their spread, so that they can be readmitted.
     let own = law
         .as_ref()
         .map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
@@ -121,7 +121,7 @@ fn excess_kurtosis(values: &[f64]) -> f64 {
 const COMMON: [f64; 2] = [1e-2, 1e3];
 
 /// The part of the variance that averaging does not lower (restricted likelihood); 0 where all readings are averaged alike, or it is too
-/// small to be told.
+/// small to be determined.
 fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 {
     if inputs.averaged.is_empty() {
         return 0.0;

@@ -3,7 +3,7 @@
 //! ```text
 //! n_i = s (h_i e_i + rho_c c(t_i) + rho_p g_i p_k(i))        (symbols: `whitening`)
 //! h_i^2 = law_i^2 (c^2 + a_i) / (c^2 + 1)                    a_i: variance of the reading's own average, c: what averaging does not lower
-//! var(reading at a pose set anew, another time) = s^2 (h^2 + rho_c^2 + rho_p^2)
+//! var(reading at a repeated pose, another time) = s^2 (h^2 + rho_c^2 + rho_p^2)
 //! ```
 
 use super::inputs::NoiseInputs;
@@ -108,7 +108,7 @@ impl Noise {
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }
 
-    /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
+    /// Standard deviation of each of those readings at a repeated pose and at another time, in the unit of the measured values.
     pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let weights = self.weights_of(inputs);
         (0..inputs.settings.len())

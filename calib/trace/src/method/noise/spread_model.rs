@@ -67,7 +67,7 @@ pub(super) fn fit_variance_function(
             .flat_map(|(i, _)| vec![values[*i]; channels])
             .collect();
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
-        // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
+        // The power law needs its own stimulus: here the spread is exponential in the covariate.
         let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else {
             continue;
         };

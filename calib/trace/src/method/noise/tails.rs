@@ -204,7 +204,7 @@ pub fn extreme_values(
             whole += weight;
         }
         let p_value = sum / whole;
-        // Each number of values is a look of its own (Bonferroni).
+        // Each number of values is its own look (Bonferroni).
         if p_value < level / looks as f64 {
             return Some(ExtremeValues {
                 beyond: largest,

@@ -296,7 +296,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             } else {
                 (shared.clock[i] - shared.clock[i - 1]).max(0.0)
             };
-            // Prediction: the correlated part forgets with the time between, a pose set anew is another draw.
+            // Prediction: the correlated part forgets with the time between, a repeated pose is another draw.
             let decay = (-dt / tau).exp();
             let new_setting = i == 0 || shared.settings[i] != shared.settings[i - 1];
             cc = decay * decay * cc + (1.0 - decay * decay) * stationary;
@@ -314,7 +314,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
                     scale: 0.0,
                 };
             }
-            // Update: covariance of the states with the reading, gain, and what is left of their own.
+            // Update: covariance of the states with the reading, gain, and their remaining covariance.
             let (c, p) = (cc + posed * cp, cp + posed * pp);
             let variance = c + posed * p + relative[i].powi(-2);
             let gain = [c / variance, p / variance];

@@ -139,7 +139,7 @@ fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
 const BINS: usize = 40;
 
 /// At most [`MAX_ROWS`] readings for the search, chosen by strata (part of the stimulus, direction, cycle) so that nothing that alternates
-/// from row to row is lost; in each stratum spread evenly over the session from a place of its own. All rows carry their place.
+/// from row to row is lost; in each stratum spread evenly over the session from its own place. All rows carry their place.
 pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     let total = rows.len();
     if total <= MAX_ROWS {

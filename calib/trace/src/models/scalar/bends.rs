@@ -86,7 +86,7 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
         .iter()
         .filter(|t| system.effects[t.effect].bend)
         .count();
-    // A smooth curve is a bend, and a wave or another bend for what is left of it: pieces of a law that the catalogue does not have.
+    // A smooth curve is a bend, and a wave or another bend for what remains of it: pieces of a law that the catalogue does not have.
     let of_stimulus = |t: &&EffectTerm| {
         let of = &system.effects[t.effect];
         of.bend || of.waves_of_stimulus.contains(&of.effect.law(t.law).name)
@@ -145,7 +145,7 @@ fn is_polynomial(system: &ScalarSystem, h: &Hypothesis) -> bool {
     bends.into_iter().all(|e| e.degree.is_some())
 }
 
-/// Something is left that follows the stimulus alone: repeats say so, or the strongest driver.
+/// Something remains that follows the stimulus alone: repeats say so, or the strongest driver.
 fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
     let found = &explained.found;
     let lack = system
@@ -358,7 +358,7 @@ fn prefer_polynomial(
         return;
     };
     let smooth = contest.hypothesis(fit);
-    // What it lacks is no reason for laws that lack more: something is left then, and is said.
+    // What it lacks is no reason for laws that lack more: something remains then, and is said.
     if system.unidentified_term(&smooth).is_some() {
         return;
     }

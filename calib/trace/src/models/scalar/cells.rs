@@ -2,7 +2,7 @@
 //! within cells (`method::lack_of_fit`).
 //!
 //! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus can all take it. So each has to earn its
-//! gain where it says something of its own (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
+//! gain where it says something by itself (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
 //! a law over time or order within cells, beside their pure error; a law of the stimulus between cells, beside what it leaves among them.
 //! And a name is none that rests on one level or one cycle: what a single place shows is a matter of that place.
 
@@ -50,7 +50,7 @@ struct Strata {
 }
 
 impl Strata {
-    /// A term gains where it says something of its own: within cells, or for a law of the stimulus between them.
+    /// A term gains where it says something by itself: within cells, or for a law of the stimulus between them.
     fn explains_between_strata(
         &self,
         fits: [&Fit; 2],
@@ -128,7 +128,7 @@ impl ScalarSystem {
         [within].into_iter().chain(between).collect()
     }
 
-    /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
+    /// The first term of `h` that this design does not identify: it gains nothing where it says something by itself, or it rests on one
     /// level or one cycle.
     pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);

@@ -180,7 +180,7 @@ pub struct Frame {
     pub ordered: bool,
     /// The stimulus is the number of the reading, of a constant quantity: nothing was set, and the order alone can drive anything.
     pub counts_readings: bool,
-    /// Rows that no fit sees: what asks for enough readings to fit is not asked of them.
+    /// Rows that no fit sees: what needs enough readings to fit does not apply to them.
     pub new_rows: bool,
 }
 

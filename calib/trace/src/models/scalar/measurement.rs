@@ -369,7 +369,7 @@ impl SessionModel for ScalarSystem {
             Grouping::Stimuli
         };
         let mut folds = folds(&self.frame, grouping);
-        // What shows at one place alone (a count that starts again) is not predicted where that is left out.
+        // What shows at one place alone (a count that starts again) is not predicted where that is omitted.
         let local = |t: &EffectTerm| self.effects[t.effect].shows_on_one_level;
         let slots = accepted.fit.slots(self.catalogue());
         for (_, slots) in accepted
@@ -405,7 +405,7 @@ impl SessionModel for ScalarSystem {
             .weights
             .shared()
             .map_or(0.0, |_| noise.shared_variance());
-        // A further series has a zero of its own.
+        // A further series has its own zero.
         let shared = shared + zero_scatter(self, &accepted.fit) / accepted.fit.variance();
         let [declared, richer] = self.polynomials(base, accepted);
         let polynomial = richer.or(declared.filter(|_| accepted.fit.terms.is_empty()));

@@ -16,14 +16,14 @@ const MAX_FOLDS: usize = 40;
 /// Steps of a refit without a fold.
 const REFIT_STEPS: usize = 15;
 
-/// What is left out together where there are no cycles.
+/// What is omitted together where there are no cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Grouping {
     /// A stimulus with all its readings.
     Stimuli,
     /// One repeat of every place: a table knows nothing of a place that it has not seen.
     Repeats,
-    /// The same, series by series never: nothing is known of the zero of a series that is left out.
+    /// The same, series by series never: nothing is known of the zero of a series that is omitted.
     WithinSeries,
     /// Readings that follow each other: neighbours in time share what is interpolated between them.
     Blocks,
@@ -31,7 +31,7 @@ pub enum Grouping {
 
 /// Blocks of a series that are left out.
 const BLOCKS: usize = 10;
-/// Level at which neighbours count as sharing something; one in a hundred series is left out in blocks for nothing.
+/// Level at which neighbours count as sharing something; one in a hundred series is omitted in blocks for nothing.
 const NEIGHBOURS_LEVEL: f64 = 0.01;
 
 /// Neighbours in a session whose order is known share what the accepted model leaves (lag-one correlation).

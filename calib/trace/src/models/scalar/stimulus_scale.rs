@@ -69,7 +69,7 @@ pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
         }
         let steps: Vec<f64> = means.windows(2).map(|m| m[1] - m[0]).collect();
         let typical = steps.iter().sum::<f64>().abs() / steps.len().max(1) as f64;
-        // All of one count's range is used, and what is left of every step is a step of the slope.
+        // All of one count's range is used, and what remains of every step is a step of the slope.
         let fits = high - low < modulus
             && high - low + SAME_SLOPE * typical > modulus
             && steps.iter().all(|d| d.abs() < SAME_SLOPE * typical);
@@ -89,7 +89,7 @@ pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
     moduli().find_map(of).unwrap_or_default()
 }
 
-/// How often the count of each reading has started again. At a place whose readings lie on both sides each is told by its neighbours.
+/// How often the count of each reading has started again. At a place whose readings lie on both sides each is recognised by its neighbours.
 pub(super) fn times_wrapped(rows: &[ScalarRow], wraps: &[f64]) -> Vec<f64> {
     let [low, high] = range(rows.iter().map(|r| r.y));
     let of = |r: &ScalarRow| {

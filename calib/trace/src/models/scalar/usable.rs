@@ -95,7 +95,7 @@ pub(super) fn untested(system: &ScalarSystem, h: &Hypothesis) -> Vec<String> {
         let repeats = if levels < n { "" } else { "repeatability, " };
         out.push(format!(
             "{n} readings leave {} degrees of freedom: intervals are those of Student's t, and {repeats}hysteresis, drift and single false readings \
-             cannot be told.",
+             cannot be determined.",
             h.fit.dof
         ));
     }

@@ -20,7 +20,7 @@ use wcal_core::verify_document::VerifyDocument;
 /// Everything that a scalar session's verification found.
 #[derive(Default)]
 pub struct ScalarVerification {
-    /// `verify.json`; `inputs` is left for the caller.
+    /// `verify.json`; `inputs` is for the caller to fill.
     pub document: VerifyDocument,
     /// One record a reading, sealed ones included, in the order of the measurement.
     pub residuals: Vec<ResidualRecord>,

@@ -1,4 +1,4 @@
-//! The noise floor, what a loaded reading at a pose set anew can reach.
+//! The noise floor, what a loaded reading at a repeated pose can reach.
 
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Floor of the wavelengths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Floor {
-    /// Standard deviation of a loaded reading at a pose set anew, pm.
+    /// Standard deviation of a loaded reading at a repeated pose, pm.
     pub sd_pm: f64,
     /// The same of readings that were averaged over far fewer samples (in motion), pm; none where all are averaged alike.
     pub moving_pm: Option<f64>,
@@ -144,7 +144,7 @@ pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> 
         .flatten()
 }
 
-/// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
+/// The floor under the noise of the accepted model. `left`: something remains that the model does not explain, so its residuals are no noise
 /// and only replicates tell the floor.
 pub fn noise_floor(
     system: &WhiskerSystem,

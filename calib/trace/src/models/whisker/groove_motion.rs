@@ -5,7 +5,7 @@
 //!
 //! `y - m_true = m(theta) - m(theta + f)` (moments), `x(theta + f) - x(theta)` (way of the stage), another wire (rod and friction).
 //!
-//! F is triangular with the values of the wire's effects first, so that only the first columns need another wire. What is left is the
+//! F is triangular with the values of the wire's effects first, so that only the first columns need another wire. The remainder is the
 //! reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
@@ -64,7 +64,7 @@ pub struct ReadingWithMotion {
     pub contact_segment: u32,
 }
 
-/// Largest share of the noise that is taken to be correlated: a reading always has some of its own.
+/// Largest share of the noise that is taken to be correlated: a reading always has some by itself.
 const MAX_CORRELATED: f64 = 0.98;
 
 /// A session through a calibration.

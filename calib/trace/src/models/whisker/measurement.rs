@@ -431,7 +431,7 @@ fn note_pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
         .collect()
 }
 
-/// What is left, where it is not beyond the model's own error.
+/// The residual, where it is not beyond the model's own error.
 fn note_model_error(found: &SearchResult) -> Option<String> {
     let test = &found.last_test;
     let driver = test
@@ -439,7 +439,7 @@ fn note_model_error(found: &SearchResult) -> Option<String> {
         .first()
         .filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
     Some(format!(
-        "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
+        "Within model error: what remains follows {} ({}) and is {:.1} % of the misfit.",
         driver.covariate,
         driver.shape,
         100.0 * driver.gain / found.best.fit.ssr

@@ -125,7 +125,7 @@ fn design_at(
 }
 
 /// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted. They come from a later
-/// session with a zero of its own, known from a rest reading before each. `seen`: by how much the pictures that are there separate them.
+/// session with its own zero, known from a rest reading before each. `seen`: by how much the pictures that are there separate them.
 fn separation(
     b: &Fit,
     present: &DMatrix<f64>,

@@ -8,7 +8,7 @@ use wcal_core::order_statistics::median;
 
 /// Stage positions nearer than this are one, mm (half a microstep of the finest stages).
 const SAME_MM: f64 = 5e-5;
-/// A reading with this many times the typical noise of its own averaging counts less.
+/// A reading with this many times the typical noise of averaging counts less.
 const FEW_SAMPLES: f64 = 10.0;
 /// Steps of recorded wavelengths that are looked for, pm, coarsest first; finer ones are far below any noise.
 const STEPS_PM: [f64; 6] = [1000.0, 100.0, 10.0, 1.0, 0.1, 0.01];

@@ -133,7 +133,7 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
     out
 }
 
-/// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
+/// Temperature of a reading, deg C: of its reference grating where there is one, else of the wire's sensor.
 fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
     row.reference_shift_pm
         .and_then(|shift_pm| fbg.rise_degc(shift_pm))
@@ -472,7 +472,7 @@ fn places(readings: &[Reading]) -> Vec<f64> {
     (0..readings.len()).map(of).collect()
 }
 
-/// A settled reading lies in a dwell: its arrival is a node of its own, and so is the end of its averaging window. Changing lines, the groove leaves the wire.
+/// A settled reading lies in a dwell: its arrival is a node, and so is the end of its averaging window. Changing lines, the groove leaves the wire.
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
     let places_mm = places(readings);
@@ -644,7 +644,7 @@ mod tests {
 
     #[test]
     fn passes_at_several_speeds_and_a_stage_moved_by_hand_are_left_alone() {
-        // Each reading is of a pass of its own, with the way back in between.
+        // Each reading belongs to a separate pass, with the way back in between.
         let passes = [
             (10.0, 1.0, 2.0),
             (20.0, 2.0, 8.0),

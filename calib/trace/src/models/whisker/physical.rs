@@ -59,7 +59,7 @@ pub struct PhysicalModel {
     pub coefficients: Vec<[f64; 2]>,
     /// Covariance of the coefficients, channel by channel, and of the nonlinear values after them.
     pub covariance: Vec<Vec<f64>>,
-    /// Standard deviation of a typical loaded reading at a pose set anew, pm.
+    /// Standard deviation of a typical loaded reading at a repeated pose, pm.
     pub noise_sd_pm: f64,
     /// The part of the readings' noise that is correlated in time (first-order Gauss-Markov process), for predictions; absent where it
     /// predicts no better.
@@ -76,7 +76,7 @@ pub struct PhysicalModel {
     pub readout_origin: ReadoutOrigin,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
-    /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
+    /// Seatings that the fit saw; each after the first has its own zero, and new readings belong to the last.
     #[serde(default = "one")]
     pub seatings: u32,
     /// Gratings.
@@ -219,7 +219,7 @@ impl PhysicalModel {
             columns += law.linear.len();
             values += a.values.len();
         }
-        // Each seating after the first has a column of its own: reject a mounting count inconsistent with the coefficients.
+        // Each seating after the first has its own column: reject a mounting count inconsistent with the coefficients.
         let count = self.coefficients.len();
         let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
         if seatings.is_none() {

@@ -65,7 +65,7 @@ pub(super) struct Pair {
     pub(super) stations_mm: Vec<f64>,
     /// From (groove, arc length, stations) to the observed values: the line is seen across only.
     pub(super) normals: Vec<[Vector3<f64>; 2]>,
-    /// Inverse Cholesky factor of its own errors.
+    /// Inverse Cholesky factor of the picture's own errors.
     pub(super) whitening: DMatrix<f64>,
     /// Variance of the groove's position, its own errors and shared ones, summed over the axes, mm^2.
     pub(super) groove_mm2: f64,

@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::order_statistics::{mad_sd, median};
 
-/// Fewest loaded readings from which a response can be told.
+/// Fewest loaded readings from which a response can be determined.
 const MIN_LOADED: usize = 9;
 /// A value farther than this many robust deviations from the median is clipped: a gross reading is no reason to miss a response.
 const CLIP: f64 = 8.0;
@@ -137,7 +137,7 @@ fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String
     })
 }
 
-/// p-value of the canonical correlations from number `from` on; none where it cannot be told.
+/// p-value of the canonical correlations from number `from` on; none where it cannot be determined.
 fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) -> Option<f64> {
     let y = directions(y);
     if y.len() <= from {

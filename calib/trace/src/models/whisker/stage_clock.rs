@@ -19,7 +19,7 @@ pub(super) const CLOCK_SD_S: f64 = 0.577_350_269_189_625_8 * MAX_CLOCK_S;
 /// Step of the derivative, s.
 const STEP_S: f64 = 1e-3;
 
-/// The alignment that `h` leaves in the readings, added to the system's own; the system's own where nothing more is told or it is no
+/// The alignment that `h` leaves in the readings, added to the system's own; the system's own where nothing more is known or it is no
 /// alignment. `lagged`: the explanation has a time lag, which takes up any alignment.
 pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
     let before_s = system.stage_clock_s();
@@ -38,7 +38,7 @@ pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged:
     }
 }
 
-/// Least-squares estimate of what is left, and its standard error, s.
+/// Least-squares estimate of what remains, and its standard error, s.
 fn residual_alignment(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
     let moved = system
         .clone()

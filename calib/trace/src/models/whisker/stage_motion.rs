@@ -140,7 +140,7 @@ fn speed(path: &WhiskerPath, k: usize) -> f64 {
     let slopes = neighbours
         .filter(|n| n.line == node.line && own(n) * v > 0.0 && n.t_s != node.t_s)
         .map(|n| (n.x_mm - node.x_mm) / (n.t_s - node.t_s));
-    // A reading on a ramp has a speed of its own: the neighbour's is another.
+    // A reading on a ramp has its own speed: the neighbour's is another.
     slopes
         .filter(|s| (s / v - 1.0).abs() < 2.0 * FITS)
         .min_by(|a, b| (a - v).abs().total_cmp(&(b - v).abs()))

@@ -56,7 +56,7 @@ const SMOOTH_SHARE: f64 = 0.03;
 const UNIT_RATIO: f64 = 5.0;
 /// A wire is not clamped worse than this about its own axis: labels that are turned further have other axes, deg.
 const TURNED_DEG: f64 = 10.0;
-/// Share of the least-squares agreement by which mirrored axes must beat turned ones; moments along one direction do not tell the two apart.
+/// Share of the least-squares agreement by which mirrored axes must beat turned ones; moments along one direction do not distinguish the two.
 const MIRRORED: f64 = 1.02;
 
 /// Checks every label of the session.

@@ -56,7 +56,7 @@ impl Drop for BinaryLine {
     fn drop(&mut self) {
         if let (Some((data, true)), false) = (self.speed, self.failed) {
             let deadline = Deadline::uninterruptible(REPLY);
-            // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
+            // Nobody remains to tell; a unit that does not hear it keeps the sweep's speed.
             let _ = self.once(
                 command::SET_TARGET_SPEED,
                 data,
@@ -309,8 +309,9 @@ impl BinaryLine {
                 Err(BinaryError::CommandFailure(failure)) => Message::from(failure),
                 Err(e) if e.is_timeout() => {
                     let SkippedMessages { others, own } = passed;
-                    let among =
-                        format!("none among {others} messages of other units and {own} of its own");
+                    let among = format!(
+                        "none among {others} messages of other units and {own} of this unit"
+                    );
                     let found = if *others + *own == 0 { "none" } else { &among };
                     return Err(deadline.error(&self.name, action, "a reply", found));
                 }

@@ -36,7 +36,7 @@ pub fn nonlinearity_quadratic() -> ScalarEffect {
 /// A term in the cube of the stimulus, about the middle of the range, or about zero (an odd response).
 ///
 /// ```text
-/// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has a coefficient of its own
+/// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has its own coefficient
 /// ```
 pub fn nonlinearity_cubic() -> ScalarEffect {
     let cube = |name| law(name).column("coefficient", "response/half-range^3");
@@ -73,7 +73,7 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
 
 /// A polynomial of a higher degree: the powers that the declared one lacks, all at once.
 ///
-/// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a finding of its own.
+/// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a separate finding.
 pub fn polynomial(declared: usize) -> ScalarEffect {
     const NAMES: [&str; MAX_DEGREE + 1] = [
         "", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8",
@@ -179,7 +179,7 @@ pub fn knee() -> ScalarEffect {
     }
 }
 
-/// Dead zone: near zero next to nothing of the slope is left (play or threshold, piecewise linear). A slope that is merely smaller there is a knee.
+/// Dead zone: near zero next to nothing of the slope remains (play or threshold, piecewise linear). A slope that is merely smaller there is a knee.
 pub fn dead_zone() -> ScalarEffect {
     let about_zero = law("about-zero")
         .needing(&[LawRequirement::Slope])

@@ -13,7 +13,7 @@ pub const ERROR_TABLE: &str = "error-table";
 
 /// The table at `places` (half ranges, rising); none where they are not repeated.
 pub fn error_table(places: &[f64]) -> ScalarEffect {
-    // At least two, so that the catalogue can be told without a session.
+    // At least two, so that the catalogue can be listed without a session.
     let count = places.len().max(2);
     // The first place's deviation is the declared constant.
     let deviations =

@@ -37,7 +37,7 @@ pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f
     out
 }
 
-/// Relative standard deviation of what is left of a relaxation at the first reading after the stimulus jumped, at a moment between two readings that
+/// Relative standard deviation of what remains of a relaxation at the first reading after the stimulus jumped, at a moment between two readings that
 /// nothing tells (all alike: m from 0 to 1, `e^{m x}`, `x` the interval in time constants). The stimulus jumps where it is held before and after;
 /// the largest jump counts. 0 where it moves evenly.
 pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
@@ -152,7 +152,7 @@ mod tests {
         assert!((delayed(&time, &time, 3.25, true)[0] + 3.25).abs() < 1e-12);
     }
 
-    /// Another state at the first reading is a column of its own: r' = (u - r) / tau is linear.
+    /// Another state at the first reading is one more column: r' = (u - r) / tau is linear.
     #[test]
     fn the_first_state_dies_away_with_the_time_constant() {
         let time: Vec<f64> = (0..50).map(f64::from).collect();

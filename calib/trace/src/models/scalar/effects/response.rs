@@ -85,7 +85,7 @@ pub fn step() -> ScalarEffect {
         waves_of_stimulus: &["over-stimulus"],
         columns: |values, frame| {
             let (place, along) = (values.of("place"), values.law() == "over-stimulus");
-            // A count that starts again has a law of its own; in one series the clock is the stimulus.
+            // A count that starts again has its own law; in one series the clock is the stimulus.
             let other = if along { !frame.scaling.wraps.is_empty() } else { !frame.ordered || frame.swept_once() };
             if other && !frame.new_rows {
                 return None;

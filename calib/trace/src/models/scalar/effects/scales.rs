@@ -19,7 +19,7 @@ fn logarithms(values: &[f64]) -> Option<Vec<f64>> {
     (low > 0.0 && high > MIN_RATIO * low).then(|| sizes.iter().map(|v| v.ln()).collect())
 }
 
-/// Whether the response is straighter on a logarithmic scale of its own (true), or over the logarithm of the stimulus (false).
+/// Whether the response is straighter on its own logarithmic scale (true), or over the logarithm of the stimulus (false).
 fn straighter(frame: &Frame, of_response: bool) -> bool {
     let (x, y): (Vec<f64>, Vec<f64>) = frame.rows.iter().map(|r| (r.x, r.y)).unzip();
     let plain = correlation(&x, &y).abs();

@@ -7,7 +7,7 @@ use crate::scalar::stimulus_scale::times_wrapped;
 /// Identifier of the zeros of series.
 pub const ZERO_BY_SERIES: &str = "zero-by-series";
 
-/// Every series (mounting, cycle) has a zero of its own (ISO 376: X - X0 of each series): sum-to-zero contrasts, so that the constant is the mean zero.
+/// Every series (mounting, cycle) has its own zero (ISO 376: X - X0 of each series): sum-to-zero contrasts, so that the constant is the mean zero.
 /// Nothing is known of the zero of another series.
 pub fn zero_by_series(count: usize) -> ScalarEffect {
     let shifts = (1..count.max(2)).fold(law("one-each"), |l, _| l.column("zero_shift", "response"));
@@ -38,7 +38,7 @@ pub fn zero_by_series(count: usize) -> ScalarEffect {
         },
         ..ScalarEffect::new(
             ZERO_BY_SERIES,
-            "Each series has a zero of its own: subtract the zero reading of its series from a reading.",
+            "Each series has its own zero: subtract the zero reading of its series from a reading.",
             vec![shifts],
         )
     }

@@ -155,7 +155,7 @@ pub fn hysteresis() -> WhiskerEffect {
             .amplitude("loop_nmm", "N mm", size, 0.01)
             .shape("width_nmm", "N mm", width, grid)
     };
-    // A stack of plays whose widths cover what a bond shows, each with a size of its own.
+    // A stack of plays whose widths cover what a bond shows, each with its own size.
     let stack = ["play_1_nmm", "play_2_nmm", "play_3_nmm", "play_4_nmm"]
         .into_iter()
         .fold(law("prandtl-ishlinskii"), |stack, name| {

@@ -1,11 +1,13 @@
-//! The tracker on the groove under noise as instruments make it (SIMULATED): for each kind of noise of the plant, sessions without an effect,
-//! `verify`'s own fit, and the held-out trajectories tracked along the stage's way; how far from the groove, compared with the Cramer-Rao bound.
+//! The tracker on the groove under noise as instruments make it (SIMULATED): for each kind of noise
+//! of the plant, sessions without an effect, `verify`'s own fit, and the held-out trajectories
+//! tracked along the stage's way; how far from the groove, compared with the Cramer-Rao bound.
 //!
 //! `cargo run --release --example groove_noise -- [--draws N] [--seed S] [--noise KIND] [--design paper|rich|repeats|...] [--each]`
 //!
-//! A trajectory counts once: its readings share one error. Error and bound are RMS over trajectories; "held" are the 95 % regions, with the
-//! Clopper-Pearson interval of their share. "doubted" are trajectories on which moments and motion disagree (`motion-disagrees`).
-//! `--each` prints every trajectory.
+//! A trajectory counts once: its readings share one error. Error and bound are RMS over
+//! trajectories; "held" are the 95 % regions, with the Clopper-Pearson interval of their share.
+//! "doubted" are trajectories on which moments and motion disagree (`motion-disagrees`). `--each`
+//! prints every trajectory.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

@@ -49,7 +49,8 @@ const WORDS: [(&str, &[&str]); 4] = [
     ),
 ];
 
-/// Words of a column that holds corrections, deviations or errors of another quantity; a difference is measured as such (a pressure `delta_p`).
+/// Words of a column that holds corrections, deviations or errors of another quantity; a difference
+/// is measured as such (a pressure `delta_p`).
 const DEVIATIONS: [&str; 9] = [
     "correction",
     "corr",

@@ -46,8 +46,9 @@ macro_rules! recording {
     };
 }
 
-/// First what it is all for: an effect that nobody declared, found, added, and the contacts before and after. Then what was measured: explanations
-/// that another measurement refutes, and an effect that halves the held-out error and more. Last a bench with nothing to find.
+/// First what it is all for: an effect that nobody declared, found, added, and the contacts before
+/// and after. Then what was measured: explanations that another measurement refutes, and an effect
+/// that halves the held-out error and more. Last a bench with nothing to find.
 const RECORDINGS: &[Recording] = &[
     recording!(
         "bench-clamp",
@@ -153,7 +154,8 @@ fn write_session(place: &Path, r: &Recording) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
-/// The contacts of the measured sweep, through the map of the 27 measured poses: as anybody would make them, by the program's own commands.
+/// The contacts of the measured sweep, through the map of the 27 measured poses: as anybody would
+/// make them, by the program's own commands.
 fn track_bottle(place: &Path, run_words: RunWords) -> anyhow::Result<()> {
     let at = |name: &str| place.join(name).display().to_string();
     let (session, map, sweep) = (

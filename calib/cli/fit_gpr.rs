@@ -176,7 +176,8 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(if matters { 3 } else { 0 }))
 }
 
-/// Calibration and rest rows with their labels; readings of one pose share a group, and so do all rest readings.
+/// Calibration and rest rows with their labels; readings of one pose share a group, and so do all
+/// rest readings.
 pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, Vec<i64>) {
     let mut out = MapTraining::default();
     let mut unlabelled = Vec::new();
@@ -217,7 +218,8 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
     (out, unlabelled)
 }
 
-/// Trajectory and place on it to 1 um; none at rest. A row without stage position is its own pose (by point).
+/// Trajectory and place on it to 1 um; none at rest. A row without stage position is its own pose
+/// (by point).
 fn pose_of(row: &WhiskerRow) -> Option<(u32, i64)> {
     let trajectory = row.trajectory.filter(|_| row.role != Role::Rest)?;
     Some((

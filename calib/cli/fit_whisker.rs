@@ -1,15 +1,20 @@
-//! `wcal fit-whisker`: the whisker's rest geometry from measured shapes, and its stiffness where moments are known.
+//! `wcal fit-whisker`: the whisker's rest geometry from measured shapes, and its stiffness where
+//! moments are known.
 //!
 //! `whisker.toml` (`format = "wcal-whisker/1"`):
-//! - `[whisker]`: the keys of session.toml's table: `diameter_mm` (nominal), `length_mm`, then `straight_mm`, `arc_radius_mm` or, of a
-//!   wire of free curvature, `rest_shape` (points, mm), and with `--moments` `youngs_gpa`, `shear_gpa` (in the nominal ratio). `wcal
-//!   simulate --whisker` reads these.
-//! - `[curvature]`, of a wire of free curvature: `s_mm` (places), `bend_y_per_mm`, `bend_z_per_mm` (about the base's y and z where the
-//!   wire leaves the clamp, linear between the places) and their sds; `[[rest_models]]`: `model`, `unknowns`, `bic` of all that were tried.
+//! - `[whisker]`: the keys of session.toml's table: `diameter_mm` (nominal), `length_mm`, then
+//!   `straight_mm`, `arc_radius_mm` or, of a wire of free curvature, `rest_shape` (points, mm), and
+//!   with `--moments` `youngs_gpa`, `shear_gpa` (in the nominal ratio). `wcal simulate --whisker`
+//!   reads these.
+//! - `[curvature]`, of a wire of free curvature: `s_mm` (places), `bend_y_per_mm`, `bend_z_per_mm`
+//!   (about the base's y and z where the wire leaves the clamp, linear between the places) and
+//!   their sds; `[[rest_models]]`: `model`, `unknowns`, `bic` of all that were tried.
 //! - `[root]`: the clamp in the base frame: `turn_rad` (rotation vector), `offset_mm`.
-//! - `[stiffness]`, with `--moments`: `youngs_gpa`, `sd_gpa`, `sd_by_geometry_gpa` (its part), `points`, `rms_nmm`, `left_out`.
-//! - `[fit]`: `parameters` (names, in the order of what follows), `sd`, `covariance`, `covariance_shared` (the part from errors common to
-//!   all shapes), `rms_mm`, `rms_over_sd` (residuals over the stated sd), `warnings`; `[[fit.shapes]]`: `name`, `rms_mm`, `largest_mm`,
+//! - `[stiffness]`, with `--moments`: `youngs_gpa`, `sd_gpa`, `sd_by_geometry_gpa` (its part),
+//!   `points`, `rms_nmm`, `left_out`.
+//! - `[fit]`: `parameters` (names, in the order of what follows), `sd`, `covariance`,
+//!   `covariance_shared` (the part from errors common to all shapes), `rms_mm`, `rms_over_sd`
+//!   (residuals over the stated sd), `warnings`; `[[fit.shapes]]`: `name`, `rms_mm`, `largest_mm`,
 //!   `largest_at_mm` (arc length).
 //! - `[provenance]`: `program`, `command`, `created`, `inputs` with their SHA-256.
 
@@ -42,7 +47,8 @@ use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::{MeasuredShape, RestFit, fit_rest};
 use wcal_vision::rig::{Rig, RigWhisker};
 
-/// Residual over stated deviation past which straight part, arc and frictionless groove do not describe the lines.
+/// Residual over stated deviation past which straight part, arc and frictionless groove do not
+/// describe the lines.
 const DOUBTFUL: f64 = 3.0;
 
 /// Arguments of `wcal fit-whisker`.
@@ -94,7 +100,8 @@ pub enum RestChoice {
 /// Format tag of `whisker.toml`.
 pub const FORMAT: &str = "wcal-whisker/1";
 
-/// Numbers of shapes.json: places and lengths of a wire, their standard deviations, and errors that are small beside them.
+/// Numbers of shapes.json: places and lengths of a wire, their standard deviations, and errors that
+/// are small beside them.
 const RANGES: &[Range] = &[
     Range::whole("seed", 0.0, 1.9e19),
     Range::whole("point", -9e15, 9e15),

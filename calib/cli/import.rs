@@ -57,7 +57,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     files.session_toml = text;
     let own = files.tables.len();
     files.tables.extend(more);
-    // Every check on a copy first; what it says of a table of the session is said of the one that this was made of.
+    // Every check on a copy first; what it says of a table of the session is said of the one that
+    // this was made of.
     let trial = tempfile::tempdir().context("making a folder to check the session in")?;
     let source = |file: &str| {
         (0..own)

@@ -41,7 +41,8 @@ pub fn signal() -> Option<Signal> {
     INTERRUPT.get().and_then(Interrupt::signal)
 }
 
-/// Whether the process was started with this signal ignored (Linux: the mask in `/proc/self/status`, proc(5)).
+/// Whether the process was started with this signal ignored (Linux: the mask in
+/// `/proc/self/status`, proc(5)).
 fn is_ignored(signal: i32) -> bool {
     let status = wcal_core::files::read_text("/proc/self/status").unwrap_or_default();
     let mask = status

@@ -1,5 +1,5 @@
-//! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr. What is public beside [`main`] is what
-//! `wcal-lab` shares with it.
+//! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
+//! What is public beside [`main`] is what `wcal-lab` shares with it.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -45,7 +45,8 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use wcal_core::text::{brief, printable};
 
-/// Calibrates whisker touch sensors, and any instrument that gives a table of readings: finds what the model of it lacks.
+/// Calibrates whisker touch sensors, and any instrument that gives a table of readings: finds what
+/// the model of it lacks.
 #[derive(Debug, Parser)]
 #[command(name = "wcal", version, arg_required_else_help = true, after_help = START)]
 struct Cli {
@@ -138,8 +139,8 @@ pub fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 
-/// An error and its causes, each once: some say their cause themselves. Messages are short where they are made; what a library says of a file
-/// is cut here at the latest.
+/// An error and its causes, each once: some say their cause themselves. Messages are short where
+/// they are made; what a library says of a file is cut here at the latest.
 fn with_causes(error: &anyhow::Error) -> String {
     /// Longest message, characters.
     const LONGEST: usize = 1500;
@@ -159,7 +160,8 @@ fn with_causes(error: &anyhow::Error) -> String {
     }
 }
 
-/// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.
+/// The command line with its help in whole paragraphs: the terminal's width breaks them, not the
+/// source's.
 fn command() -> clap::Command {
     in_paragraphs(Cli::command())
 }

@@ -1,14 +1,17 @@
 //! Where a result goes: one rule for every `--out`.
 //!
 //! - What does not exist, or is empty, is made.
-//! - What the same command wrote before of the same session is replaced whole: a file that the new result does not have does not stay.
-//! - Anything else is refused, before anything is computed. With `--force` the result is written there all the same: files of the
-//!   result's names are replaced, files of other names stay.
+//! - What the same command wrote before of the same session is replaced whole: a file that the new
+//!   result does not have does not stay.
+//! - Anything else is refused, before anything is computed. With `--force` the result is written
+//!   there all the same: files of the result's names are replaced, files of other names stay.
 //!
-//! A result is collected in memory and reaches the disk when it is complete. Every file goes into a hidden folder inside the output folder
-//! first; then the earlier files go, the command's document first, and the new ones are renamed into their places, the document last: where
-//! the document lies, the whole result does. The output folder itself stays the same one, so that a shell inside it, or a mount, is not cut
-//! off. Commands that go on where they stopped write in place and use the check alone ([`ResultKind::check`]).
+//! A result is collected in memory and reaches the disk when it is complete. Every file goes into a
+//! hidden folder inside the output folder first; then the earlier files go, the command's document
+//! first, and the new ones are renamed into their places, the document last: where the document
+//! lies, the whole result does. The output folder itself stays the same one, so that a shell inside
+//! it, or a mount, is not cut off. Commands that go on where they stopped write in place and use
+//! the check alone ([`ResultKind::check`]).
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
@@ -30,7 +33,8 @@ pub struct Overwrite {
     pub force: bool,
 }
 
-/// How an earlier result of a command is distinguished from other files. In names one `*` stands for any text.
+/// How an earlier result of a command is distinguished from other files. In names one `*` stands
+/// for any text.
 #[derive(Debug, Clone, Copy)]
 pub struct ResultKind<'a> {
     /// Name of the command.
@@ -49,7 +53,8 @@ pub struct ResultKind<'a> {
     pub made_of: fn(&Path) -> Option<String>,
 }
 
-/// [`ResultKind::made_of`] of commands whose results name no session: pictures, or a dataset whose own recipe is compared.
+/// [`ResultKind::made_of`] of commands whose results name no session: pictures, or a dataset whose
+/// own recipe is compared.
 pub fn unsaid(_: &Path) -> Option<String> {
     None
 }
@@ -221,7 +226,8 @@ impl<'a> OutputFolder<'a> {
     /// Brings the result into the folder in place of the earlier one.
     ///
     /// # Errors
-    /// When the disk does not take it; before the first file is replaced in every case but a failed rename.
+    /// When the disk does not take it; before the first file is replaced in every case but a failed
+    /// rename.
     pub fn finish(mut self) -> Result<()> {
         let folder = self.folder.as_path();
         let fail = |doing: &str| format!("{doing} {}", folder.display());
@@ -257,7 +263,8 @@ impl<'a> OutputFolder<'a> {
     }
 }
 
-/// Refuses a `--out FILE` that is neither new, nor empty, nor a table of the same command, recognised by its first line.
+/// Refuses a `--out FILE` that is neither new, nor empty, nor a table of the same command,
+/// recognised by its first line.
 ///
 /// # Errors
 /// Where something else is there without `force`, or nothing can be written.

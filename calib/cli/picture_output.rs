@@ -14,7 +14,8 @@ pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf>
     Ok(path)
 }
 
-/// Program, command line, time, the hashes of the files read, and whether one of them is simulated. A file that cannot be read is rejected elsewhere, with its reason.
+/// Program, command line, time, the hashes of the files read, and whether one of them is simulated.
+/// A file that cannot be read is rejected elsewhere, with its reason.
 pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
     let files: Vec<&Path> = files.into_iter().collect();
     let hash = |path: &Path| {

@@ -1,7 +1,9 @@
-//! Which effects a plan can distinguish, before anything is measured: the second half of `wcal stage-sweep --dry-run`.
+//! Which effects a plan can distinguish, before anything is measured: the second half of
+//! `wcal stage-sweep --dry-run`.
 //!
-//! It needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never distinguished here cannot
-//! be distinguished by any number of repetitions.
+//! It needs no data: the readings that a typical sensor would give at the planned poses are made
+//! from the rod. What is never distinguished here cannot be distinguished by any number of
+//! repetitions.
 
 use anyhow::{Context, Result, bail, ensure};
 use std::fmt::Write as _;
@@ -12,7 +14,8 @@ use wcal_core::{SessionData, WhiskerData};
 use wcal_session::load;
 use wcal_trace::whisker::plan_check::plan_check;
 
-/// What the readings of a grating determine before any effect: the sensitivity to two moments, and a zero.
+/// What the readings of a grating determine before any effect: the sensitivity to two moments, and
+/// a zero.
 const UNKNOWNS: usize = 3;
 
 /// What the steps of a plan on a rig can show.
@@ -34,7 +37,8 @@ pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
 /// Time to turn the mount, s, and between poses at the least.
 const TURN_S: f64 = 10.0;
 
-/// The session that the plan would record, without readings: by the session reader itself, so that rig and poses are checked as a session's.
+/// The session that the plan would record, without readings: by the session reader itself, so that
+/// rig and poses are checked as a session's.
 fn planned_session(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<WhiskerData> {
     let folder = tempfile::tempdir().context("making a folder for the planned session")?;
     std::fs::write(folder.path().join("session.toml"), session_toml(rig, plan)?)?;
@@ -84,7 +88,8 @@ fn points(steps: &[Step], rig: &Rig) -> Result<String> {
     let mut out =
         "point,role,trajectory,t_s,stage_mm,direction,speed_mm_s,dwell_s,groove_x_mm,groove_y_mm,groove_z_mm,fbg_1_shift_nm,fbg_2_shift_nm,temperature_degc\n"
             .to_owned();
-    // A reference grating or sensor sees the room drift and come back, from its own zero; how much does not matter here.
+    // A reference grating or sensor sees the room drift and come back, from its own zero; how much
+    // does not matter here.
     let thermometer = rig.grating("fbg_ref").is_some();
     let temperature = |point: f64| {
         let drift_degc = 0.1 * (std::f64::consts::PI * point / steps.len() as f64).sin();

@@ -33,7 +33,8 @@ pub struct PredictArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Exit with 0 although the calibration does not vouch for the result, and write although --out is another file
+    /// Exit with 0 although the calibration does not vouch for the result, and write although --out
+    /// is another file
     #[arg(long)]
     pub force: bool,
     /// Print a summary as JSON on stdout

@@ -1,7 +1,8 @@
 //! What the commands print: `println!` and its siblings, for every file of the program.
 //!
-//! A reader that has seen enough (`wcal ... | head`) closes the pipe. What remains to print is dropped then, and the command goes on: its result lies in
-//! files, and a stage that moves must be brought to rest. A full disk is no such reader: the program says so at its end.
+//! A reader that has seen enough (`wcal ... | head`) closes the pipe. What remains to print is
+//! dropped then, and the command goes on: its result lies in files, and a stage that moves must be
+//! brought to rest. A full disk is no such reader: the program says so at its end.
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, Write};

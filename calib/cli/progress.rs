@@ -1,5 +1,5 @@
-//! Progress on stderr for whatever takes over two seconds: stage, part done, time left. Redrawn in place on a terminal, plain lines
-//! elsewhere; never on stdout.
+//! Progress on stderr for whatever takes over two seconds: stage, part done, time left. Redrawn in
+//! place on a terminal, plain lines elsewhere; never on stdout.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
@@ -30,7 +30,8 @@ struct State {
     steps: usize,
 }
 
-/// Shows where a piece of work is until it is dropped. Shared by reference or clone of its `Reporter` among threads.
+/// Shows where a piece of work is until it is dropped. Shared by reference or clone of its
+/// `Reporter` among threads.
 pub struct Progress {
     reporter: Reporter,
     stop: Option<Sender<()>>,
@@ -55,8 +56,8 @@ impl Reporter {
         );
     }
 
-    /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than before begins to count anew; threads may
-    /// report a little out of order.
+    /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than
+    /// before begins to count anew; threads may report a little out of order.
     pub fn at(&self, stage: &str, done: f64) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.done.is_none_or(|before| done < 0.5 * before) {

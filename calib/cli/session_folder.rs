@@ -97,7 +97,8 @@ fn target(table: &Path) -> String {
     }
 }
 
-/// Whether two columns are one length, as commanded and as measured: both in mm, with a slope of 1 to a twentieth.
+/// Whether two columns are one length, as commanded and as measured: both in mm, with a slope of 1
+/// to a twentieth.
 fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
     let in_mm = |name: &str| {
         name.split(|c: char| !c.is_alphanumeric())
@@ -114,7 +115,8 @@ fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
     names.into_iter().all(in_mm) && (product(1) / product(0) - 1.0).abs() < 0.05
 }
 
-/// The command that imports a table with this header and these rows; what they do not state is written in capitals.
+/// The command that imports a table with this header and these rows; what they do not state is
+/// written in capitals.
 fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
     let separator = ['\t', ';', ',']
         .into_iter()

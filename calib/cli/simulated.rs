@@ -5,8 +5,8 @@ use std::path::Path;
 /// A file of this name marks what lies in its folder and in the folders one level below.
 const MARKER: &str = "SIMULATED";
 
-/// Whether a file is marked as simulated: by itself (JSON of this program), by the session that it belongs to, or by a file
-/// named SIMULATED in its folder or the one above.
+/// Whether a file is marked as simulated: by itself (JSON of this program), by the session that it
+/// belongs to, or by a file named SIMULATED in its folder or the one above.
 pub fn is_simulated(path: &Path) -> bool {
     // A folder stands for what lies in it.
     let own = if path.is_dir() {

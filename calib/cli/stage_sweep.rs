@@ -50,13 +50,15 @@ pub struct StageSweepArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
-    /// Use a scenario's virtual bench in this process instead of the rig's devices, faster than real time; without cameras
+    /// Use a scenario's virtual bench in this process instead of the rig's devices, faster than
+    /// real time; without cameras
     #[arg(long, value_name = "S.toml", conflicts_with = "bench")]
     pub scenario: Option<PathBuf>,
     /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]
     pub home: bool,
-    /// Check limits and print how long it takes, and what the plan can show of each effect, without moving
+    /// Check limits and print how long it takes, and what the plan can show of each effect, without
+    /// moving
     #[arg(long)]
     pub dry_run: bool,
     /// Print the result as JSON on stdout
@@ -67,7 +69,8 @@ pub struct StageSweepArgs {
 /// What the steps of a plan on a rig can show; an error where that cannot be said.
 pub type ShowsOfPlan = fn(&Rig, &Plan, &[Step]) -> Result<PlanCheck>;
 
-/// Runs a sweep; `shows` is asked by `--dry-run` alone. Exit codes: 0 good, 1 stopped by a fault (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
+/// Runs a sweep; `shows` is asked by `--dry-run` alone. Exit codes: 0 good, 1 stopped by a fault
+/// (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
@@ -156,7 +159,8 @@ pub fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<ExitCode> {
     Ok(ExitCode::from(recorded.exit_code()))
 }
 
-/// Now, to the microsecond: the session's identifier is made of it, and two sessions of one second have different ones.
+/// Now, to the microsecond: the session's identifier is made of it, and two sessions of one second
+/// have different ones.
 fn created() -> String {
     jiff::Timestamp::now()
         .strftime("%Y-%m-%dT%H:%M:%S%.6fZ")

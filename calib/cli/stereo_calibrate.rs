@@ -34,13 +34,15 @@ pub struct StereoCalibrateArgs {
     pub left: String,
     /// Right pictures, paired with the left ones by the number in their names
     pub right: String,
-    /// Inner corners, columns x rows (for an AprilGrid: upright tags, numbered row by row from the lower left as Kalibr does)
+    /// Inner corners, columns x rows (for an AprilGrid: upright tags, numbered row by row from the
+    /// lower left as Kalibr does)
     #[arg(long, value_name = "CxR", value_parser = board_size)]
     pub board: BoardSize,
     /// Side of a square, mm (for an AprilGrid: of a tag)
     #[arg(long, value_name = "MM")]
     pub square_mm: f64,
-    /// What is on the board: charuco-legacy is laid out as before OpenCV 4.6; the tags of an aprilgrid are numbered as Kalibr's, or else as the name says
+    /// What is on the board: charuco-legacy is laid out as before OpenCV 4.6; the tags of an
+    /// aprilgrid are numbered as Kalibr's, or else as the name says
     #[arg(long, default_value = "chessboard", value_parser = PossibleValuesParser::new(patterns()))]
     pub pattern: String,
     /// Side of a marker, mm (ChArUco); gap between tags, mm (AprilGrid)
@@ -49,10 +51,12 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// Number of the first tag (AprilGrid); where the pictures show another row of numbers they are taken, and said
+    /// Number of the first tag (AprilGrid); where the pictures show another row of numbers they are
+    /// taken, and said
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub first_tag: u32,
-    /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for wide fields, also of more than 180 degrees
+    /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones,
+    /// fisheye (Kannala-Brandt, equidistant) for wide fields, also of more than 180 degrees
     #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
     pub lens: String,
     /// Folder for stereo.json and its exports
@@ -94,7 +98,8 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// Smallest side of a square, mm; other programs ask for metres.
 const MIN_SQUARE_MM: f64 = 0.5;
 
-/// Distance of Kalibr's camera from the calibrated one that matters: corners are good to less than this, px.
+/// Distance of Kalibr's camera from the calibrated one that matters: corners are good to less than
+/// this, px.
 const KALIBR_APART_PX: f64 = 0.5;
 
 /// Runs the command: 0, or 3 where views were left out or warnings matter.

@@ -128,7 +128,8 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
 }
 
-/// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.
+/// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns
+/// whether rows may be written.
 fn trusted(args: &TrackArgs, checked: &[WhiskerModel<'_>]) -> bool {
     for one in checked {
         let whose = if one.name.is_empty() {
@@ -171,7 +172,8 @@ fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tra
     Ok(trackers)
 }
 
-/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
+/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name
+/// among several, or empty.
 fn say_calibration(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
     let whose = if whisker.is_empty() {
         String::new()

@@ -58,22 +58,27 @@ pub struct VerifyArgs {
     /// Independent test data, not used in the fit: another session, or a table
     #[arg(long, value_name = "SESSION-or-CSV")]
     pub holdout: Option<PathBuf>,
-    /// A later session of the same sensor, fitted together with this one (separate zero offset per mounting); may be repeated
+    /// A later session of the same sensor, fitted together with this one (separate zero offset per
+    /// mounting); may be repeated
     #[arg(long, value_name = "SESSION")]
     pub add: Vec<PathBuf>,
     /// Accept this explanation (effects separated by commas) although others remain
     #[arg(long, value_name = "ID", value_delimiter = ',')]
     pub accept: Vec<String>,
-    /// A calibration to judge on readings outside its fit: the holdout, or a whole other session. If it fails, a copy with status "failed" is written as judged-calibration.json
+    /// A calibration to judge on readings outside its fit: the holdout, or a whole other session.
+    /// If it fails, a copy with status "failed" is written as judged-calibration.json
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// A sweep of the same whisker over a known object (`wcal import --kind sweep`). Explanations that it refutes are rejected (kind whisker)
+    /// A sweep of the same whisker over a known object (`wcal import --kind sweep`). Explanations
+    /// that it refutes are rejected (kind whisker)
     #[arg(long, value_name = "SWEEP")]
     pub sweep: Option<PathBuf>,
-    /// Only look at the session: what it holds, what it lacks, what looks wrong. Exit code 0: fit for use; 3: usable, with warnings; 1: not usable
+    /// Only look at the session: what it holds, what it lacks, what looks wrong. Exit code 0: fit
+    /// for use; 3: usable, with warnings; 1: not usable
     #[arg(long, conflicts_with_all = ["add", "accept", "calibration", "sweep"])]
     pub check: bool,
-    /// Folder for verify.json, predictions.csv, report.html and calibration.json [default: SESSION-verified, beside the session]
+    /// Folder for verify.json, predictions.csv, report.html and calibration.json [default:
+    /// SESSION-verified, beside the session]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Overwrite unrelated files
@@ -87,7 +92,8 @@ pub struct VerifyArgs {
     pub seed: u64,
 }
 
-/// What `verify` leaves; `unsealed.json` outlives it, so that a second look at a holdout is known as one.
+/// What `verify` leaves; `unsealed.json` outlives it, so that a second look at a holdout is known
+/// as one.
 pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
@@ -184,8 +190,9 @@ fn beside(session: &Path) -> anyhow::Result<PathBuf> {
     Ok(named.with_file_name(verified))
 }
 
-/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result of the same session. A session
-/// whose identifier cannot be read gets none: it would stand in the way of the next one there.
+/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of
+/// an earlier result of the same session. A session whose identifier cannot be read gets none: it
+/// would stand in the way of the next one there.
 fn refuse_unusable(
     args: &VerifyArgs,
     mut out: OutputFolder<'_>,
@@ -222,7 +229,8 @@ fn refuse_unusable(
     }
 }
 
-/// Exit code of a result, and where it is not 0 why and what to do; `doubtful` where the session was read with warnings.
+/// Exit code of a result, and where it is not 0 why and what to do; `doubtful` where the session
+/// was read with warnings.
 fn exit_code(verify: &VerifyDocument, doubtful: bool) -> (u8, &'static str) {
     match verify.verdict {
         Verdict::Refused => (1, "the data cannot be used; correct what the reason names"),
@@ -289,8 +297,8 @@ pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyRequest {
     }
 }
 
-/// Runs the loop and gathers every result; shared with `demo`. `given`: a calibration to be judged; `sweep`: folder of a sweep that judges the
-/// explanations.
+/// Runs the loop and gathers every result; shared with `demo`. `given`: a calibration to be judged;
+/// `sweep`: folder of a sweep that judges the explanations.
 pub fn verify_session(
     mut session: LoadedSession,
     out: &mut OutputFolder<'_>,
@@ -458,8 +466,9 @@ fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     )?)
 }
 
-/// Contacts in the groove: by the calibrations of the others on each trajectory in turn, and by the calibration itself on the sealed ones. What it says of
-/// contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
+/// Contacts in the groove: by the calibrations of the others on each trajectory in turn, and by the
+/// calibration itself on the sealed ones. What it says of contacts comes from the readings that it
+/// was fitted to; the sealed ones show whether it is true.
 fn contacts(
     done: &WhiskerVerification,
     has_sealed: bool,
@@ -528,7 +537,8 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
     }
 }
 
-/// Days for which a calibration is valid; afterwards `predict` and `track` refuse it. A year, as for other transducers.
+/// Days for which a calibration is valid; afterwards `predict` and `track` refuse it. A year, as
+/// for other transducers.
 const VALID_DAYS: i64 = 365;
 
 /// Last moment of validity, RFC 3339.

@@ -44,7 +44,8 @@ pub(crate) fn load(path: &Path) -> Result<(Scenario, Box<dyn Plant>)> {
     Ok((scenario, Box::new(plant)))
 }
 
-/// Prints one JSON line of addresses, then obeys fault commands from its input until that closes. Exit code 3: the bench fell behind.
+/// Prints one JSON line of addresses, then obeys fault commands from its input until that closes.
+/// Exit code 3: the bench fell behind.
 ///
 /// # Errors
 /// When the scenario cannot be used or a port cannot be opened.
@@ -71,7 +72,8 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
             Err(e) => eprintln!("virtual-bench: {e}"),
         }
     }
-    // In the background its input is closed or empty from the start: the bench would be gone without a word.
+    // In the background its input is closed or empty from the start: the bench would be gone
+    // without a word.
     if !std::io::stdin().is_terminal() {
         eprintln!(
             "virtual-bench: its input closed, so it ends; without a terminal keep its input open: sleep infinity | wcal virtual-bench ..."
@@ -91,7 +93,8 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
 /// Chebyshev points a piece of a table.
 const NODES: usize = 14;
 
-/// The examiner's large-deflection rod behind the virtual sensor: it shares no code with the fitter.
+/// The examiner's large-deflection rod behind the virtual sensor: it shares no code with the
+/// fitter.
 struct RodPlant {
     tables: Vec<(u32, Table)>,
     scene: Arc<BenchScene>,

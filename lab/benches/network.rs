@@ -1,6 +1,8 @@
-//! A row of a stream through the network alone, on one core: the paper's sizes (1.2 million weights) and the shipped models. SIMULATED inputs.
+//! A row of a stream through the network alone, on one core: the paper's sizes (1.2 million
+//! weights) and the shipped models. SIMULATED inputs.
 //!
-//! `cargo bench -p wcal-lab --bench network`: at the paper's 10 rows a second a whisker needs 0.1 s a row; the goal is 1 ms.
+//! `cargo bench -p wcal-lab --bench network`: at the paper's 10 rows a second a whisker needs 0.1 s
+//! a row; the goal is 1 ms.
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,

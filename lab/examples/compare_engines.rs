@@ -1,5 +1,6 @@
-//! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]` prints statics at 10 to 80 links and the difference on
-//! the same sweeps against the speed (SIMULATED); FOLDER keeps the convex parts. Needs wcal-mujoco in its folder or in WCAL_MUJOCO.
+//! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]` prints
+//! statics at 10 to 80 links and the difference on the same sweeps against the speed (SIMULATED);
+//! FOLDER keeps the convex parts. Needs wcal-mujoco in its folder or in WCAL_MUJOCO.
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use wcal_core::observation::WhiskerSpec;

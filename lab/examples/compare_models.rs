@@ -1,9 +1,12 @@
-//! Models of one split on the same sweeps (SIMULATED): `compare_models MESHES OBJECTS SWEEPS_EACH SEED MODEL...`
+//! Models of one split on the same sweeps (SIMULATED):
+//! `compare_models MESHES OBJECTS SWEEPS_EACH SEED MODEL...`
 //!
-//! Sweeps over the first objects that the models were trained on and the first that they never saw, drawn anew: no model was trained on one of
-//! them. Three kinds, as `wcal-lab evaluate` has them: random turns; upright in four faces, without jumps; and another wire (straight part
-//! -0.1 mm, radius +0.15 mm, Young's modulus -1.5 %) with friction 0.05 to 0.25, weight and the drag of air, its moments without error.
-//! Prints the RMSE from the surface, mean over objects with its 95 % interval, mm, and the share of 90 % regions that hold the true contact.
+//! Sweeps over the first objects that the models were trained on and the first that they never saw,
+//! drawn anew: no model was trained on one of them. Three kinds, as `wcal-lab evaluate` has them:
+//! random turns; upright in four faces, without jumps; and another wire (straight part -0.1 mm,
+//! radius +0.15 mm, Young's modulus -1.5 %) with friction 0.05 to 0.25, weight and the drag of air,
+//! its moments without error. Prints the RMSE from the surface, mean over objects with its 95 %
+//! interval, mm, and the share of 90 % regions that hold the true contact.
 #![allow(missing_docs, clippy::print_stdout, reason = "an example")]
 
 use std::collections::BTreeMap;

@@ -1,7 +1,9 @@
-//! Time of a training step and of a streamed token of the network, for `tests/peers/network_peers.py`.
+//! Time of a training step and of a streamed token of the network, for
+//! `tests/peers/network_peers.py`.
 //!
-//! `network_time DIR STEPS TOKENS`: writes `net.safetensors`, and `case.safetensors` with inputs, targets, bias, what comes out and the
-//! streamed answers, so that a peer can show that it is the same network; prints times as JSON. RAYON_NUM_THREADS says on how many threads.
+//! `network_time DIR STEPS TOKENS`: writes `net.safetensors`, and `case.safetensors` with inputs,
+//! targets, bias, what comes out and the streamed answers, so that a peer can show that it is the
+//! same network; prints times as JSON. RAYON_NUM_THREADS says on how many threads.
 #![allow(missing_docs, reason = "an example")]
 
 use burn::module::Module;
@@ -16,7 +18,8 @@ use wcal_lab::network::TrainableNet;
 use wcal_lab::network::attention_bias;
 use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, WhiskerNet};
 
-/// As in `wcal-lab`: a step's tensors are given back and asked for again, page by page, by the system's own allocator.
+/// As in `wcal-lab`: a step's tensors are given back and asked for again, page by page, by the
+/// system's own allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -1,7 +1,8 @@
 //! Time of a streamed row, and where it goes: inverse, filters, network, answer.
 //!
-//! `stream_time MODEL ROWS`: sweeps over built-in objects (SIMULATED), streamed row by row on one thread, with the base's speed known and not
-//! known; prints a table. Times are of the processor, so that who else computes on the machine counts little; the last column is the slowest of a
+//! `stream_time MODEL ROWS`: sweeps over built-in objects (SIMULATED), streamed row by row on one
+//! thread, with the base's speed known and not known; prints a table. Times are of the processor,
+//! so that who else computes on the machine counts little; the last column is the slowest of a
 //! hundred by the clock. Inverse and filters are timed by themselves on the same rows.
 #![allow(missing_docs, clippy::print_stdout, reason = "an example")]
 

@@ -1,5 +1,6 @@
-//! Sweeps a second and core by the rod engine: `sweep_rate SWEEPS [STL ...]`; built-in objects without files. Processor time of the
-//! thread is what counts; the last line is what the paper's set (78 objects, 200 sweeps each) would take.
+//! Sweeps a second and core by the rod engine: `sweep_rate SWEEPS [STL ...]`; built-in objects
+//! without files. Processor time of the thread is what counts; the last line is what the paper's
+//! set (78 objects, 200 sweeps each) would take.
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use std::collections::BTreeMap;

@@ -1,5 +1,5 @@
-//! Intervals of errors by bootstrap over whole sweeps and objects: samples of one sweep are no independent draws.
-//! The interval is the expanded percentile interval of [`wcal_core::bootstrap`].
+//! Intervals of errors by bootstrap over whole sweeps and objects: samples of one sweep are no
+//! independent draws. The interval is the expanded percentile interval of [`wcal_core::bootstrap`].
 
 use crate::evaluate::ObjectScores;
 use crate::score::{SquareSum, SweepSums};
@@ -12,14 +12,16 @@ const RESAMPLES: usize = 2000;
 /// Which error.
 pub type ErrorOf = fn(&SweepSums) -> SquareSum;
 
-/// 95 % interval of the RMSE over one object, mm: its sweeps are resampled; none with fewer than two.
+/// 95 % interval of the RMSE over one object, mm: its sweeps are resampled; none with fewer than
+/// two.
 pub fn object_interval95(sweeps: &[SweepSums], of: ErrorOf) -> Option<[f64; 2]> {
     let n = sweeps.len();
     interval95(n, |rng| resampled_rmse(sweeps, of, rng))
 }
 
-/// 95 % interval of the mean over objects of their RMSE, mm: whole objects are resampled (A. C. Davison, D. V. Hinkley, "Bootstrap Methods
-/// and their Application", 3.8); of one object its sweeps.
+/// 95 % interval of the mean over objects of their RMSE, mm: whole objects are resampled (A. C.
+/// Davison, D. V. Hinkley, "Bootstrap Methods and their Application", 3.8); of one object its
+/// sweeps.
 pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     if let [one] = rows {
         return object_interval95(&one.sweeps, of);
@@ -106,7 +108,8 @@ mod tests {
 
     #[test]
     fn sweeps_stay_whole() {
-        // Two sweeps, one good and one bad: every draw is one of three values, however many samples they have.
+        // Two sweeps, one good and one bad: every draw is one of three values, however many samples
+        // they have.
         let good = SweepSums {
             surface: SquareSum {
                 count: 1e6,

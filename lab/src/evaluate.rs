@@ -156,7 +156,8 @@ pub const SETTLING_MM: f64 = 2.0;
 /// Contact or not, at every sample: called and true.
 pub type Calls = Vec<(bool, bool)>;
 
-/// Errors of a series' estimates where there is contact, and whether the contact has been followed for a while.
+/// Errors of a series' estimates where there is contact, and whether the contact has been followed
+/// for a while.
 pub fn compare_with_truth(
     series: &SweepSeries,
     mesh: &Mesh,
@@ -183,7 +184,8 @@ pub fn compare_with_truth(
     (compared, calls)
 }
 
-/// Errors of the network's places with their stated spreads where there is contact, with the object's name.
+/// Errors of the network's places with their stated spreads where there is contact, with the
+/// object's name.
 pub fn held_out_regions(
     tracker: &Tracker,
     all_series: &[SweepSeries],

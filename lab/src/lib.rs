@@ -1,7 +1,9 @@
-//! What making, training and scoring a contact tracker takes, beside the program `wcal` that uses it. All data made here are SIMULATED.
+//! What making, training and scoring a contact tracker takes, beside the program `wcal` that uses
+//! it. All data made here are SIMULATED.
 //!
-//! In the order of the work: a [`dataset`] of sweeps, read as labelled [`sweep_series`] (or drawn on the spot, [`generate_sweeps`]); a [`network`]
-//! trained on them ([`train`]), with its spread and its card ([`train_model`], [`model_file`]); and its [`evaluation`] beside baselines
+//! In the order of the work: a [`dataset`] of sweeps, read as labelled [`sweep_series`] (or drawn
+//! on the spot, [`generate_sweeps`]); a [`network`] trained on them ([`train`]), with its spread
+//! and its card ([`train_model`], [`model_file`]); and its [`evaluation`] beside baselines
 //! ([`evaluate`], [`score`], [`bootstrap`]). [`commands`] are what a person types.
 
 #[macro_use]

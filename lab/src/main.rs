@@ -1,4 +1,5 @@
-//! The `wcal-lab` program: what makes, trains and judges what `wcal` uses. Results on stdout, progress and diagnostics on stderr.
+//! The `wcal-lab` program: what makes, trains and judges what `wcal` uses. Results on stdout,
+//! progress and diagnostics on stderr.
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
@@ -7,7 +8,8 @@ use wcal_lab::commands::{evaluate, exam, simulate, train};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Sweeps of the simulated whisker, the contact tracker trained on them, its scores, and the exam of `wcal verify`. All of it is SIMULATED.
+/// Sweeps of the simulated whisker, the contact tracker trained on them, its scores, and the exam
+/// of `wcal verify`. All of it is SIMULATED.
 #[derive(Debug, Parser)]
 #[command(name = "wcal-lab", version, arg_required_else_help = true)]
 struct Cli {

@@ -1,5 +1,5 @@
-//! What a training writes: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
-//! `wcal_track::model_file` reads what a tracker needs of it.
+//! What a training writes: `model.safetensors` with the weights and `model.json`, the card that
+//! says what it is and what made it. `wcal_track::model_file` reads what a tracker needs of it.
 
 use crate::LabError;
 use crate::network::TrainableNet;
@@ -51,10 +51,12 @@ pub struct Card {
     pub inverse: InverseGrid,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// Factors on the stated standard deviations, from objects that were held out: base's speed not known, and known.
+    /// Factors on the stated standard deviations, from objects that were held out: base's speed not
+    /// known, and known.
     pub sd_factors: [f64; 2],
-    /// The same as a bench has it: held-out objects under wires that are not quite the declared one, with friction, weight, noise, drift and
-    /// errors of the gains, by the network's own spread. A stream's regions are stated with them.
+    /// The same as a bench has it: held-out objects under wires that are not quite the declared
+    /// one, with friction, weight, noise, drift and errors of the gains, by the network's own
+    /// spread. A stream's regions are stated with them.
     pub sd_on_bench: [SdFactors; 2],
     /// How it was trained.
     pub training: TrainSettings,
@@ -64,15 +66,18 @@ pub struct Card {
     pub objects: Split,
     /// SHA-256 of what each object's sweeps follow from.
     pub data: BTreeMap<String, String>,
-    /// The same of each folder of other sweeps (friction, weight, ...) that were trained on as well.
+    /// The same of each folder of other sweeps (friction, weight, ...) that were trained on as
+    /// well.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub data_beside: Vec<BTreeMap<String, String>>,
     /// SHA-256 of the weights that the training began with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub began_with: Option<String>,
-    /// Sweeps over an object that were trained on: those from here on are kept for the evaluation of seen objects.
+    /// Sweeps over an object that were trained on: those from here on are kept for the evaluation
+    /// of seen objects.
     pub sweeps_trained: u64,
-    /// The command that made it, as it was typed; models of before 2026-11-25 have neither this nor the cost.
+    /// The command that made it, as it was typed; models of before 2026-11-25 have neither this nor
+    /// the cost.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub command: Vec<String>,
     /// What it took to make.
@@ -189,7 +194,8 @@ pub fn read_card(folder: &Path) -> Result<Card, LabError> {
     from_json(&text, FORMAT, &ranges).map_err(LabError::file("reading", &path))
 }
 
-/// Reads a model with its whole card; regions are stated with the factors of sweeps as it was trained on.
+/// Reads a model with its whole card; regions are stated with the factors of sweeps as it was
+/// trained on.
 ///
 /// # Errors
 /// Where a file is missing, truncated, of another version, or differs from the card.
@@ -200,7 +206,8 @@ pub fn load(folder: &Path) -> Result<(Tracker, Card), LabError> {
     Ok((tracker, card))
 }
 
-/// Puts the weights of a model into a network of the same sizes; gives the first 64 bits of their hash.
+/// Puts the weights of a model into a network of the same sizes; gives the first 64 bits of their
+/// hash.
 ///
 /// # Errors
 /// Where the model cannot be read or has other sizes.
@@ -247,7 +254,8 @@ pub fn paper(inputs: usize) -> NetworkConfig {
     }
 }
 
-/// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots with two.
+/// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots
+/// with two.
 pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> NetworkConfig {
     NetworkConfig {
         inputs,

@@ -1,4 +1,5 @@
-//! How good tracks are: distances to the surface and to the true contact, coverage of the stated regions, detection.
+//! How good tracks are: distances to the surface and to the true contact, coverage of the stated
+//! regions, detection.
 //!
 //! With estimate p of the contact c, stated covariance C, and the contact's path d over the sample:
 //!
@@ -9,14 +10,16 @@
 //! detection   F1 = 2 P R / (P + R),  P precision, R recall
 //! ```
 //!
-//! Source of the calibration: V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random World", 2005.
+//! Source of the calibration: V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random
+//! World", 2005.
 
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_track::sd_factors::SdFactors;
 
-/// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
+/// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of
+/// freedom).
 pub const CHI2_90: f64 = 6.251_388_631_170_32;
 /// Largest number of groups, and smallest size of one.
 const MAX_GROUPS: usize = 8;
@@ -104,7 +107,8 @@ pub struct SweepSums {
     pub contact: SquareSum,
     /// See `surface`.
     pub along: SquareSum,
-    /// The same over samples whose contact has been tracked for a while: to the surface, and to the true contact.
+    /// The same over samples whose contact has been tracked for a while: to the surface, and to the
+    /// true contact.
     pub followed_surface: SquareSum,
     /// See `followed_surface`.
     pub followed_contact: SquareSum,
@@ -178,15 +182,17 @@ pub fn scores(all: &[EstimateError]) -> Scores {
     }
 }
 
-/// Factor on stated standard deviations with which the 90 % region holds 90 % of these estimates (split conformal: V. Vovk et al.,
-/// "Algorithmic Learning in a Random World"); 1 without estimates.
+/// Factor on stated standard deviations with which the 90 % region holds 90 % of these estimates
+/// (split conformal: V. Vovk et al., "Algorithmic Learning in a Random World"); 1 without
+/// estimates.
 pub fn calibrating_factor(all: &[EstimateError]) -> f64 {
     let mut stated: Vec<f64> = all.iter().filter_map(|c| c.mahalanobis2).collect();
     if stated.is_empty() {
         return 1.0;
     }
     stated.sort_by(f64::total_cmp);
-    // The (n + 1) in the rank makes the coverage hold for finite n: the next estimate is exchangeable with these.
+    // The (n + 1) in the rank makes the coverage hold for finite n: the next estimate is
+    // exchangeable with these.
     let rank = ((stated.len() + 1) as f64 * 0.9).ceil() as usize;
     (stated[rank.clamp(1, stated.len()) - 1] / CHI2_90).sqrt()
 }
@@ -202,7 +208,8 @@ pub struct Detection {
     pub f1: f64,
 }
 
-/// Factors on stated standard deviations from estimates with their own covariances, in groups of equal number by the spread (`wcal_track::sd_factors`).
+/// Factors on stated standard deviations from estimates with their own covariances, in groups of
+/// equal number by the spread (`wcal_track::sd_factors`).
 pub fn calibrated(all: &[EstimateError]) -> SdFactors {
     let mut stated: Vec<(f64, EstimateError)> = all
         .iter()
@@ -303,7 +310,8 @@ mod tests {
         assert_eq!(detection(&[(false, false)]), Detection::default());
     }
 
-    /// Estimates: some sure with half the stated error, the others lost with twice the stated error; widened by the `factor` of their spread.
+    /// Estimates: some sure with half the stated error, the others lost with twice the stated
+    /// error; widened by the `factor` of their spread.
     fn sure_and_lost(
         sure: usize,
         lost: usize,

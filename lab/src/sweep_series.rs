@@ -1,4 +1,5 @@
-//! Labelled series: the moments of a simulated sweep, sample by sample, with the contact that caused it. All of them are SIMULATED.
+//! Labelled series: the moments of a simulated sweep, sample by sample, with the contact that
+//! caused it. All of them are SIMULATED.
 
 use crate::LabError;
 use crate::dataset::read;
@@ -8,7 +9,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::Mesh;
 
-/// The contact nearest to the base; where several count as one (`count_contacts`), their mean weighted by the forces.
+/// The contact nearest to the base; where several count as one (`count_contacts`), their mean
+/// weighted by the forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Point of the object, base frame, mm.
@@ -51,8 +53,8 @@ pub struct SweepSeries {
     pub samples: Vec<SweepSample>,
 }
 
-/// Contacts nearer to each other along the wire than this are one, mm: they lie on facets of one smooth body, whose edges are as long (the
-/// YCB scans': median 1.7 mm, 19 of 20 up to 3.2 mm).
+/// Contacts nearer to each other along the wire than this are one, mm: they lie on facets of one
+/// smooth body, whose edges are as long (the YCB scans': median 1.7 mm, 19 of 20 up to 3.2 mm).
 const MIN_SEPARATION_MM: f64 = 3.0;
 
 /// How many contacts there are, from their arc lengths in rising order, mm.
@@ -65,7 +67,8 @@ pub(crate) fn count_contacts(arclengths_mm: impl Iterator<Item = f64>) -> usize 
     })
 }
 
-/// Where the force of the first contact acts, of touched points in rising order along the wire with their forces, N.
+/// Where the force of the first contact acts, of touched points in rising order along the wire with
+/// their forces, N.
 pub(crate) fn nearest_contact(touched: &[(Contact, f64)]) -> Option<Contact> {
     let begins_mm = touched.first()?.0.arclength_mm;
     let one = || {
@@ -93,7 +96,8 @@ const MAX_DISTANCE_MM: f64 = 1e4;
 const TARE_S: f64 = 0.5;
 
 impl SweepSeries {
-    /// With the zero of the free wire at the start: its own weight is no push. What begins in contact stays as it is.
+    /// With the zero of the free wire at the start: its own weight is no push. What begins in
+    /// contact stays as it is.
     pub(crate) fn tared(mut self) -> Self {
         let free = self
             .samples
@@ -118,7 +122,8 @@ impl SweepSeries {
             .map_or(MAX_DISTANCE_MM, |n| n.distance_mm.abs())
     }
 
-    /// The surface's point nearest to a point (base frame, mm) after a travel of the base, mm; the point itself beyond that distance.
+    /// The surface's point nearest to a point (base frame, mm) after a travel of the base, mm; the
+    /// point itself beyond that distance.
     pub fn closest_surface_point(
         &self,
         mesh: &Mesh,
@@ -143,7 +148,8 @@ impl SweepSeries {
     }
 }
 
-/// Kept series of a dataset's folder, by object; `objects` narrows them down to these where it is not empty.
+/// Kept series of a dataset's folder, by object; `objects` narrows them down to these where it is
+/// not empty.
 ///
 /// # Errors
 /// Names the shard that is damaged or holds what is not a number.
@@ -263,7 +269,8 @@ mod tests {
         let count = |mm: &[f64]| count_contacts(mm.iter().copied());
         assert_eq!(count(&[]), 0);
         assert_eq!(count(&[31.0, 31.0, 31.02, 33.9]), 1);
-        // Negative control: what is farther away is another one, also at the end of a row of near ones.
+        // Negative control: what is farther away is another one, also at the end of a row of near
+        // ones.
         assert_eq!(count(&[31.0, 34.0]), 2);
         assert_eq!(count(&[31.0, 33.0, 35.0, 37.5]), 2);
     }

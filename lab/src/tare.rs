@@ -1,4 +1,5 @@
-//! The zero of a recording: `m0 = mean of m(t), t - t_0 < span`, from its beginning without contact; what follows is `m(t) - m0`.
+//! The zero of a recording: `m0 = mean of m(t), t - t_0 < span`, from its beginning without
+//! contact; what follows is `m(t) - m0`.
 
 /// Subtracts the mean moments of the first seconds from all that follow.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,9 @@
-//! Training: windows of series with what a sensor adds to them, early stop on held-out objects, resumed where it stopped.
+//! Training: windows of series with what a sensor adds to them, early stop on held-out objects,
+//! resumed where it stopped.
 //!
-//! AdamW (I. Loshchilov, F. Hutter, ICLR 2019; weight decay 1e-3) with the rate `r(x) = r_max min(x / 0.05, 1) (1 + cos pi x) / 2`, x the part of
-//! all steps that is done. The kept network is that of the pass with the least loss on the held-out objects.
+//! AdamW (I. Loshchilov, F. Hutter, ICLR 2019; weight decay 1e-3) with the rate
+//! `r(x) = r_max min(x / 0.05, 1) (1 + cos pi x) / 2`, x the part of all steps that is done. The
+//! kept network is that of the pass with the least loss on the held-out objects.
 
 use crate::LabError;
 use crate::dataset::process_s;
@@ -41,17 +43,19 @@ pub struct TrainingData<'a> {
     pub held_out: &'a [SweepSeries],
     /// Curve of solutions.
     pub inverse: &'a StaticInverse,
-    /// The objects' meshes: where all of them are there, the answer is trained to lie on the surface, too.
+    /// The objects' meshes: where all of them are there, the answer is trained to lie on the
+    /// surface, too.
     pub meshes: &'a BTreeMap<String, Mesh>,
     /// Folder of a model with whose weights to begin.
     pub from: Option<&'a Path>,
 }
 
-/// Trains a network and gives the best one on the held-out objects, with the learning curve; `on_pass` gets every pass. With a folder it
-/// is taken up again where it stopped.
+/// Trains a network and gives the best one on the held-out objects, with the learning curve;
+/// `on_pass` gets every pass. With a folder it is taken up again where it stopped.
 ///
 /// # Errors
-/// Where the sizes do not fit, there is nothing to train on, or what the folder holds belongs to another training.
+/// Where the sizes do not fit, there is nothing to train on, or what the folder holds belongs to
+/// another training.
 pub fn train(
     config: &NetworkConfig,
     settings: &TrainSettings,

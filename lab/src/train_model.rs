@@ -32,7 +32,8 @@ use shifted_sweeps::on_shifted_sensors;
 /// Share of the sweeps over an object that are trained on; the rest judges objects that were seen.
 const TRAINED: f64 = 0.9;
 
-/// Trains, states the spread from the held-out objects, and writes the model; taken up again where it stopped.
+/// Trains, states the spread from the held-out objects, and writes the model; taken up again where
+/// it stopped.
 ///
 /// # Errors
 /// Where the sweeps cannot be used or the model cannot be written.
@@ -209,7 +210,8 @@ impl SplitSeries {
     }
 }
 
-/// Objects that are set aside for tests are not trained on: a number on them must stay one on objects that chose no design.
+/// Objects that are set aside for tests are not trained on: a number on them must stay one on
+/// objects that chose no design.
 fn refuse_test_objects(folder: &Path) -> Result<(), LabError> {
     let objects = manifests(folder)?.into_iter().map(|(_, m)| m.object);
     let set_aside: BTreeSet<String> = objects
@@ -227,7 +229,8 @@ fn refuse_test_objects(folder: &Path) -> Result<(), LabError> {
     ))
 }
 
-/// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.
+/// SHA-256 of the weights of a model from which a training may start: the sweeps held out for
+/// evaluation must not be in its training.
 fn check_start_model(
     folder: &Path,
     network: &NetworkConfig,

@@ -1,8 +1,11 @@
-//! The sweeps that a tracker is trained on where none are given: three kinds, each drawn from a seed of its own. All of them are SIMULATED.
+//! The sweeps that a tracker is trained on where none are given: three kinds, each drawn from a
+//! seed of its own. All of them are SIMULATED.
 //!
-//! - `clean`: turned at random, without friction, weight or medium; the only kind that objects are held out of and scored on
+//! - `clean`: turned at random, without friction, weight or medium; the only kind that objects are
+//!   held out of and scored on
 //! - `friction`: turned at random, friction 0 to 0.3, the wire's weight, and the drag of air
-//! - `upright`: as `clean`, upright in four faces a quarter turn apart; a quarter as many, since only plane and gap are left to draw
+//! - `upright`: as `clean`, upright in four faces a quarter turn apart; a quarter as many, since
+//!   only plane and gap are left to draw
 
 use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
 use wcal_lab_sweeps::{SweepPlan, Turn};

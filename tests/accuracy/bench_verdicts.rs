@@ -1,5 +1,6 @@
-//! Sweeps of the virtual bench in the sweep's own process, and what `verify` says of them (SIMULATED). The bench's time passes only while the
-//! sweep waits, so a scenario and its seed give the same session on every computer, in seconds.
+//! Sweeps of the virtual bench in the sweep's own process, and what `verify` says of them
+//! (SIMULATED). The bench's time passes only while the sweep waits, so a scenario and its seed give
+//! the same session on every computer, in seconds.
 
 use crate::support::{program, repository};
 use serde_json::Value;
@@ -36,7 +37,8 @@ const MOVING: &str = "format = \"wcal-plan/1\"\nname = \"moving\"\n[settle]\ngat
     [[block]]\nrole = \"verification\"\ntrajectories = [1, 2, 4, 5, 7]\ndepths_mm = [2.5, 5.0]\nunloading = true\nreplicates = 2\n\
     speeds_mm_s = [2.0, 6.0]\non_the_fly_hz = 10.0\n";
 
-/// Sweeps a scenario (`more` beyond format and rate) by a plan into `session`; what the program said.
+/// Sweeps a scenario (`more` beyond format and rate) by a plan into `session`; what the program
+/// said.
 fn swept(folder: &Path, session: &str, plan: &str, more: &str) -> String {
     swept_at(folder, session, plan, more, 500)
 }
@@ -114,8 +116,8 @@ fn a_scenario_and_its_seed_give_the_same_session_again() {
     assert!(!folder.path().join("none").exists());
 }
 
-/// A trajectory whose direction is not the stated one is left out by nothing in the catalogue; its three poses, flagged together, were called
-/// slips of the wire in single readings.
+/// A trajectory whose direction is not the stated one is left out by nothing in the catalogue; its
+/// three poses, flagged together, were called slips of the wire in single readings.
 #[test]
 fn a_trajectory_that_is_off_as_a_whole_is_no_slip() {
     let folder = bench();
@@ -177,8 +179,8 @@ fn interval(v: &Value, id: &str, name: &str) -> [f64; 2] {
     [0, 1].map(|k| own["interval95"][k].as_f64().unwrap())
 }
 
-/// Three depths do not tell the period of the screw's error, so sine and cosine each may be zero, and the effect was dropped for that. Both
-/// together cannot be.
+/// Three depths do not tell the period of the screw's error, so sine and cosine each may be zero,
+/// and the effect was dropped for that. Both together cannot be.
 #[test]
 fn an_error_of_the_screw_is_named_where_its_period_is_not_told() {
     let folder = bench();
@@ -203,7 +205,8 @@ fn an_error_of_the_screw_is_named_where_its_period_is_not_told() {
     assert_eq!(v["verdict"], "adequate", "{} {:?}", v["reason"], names(&v));
 }
 
-/// Stamps of a stage that answers on a serial line come now earlier, now later: between two of them the speed was 15 % off, and the lag with it.
+/// Stamps of a stage that answers on a serial line come now earlier, now later: between two of them
+/// the speed was 15 % off, and the lag with it.
 #[test]
 fn a_lag_beside_play_is_as_long_as_it_is() {
     let folder = bench();
@@ -246,7 +249,8 @@ fn a_lag_beside_play_is_as_long_as_it_is() {
     );
 }
 
-/// A settled row's time is the end of its averaging window, its mean is of the window's middle: of a creep of eight seconds half a second is 6 %.
+/// A settled row's time is the end of its averaging window, its mean is of the window's middle: of
+/// a creep of eight seconds half a second is 6 %.
 #[test]
 fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
     let folder = bench();
@@ -291,7 +295,8 @@ fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
     assert!(0.05 < fraction[0], "{fraction:?}");
 }
 
-/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 1e-2: one name would be a matter of chance.
+/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 1e-2:
+/// one name would be a matter of chance.
 #[test]
 fn a_drift_of_two_minutes_is_not_told_from_a_temperature_that_rises() {
     let folder = bench();

@@ -1,6 +1,8 @@
-//! The contacts of the first page beside those of an independent rod (SIMULATED): the plant's, which shares no code with rod and fitter.
+//! The contacts of the first page beside those of an independent rod (SIMULATED): the plant's,
+//! which shares no code with rod and fitter.
 //!
-//! `CONTACT_DRAWS=30 CONTACT_SEED=1 cargo test --test accuracy contact_numbers -- --nocapture` prints the table of the lab notes.
+//! `CONTACT_DRAWS=30 CONTACT_SEED=1 cargo test --test accuracy contact_numbers -- --nocapture`
+//! prints the table of the lab notes.
 
 use crate::support::program;
 use nalgebra::Vector3;
@@ -10,7 +12,8 @@ use wcal_plant::contacts::{expected_error_mm, left_out_contacts, rms_mm};
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Kind, Noise};
 
-/// What acts, in turn; nothing first. Laws that plant and program share, so that both fit the same numbers.
+/// What acts, in turn; nothing first. Laws that plant and program share, so that both fit the same
+/// numbers.
 const ACTS: [Option<Kind>; 10] = [
     None,
     Some(Kind::CreepProny1),

@@ -1,5 +1,6 @@
-//! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
-//! The rates themselves need hundreds of draws: `cargo run --release -p wcal-lab -- exam --draws 300 --mix all`.
+//! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change
+//! that breaks tracing is seen at once. The rates themselves need hundreds of draws:
+//! `cargo run --release -p wcal-lab -- exam --draws 300 --mix all`.
 
 use crate::support::PROGRAM;
 use std::path::PathBuf;
@@ -76,7 +77,8 @@ fn cameras_show_what_is_wrong_with_contacts_cameras_and_wire() {
         "{}",
         summary(&pictured)
     );
-    // Contacts are where they are seen, as well as the shapes state it; errors that all pairs share move single sessions.
+    // Contacts are where they are seen, as well as the shapes state it; errors that all pairs share
+    // move single sessions.
     let after: Vec<f64> = pictured
         .iter()
         .filter_map(|o| o.contact_after_ratio)

@@ -1,5 +1,5 @@
-//! What the answers are worth: verdicts on recordings with a known answer, and rates over drawn ones (SIMULATED). What prints tables for the lab
-//! notes stands here.
+//! What the answers are worth: verdicts on recordings with a known answer, and rates over drawn
+//! ones (SIMULATED). What prints tables for the lab notes stands here.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,10 +1,12 @@
-//! Do the standard deviations of `shapes.json` hold? Pictures of the plant's cameras, which share no code with the program, and cameras
-//! that are known only as well as a calibration from noisy corners knows them (SIMULATED).
+//! Do the standard deviations of `shapes.json` hold? Pictures of the plant's cameras, which share
+//! no code with the program, and cameras that are known only as well as a calibration from noisy
+//! corners knows them (SIMULATED).
 //!
 //! ```text
 //! Sigma = blockdiag(own_i own_i' + floor_i^2 I) + S C S'        chi2 = e' Sigma^-1 e        e: all pairs' errors against the truth
 //! ```
-//! over groove position and contact arc length of all pairs of a folder together: errors that pairs share and those of their own both count.
+//! over groove position and contact arc length of all pairs of a folder together: errors that pairs
+//! share and those of their own both count.
 
 use crate::support::fixture;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
@@ -28,7 +30,8 @@ type V3 = Vector3<f64>;
 
 const SIZE: [usize; 2] = [640, 480];
 
-/// The plant's cameras as a calibration from 12 board views with 0.05 px of noise a corner finds them.
+/// The plant's cameras as a calibration from 12 board views with 0.05 px of noise a corner finds
+/// them.
 fn calibrated(seed: u64) -> StereoCameras {
     let lenses = default_pair(SIZE);
     let camera = |k: usize| Camera {
@@ -102,7 +105,8 @@ struct Truth {
     line_mm: Vec<V3>,
 }
 
-/// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair that is rejected says why and is left out.
+/// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair
+/// that is rejected says why and is left out.
 fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     let place = tempfile::tempdir().unwrap();
     let (rig, look, lenses) = (
@@ -188,7 +192,8 @@ fn four(c: &ErrorColumn) -> [f64; 4] {
     ]
 }
 
-/// Errors of all pairs against the truth (groove, arc length), own covariance, and derivatives by the shared parameters.
+/// Errors of all pairs against the truth (groove, arc length), own covariance, and derivatives by
+/// the shared parameters.
 fn stacked(
     document: &ShapesDocument,
     truths: &[Truth],
@@ -224,7 +229,8 @@ fn covariance(document: &ShapesDocument) -> DMatrix<f64> {
     DMatrix::from_fn(c.len(), c.len(), |i, j| c[i][j])
 }
 
-/// Along the wire in the groove position and the arc length are nearly one error: a floor of half a micrometre keeps the matrix regular.
+/// Along the wire in the groove position and the arc length are nearly one error: a floor of half a
+/// micrometre keeps the matrix regular.
 fn chi2(errors: &DVector<f64>, mut sigma: DMatrix<f64>) -> f64 {
     for k in 0..sigma.nrows() {
         sigma[(k, k)] += 5e-4_f64.powi(2);
@@ -353,7 +359,8 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
         pair.name,
         pair.length_sd_mm
     );
-    // Across the line; uneven light is taken as a shift in depth there, and as one in any direction in the circle.
+    // Across the line; uneven light is taken as a shift in depth there, and as one in any direction
+    // in the circle.
     for (k, station) in stated.stations.iter().enumerate().skip(1) {
         let along: f64 = (0..3)
             .map(|d| total(&|e| e.centreline_mm[k][d]).powi(2))
@@ -368,8 +375,9 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
     }
 }
 
-/// RMS errors over these three folders that a hundredth of a millimetre as stated allows: twice what they are (0.008, 0.026, 0.002 and 0.007 mm),
-/// for another machine's rounding and another build of OpenCV.
+/// RMS errors over these three folders that a hundredth of a millimetre as stated allows: twice
+/// what they are (0.008, 0.026, 0.002 and 0.007 mm), for another machine's rounding and another
+/// build of OpenCV.
 const RMS_LIMITS_MM: [f64; 4] = [0.016, 0.052, 0.005, 0.015];
 
 fn within(rms_mm: &[f64; 4]) -> bool {
@@ -394,7 +402,8 @@ fn stated_errors_hold_on_the_plants_pictures() {
         off[k] = off[k].hypot(0.05);
         assert!(!within(&off), "{k}: {off:?}");
     }
-    // Negative controls: the pairs' own errors alone do not explain what was found, nor does a third of the line's.
+    // Negative controls: the pairs' own errors alone do not explain what was found, nor does a
+    // third of the line's.
     assert!(s.chi2[1].value > 5.0 * s.chi2[0].value, "{s:?}");
     assert!(s.inside[1].value < s.inside[0].value - 0.1, "{s:?}");
 }
@@ -408,7 +417,8 @@ fn survey_of_stated_errors() {
     assert!(sound(&s.chi2[0], 1.0) && s.used > 0.97, "{s:?}");
     assert!(s.squares.iter().all(|m| sound(m, 1.0)), "{s:?}");
     assert!(s.inside[0].value + 2.0 * s.inside[0].error >= 0.95, "{s:?}");
-    // Negative controls: standard deviations of half the size, the pairs' own errors alone, a third of the circle.
+    // Negative controls: standard deviations of half the size, the pairs' own errors alone, a third
+    // of the circle.
     assert!(
         !sound(&s.chi2[0], 4.0) && !s.squares.iter().all(|m| sound(m, 4.0)),
         "{s:?}"

@@ -1,4 +1,5 @@
-//! What `verify` says of sweeps that the program recorded itself: settled rows beside rows in motion, one effect each (SIMULATED).
+//! What `verify` says of sweeps that the program recorded itself: settled rows beside rows in
+//! motion, one effect each (SIMULATED).
 
 use crate::support::{fixture, program};
 use serde_json::Value;
@@ -70,7 +71,8 @@ fn only(v: &Value, id: &str, name: &str) -> [f64; 2] {
     [0, 1].map(|k| own["interval95"][k].as_f64().unwrap())
 }
 
-/// The settled floor is that of 500 samples with the reference's noise, 0.063 pm, whatever the rows in motion scatter (0.45 pm).
+/// The settled floor is that of 500 samples with the reference's noise, 0.063 pm, whatever the rows
+/// in motion scatter (0.45 pm).
 fn floors(v: &Value) {
     let floor = |key: &str| v["noise_floor"][key].as_f64().unwrap();
     let (settled, moving) = (floor("wavelength_pm"), floor("moving_wavelength_pm"));
@@ -84,7 +86,8 @@ fn floors(v: &Value) {
     );
 }
 
-/// Whether poses that were set again refute the declared and the accepted model: p-values beside the verdict of each.
+/// Whether poses that were set again refute the declared and the accepted model: p-values beside
+/// the verdict of each.
 fn refuted_by_replicates(v: &Value) -> Vec<bool> {
     let all = v["tests"]
         .as_array()
@@ -105,7 +108,8 @@ fn a_drift_is_named_alone_and_nothing_where_it_is_taken_out() {
     let [low, high] = only(&v, "zero-drift", "drift_pm_per_min_1");
     assert!(low < 0.3 && 0.3 < high && high - low < 0.02, "{low} {high}");
     floors(&v);
-    // A second opinion, from nothing but how poses reproduce: the declared model is refuted, the accepted one stands.
+    // A second opinion, from nothing but how poses reproduce: the declared model is refuted, the
+    // accepted one stands.
     assert_eq!(refuted_by_replicates(&v), [true, false], "{}", v["tests"]);
     // Control: the same readings less 0.3 pm/min.
     let without = edited("drift", |names, cells| {

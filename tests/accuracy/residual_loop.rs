@@ -41,7 +41,8 @@ fn points(v: &Value, kind: &str) -> Vec<i64> {
 fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     let (code, v) = verify(&fixture("whiskerfbg"));
     assert_eq!(code, 4);
-    // The six deepest poses of the outer trajectories, where the released twin's wire snapped aside.
+    // The six deepest poses of the outer trajectories, where the released twin's wire snapped
+    // aside.
     assert_eq!(points(&v, "branch"), [11, 14, 17, 20, 23, 26]);
     let before = v["before"]["wavelength_rmse_pm"].as_f64().expect("before");
     let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
@@ -93,7 +94,8 @@ fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tem
 
 #[test]
 fn a_perturbed_pose_is_noticed() {
-    // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4 mm deeper than it was.
+    // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4
+    // mm deeper than it was.
     let moved = |i: usize, mm: f64| {
         format!(
             "{:.6}",
@@ -155,7 +157,8 @@ fn the_rods_own_labels_are_taken_without_a_fault() {
         "{}",
         v["twin"]
     );
-    // One pose at the end of the reach, where the wire has run out of the groove: no moment, no label, and it is said.
+    // One pose at the end of the reach, where the wire has run out of the groove: no moment, no
+    // label, and it is said.
     let moved =
         |i: usize, mm: f64| format!("{:.6}", if i == 14 && mm > 0.0 { mm + 56.0 } else { mm });
     let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
@@ -245,7 +248,8 @@ fn a_simulated_null_session_is_adequate() {
     assert_eq!(v["simulated"], true);
 }
 
-/// A demonstration in the place of an earlier one: what it shows, and that nothing of the earlier one is left beside it.
+/// A demonstration in the place of an earlier one: what it shows, and that nothing of the earlier
+/// one is left beside it.
 #[test]
 fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
     let place = tempfile::tempdir().expect("temporary folder");
@@ -283,7 +287,8 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         run.status.success() && said.contains("case-004 (SIMULATED): adequate"),
         "{said}"
     );
-    // What it is all for: contacts in the groove before and after, first in the output, on the page and in the overview.
+    // What it is all for: contacts in the groove before and after, first in the output, on the page
+    // and in the overview.
     let bench = std::fs::read_to_string(out.join("bench-clamp/verify.json")).expect("file");
     let contact: Value = serde_json::from_str::<Value>(&bench).expect("JSON")["contact"].clone();
     let rms = |side: &str| contact[side]["rms_mm"].as_f64().expect("rms");
@@ -339,14 +344,16 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         );
     }
     let whisker = read("whiskerfbg/report.html");
-    // Six labels on another branch, two moments each; the others are off by the discretisation only.
+    // Six labels on another branch, two moments each; the others are off by the discretisation
+    // only.
     let rings: usize = whisker
         .split("class=\"ring bad\" d=\"")
         .skip(1)
         .map(|d| d.split('"').next().map_or(0, |d| d.matches('M').count()))
         .sum();
     assert_eq!(rings, 12, "rings");
-    // The sweep over the bottle refutes what the 27 poses alone leave open; nothing is accepted in its place.
+    // The sweep over the bottle refutes what the 27 poses alone leave open; nothing is accepted in
+    // its place.
     assert!(
         whisker.contains("dead-zone with hysteresis") && whisker.contains("<td>refuted</td>"),
         "the sweep's table"
@@ -367,7 +374,8 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     assert!(!null.contains("No fault was found") && null.contains("no labels of an outside twin"));
 }
 
-/// Readings at rest of another zero (8 and -4 pm) are named with their size; as recorded, nothing is.
+/// Readings at rest of another zero (8 and -4 pm) are named with their size; as recorded, nothing
+/// is.
 #[test]
 fn another_zero_at_rest_is_named_and_nothing_without_it() {
     let (code, v) = verify(&fixture("practice/case-004"));

@@ -1,4 +1,5 @@
-//! Transducer and axis sessions through the program, end to end: measured data with certified answers, negative controls, broken input.
+//! Transducer and axis sessions through the program, end to end: measured data with certified
+//! answers, negative controls, broken input.
 
 mod applied;
 mod measured;
@@ -38,7 +39,8 @@ fn session(toml: &str, points: &str) -> tempfile::TempDir {
 const TRANSDUCER: &str = "format = \"wcal-session/1\"\nid = \"made\"\nkind = \"transducer\"\nmedium = \"air\"\ncreated = \"2026-01-01T00:00:00Z\"\n[files]\npoints = \"points.csv\"\n[transducer]\nmodel = \"linear\"\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\n";
 const AXIS: &str = "format = \"wcal-session/1\"\nid = \"made\"\nkind = \"axis\"\nmedium = \"air\"\ncreated = \"2026-01-01T00:00:00Z\"\n[files]\npoints = \"points.csv\"\n";
 
-/// Exit code, verify.json, calibration.json where one was written, all results in a folder of their own.
+/// Exit code, verify.json, calibration.json where one was written, all results in a folder of their
+/// own.
 struct Run {
     code: i32,
     verify: Value,

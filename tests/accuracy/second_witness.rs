@@ -1,4 +1,5 @@
-//! The second witness: pictures in addition to the wavelengths, on paper-like sessions of the independent plant (SIMULATED).
+//! The second witness: pictures in addition to the wavelengths, on paper-like sessions of the
+//! independent plant (SIMULATED).
 
 mod draws;
 
@@ -42,7 +43,8 @@ fn pictures_tell_a_contact_offset_from_a_root_that_turns() {
         );
         assert!(!alone[1].names_only("base-compliance"), "{seed}: {alone:?}");
     }
-    // Contacts are where they are seen, as well as the shapes state it; what pairs share moves a session as a whole.
+    // Contacts are where they are seen, as well as the shapes state it; what pairs share moves a
+    // session as a whole.
     let ratio = (squares[0] / squares[1]).sqrt();
     assert!(ratio < 1.2, "{ratio}");
 }
@@ -55,8 +57,9 @@ fn nothing_is_named_where_nothing_acts() {
     }
 }
 
-/// Pictures that are better than they state leave less than the readings do: one variance for both made the readings look too noisy, and 13
-/// of 16 sessions of the virtual bench without an effect were not adequate.
+/// Pictures that are better than they state leave less than the readings do: one variance for both
+/// made the readings look too noisy, and 13 of 16 sessions of the virtual bench without an effect
+/// were not adequate.
 #[test]
 fn pairs_that_state_too_much_raise_no_alarm_and_hide_no_effect() {
     let under = |effects: Vec<wcal_plant::Effect>, stated, seed| {
@@ -94,10 +97,12 @@ fn a_fault_of_the_cameras_is_called_one() {
     }
 }
 
-/// Share of the draws that must be right where the tests above ask for every one of a few: nothing acting, or one effect or fault in pictures.
+/// Share of the draws that must be right where the tests above ask for every one of a few: nothing
+/// acting, or one effect or fault in pictures.
 const RIGHT: f64 = 0.8;
 
-/// Rates over some tens of draws, printed and held: `cargo test --test accuracy second_witness::rates -- --ignored --nocapture`.
+/// Rates over some tens of draws, printed and held:
+/// `cargo test --test accuracy second_witness::rates -- --ignored --nocapture`.
 #[test]
 #[ignore = "some minutes"]
 fn rates() {
@@ -158,7 +163,8 @@ fn rates() {
                     "{name}, pictures {pictures}: {all_right} of {draws}"
                 ));
             }
-            // Negative control: wavelengths alone do not tell a root that turns from a contact that is off.
+            // Negative control: wavelengths alone do not tell a root that turns from a contact that
+            // is off.
             if name == "base-compliance" && !pictures && (all_right as f64) >= least {
                 missed.push(format!(
                     "{name} without pictures: {all_right} of {draws}, which shows nothing of the pictures"

@@ -1,5 +1,5 @@
-//! A small audit of statements (SIMULATED; the table is `wcal-lab exam --statements`): numbers that a user reads hold as often as they say, and half widths
-//! that are too small are found out.
+//! A small audit of statements (SIMULATED; the table is `wcal-lab exam --statements`): numbers that
+//! a user reads hold as often as they say, and half widths that are too small are found out.
 
 use crate::support::program;
 use wcal_exam::statements::{Auditor, LAYOUTS, StatementRow};

@@ -1,4 +1,5 @@
-//! Broken input through the program: one clear error, the documented exit code, no panic, nothing half-written.
+//! Broken input through the program: one clear error, the documented exit code, no panic, nothing
+//! half-written.
 
 #[path = "../../calib/session/tests/session/broken.rs"]
 mod broken;
@@ -152,7 +153,8 @@ fn verify_and_fit_gpr_refuse_what_is_broken_and_leave_no_result() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Every command with a folder or a file as --out, on arguments that would fail later: what is there is checked first.
+/// Every command with a folder or a file as --out, on arguments that would fail later: what is
+/// there is checked first.
 const OUTPUTS: &[&[&str]] = &[
     &["verify", "s"],
     &["fit-gpr", "s"],

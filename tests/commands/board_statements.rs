@@ -1,5 +1,6 @@
-//! What `stereo-calibrate` says of boards that are not what is stated, on pictures drawn here (SIMULATED): each mistake is named with the option that
-//! mends it, and the same pictures with the right statement pass without a word.
+//! What `stereo-calibrate` says of boards that are not what is stated, on pictures drawn here
+//! (SIMULATED): each mistake is named with the option that mends it, and the same pictures with the
+//! right statement pass without a word.
 
 use crate::support::drawn_boards::{Print, april_grid, chessboard, grid_of, tilted, write_pairs};
 use crate::support::program;
@@ -197,7 +198,8 @@ fn a_stretched_print_is_named_or_said_to_be_undecided() {
         &CHESS,
         &["does not fit", "longer along its columns", "own noise"],
     );
-    // Boards that are all held upright: fx and fy take most of the stretch up, and the residuals hardly show it.
+    // Boards that are all held upright: fx and fy take most of the stretch up, and the residuals
+    // hardly show it.
     let upright = pictured(
         &chessboard([7, 6], 14.0, 1.01),
         &tilted(0.0),
@@ -210,7 +212,8 @@ fn a_stretched_print_is_named_or_said_to_be_undecided() {
     );
 }
 
-/// Corners that are counted as squares, one side by one too many, and tags of another family: said from two pictures, before all are searched.
+/// Corners that are counted as squares, one side by one too many, and tags of another family: said
+/// from two pictures, before all are searched.
 #[test]
 fn another_board_is_named_with_the_option_that_states_it() {
     let folder = pictured(

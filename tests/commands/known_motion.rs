@@ -1,4 +1,5 @@
-//! `wcal track` along a known motion as a user runs it, on a session whose groove is known (SIMULATED).
+//! `wcal track` along a known motion as a user runs it, on a session whose groove is known
+//! (SIMULATED).
 
 use crate::support::{text, wcal};
 use std::collections::BTreeMap;
@@ -8,7 +9,8 @@ use std::sync::LazyLock;
 
 const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
 
-/// Readings and motion of three trajectories: time, wavelengths and groove as written, the motion along each from its stage.
+/// Readings and motion of three trajectories: time, wavelengths and groove as written, the motion
+/// along each from its stage.
 struct Record {
     header: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -104,7 +106,8 @@ impl Record {
         std::fs::write(path, out).unwrap();
     }
 
-    /// The table with the known groove, `lead` readings of the free wire before it, and both gratings off by `off_nm` throughout.
+    /// The table with the known groove, `lead` readings of the free wire before it, and both
+    /// gratings off by `off_nm` throughout.
     fn write_displaced(&self, path: &Path, lead: usize, off_nm: [f64; 2]) {
         let at = |name: &str| self.header.iter().position(|c| c == name).unwrap();
         let table = std::fs::read_to_string(format!("{SESSION}/points.csv")).unwrap();
@@ -207,7 +210,8 @@ fn verified() -> &'static Path {
     &VERIFIED
 }
 
-/// The readings as tables of a folder of its own: `table.csv` with the known groove, `blind.csv` without it.
+/// The readings as tables of a folder of its own: `table.csv` with the known groove, `blind.csv`
+/// without it.
 struct Bench {
     folder: tempfile::TempDir,
     record: Record,
@@ -222,7 +226,8 @@ impl Bench {
         bench
             .record
             .write_table(&bench.path("table.csv"), true, 1.0);
-        // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
+        // Nothing but what is measured: no answer can come from the groove, and none is compared
+        // with it.
         bench
             .record
             .write_table(&bench.path("blind.csv"), false, 1.0);
@@ -313,7 +318,8 @@ fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
         serde_json::from_str(&std::fs::read_to_string(verified().join(name)).unwrap()).unwrap()
     };
     let (calibration, document) = (read("calibration.json"), read("verify.json"));
-    // What the calibration states comes from its own readings; the sealed ones show whether it is true.
+    // What the calibration states comes from its own readings; the sealed ones show whether it is
+    // true.
     assert_eq!(
         (
             &calibration["contact_uncertainty"]["split"],
@@ -362,7 +368,8 @@ fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
     }
 }
 
-/// The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
+/// The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and
+/// as columns of the table.
 #[test]
 fn a_table_is_tracked_along_a_motion_however_it_is_written() {
     let bench = Bench::new();
@@ -387,7 +394,8 @@ fn a_table_is_tracked_along_a_motion_however_it_is_written() {
         plain(t, way.map(|v| 1e-3 * v))
     });
     assert!(same(&bench.along("table.csv", &[])));
-    // A quarter turn about z: the base's x is the world's y. The base goes where the object comes from.
+    // A quarter turn about z: the base's x is the world's y. The base goes where the object comes
+    // from.
     let half = 0.5_f64.sqrt();
     bench.write_motion(POSES, |_, t, [x, y, z]| {
         format!("{t},{},{},{},{half},0,0,{half}", y, -x, -z)
@@ -414,14 +422,16 @@ fn a_table_is_tracked_along_a_motion_however_it_is_written() {
     );
 }
 
-/// A zero that has moved since the calibration: `--tare-s` takes it off a table with a motion, as it does off a stream.
+/// A zero that has moved since the calibration: `--tare-s` takes it off a table with a motion, as
+/// it does off a stream.
 #[test]
 fn the_zero_of_a_table_with_a_motion_is_set_anew() {
     const LEAD: usize = 12;
     let bench = Bench::new();
     bench.write_motion(MM, |_, t, way| plain(t, way));
     let good = bench.along("table.csv", &[]);
-    // Some seconds of the free wire before the first contact, and both gratings off by a tenth of what contacts do.
+    // Some seconds of the free wire before the first contact, and both gratings off by a tenth of
+    // what contacts do.
     let (lead_s, off_nm) = (0.5 * LEAD as f64, [0.02, -0.015]);
     bench
         .record
@@ -450,7 +460,8 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
         good.rmse_mm(),
         tared.said
     );
-    // Negative control: with the calibration's own zero the contacts are elsewhere, or do not belong to the motion.
+    // Negative control: with the calibration's own zero the contacts are elsewhere, or do not
+    // belong to the motion.
     let own = bench.along("off.csv", &[]);
     let far = own.summary["known_groove"]["rmse_mm"]
         .as_f64()
@@ -461,7 +472,8 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
         own.said
     );
     assert_eq!(own.summary["tare_s"], 0.0);
-    // By the moments alone, too: the free wire is loaded by its wrong zero, and not by the right one.
+    // By the moments alone, too: the free wire is loaded by its wrong zero, and not by the right
+    // one.
     let free = |run: &Run| run.status[..LEAD].iter().filter(|s| *s == "ok").count();
     let [wrong, right] = [&[][..], &["--tare-s", "5.75"]].map(|more| bench.track("off.csv", more));
     assert_eq!(
@@ -499,7 +511,8 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
     );
 }
 
-/// Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.
+/// Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies
+/// on it.
 #[test]
 fn without_a_motion_every_loaded_reading_has_an_arc() {
     let bench = Bench::new();
@@ -524,7 +537,8 @@ fn without_a_motion_every_loaded_reading_has_an_arc() {
     );
 }
 
-/// Metres stated as millimetres, a reversed motion, another clock rate, another calibration's moments.
+/// Metres stated as millimetres, a reversed motion, another clock rate, another calibration's
+/// moments.
 #[test]
 fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
     let bench = Bench::new();
@@ -566,7 +580,8 @@ fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
         "{}",
         own.summary
     );
-    // Twice the moments: a point that holds the wire does not explain them, a contact that slides out and back does. Which it is cannot be told.
+    // Twice the moments: a point that holds the wire does not explain them, a contact that slides
+    // out and back does. Which it is cannot be told.
     bench
         .record
         .write_table(&bench.path("other.csv"), false, 2.0);
@@ -590,7 +605,8 @@ fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
     }
 }
 
-/// A pose that is lost, and a jump within a contact: rows that are marked, contacts that are parted.
+/// A pose that is lost, and a jump within a contact: rows that are marked, contacts that are
+/// parted.
 #[test]
 fn gaps_and_jumps_of_the_motion_are_marked_and_part_contacts() {
     let bench = Bench::new();
@@ -626,7 +642,8 @@ fn gaps_and_jumps_of_the_motion_are_marked_and_part_contacts() {
     );
 }
 
-/// A network asked for what it was not trained for: a base faster than any sweep, and poses that are no numbers.
+/// A network asked for what it was not trained for: a base faster than any sweep, and poses that
+/// are no numbers.
 #[test]
 fn a_network_says_so_of_a_base_that_is_too_fast_and_of_poses_that_are_no_numbers() {
     const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker_small");
@@ -708,7 +725,8 @@ fn bad_logs_are_refused_by_name() {
     refused("at least two rows");
 }
 
-/// Negative control of the comparison with the groove: the same readings, the groove said to be 5 mm farther out.
+/// Negative control of the comparison with the groove: the same readings, the groove said to be 5
+/// mm farther out.
 #[test]
 fn a_groove_that_is_not_where_the_session_says_is_noticed() {
     let folder = tempfile::tempdir().unwrap();

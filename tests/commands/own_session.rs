@@ -1,4 +1,5 @@
-//! A clean session of the rich plan, from the sweep to contact points through its own calibration (SIMULATED).
+//! A clean session of the rich plan, from the sweep to contact points through its own calibration
+//! (SIMULATED).
 
 use crate::support::{code_and_messages, repository};
 use nalgebra::{Matrix3, Vector3};
@@ -24,7 +25,8 @@ fn rig_and_scenario(folder: &Path, seed: u64) {
     std::fs::write(folder.join("scenario.toml"), scenario).unwrap();
 }
 
-/// Settled rows whose stated 95 % ellipsoid holds the groove, and all of them; of a session's points and its track.
+/// Settled rows whose stated 95 % ellipsoid holds the groove, and all of them; of a session's
+/// points and its track.
 fn settled_inside(points: &Path, track: &Path) -> [u64; 2] {
     let read = |path: &Path| -> Vec<Vec<String>> {
         let text = std::fs::read_to_string(path).unwrap();
@@ -94,11 +96,13 @@ fn tracked(session: &str, calibration: &str, out: &Path) -> (i32, [u64; 4]) {
     (code, counts.map(number))
 }
 
-/// Rows on the fly average 10 samples, settled ones 501; both have the noise that follows from their own number.
+/// Rows on the fly average 10 samples, settled ones 501; both have the noise that follows from
+/// their own number.
 #[test]
 fn a_clean_rich_session_is_located_by_its_own_calibration() {
     let (mut held, mut settled) = ([0, 0], [0, 0]);
-    // Not 11: with six open trajectories a smooth course over the temperature's rate is called an unknown effect there (lab notes, tracking).
+    // Not 11: with six open trajectories a smooth course over the temperature's rate is called an
+    // unknown effect there (lab notes, tracking).
     for seed in [12, 13, 14] {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name).display().to_string();
@@ -136,7 +140,8 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
             "seed {seed}: exit {code}, {flagged} of {rows} flagged"
         );
         held = [held[0] + inside, held[1] + trajectories];
-        // Control: rows on the fly that claim as many samples as settled ones contradict the motion.
+        // Control: rows on the fly that claim as many samples as settled ones contradict the
+        // motion.
         if seed == 12 {
             let points = folder.path().join("session/points.csv");
             let text = std::fs::read_to_string(&points).unwrap();
@@ -165,7 +170,8 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
     }
     // Of 18 regions with 95 % each at most four miss (once in 600 such tests).
     assert!(held[1] == 18 && held[0] >= 14, "{held:?}");
-    // The rows of a trajectory share their errors: as many as four of its 18 shares may miss here, too.
+    // The rows of a trajectory share their errors: as many as four of its 18 shares may miss here,
+    // too.
     assert!(
         settled[1] > 700 && settled[0] * 18 >= settled[1] * 14,
         "{settled:?}"

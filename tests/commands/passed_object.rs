@@ -1,5 +1,6 @@
-//! `wcal track` past an object whose place is known: distances of the contacts, and a doubt where they lie off it. The sweeps are the measured one
-//! over the bottle and a SIMULATED one, as they are (control) and with one thing changed.
+//! `wcal track` past an object whose place is known: distances of the contacts, and a doubt where
+//! they lie off it. The sweeps are the measured one over the bottle and a SIMULATED one, as they
+//! are (control) and with one thing changed.
 
 use crate::support::copy::copy_folder;
 use crate::support::{fixture, text, wcal};
@@ -128,7 +129,8 @@ fn distances_from_the_bottle_are_stated() {
         (mean - of(object, "mean_mm")).abs() < 1e-3,
         "{mean} {object}"
     );
-    // From the outside of the bottle, which the wire touched: what 27 poses do not tell of the gain, and what is not known of the bottle's place.
+    // From the outside of the bottle, which the wire touched: what 27 poses do not tell of the
+    // gain, and what is not known of the bottle's place.
     let median = of(object, "median_mm");
     assert!((1.0..3.0).contains(&median), "{object}");
     assert!(

@@ -1,4 +1,5 @@
-//! A recorded session with pictures (fixtures/pictured, SIMULATED) through the program: shapes, then a verdict that they sharpen.
+//! A recorded session with pictures (fixtures/pictured, SIMULATED) through the program: shapes,
+//! then a verdict that they sharpen.
 
 use crate::support::copy::copy_folder;
 use crate::support::{code_and_messages, fixture};
@@ -42,7 +43,8 @@ fn pictures_tell_where_the_groove_is() {
     let place: PathBuf = folder.path().join("session");
     copy_folder(&fixture("pictured"), &place);
     let session = place.to_str().unwrap();
-    // Negative control: without shapes the same session tells it at least ten times less sharply, if at all.
+    // Negative control: without shapes the same session tells it at least ten times less sharply,
+    // if at all.
     let (_, _, blind) = verify(session);
     assert!(
         blind["tests"].is_null() && blind["after"]["contact_rmse_mm"].is_null(),
@@ -94,7 +96,8 @@ fn pictures_tell_where_the_groove_is() {
     );
     assert!(document["simulated"] == true, "the mark goes along");
 
-    // Cameras that were calibrated anew since, or another rig: the shapes are named and left out, the readings used.
+    // Cameras that were calibrated anew since, or another rig: the shapes are named and left out,
+    // the readings used.
     let file = place.join("session.toml");
     let good = std::fs::read_to_string(&file).unwrap();
     for (key, why) in [

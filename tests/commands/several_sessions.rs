@@ -1,11 +1,13 @@
-//! `--add` and `--accept` through the program, on a SIMULATED session (fixtures/practice) cut into two seatings.
+//! `--add` and `--accept` through the program, on a SIMULATED session (fixtures/practice) cut into
+//! two seatings.
 
 use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::Path;
 use std::process::Output;
 
-/// The rows of `name` for which `keep(t_s)` holds, channel 1 raised by `shift_pm`, as a session of its own.
+/// The rows of `name` for which `keep(t_s)` holds, channel 1 raised by `shift_pm`, as a session of
+/// its own.
 fn part(name: &str, shift_pm: f64, keep: impl Fn(f64) -> bool) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("temporary folder");
     let session = std::fs::read_to_string(fixture(name).join("session.toml")).expect("session");
@@ -150,7 +152,8 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
     );
     assert!(std::fs::read_to_string(&csv).expect("csv").lines().count() > 10);
 
-    // The same readings with a grating that stays as it was in the first of them: the moments are there, and not verified.
+    // The same readings with a grating that stays as it was in the first of them: the moments are
+    // there, and not verified.
     let text = std::fs::read_to_string(session.join("holdout.csv")).expect("holdout");
     let rows: Vec<Vec<&str>> = text.lines().map(|l| l.split(',').collect()).collect();
     let column = rows[0]
@@ -184,7 +187,8 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
 
 #[test]
 fn a_holdout_that_contradicts_the_points_is_said() {
-    // The points of the null session (adequate, tests/accuracy/residual_loop.rs) with a holdout whose channel 1 reads 5 pm more.
+    // The points of the null session (adequate, tests/accuracy/residual_loop.rs) with a holdout
+    // whose channel 1 reads 5 pm more.
     let whole = part("practice/case-004", 0.0, |_| true);
     let session = std::fs::read_to_string(fixture("practice/case-004").join("session.toml"))
         .expect("session");

@@ -1,4 +1,5 @@
-//! The picture commands as a user runs them, on ray-traced pictures of the bench (simulated by an outside renderer).
+//! The picture commands as a user runs them, on ray-traced pictures of the bench (simulated by an
+//! outside renderer).
 
 use crate::support::copy::copy_folder;
 use crate::support::{fixture, program};
@@ -18,8 +19,9 @@ fn wcal(arguments: &[&str]) -> (i32, Output, String) {
     (output.status.code().unwrap(), output, text)
 }
 
-/// Cameras and shapes that several tests read, made once: the fixture's pictures, and in each folder a pair of which both files are empty.
-/// The board's pictures have no mark, the scene's are marked as rendered.
+/// Cameras and shapes that several tests read, made once: the fixture's pictures, and in each
+/// folder a pair of which both files are empty. The board's pictures have no mark, the scene's are
+/// marked as rendered.
 struct Made {
     folder: PathBuf,
     /// Exit code, messages and document of `stereo-calibrate`.
@@ -114,7 +116,8 @@ fn board_pictures_become_cameras_and_empty_files_are_named() {
 fn a_wrong_board_is_refused_and_a_side_in_metres_is_asked_about() {
     let place = tempfile::tempdir().unwrap();
     let refused = place.path().join("refused").display().to_string();
-    // As few pairs as a calibration takes: where no board is found, each picture is searched by both finders.
+    // As few pairs as a calibration takes: where no board is found, each picture is searched by
+    // both finders.
     let names: Vec<_> = std::fs::read_dir(bench_file("board/left"))
         .unwrap()
         .map(|f| f.unwrap().file_name())
@@ -204,7 +207,8 @@ fn without_a_base_tag_in_any_pair_there_are_no_shapes() {
     assert!(text.contains("base tag"), "{text}");
 }
 
-/// The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and 61.
+/// The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and
+/// 61.
 #[test]
 fn shapes_become_the_rest_geometry_and_a_model() {
     let (place, made) = (tempfile::tempdir().unwrap(), made());
@@ -448,7 +452,8 @@ fn cameras_come_back_from_the_files_of_other_programs() {
     }
 }
 
-/// Moments that a wire of 68 GPa has at nine poses (SIMULATED by the rod), one of them wrong: the modulus comes back, the wrong one is named.
+/// Moments that a wire of 68 GPa has at nine poses (SIMULATED by the rod), one of them wrong: the
+/// modulus comes back, the wrong one is named.
 #[test]
 fn known_moments_give_the_stiffness_and_a_wrong_one_is_named() {
     let place = tempfile::tempdir().unwrap();

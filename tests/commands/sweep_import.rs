@@ -1,5 +1,5 @@
-//! A record in the layout of the WhiskerFBG release (SIMULATED, made by the rod engine): made into tables by the script of the fixture, imported as a
-//! sweep, tracked and scored against the mesh.
+//! A record in the layout of the WhiskerFBG release (SIMULATED, made by the rod engine): made into
+//! tables by the script of the fixture, imported as a sweep, tracked and scored against the mesh.
 
 use crate::support::{text, wcal};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -159,7 +159,8 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     std::fs::write(path("can.stl"), stl(&mesh)).unwrap();
     let model = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker");
 
-    // The base has gone 107 mm less at the same travel: so has the object in the frame that the base moves in.
+    // The base has gone 107 mm less at the same travel: so has the object in the frame that the
+    // base moves in.
     let at_start = &series[0].base_from_object;
     let t = at_start.translation.vector;
     let t = RELEASE * Vector3::new(t.x, t.y, t.z - 107.0);
@@ -258,7 +259,8 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         "{right} {wrong}"
     );
     {
-        // Without a network: the contact slides over the can, and the motion predicts its moments; with the other sign it does not.
+        // Without a network: the contact slides over the can, and the motion predicts its moments;
+        // with the other sign it does not.
         let of = by_motion.borrow();
         let slides = |d: &serde_json::Value| {
             d["contacts"]

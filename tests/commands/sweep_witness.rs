@@ -1,4 +1,5 @@
-//! The measured sweep of the paper's whisker over a bottle judges the explanations of its 27 measured poses.
+//! The measured sweep of the paper's whisker over a bottle judges the explanations of its 27
+//! measured poses.
 
 use crate::support::{fixture, text, wcal};
 use serde_json::Value;
@@ -54,8 +55,8 @@ fn moved(samples: i64) -> tempfile::TempDir {
     folder
 }
 
-/// Every explanation by a dead zone is refuted wherever the clock of the readings is put, the declared model is not, and nothing with a dead zone
-/// stays named.
+/// Every explanation by a dead zone is refuted wherever the clock of the readings is put, the
+/// declared model is not, and nothing with a dead zone stays named.
 #[test]
 fn the_sweep_refutes_the_dead_zone_at_every_clock() {
     for samples in [0, 2, -2] {
@@ -167,7 +168,8 @@ fn a_bottle_elsewhere_refutes_the_declared_model() {
     assert_eq!(read(&again), read(&path("whiskerfbg_bottle")));
 }
 
-/// What is no sweep, a place that is none, and a sweep that begins at the object are refused by name.
+/// What is no sweep, a place that is none, and a sweep that begins at the object are refused by
+/// name.
 #[test]
 fn what_cannot_judge_is_refused() {
     let refused = |arguments: &[&str], expected: &str| {

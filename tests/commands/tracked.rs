@@ -1,4 +1,5 @@
-//! Records of one contact each, with a calibration and the true contact (SIMULATED): needles pressed in and back, and a short slide.
+//! Records of one contact each, with a calibration and the true contact (SIMULATED): needles
+//! pressed in and back, and a short slide.
 
 use crate::support::copy::copy_folder;
 use crate::support::{repository, text, wcal};
@@ -115,7 +116,8 @@ fn a_slide_that_is_too_short_to_be_looked_at_is_undecided() {
     );
 }
 
-/// A session whose groove is known, tracked with its own calibration and with that of another bench.
+/// A session whose groove is known, tracked with its own calibration and with that of another
+/// bench.
 #[test]
 fn rows_that_miss_a_known_groove_say_so_with_force_too() {
     let place = tempfile::tempdir().unwrap();

@@ -22,7 +22,8 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["session.toml", "rest_shape.csv", "points.csv", "twin.csv"] {
         let text = std::fs::read_to_string(fixture.join(name)).unwrap();
-        // Two poses of one trajectory: a sure one and one whose wire still swings when the moment is read.
+        // Two poses of one trajectory: a sure one and one whose wire still swings when the moment
+        // is read.
         let kept = |line: &&str| {
             !name.ends_with("s.csv") && name != "twin.csv"
                 || line.starts_with("point")

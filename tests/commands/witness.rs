@@ -1,4 +1,5 @@
-//! The plant's cameras and the picture commands: what the program finds in pictures of a bench that shares no code with it (SIMULATED).
+//! The plant's cameras and the picture commands: what the program finds in pictures of a bench that
+//! shares no code with it (SIMULATED).
 
 use crate::support::{code_and_messages, fixture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -22,7 +23,8 @@ struct Pose {
     view: View,
 }
 
-/// Three pushes of the bench's own wire: near the root, on the bend, out on the arc; toward and away from the cameras.
+/// Three pushes of the bench's own wire: near the root, on the bend, out on the arc; toward and
+/// away from the cameras.
 fn poses(rig: &RigGeometry) -> Vec<Pose> {
     let wire = Wire::new(0.3, 60.0, 30.0, 20.0, 75.0, 28.2);
     let pushes = [
@@ -76,7 +78,8 @@ fn draw(folder: &Path, name: &str, cameras: &[Lens; 2], view: &View, look: &Appe
     std::fs::write(folder.join("SIMULATED"), "").unwrap();
 }
 
-/// How far the program is from the truth: greatest error of the groove, of the contact's arc length, RMS of the centre line, mm; or its words.
+/// How far the program is from the truth: greatest error of the groove, of the contact's arc
+/// length, RMS of the centre line, mm; or its words.
 fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Appearance) -> Result<[f64; 3], String> {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();

@@ -1,4 +1,5 @@
-//! What the pages say is there: links, pages of the book, commands and their options, files, and the keys of the files that people write.
+//! What the pages say is there: links, pages of the book, commands and their options, files, and
+//! the keys of the files that people write.
 
 use crate::support::{program, repository};
 use std::collections::{BTreeMap, BTreeSet};
@@ -254,7 +255,8 @@ fn every_file_that_a_page_names_is_there() {
     );
 }
 
-/// Source files that a page names without a folder of `ROOTS`, and that no file of the repository is called by.
+/// Source files that a page names without a folder of `ROOTS`, and that no file of the repository
+/// is called by.
 fn missing_sources(page: &str, files: &[String]) -> Vec<String> {
     let (prose, _) = parts(page);
     let spans = prose
@@ -294,8 +296,8 @@ fn every_source_file_that_a_page_names_by_its_last_part_is_there() {
     );
 }
 
-/// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME` and so on, and the modules of a test:
-/// `--test NAME MODULE::`.
+/// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME`
+/// and so on, and the modules of a test: `--test NAME MODULE::`.
 fn targets() -> BTreeSet<String> {
     let metadata = Command::new(env!("CARGO"))
         .args([
@@ -332,7 +334,8 @@ fn targets() -> BTreeSet<String> {
     names
 }
 
-/// Targets of `cargo` and of the Makefile that a page names and that are not there. A name in capitals stands for any.
+/// Targets of `cargo` and of the Makefile that a page names and that are not there. A name in
+/// capitals stands for any.
 fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<String>) -> Vec<String> {
     let (prose, mut code) = parts(page);
     code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));

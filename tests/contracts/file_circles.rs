@@ -1,4 +1,5 @@
-//! No circle between the files of a crate: a file stands on those below it, by its `use` lines and by the paths in its text.
+//! No circle between the files of a crate: a file stands on those below it, by its `use` lines and
+//! by the paths in its text.
 
 use crate::support::repository;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +37,8 @@ fn program(source: &str) -> String {
     out
 }
 
-/// The paths of a tree: of `a::{b, c::d as e}` these are `a::b` and `a::c::d`, each with its name here.
+/// The paths of a tree: of `a::{b, c::d as e}` these are `a::b` and `a::c::d`, each with its name
+/// here.
 fn branches(tree: &str) -> Vec<(Names, String)> {
     if let Some((head, inner)) = tree.split_once('{') {
         let inner = inner.trim_end().strip_suffix('}').unwrap_or(inner);
@@ -154,7 +156,8 @@ impl Crate {
         meant.map_or(module, |path| self.owner(&[&path, &rest[1..]].concat()))
     }
 
-    /// Modules on which one stands. An imported module is named only: what is taken from it says its path.
+    /// Modules on which one stands. An imported module is named only: what is taken from it says
+    /// its path.
     fn stands_on(&self, from: &Names) -> BTreeSet<Names> {
         let module = &self.0[from];
         let all = module

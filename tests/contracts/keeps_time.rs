@@ -19,8 +19,9 @@ fn the_bench_runs_and_marks_what_it_leaves() {
         true
     );
     assert!(marked(folder.path(), "verify/report.html"));
-    // The stream was tracked. Whether the sweep beside it has come to a contact within its 20 s is a matter of the machine's load; contacts of
-    // live streams are tested where nothing else runs (tests/live/track_live.rs).
+    // The stream was tracked. Whether the sweep beside it has come to a contact within its 20 s is
+    // a matter of the machine's load; contacts of live streams are tested where nothing else runs
+    // (tests/live/track_live.rs).
     let track = fs::read_to_string(folder.path().join("track.csv")).unwrap();
     let probabilities: Vec<f64> = track
         .lines()

@@ -238,7 +238,8 @@ fn a_wrong_direction_is_seen() {
     assert_eq!(found, expected);
 }
 
-/// What `make peers` runs is there: scripts, packages and examples; an example that was deleted stopped it at its first row once.
+/// What `make peers` runs is there: scripts, packages and examples; an example that was deleted
+/// stopped it at its first row once.
 #[test]
 fn every_command_of_the_peers_refers_to_something_that_exists() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -328,7 +329,8 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
     assert!(!folder.path().join("peers-good.json").exists());
 }
 
-/// Calls that open a file by a path. `wcal_core::files` does so for everybody: a pipe would hang the program, a device fill the memory.
+/// Calls that open a file by a path. `wcal_core::files` does so for everybody: a pipe would hang
+/// the program, a device fill the memory.
 const OPENS: [&str; 4] = [
     "fs::read(",
     "fs::read_to_string(",
@@ -424,8 +426,9 @@ fn targets_that_keep_time() -> BTreeSet<String> {
     found
 }
 
-/// `make test` runs tests that keep time by their targets, and all tests but these by the name of their module, those in documentation with them. Targets
-/// of these that the script's run of what keeps time does not name.
+/// `make test` runs tests that keep time by their targets, and all tests but these by the name of
+/// their module, those in documentation with them. Targets of these that the script's run of what
+/// keeps time does not name.
 fn left_out(script: &str, keep_time: &BTreeSet<String>) -> Vec<String> {
     for needed in [
         "printf -- '--test %s ' $half",

@@ -1,4 +1,5 @@
-//! What the repository says of itself is true: README and pages, schemas, layers, versions, licences.
+//! What the repository says of itself is true: README and pages, schemas, layers, versions,
+//! licences.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,8 +1,8 @@
-//! Every command of the guide, and so of README.md, as a reader types it, each page in an empty folder that has the repository's `fixtures`
-//! and `rigs`.
+//! Every command of the guide, and so of README.md, as a reader types it, each page in an empty
+//! folder that has the repository's `fixtures` and `rigs`.
 //!
-//! A line is one command, continued by a backslash; it must end with exit code 0, or with N where the line says `# exit N`. What is not run
-//! as it stands is listed below with the reason.
+//! A line is one command, continued by a backslash; it must end with exit code 0, or with N where
+//! the line says `# exit N`. What is not run as it stands is listed below with the reason.
 
 use crate::support::{PROGRAM, repository};
 use std::fs;
@@ -27,7 +27,8 @@ const CUT: [(&str, &str, &str); 1] = [(
     "--sweeps 2",
     "600 sweeps take minutes in the profile of the tests",
 )];
-/// Pages of the guide with commands, and how many each has at least. The blocks of README.md are blocks of the guide.
+/// Pages of the guide with commands, and how many each has at least. The blocks of README.md are
+/// blocks of the guide.
 const PAGES: [(&str, usize); 6] = [
     ("docs/src/guide/start.md", 2),
     ("docs/src/guide/own-table.md", 6),
@@ -120,9 +121,11 @@ fn judge(command: &str, expected: i32, code: Option<i32>, stderr: &[u8], wrong: 
     }
 }
 
-/// On a machine that is busy with other things the bench's scans and pictures may come late: whether the warnings say that and nothing else.
+/// On a machine that is busy with other things the bench's scans and pictures may come late:
+/// whether the warnings say that and nothing else.
 fn only_late(said: &str) -> bool {
-    /// Poses of a sweep that a busy machine may leave without pictures (3 of 36 were, beside thirty other processes on two cores).
+    /// Poses of a sweep that a busy machine may leave without pictures (3 of 36 were, beside thirty
+    /// other processes on two cores).
     const FEW_POSES: u64 = 6;
     let late = |warning: &str| {
         let (count, what) = warning.split_once(' ').unwrap_or(("", warning));

@@ -1,6 +1,8 @@
 //! README's table of results, row by row from the commands that make it, which are run here.
 //!
-//! `make results` writes the table (`WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts results::`); without it the test compares.
+//! `make results` writes the table
+//! (`WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts results::`); without it the test
+//! compares.
 
 use crate::support::{program, repository};
 use serde_json::Value;
@@ -94,7 +96,8 @@ fn actuator() -> Row {
     ]
 }
 
-/// Error of the declared model where our rod takes the place of the released labels: one of the answer's notes.
+/// Error of the declared model where our rod takes the place of the released labels: one of the
+/// answer's notes.
 fn declared_by_our_rod(document: &Value) -> f64 {
     const SAYS: &str = "declared model, labels repaired by the rod: ";
     let mut notes = document["notes"]
@@ -181,7 +184,8 @@ fn the_table_of_results_is_what_its_script_writes() {
     assert_ne!(table(&[load_cell(&pontius)]), table(&rows[..1]));
 }
 
-/// A row of a printed exam: its word, and what its interval says of its goal; none where nothing is to be said.
+/// A row of a printed exam: its word, and what its interval says of its goal; none where nothing is
+/// to be said.
 fn judged(line: &str) -> Option<(String, &'static str)> {
     let (row, goal) = line.rsplit_once(" goal ")?;
     let word = ["met ", "MISS", "open", "    "]

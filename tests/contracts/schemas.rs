@@ -1,7 +1,9 @@
-//! Every JSON document that the program writes, held against `docs/schemas`; tables against the columns of `docs/src/formats.md`.
+//! Every JSON document that the program writes, held against `docs/schemas`; tables against the
+//! columns of `docs/src/formats.md`.
 //!
-//! The schemas are open, as a reader should be: keys may be added. Here they are closed, so that the program writes no key that they lack.
-//! They are made from the types that write the documents, and so is `docs/src/json.md` (`tests/support/json_reference.rs`).
+//! The schemas are open, as a reader should be: keys may be added. Here they are closed, so that
+//! the program writes no key that they lack. They are made from the types that write the documents,
+//! and so is `docs/src/json.md` (`tests/support/json_reference.rs`).
 
 mod validator;
 mod written;
@@ -50,7 +52,8 @@ fn closed(schema: &Value) -> Value {
     }
 }
 
-/// A value that is none of what stands there: a number for what holds others, an empty object for the rest.
+/// A value that is none of what stands there: a number for what holds others, an empty object for
+/// the rest.
 fn other_type(value: &Value) -> Value {
     if value.is_object() || value.is_array() {
         7.into()

@@ -1,6 +1,8 @@
-//! What others wrote: under which licence, from where, and that `THIRD-PARTY.md` says so. No LGPL code is in the program.
+//! What others wrote: under which licence, from where, and that `THIRD-PARTY.md` says so. No LGPL
+//! code is in the program.
 //!
-//! `WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts third_party::` writes the notice anew.
+//! `WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts third_party::` writes the notice
+//! anew.
 
 use crate::support::packages::{self, Package};
 use crate::support::{PROGRAM, repository};
@@ -50,7 +52,8 @@ impl Rules {
     }
 }
 
-/// Whether an SPDX expression (or the older "A/B") is met by what is allowed: OR over AND, brackets first.
+/// Whether an SPDX expression (or the older "A/B") is met by what is allowed: OR over AND, brackets
+/// first.
 fn allowed(expression: &str, licences: &[String]) -> bool {
     let expression = expression.replace('/', " OR ");
     let mut text = expression.as_str();
@@ -176,7 +179,8 @@ fn the_notice_of_third_parties_is_current() {
         fs::read_to_string(&page).unwrap_or_default() == found,
         "THIRD-PARTY.md: write it anew with WCAL_WRITE_DOCS=1"
     );
-    // What the table of native code says of NLopt: its version is that of the source in the package.
+    // What the table of native code says of NLopt: its version is that of the source in the
+    // package.
     let nlopt = packages.iter().find(|p| p.name == "nlopt").unwrap();
     assert_eq!(
         nlopt.version, "0.8.1",

@@ -1,6 +1,8 @@
-//! Clean sessions of the virtual bench with pictures, from the sweep to the verdict, through the program alone (SIMULATED).
+//! Clean sessions of the virtual bench with pictures, from the sweep to the verdict, through the
+//! program alone (SIMULATED).
 //!
-//! `WCAL_DRAWS=20 cargo test --workspace --test live clean_bench:: -- --nocapture` prints the rate over more of them.
+//! `WCAL_DRAWS=20 cargo test --workspace --test live clean_bench:: -- --nocapture` prints the rate
+//! over more of them.
 
 use crate::support::board_pictures::board_pictures;
 use crate::support::virtual_bench::VirtualBench;
@@ -59,8 +61,9 @@ fn verdict(seed: u64, effects: &str) -> Value {
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {text}"))).unwrap()
 }
 
-/// Of three sessions none may name an effect (of the exam's 48 with pictures and without an effect none has a name), and at most one may be called
-/// anything but adequate (1 of 48: 0.1 % for two of three). Their held-out readings together are as wrong as the model expects.
+/// Of three sessions none may name an effect (of the exam's 48 with pictures and without an effect
+/// none has a name), and at most one may be called anything but adequate (1 of 48: 0.1 % for two of
+/// three). Their held-out readings together are as wrong as the model expects.
 #[test]
 fn clean_sessions_are_adequate() {
     let _turn = crate::beside_others();
@@ -81,7 +84,8 @@ fn clean_sessions_are_adequate() {
     let adequate = all.iter().filter(|v| v["verdict"] == "adequate").count() as u64;
     println!("{adequate} of {draws} adequate (SIMULATED)");
     assert_eq!(faults(&all), Vec::<String>::new());
-    // Controls: a groove that sits elsewhere is found, and would not pass as clean in one of the three; nor would its error without the name.
+    // Controls: a groove that sits elsewhere is found, and would not pass as clean in one of the
+    // three; nor would its error without the name.
     let v = verdict(200, "[effects]\ngroove_offset_mm = [0.0, 0.12, 0.16]\n");
     assert!(
         v["verdict"] == "effect" && v["effects"][0]["id"] == "contact-offset",
@@ -97,7 +101,8 @@ fn clean_sessions_are_adequate() {
     assert!(pooled(&unnamed) > AS_EXPECTED, "{unnamed:?}");
 }
 
-/// Held-out error of the accepted model ("after") or the declared one ("before") over what the accepted one expects of the same readings.
+/// Held-out error of the accepted model ("after") or the declared one ("before") over what the
+/// accepted one expects of the same readings.
 fn over_expected(v: &Value, which: &str) -> f64 {
     let of = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
     of(&v[which]["wavelength_rmse_pm"]) / of(&v["after"]["expected"]["wavelength_rmse_pm"])
@@ -108,8 +113,8 @@ fn pooled(ratios: &[f64]) -> f64 {
     (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt()
 }
 
-/// Held-out error of three sessions over what is expected from which they are not as expected. Of one alone, with two sealed trajectories, it scatters from
-/// 0.7 to 1.5.
+/// Held-out error of three sessions over what is expected from which they are not as expected. Of
+/// one alone, with two sealed trajectories, it scatters from 0.7 to 1.5.
 const AS_EXPECTED: f64 = 1.6;
 
 /// What speaks against these being sessions without an effect.

@@ -1,5 +1,5 @@
-//! `wcal track` on a recording without a model, as a user runs it: a sweep on the virtual bench, its calibration, its own recording
-//! (SIMULATED).
+//! `wcal track` on a recording without a model, as a user runs it: a sweep on the virtual bench,
+//! its calibration, its own recording (SIMULATED).
 
 use super::moving_base::{Bench, for_rows, go, reseal, until_rows};
 use crate::support::{program, repository, text};
@@ -33,7 +33,8 @@ impl Run {
         &self.summary["whiskers"][0]
     }
 
-    /// RMS error at the last reading of each contact: at the first depth the arc length is not known yet.
+    /// RMS error at the last reading of each contact: at the first depth the arc length is not
+    /// known yet.
     #[track_caller]
     fn end_mm(&self) -> f64 {
         self.whisker()["end_rmse_mm"]
@@ -138,8 +139,8 @@ impl Swept {
         }
     }
 
-    /// The groove's displacement as the recording has it: by the interrogator's clock, s since the first scan, each trajectory far from the
-    /// one before.
+    /// The groove's displacement as the recording has it: by the interrogator's clock, s since the
+    /// first scan, each trajectory far from the one before.
     fn motion(&self) -> Vec<(f64, [f64; 3])> {
         let rig = std::fs::read_to_string(self.path("rig.toml")).unwrap();
         let rig = Rig::parse("rig.toml", &rig).unwrap();
@@ -244,7 +245,8 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
     live(&swept);
 }
 
-/// Live, with a base that the stage carries past the groove: one contact, and the motion is doubted where the base goes the other way.
+/// Live, with a base that the stage carries past the groove: one contact, and the motion is doubted
+/// where the base goes the other way.
 fn live(swept: &Swept) {
     let bench = Bench::start(swept.folder.path(), SPEED, 500.0);
     let rig = std::fs::read_to_string(&bench.rig).unwrap();
@@ -293,8 +295,8 @@ fn live(swept: &Swept) {
             "{name}: {said}"
         );
         assert!(agrees || run.status.code() == Some(3), "{name}: {said}");
-        // A region of 95 % misses one contact in twenty; widened by half of itself on either side, four standard deviations, none. Where motion
-        // and moments disagree, it may lie anywhere.
+        // A region of 95 % misses one contact in twenty; widened by half of itself on either side,
+        // four standard deviations, none. Where motion and moments disagree, it may lie anywhere.
         let regions = contacts[0]["regions"].as_array().unwrap();
         let holds = |r: &&Value| {
             let [from, to] = ["from_mm", "to_mm"].map(|end| r[end].as_f64().unwrap());

@@ -1,4 +1,5 @@
-//! Programs that keep time: sweeps and streams on the virtual bench, signals, and benches that fall behind.
+//! Programs that keep time: sweeps and streams on the virtual bench, signals, and benches that fall
+//! behind.
 //!
 //! A target of its own: nothing else may take the machine from them.
 
@@ -10,7 +11,8 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-/// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
+/// `make test` runs these before all others in the machine's favour, and those beside them with
+/// `--skip keeps_time::`.
 #[path = "."]
 mod keeps_time {
     mod clean_bench;
@@ -26,7 +28,8 @@ mod support;
 
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-/// Benches that run now. Several fast ones starve each other on a small machine; those at a few times real time leave it idle.
+/// Benches that run now. Several fast ones starve each other on a small machine; those at a few
+/// times real time leave it idle.
 static BENCHES: RwLock<()> = RwLock::new(());
 
 /// For a fast bench, or one that may lose nothing: no other runs.

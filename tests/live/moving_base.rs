@@ -77,7 +77,8 @@ pub fn until_rows(table: &Path, rows: usize) {
     until("rows", || there() >= rows);
 }
 
-/// Waits until a run has written that many rows more. Rows reach the file every half second: some of them may be older than the call.
+/// Waits until a run has written that many rows more. Rows reach the file every half second: some
+/// of them may be older than the call.
 pub fn for_rows(table: &Path, rows: usize) {
     until_rows(
         table,
@@ -90,7 +91,8 @@ pub fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {
     until_standing(stage);
 }
 
-/// A calibration that `fit-gpr` made of a session of the virtual bench, as it is and sealed again as verified.
+/// A calibration that `fit-gpr` made of a session of the virtual bench, as it is and sealed again
+/// as verified.
 pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
     let bench = Bench::start(folder, 20.0, 500.0);
     let (session, fit) = (folder.join("session"), folder.join("fit"));

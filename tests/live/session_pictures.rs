@@ -1,5 +1,6 @@
-//! From a sweep with pictures to shapes in the session, through the program alone: virtual bench, board pictures, `stereo-calibrate`,
-//! `stereo-shape SESSION` (SIMULATED). The bench's camera faults and spoilt pictures are the negative controls.
+//! From a sweep with pictures to shapes in the session, through the program alone: virtual bench,
+//! board pictures, `stereo-calibrate`, `stereo-shape SESSION` (SIMULATED). The bench's camera
+//! faults and spoilt pictures are the negative controls.
 
 use crate::support::board_pictures::board_pictures;
 use crate::support::copy::copy_folder;
@@ -113,7 +114,8 @@ fn grooves(session: &str, table: &str) -> Vec<Option<[f64; 3]>> {
         .collect()
 }
 
-/// By pair the greatest distance of the groove from where the stage had it in an axis, mm, and in standard deviations of that axis; the farthest first.
+/// By pair the greatest distance of the groove from where the stage had it in an axis, mm, and in
+/// standard deviations of that axis; the farthest first.
 fn distances(pairs: &[PairDocument], truth: &[Option<[f64; 3]>]) -> Vec<[f64; 2]> {
     let of = |pair: &PairDocument| {
         let (at, groove) = (truth[pair.point? as usize]?, pair.groove.as_ref()?);
@@ -180,7 +182,8 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let truth = grooves(&session, "points.csv");
     assert_eq!(truth.iter().flatten().count(), 6);
     let found = distances(&document.pairs, &truth);
-    // One pair of a sweep may be poorly seen, and says so: on a busy machine one in some dozens of runs had 0.71 mm with a standard deviation of 0.9.
+    // One pair of a sweep may be poorly seen, and says so: on a busy machine one in some dozens of
+    // runs had 0.71 mm with a standard deviation of 0.9.
     assert!(
         found.len() == 6 && found[1][0] < 0.05 && found.iter().all(|f| f[1] < 4.0),
         "{found:?}"
@@ -252,10 +255,12 @@ fn faulty_cameras_are_named(bench: &mut Bench, stereo: &str, said: &dyn Fn(&str)
         .type_fault("{\"kind\":\"exposure\",\"factor\":1}");
     said("overexposed");
 
-    // Somebody knocked a camera: what it shows is not where the stage has the groove, by far more than stated.
+    // Somebody knocked a camera: what it shows is not where the stage has the groove, by far more
+    // than stated.
     let knock = "{\"kind\":\"camera-moved\",\"mm\":[0.3,0,0],\"deg\":[0,0.1,0]}";
     bench.served.type_fault(knock);
-    // On a busy machine pictures come late, and the sweep says that the camera's clock drifts (exit code 3).
+    // On a busy machine pictures come late, and the sweep says that the camera's clock drifts (exit
+    // code 3).
     let (code, text) = bench.with_fault("moved", knock, 0);
     assert!(
         code == 0 || (code == 3 && text.contains("device clock drifts")),
@@ -291,13 +296,15 @@ fn faulty_cameras_are_named(bench: &mut Bench, stereo: &str, said: &dyn Fn(&str)
     said("lost");
 }
 
-/// A copy of the session in which one pose's pictures each are without tag, unpaired, of another session, and of another time.
+/// A copy of the session in which one pose's pictures each are without tag, unpaired, of another
+/// session, and of another time.
 fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
     let place = Path::new(to);
     copy_folder(Path::new(session), place);
     let list = place.join("pictures/pictures.csv");
     let mut table = std::fs::read_to_string(&list).unwrap();
-    // Pictures of the board as those of a pose, with hashes of their own: nobody exchanged the files, and no tag is in them.
+    // Pictures of the board as those of a pose, with hashes of their own: nobody exchanged the
+    // files, and no tag is in them.
     for side in ["left", "right"] {
         let board = Path::new(session)
             .with_file_name("board")

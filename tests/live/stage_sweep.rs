@@ -1,4 +1,5 @@
-//! The program against its own virtual bench: record, fit, verify; crash and resume; signals; faults of stage, line and clock; dry run.
+//! The program against its own virtual bench: record, fit, verify; crash and resume; signals;
+//! faults of stage, line and clock; dry run.
 
 mod clocks;
 mod plans;
@@ -135,7 +136,8 @@ fn the_27_points_are_recorded_fitted_and_verified() {
         .as_array()
         .expect("clocks of the cameras");
     assert_eq!(cameras.len(), 2, "{cameras:?}");
-    // Interrogator and cameras stamp in bench time: their clocks agree to what the host is late at 20 x real time.
+    // Interrogator and cameras stamp in bench time: their clocks agree to what the host is late at
+    // 20 x real time.
     let apart_s = offset_s(&cameras[0]) - offset_s(&stream["clocks"][0]);
     assert!(apart_s.abs() < 2.0, "{stream}");
     // The same tables from the raw streams, by the program alone.
@@ -162,8 +164,10 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
-    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. The verdict "effect" it gives in 1 of 305
-    // sessions of the exam without one: 1 % for these three runs (always three). Anything but "adequate" in 9 of 305: 0.3 % for two of the three.
+    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an
+    // effect. The verdict "effect" it gives in 1 of 305 sessions of the exam without one: 1 % for
+    // these three runs (always three). Anything but "adequate" in 9 of 305: 0.3 % for two of the
+    // three.
     let mut verdicts = vec![verdict(&bench)];
     // One bench at a time: the second would wait for the first for ever.
     drop(bench);
@@ -173,7 +177,8 @@ fn the_27_points_are_recorded_fitted_and_verified() {
         verdicts.push(verdict(&again));
     }
     assert!(clean(&verdicts), "{verdicts:?}");
-    // Negative controls: one effect in three, two sessions that are not adequate, and an adequate one with another exit code.
+    // Negative controls: one effect in three, two sessions that are not adequate, and an adequate
+    // one with another exit code.
     let of = |code: i32, word: &str| (code, word.to_owned());
     let good = of(0, "adequate");
     assert!(!clean(&[good.clone(), good.clone(), of(0, "effect")]));

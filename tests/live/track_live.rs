@@ -1,5 +1,5 @@
-//! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and everything that it must refuse or flag.
-//! Bench and sweeps are SIMULATED.
+//! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and
+//! everything that it must refuse or flag. Bench and sweeps are SIMULATED.
 
 use super::moving_base::{Bench, calibrations, for_rows, go, reseal, until_rows};
 use crate::support::{program, repository, text};
@@ -60,7 +60,8 @@ impl Rows {
     }
 }
 
-/// Tracked without loss: 3 and a word about it where contact came in a motion that is not known to be one of training, else 0 and no word.
+/// Tracked without loss: 3 and a word about it where contact came in a motion that is not known to
+/// be one of training, else 0 and no word.
 fn tracked(code: Option<i32>, said: &str) {
     let doubted = said.contains("motion-assumed");
     assert_eq!(code, Some(if doubted { 3 } else { 0 }), "{said}");
@@ -289,7 +290,8 @@ fn faults_are_flagged(bench: &mut Bench, live: &[&str], path: &dyn Fn(&str) -> S
     a_clock_that_steps_or_stands_still_is_named(bench, &live);
 }
 
-/// A step of the clock neither ends nor prolongs a run, and is said; a clock that stands still ends it.
+/// A step of the clock neither ends nor prolongs a run, and is said; a clock that stands still ends
+/// it.
 fn a_clock_that_steps_or_stands_still_is_named(bench: &mut Bench, live: &[&str]) {
     let csv = *live.last().unwrap();
     let run = |bench: &mut Bench, fault: &str| {
@@ -475,7 +477,8 @@ fn refusals(recording: &str, rig: &str, [raw, good]: [&str; 2], path: &dyn Fn(&s
             text(&run.stderr)
         );
     }
-    // Control: rig and calibration as they are, faster than the four host seconds a wall second of the rig file.
+    // Control: rig and calibration as they are, faster than the four host seconds a wall second of
+    // the rig file.
     let run = run(rig, good, &[]);
     tracked(run.status.code(), &text(&run.stderr));
     let pace = document(&run)["time"]["times_real_time"].as_f64().unwrap();

@@ -1,4 +1,5 @@
-//! The virtual bench's chessboard before its cameras, as files (SIMULATED): what a person does with a board and a camera's own program.
+//! The virtual bench's chessboard before its cameras, as files (SIMULATED): what a person does with
+//! a board and a camera's own program.
 
 use std::io::{Read, Result, Write};
 use std::net::TcpStream;
@@ -30,7 +31,8 @@ fn frame(link: &mut TcpStream, skip: usize) -> Result<CameraFrame> {
     Ok(found)
 }
 
-/// Frames in which the bench must have heard a command: those that were drawn before it are on their way.
+/// Frames in which the bench must have heard a command: those that were drawn before it are on
+/// their way.
 const MAX_LATE: usize = 400;
 /// Mean difference of grey values beyond the noise.
 const OTHER: f64 = 3.0;
@@ -54,7 +56,8 @@ fn next_view(link: &mut TcpStream, before: &CameraFrame) -> Result<CameraFrame> 
     Err(std::io::Error::other("the bench shows no other picture"))
 }
 
-/// Pictures of the board in so many attitudes: `FOLDER/left/VV.png` and `FOLDER/right/VV.png`. `cameras`: addresses of both.
+/// Pictures of the board in so many attitudes: `FOLDER/left/VV.png` and `FOLDER/right/VV.png`.
+/// `cameras`: addresses of both.
 pub fn board_pictures(cameras: [&str; 2], folder: &Path, views: u32) -> Result<()> {
     let mut first = TcpStream::connect(cameras[0])?;
     let mut left = frame(&mut first, 0)?;

@@ -1,4 +1,5 @@
-//! Boards drawn in pairs of small pictures (SIMULATED): pinhole cameras without distortion, 4x4 points a pixel, a blur of the neighbours, noise.
+//! Boards drawn in pairs of small pictures (SIMULATED): pinhole cameras without distortion, 4x4
+//! points a pixel, a blur of the neighbours, noise.
 
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -11,7 +12,8 @@ const HEIGHT: usize = 420;
 const FOCAL_PX: f64 = 640.0;
 const SUB: usize = 4;
 
-/// Grey value of a printed board at a place on it, mm from its middle, x right, y down; none beyond its edge.
+/// Grey value of a printed board at a place on it, mm from its middle, x right, y down; none beyond
+/// its edge.
 pub type Print = Box<dyn Fn(f64, f64) -> Option<u8> + Sync>;
 
 /// Squares of this side (mm) with this many inner corners, stretched along the columns.
@@ -62,7 +64,8 @@ pub fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
     })
 }
 
-/// Poses of a board before the left camera, tilted to all sides; `roll`: share of the rolls that tell fx from fy.
+/// Poses of a board before the left camera, tilted to all sides; `roll`: share of the rolls that
+/// tell fx from fy.
 pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
     (0..8)
         .map(|k| {

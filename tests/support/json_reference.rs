@@ -1,4 +1,5 @@
-//! Schemas of JSON documents from the types that write them (`docs/schemas`), and the page that is made from these (`docs/src/json.md`).
+//! Schemas of JSON documents from the types that write them (`docs/schemas`), and the page that is
+//! made from these (`docs/src/json.md`).
 //!
 //! `WCAL_WRITE_DOCS=1 cargo test --workspace --lib schemas` writes both anew.
 
@@ -25,8 +26,9 @@ pub fn schema<T: JsonSchema>(name: &str, title: &str) -> (String, Value) {
     (name.to_owned(), schema)
 }
 
-/// Leaves what a reader in any language needs: no widths of numbers, no defaults, descriptions on one line without links into the code, and no
-/// reference beside further keys (a variant that is told apart by a key).
+/// Leaves what a reader in any language needs: no widths of numbers, no defaults, descriptions on
+/// one line without links into the code, and no reference beside further keys (a variant that is
+/// told apart by a key).
 fn plain(schema: &mut Value, parts: &Value) {
     match schema {
         Value::Object(map) => {
@@ -90,8 +92,9 @@ fn drop_unused(schema: &mut Value) {
     }
 }
 
-/// Holds the committed schemas of `own` and the page against the types. The folder's other schemas are another program's, whose test holds
-/// them; `tests/contracts/schemas.rs` holds all against documents that the programs write.
+/// Holds the committed schemas of `own` and the page against the types. The folder's other schemas
+/// are another program's, whose test holds them; `tests/contracts/schemas.rs` holds all against
+/// documents that the programs write.
 pub fn hold(repository: &Path, own: Vec<(String, Value)>) {
     let folder = repository.join("docs/schemas");
     let read = |path: &Path| std::fs::read_to_string(path).unwrap_or_default();

@@ -29,7 +29,8 @@ pub fn program() -> Command {
     Command::new(PROGRAM)
 }
 
-/// The program that has this command, not yet started: `wcal-lab` lies beside `wcal` in a build of the workspace.
+/// The program that has this command, not yet started: `wcal-lab` lies beside `wcal` in a build of
+/// the workspace.
 ///
 /// # Panics
 /// Where `wcal-lab` is asked for and not there.

@@ -10,7 +10,8 @@ pub fn with_number(recording: &Path, from: f64, to: f64) {
     let mut bytes = std::fs::read(recording).unwrap();
     // Behind the magic bytes.
     let mut at = 8;
-    // A record: operation code, length, content. 6: a chunk, whose checksum is at 24; 2: the footer.
+    // A record: operation code, length, content. 6: a chunk, whose checksum is at 24; 2: the
+    // footer.
     while bytes[at] != 2 {
         if bytes[at] == 6 {
             bytes[at + 9 + 24..at + 9 + 28].fill(0);

@@ -13,7 +13,8 @@ pub struct VirtualBench {
 }
 
 impl VirtualBench {
-    /// Serves a scenario, written as `NAMEscenario.toml` into the folder; the addresses go into `NAMEbench.json`.
+    /// Serves a scenario, written as `NAMEscenario.toml` into the folder; the addresses go into
+    /// `NAMEbench.json`.
     pub fn serve(folder: &Path, name: &str, scenario: &str) -> Self {
         let path = |file: &str| folder.join(format!("{name}{file}"));
         std::fs::write(path("scenario.toml"), scenario).unwrap();

@@ -39,7 +39,8 @@ impl CameraPair {
         }
     }
 
-    /// Two cameras whose frames carry numbers of their own: the first pair closer in time than the limit sets the count.
+    /// Two cameras whose frames carry numbers of their own: the first pair closer in time than the
+    /// limit sets the count.
     pub fn by_time(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
         Self {
             offset: None,

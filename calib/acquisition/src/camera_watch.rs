@@ -19,8 +19,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Pairs refused in a row that end a sweep: a camera that hangs does not recover.
 const REFUSED_LIMIT: u32 = 5;
 
-/// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without loss, and small pictures between. A
-/// refused pair is an event and a count; several in a row, a silent or a lost camera end the sweep.
+/// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without
+/// loss, and small pictures between. A refused pair is an event and a count; several in a row, a
+/// silent or a lost camera end the sweep.
 pub fn watch(
     pair: &mut CameraPair,
     names: &[String; 2],
@@ -126,9 +127,10 @@ impl CameraClock {
         }
     }
 
-    /// Whether the exposure began after a host time. Frames may wait in a queue, so that their arrival does not give their exposure. Even the
-    /// least delayed arrival is late by the exposure itself, which is added. Without a clock of the camera's own a frame is accepted only
-    /// when the previous one arrived after that time, too.
+    /// Whether the exposure began after a host time. Frames may wait in a queue, so that their
+    /// arrival does not give their exposure. Even the least delayed arrival is late by the exposure
+    /// itself, which is added. Without a clock of the camera's own a frame is accepted only when
+    /// the previous one arrived after that time, too.
     fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
         let exposure_s = frame
             .measured_exposure_ms

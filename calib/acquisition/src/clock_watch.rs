@@ -1,4 +1,5 @@
-//! A device's clock that steps or stands still, distinguished from a device or a computer that is late.
+//! A device's clock that steps or stands still, distinguished from a device or a computer that is
+//! late.
 //!
 //! ```text
 //! x host time, y device time less x, n scans since the last good one, p time of a scan by the device's own clock
@@ -8,8 +9,8 @@
 //! stopped:     scans come for seconds of host time, and device time does not rise
 //! ```
 //!
-//! A gap in the stream whose scans were not counted raises device and host time alike: y stays below its earlier maximum. A single wrong
-//! stamp is off for its own scan only.
+//! A gap in the stream whose scans were not counted raises device and host time alike: y stays
+//! below its earlier maximum. A single wrong stamp is off for its own scan only.
 
 use std::fmt;
 use wcal_core::device::{DeviceError, DeviceErrorKind};
@@ -164,12 +165,14 @@ impl ClockWatch {
         stopped
     }
 
-    /// Whether the last readings may turn out to have come after a step, or from a clock that stands still.
+    /// Whether the last readings may turn out to have come after a step, or from a clock that
+    /// stands still.
     pub fn is_unsure(&self) -> bool {
         self.doubt.is_some() || self.standing
     }
 
-    /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem to have come before it was made.
+    /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem
+    /// to have come before it was made.
     pub fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
         device_s - host_s <= self.earliest_s + STEP_S
     }
@@ -260,7 +263,8 @@ mod tests {
 
     const RATE_HZ: f64 = 100.0;
 
-    /// What is said of `seconds` of scans whose device and host time are `at` their number and true time.
+    /// What is said of `seconds` of scans whose device and host time are `at` their number and true
+    /// time.
     fn said(
         seconds: u64,
         scale: f64,

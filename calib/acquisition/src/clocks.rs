@@ -1,16 +1,17 @@
-//! Relation of two clocks: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
-//! times stay as they are, host times of other devices are mapped onto them.
+//! Relation of two clocks: offset and drift from the pairs that arrived with least delay. Nothing
+//! is stretched: device times stay as they are, host times of other devices are mapped onto them.
 //!
-//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can: with x the host time and
-//! y the device time less x,
+//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as
+//! it can: with x the host time and y the device time less x,
 //!
 //! ```text
 //! min over a, b of sum_i (a + b x_i - y_i)   subject to   a + b x_i >= y_i
 //! ```
 //!
-//! whose solution is the edge of the pairs' upper convex hull over the mean of x (Moon, Skelly, Towsley, "Estimation and removal of clock
-//! skew from network delay measurements", 1999). Arrivals seconds late carry no information on the clocks and are left out of the line: a
-//! stream that falls behind for half a recording would tilt it.
+//! whose solution is the edge of the pairs' upper convex hull over the mean of x (Moon, Skelly,
+//! Towsley, "Estimation and removal of clock skew from network delay measurements", 1999). Arrivals
+//! seconds late carry no information on the clocks and are left out of the line: a stream that
+//! falls behind for half a recording would tilt it.
 
 use wcal_core::clock::late_s;
 use wcal_core::order_statistics::mad_sd;
@@ -50,11 +51,13 @@ pub struct ClockFit {
     pub scatter_s: f64,
 }
 
-/// Largest drift of a working quartz clock, s/s: above it the clock is broken or the recording is inconsistent.
+/// Largest drift of a working quartz clock, s/s: above it the clock is broken or the recording is
+/// inconsistent.
 pub(crate) const BROKEN_CLOCK: f64 = 300e-6;
 
 impl ClockFit {
-    /// Whether the device clock drifts more than any working clock does, its own error counted against that.
+    /// Whether the device clock drifts more than any working clock does, its own error counted
+    /// against that.
     pub fn broken(&self) -> bool {
         self.drift.abs() > BROKEN_CLOCK + 4.0 * self.drift_sd
     }
@@ -99,8 +102,8 @@ impl ClockPair {
         }
         let interval = (x / INTERVAL_S).floor() as i64;
         match &mut self.current {
-            // The least delayed arrival has the largest device minus host time.
-            // An arrival of the interval before the newest one changes nothing about when that began.
+            // The least delayed arrival has the largest device minus host time. An arrival of the
+            // interval before the newest one changes nothing about when that began.
             Some((current, best_x, best_y)) if *current >= interval => {
                 if y > *best_y {
                     (*best_x, *best_y) = (x, y);
@@ -114,8 +117,9 @@ impl ClockPair {
         }
     }
 
-    /// Device time at a host time, s: the later of the line's and the recent pairs' times; `None` without any pair. Late rather than
-    /// early: delays, however long they last, only make a clock seem to lag.
+    /// Device time at a host time, s: the later of the line's and the recent pairs' times; `None`
+    /// without any pair. Late rather than early: delays, however long they last, only make a clock
+    /// seem to lag.
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
         let (host0, device0) = self.origin?;
         let recent = self.best.iter().rev().take(RECENT).map(|p| p.1);
@@ -129,7 +133,8 @@ impl ClockPair {
         )
     }
 
-    /// How much later a reading arrived than the least delayed one, s, less what a working clock may have drifted between the two.
+    /// How much later a reading arrived than the least delayed one, s, less what a working clock
+    /// may have drifted between the two.
     pub fn delay_s(&self, host_s: f64, device_s: f64) -> f64 {
         let Some((host0, device0)) = self.origin else {
             return 0.0;
@@ -146,8 +151,9 @@ impl ClockPair {
         self.delay_s(host_s, device_s) > self.late_s
     }
 
-    /// Whether host times cannot be converted to device times: the line drifts more than a working clock does, by a harmful amount. A stream
-    /// that falls behind steadily has the same effect: it cannot be distinguished from a slow clock.
+    /// Whether host times cannot be converted to device times: the line drifts more than a working
+    /// clock does, by a harmful amount. A stream that falls behind steadily has the same effect: it
+    /// cannot be distinguished from a slow clock.
     pub fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
         let last_s = self.current.map_or(0.0, |(_, x, _)| x);
@@ -205,7 +211,8 @@ fn upper_line(points: &[(f64, f64)], middle: f64) -> (f64, f64) {
     (slope, a.1 - slope * a.0)
 }
 
-/// Scatter of neighbouring pairs by their second differences, in which a piecewise linear course of the clock cancels.
+/// Scatter of neighbouring pairs by their second differences, in which a piecewise linear course of
+/// the clock cancels.
 fn scatter(points: &[(f64, f64)]) -> f64 {
     let second = points.windows(3).map(|w| w[0].1 - 2.0 * w[1].1 + w[2].1);
     // A second difference has the variance 1 + 4 + 1.
@@ -249,7 +256,8 @@ mod tests {
         assert!(run(1e-3, 60) && !run(1e-4, 60) && !run(1e-3, 3));
     }
 
-    /// Two of three seconds late by up to half a second: least squares would be off by a quarter of a second.
+    /// Two of three seconds late by up to half a second: least squares would be off by a quarter of
+    /// a second.
     #[test]
     fn a_busy_host_does_not_move_the_line() {
         let mut pair = ClockPair::default();
@@ -291,7 +299,8 @@ mod tests {
         assert!(pair.fit().unwrap().broken());
     }
 
-    /// A bench that falls behind for the second half of a recording: the line stays that of the first, and every late reading is known.
+    /// A bench that falls behind for the second half of a recording: the line stays that of the
+    /// first, and every late reading is known.
     #[test]
     fn a_stream_that_falls_behind_moves_neither_the_line_nor_hides() {
         let mut pair = ClockPair::new(1.0);

@@ -4,15 +4,17 @@
 //! y_g(t) = a_g + b_g max(x(t - tau), 0) + noise,   tau = argmin sum_g min over a_g, b_g of RSS_g(tau)
 //! ```
 //!
-//! y_g: wavelength of grating g, x: depth of the groove. The misfit is computed on a grid of tau and refined by a parabola through its
-//! minimum (profile least squares: G. A. F. Seber, C. J. Wild, "Nonlinear Regression", 1989, 2.1).
+//! y_g: wavelength of grating g, x: depth of the groove. The misfit is computed on a grid of tau
+//! and refined by a parabola through its minimum (profile least squares: G. A. F. Seber, C. J.
+//! Wild, "Nonlinear Regression", 1989, 2.1).
 
 /// Largest delay searched for, s, and the step of the search.
 const RANGE_S: f64 = 0.25;
 const STEP_S: f64 = 0.002;
 
-/// Delay (s) that best explains `signal` (device time, two wavelengths in nm) by the depth of the groove (mm).
-/// Positive: the signal comes after the stage. `None` where the signal hardly moves or the minimum is at the border.
+/// Delay (s) that best explains `signal` (device time, two wavelengths in nm) by the depth of the
+/// groove (mm). Positive: the signal comes after the stage. `None` where the signal hardly moves or
+/// the minimum is at the border.
 pub fn estimate_s(
     signal: &[(f64, f64, f64)],
     depth_mm: impl Fn(f64) -> Option<f64>,

@@ -1,8 +1,10 @@
-//! Acquisition: from rig, plan and devices to a recording, and from the recording to the tables of a session.
+//! Acquisition: from rig, plan and devices to a recording, and from the recording to the tables of
+//! a session.
 //!
-//! In the order of the work: [`rig`] and [`plan`] describe the bench and the measurement; [`record`] opens the
-//! devices and begins the session; [`sweep`] carries out the steps while scans and pictures are recorded ([`recorder`], [`message`]);
-//! [`replay`] reads a recording back; [`reduce`] makes the tables of it. Live and replayed devices run the same code.
+//! In the order of the work: [`rig`] and [`plan`] describe the bench and the measurement;
+//! [`record`] opens the devices and begins the session; [`sweep`] carries out the steps while scans
+//! and pictures are recorded ([`recorder`], [`message`]); [`replay`] reads a recording back;
+//! [`reduce`] makes the tables of it. Live and replayed devices run the same code.
 
 pub mod assign;
 pub mod camera_pair;

@@ -8,7 +8,8 @@ use crate::error::AcquisitionError;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 use wcal_core::rig_devices::StageRig;
 
-/// Positions that a stage may be sent to, mm of the stage's scale: the rig's soft limits within the unit's travel.
+/// Positions that a stage may be sent to, mm of the stage's scale: the rig's soft limits within the
+/// unit's travel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     low_mm: f64,
@@ -60,7 +61,8 @@ impl Limits {
     }
 }
 
-/// A stage that takes no target outside its limits. A sweep has no other: whatever computes a target, this is what sends it.
+/// A stage that takes no target outside its limits. A sweep has no other: whatever computes a
+/// target, this is what sends it.
 pub struct LimitedStage {
     /// None once its link is closed.
     stage: Option<Box<dyn Stage>>,
@@ -76,7 +78,8 @@ impl LimitedStage {
         }
     }
 
-    /// Closes the link: a serial port can be opened again only when nobody holds it. Every later call is refused.
+    /// Closes the link: a serial port can be opened again only when nobody holds it. Every later
+    /// call is refused.
     pub fn close(&mut self) {
         self.stage = None;
     }

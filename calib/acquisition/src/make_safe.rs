@@ -1,4 +1,5 @@
-//! The end of a sweep that stopped: the stage stands, the cause is recorded, and the stage leaves the wire where that is safe.
+//! The end of a sweep that stopped: the stage stands, the cause is recorded, and the stage leaves
+//! the wire where that is safe.
 
 use crate::message::SweepEvent;
 use crate::recorder::Level;
@@ -15,8 +16,8 @@ const SAFE: Duration = Duration::from_secs(5);
 const REOPEN: Duration = Duration::from_millis(100);
 
 impl Sweep<'_, '_, '_> {
-    /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe. A second interrupt ends the
-    /// retract, not the stop.
+    /// Stops the stage whatever happened, names the cause in the recording, and retracts where that
+    /// is safe. A second interrupt ends the retract, not the stop.
     pub(crate) fn make_safe(&mut self, cause: &DeviceError) -> StageEnd {
         if !self.halt() {
             self.note_stop(cause);
@@ -30,8 +31,8 @@ impl Sweep<'_, '_, '_> {
         StageEnd::Stands
     }
 
-    /// Stops the stage, over a new link where the old one is lost; whether it confirmed. No interrupt breaks this off: one that comes
-    /// meanwhile is heard afterwards.
+    /// Stops the stage, over a new link where the old one is lost; whether it confirmed. No
+    /// interrupt breaks this off: one that comes meanwhile is heard afterwards.
     fn halt(&mut self) -> bool {
         let interrupt = self.bench.interrupt.clone();
         let _held = interrupt.hold();
@@ -87,7 +88,8 @@ impl Sweep<'_, '_, '_> {
             while let Ok(reading) = self.bench.stage.read()
                 && !deadline.is_over()
             {
-                // A disk that is full, perhaps why the sweep stopped, does not keep the wire pressed.
+                // A disk that is full, perhaps why the sweep stopped, does not keep the wire
+                // pressed.
                 let _ = self.bench.recorder.stage(&reading);
                 let moving = reading.moving;
                 self.last = reading;
@@ -105,7 +107,8 @@ impl Sweep<'_, '_, '_> {
     }
 }
 
-/// A panic on the way (in a progress view, a mount that a person turns, the sweep itself) leaves no stage that moves.
+/// A panic on the way (in a progress view, a mount that a person turns, the sweep itself) leaves no
+/// stage that moves.
 impl Drop for Sweep<'_, '_, '_> {
     fn drop(&mut self) {
         if std::thread::panicking() {

@@ -1,4 +1,5 @@
-//! Messages of a recording, as protobuf with their schemas (`proto/`): readable by Foxglove, Rerun and any MCAP reader.
+//! Messages of a recording, as protobuf with their schemas (`proto/`): readable by Foxglove, Rerun
+//! and any MCAP reader.
 
 use prost::{Message, Name};
 use prost_types::Timestamp;
@@ -46,7 +47,8 @@ pub mod topic {
     pub const FRAME: &str = "/camera-frame";
     /// Small pictures now and then (`foxglove.CompressedImage`): followed by the camera's name.
     pub const CAMERA: &str = "/camera/";
-    /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by the camera's name.
+    /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by
+    /// the camera's name.
     pub const POSE_PICTURE: &str = "/pose-picture/";
 }
 
@@ -55,7 +57,8 @@ pub(crate) fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
-/// Numbers that the fields of a message may have. A time in seconds still distinguishes microseconds, and whole numbers are exact as floats.
+/// Numbers that the fields of a message may have. A time in seconds still distinguishes
+/// microseconds, and whole numbers are exact as floats.
 mod range {
     use wcal_core::ranges::Range;
 
@@ -102,7 +105,8 @@ pub(crate) fn picture_time_s(timestamp: Option<Timestamp>) -> Result<f64, OutOfR
     range::TIMESTAMP_S.judge_own(at_s).map(|()| at_s)
 }
 
-/// Messages that were left out, each alone: their bytes or a number in them are none that a device can have meant.
+/// Messages that were left out, each alone: their bytes or a number in them are none that a device
+/// can have meant.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Refused {
     count: u64,
@@ -157,7 +161,8 @@ pub(crate) fn stamp(seconds: f64) -> Timestamp {
     }
 }
 
-/// A message whose numbers are judged: before it is written, and before anything is made of what was read.
+/// A message whose numbers are judged: before it is written, and before anything is made of what
+/// was read.
 pub trait RecordedMessage: McapMessage {
     /// Holds every number against what its field may have.
     ///
@@ -431,7 +436,8 @@ mod tests {
         assert_eq!(bytes, [7 << 3, 5]);
     }
 
-    /// Foxglove's own definition (schemas/proto/foxglove/CompressedImage.proto): time stamp 1, data 2, format 3, frame 4.
+    /// Foxglove's own definition (schemas/proto/foxglove/CompressedImage.proto): time stamp 1, data
+    /// 2, format 3, frame 4.
     #[test]
     fn a_picture_is_laid_out_as_foxglove_reads_it() {
         let set = FileDescriptorSet::decode(CompressedImage::schema()).unwrap();

@@ -70,8 +70,8 @@ struct Block {
 }
 
 impl Monitor {
-    /// `temperature_ratio`: shift of each sensing grating per shift of the reference, at constant load. `clock_scale`: host seconds per
-    /// wall second.
+    /// `temperature_ratio`: shift of each sensing grating per shift of the reference, at constant
+    /// load. `clock_scale`: host seconds per wall second.
     pub fn new(map: ChannelMap, temperature_ratio: [f64; 2], clock_scale: f64) -> Self {
         Self {
             map,
@@ -176,7 +176,8 @@ impl Monitor {
         self.picture
     }
 
-    /// Withdraws the request for a picture, because it was taken or is too late; returns whether there was one.
+    /// Withdraws the request for a picture, because it was taken or is too late; returns whether
+    /// there was one.
     pub fn end_picture(&mut self) -> bool {
         self.picture.take().is_some()
     }
@@ -225,7 +226,8 @@ impl Monitor {
     fn add_block(&mut self, device_s: f64, sensing_nm: [f64; 2]) {
         let heat_nm = self.latest.reference_nm.unwrap_or(0.0);
         let value: [f64; 2] = std::array::from_fn(|k| {
-            // The reference's absolute wavelength adds a constant only, which the slope does not see.
+            // The reference's absolute wavelength adds a constant only, which the slope does not
+            // see.
             (sensing_nm[k] - self.temperature_ratio[k] * heat_nm) * 1e3
         });
         match self.blocks.back_mut() {
@@ -259,8 +261,8 @@ impl Monitor {
             .sum()
     }
 
-    /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated, pm/s, with its standard
-    /// error; `None` until the window is full since `since_s`.
+    /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated,
+    /// pm/s, with its standard error; `None` until the window is full since `since_s`.
     pub fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
         let now_s = self.latest_s?;
         let from_s = now_s - window_s;

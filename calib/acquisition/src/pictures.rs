@@ -1,7 +1,8 @@
-//! Pictures of a recording: how frames are stored, and the pairs of the settled poses as files of the session.
+//! Pictures of a recording: how frames are stored, and the pairs of the settled poses as files of
+//! the session.
 //!
-//! Of every frame the recording has a [`FrameInfo`]; of those that show a settled pose the picture itself, lossless (PNG); of the others
-//! now and then a small one for people (JPEG).
+//! Of every frame the recording has a [`FrameInfo`]; of those that show a settled pose the picture
+//! itself, lossless (PNG); of the others now and then a small one for people (JPEG).
 
 use crate::clocks::ClockFit;
 use crate::error::AcquisitionError;
@@ -103,7 +104,8 @@ pub struct PicturedRow {
     pub sealed: bool,
 }
 
-/// Clocks of one recording: the interrogator's, the cameras' by name, and device time of the session's first scan, s.
+/// Clocks of one recording: the interrogator's, the cameras' by name, and device time of the
+/// session's first scan, s.
 #[derive(Debug, Clone, Default)]
 pub struct PartClocks {
     /// Interrogator.
@@ -115,16 +117,18 @@ pub struct PartClocks {
 }
 
 impl PartClocks {
-    /// Start of exposure on the session's time axis, s: from the camera's clock to the host's and on to the interrogator's.
+    /// Start of exposure on the session's time axis, s: from the camera's clock to the host's and
+    /// on to the interrogator's.
     fn session_s(&self, frame: &FrameInfo) -> Option<f64> {
         let host_s = self.cameras.get(&frame.camera)?.host_s(frame.device_s?);
         Some(self.interrogator.as_ref()?.device_s(host_s) - self.origin_s)
     }
 }
 
-/// Writes the pictures of the settled poses, bit for bit as they were recorded: `pictures/CAMERA/PPPPP.png` for the rows of points.csv with
-/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv. Returns how many were
-/// written.
+/// Writes the pictures of the settled poses, bit for bit as they were recorded:
+/// `pictures/CAMERA/PPPPP.png` for the rows of points.csv with `pictures/pictures.csv` (with the
+/// identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv.
+/// Returns how many were written.
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.

@@ -16,16 +16,19 @@ pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
 /// Readings of some days.
 const MAX_STEPS: usize = 100_000;
-/// A sync move goes from here to there, mm from first contact, or as far as the limits and the trajectory's own depths allow.
+/// A sync move goes from here to there, mm from first contact, or as far as the limits and the
+/// trajectory's own depths allow.
 const SYNC_MM: [f64; 2] = [-0.5, 1.0];
 /// Depth below which it shows no delay, mm.
 const MIN_SYNC_MM: f64 = 0.1;
-/// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
+/// Largest distance of the stage from its target, mm: above a microstep, below any significant
+/// error.
 pub(crate) const ARRIVAL_MM: f64 = 0.005;
 /// A day, s.
 const DAY_S: f64 = 86_400.0;
 
-/// Numbers that a plan may state. Depths are held against the rig's limits, too, and speeds against its highest.
+/// Numbers that a plan may state. Depths are held against the rig's limits, too, and speeds against
+/// its highest.
 const RANGES: &[Range] = &[
     Range::real("settle.gate_pm_per_s", 1e-6, 1e6),
     Range::real("settle.window_s", 1e-3, DAY_S),
@@ -175,7 +178,8 @@ pub enum Step {
 }
 
 impl Step {
-    /// Depths that the stage is sent to, mm, in order, from where it stands. A sweep commands these, and its plan is checked by them.
+    /// Depths that the stage is sent to, mm, in order, from where it stands. A sweep commands
+    /// these, and its plan is checked by them.
     pub fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
         match self {
             Self::Soak => Vec::new(),
@@ -184,7 +188,8 @@ impl Step {
             } => vec![*away_mm, *press_mm, *away_mm],
             Self::Mount { .. } => vec![stage.retract_mm],
             Self::Settled(pose) => {
-                // Backlash: a pose of the loading branch is reached in the direction of loading. At rest nothing is touched.
+                // Backlash: a pose of the loading branch is reached in the direction of loading. At
+                // rest nothing is touched.
                 let loading = pose.direction > 0 && pose.role != Role::Rest;
                 let behind = at_mm > pose.stage_mm + ARRIVAL_MM;
                 match stage.approach == Approach::OneSided && loading && behind {
@@ -286,7 +291,8 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Steps in order. Every position that a step commands is checked against the rig's limits within the unit's travel, mm.
+    /// Steps in order. Every position that a step commands is checked against the rig's limits
+    /// within the unit's travel, mm.
     ///
     /// # Errors
     /// Trajectories the rig lacks, and moves outside its limits.
@@ -334,7 +340,8 @@ impl Plan {
         Ok(steps)
     }
 
-    /// The sync move of a trajectory: within the limits, and no deeper than the plan itself goes there.
+    /// The sync move of a trajectory: within the limits, and no deeper than the plan itself goes
+    /// there.
     fn sync(&self, trajectory: u32, limits: &Limits) -> Result<Step, AcquisitionError> {
         let own = self
             .block
@@ -544,7 +551,8 @@ mod tests {
             Ok::<_, AcquisitionError>((commanded(&steps, &rig), steps))
         };
         let shallow = PLAN.replace("[1, 3, 5]", "[0.2]");
-        // A sync move of 1 mm would leave these limits: it is shortened to what the plan itself does.
+        // A sync move of 1 mm would leave these limits: it is shortened to what the plan itself
+        // does.
         let (all, _) = steps("[17.9, 20.25]", "", &shallow).unwrap();
         assert!(all.iter().all(|mm| (17.9..=20.25).contains(mm)), "{all:?}");
         // Control: where there is room, it is as long as ever.
@@ -552,7 +560,8 @@ mod tests {
         assert!(free.contains(&Step::Sync {
             depths_mm: [-0.5, 1.0]
         }));
-        // From 3 mm to 0.5 mm the stage passes by 3 mm and comes back in the direction of loading: it is sent to -2.5 mm.
+        // From 3 mm to 0.5 mm the stage passes by 3 mm and comes back in the direction of loading:
+        // it is sent to -2.5 mm.
         let one_sided = "approach = \"one-sided\"\napproach_mm = 3.0";
         let back = PLAN.replace("[1, 3, 5]", "[3, 0.5]");
         for (limits, extra, plan, word) in [

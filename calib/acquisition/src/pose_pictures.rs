@@ -1,7 +1,9 @@
-//! The pictures of a session's settled poses, read back: which two belong to a row, and which of them cannot be its pictures.
+//! The pictures of a session's settled poses, read back: which two belong to a row, and which of
+//! them cannot be its pictures.
 //!
-//! `pictures.csv` has for every file its row, time of exposure (session time), session and SHA-256. A picture
-//! was exposed while the stage stood at its row's pose: after it arrived there and before it arrived at the next one.
+//! `pictures.csv` has for every file its row, time of exposure (session time), session and SHA-256.
+//! A picture was exposed while the stage stood at its row's pose: after it arrived there and before
+//! it arrived at the next one.
 
 use crate::error::AcquisitionError;
 use crate::pictures::PICTURES;
@@ -28,8 +30,9 @@ pub struct PosePair {
     pub loaded: bool,
 }
 
-/// Pairs of the rows of points.csv, or with `sealed` of holdout.csv, in order of their points; none where the session has no pictures of
-/// them. `cameras`: names, first and second; `session`: its identifier.
+/// Pairs of the rows of points.csv, or with `sealed` of holdout.csv, in order of their points; none
+/// where the session has no pictures of them. `cameras`: names, first and second; `session`: its
+/// identifier.
 ///
 /// # Errors
 /// When a table cannot be read or is no such table.
@@ -164,7 +167,8 @@ fn bytes(path: &Path) -> Result<Vec<u8>, AcquisitionError> {
     read_within(path, MAX_BYTES).map_err(AcquisitionError::io("reading", path))
 }
 
-/// The lines of a table by the names of its columns; `numbers`: a line's point, and what else must be finite.
+/// The lines of a table by the names of its columns; `numbers`: a line's point, and what else must
+/// be finite.
 fn table<T: DeserializeOwned>(
     path: &Path,
     numbers: impl Fn(&T) -> (i64, Vec<Option<f64>>),

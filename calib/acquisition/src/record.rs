@@ -36,7 +36,8 @@ use wcal_core::rig_devices::{CameraDriver, DeviceOpener, InterrogatorDriver, Int
 pub struct RecordResult {
     /// The sweep.
     pub sweep: SweepReport,
-    /// The tables, or why there are none: a sweep that stopped before its first window has nothing to reduce.
+    /// The tables, or why there are none: a sweep that stopped before its first window has nothing
+    /// to reduce.
     pub reduction: Result<Reduction, AcquisitionError>,
     /// Questions to the stage that had to be repeated.
     pub repeats: u64,
@@ -57,7 +58,8 @@ impl RecordResult {
         self.refused.text().into_iter().chain(of_sweep).collect()
     }
 
-    /// 0 good, 1 stopped or without tables, 3 finished with warnings, 128 and its number ended by a signal.
+    /// 0 good, 1 stopped or without tables, 3 finished with warnings, 128 and its number ended by a
+    /// signal.
     pub fn exit_code(&self) -> u8 {
         match &self.sweep.ending {
             Ending::Stopped { cause, .. } => Signal::of(cause).map_or(1, Signal::exit_code),
@@ -68,7 +70,8 @@ impl RecordResult {
     }
 }
 
-/// Reads rig and plan (place and text) and expands the steps against the travel the rig states; moves nothing.
+/// Reads rig and plan (place and text) and expands the steps against the travel the rig states;
+/// moves nothing.
 ///
 /// # Errors
 /// Whatever does not fit.
@@ -123,12 +126,13 @@ fn open_cameras(
     Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
 }
 
-/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no motorised mount; `pause` waits between two
-/// looks at the devices (`std::thread::sleep`, but for a bench in this process).
+/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no
+/// motorised mount; `pause` waits between two looks at the devices (`std::thread::sleep`, but for a
+/// bench in this process).
 ///
 /// # Errors
-/// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault during the sweep is
-/// no error but part of the report.
+/// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault
+/// during the sweep is no error but part of the report.
 pub fn record(
     request: &RecordRequest,
     devices: &mut dyn DeviceOpener,
@@ -158,7 +162,8 @@ pub fn record(
         let own = names.iter().cloned().zip(pair.identities()?);
         identities.extend(own.map(|(name, identity)| (format!("camera_{name}"), identity)));
     }
-    // Every position is checked against the unit's own travel before the first move, and again when it is commanded.
+    // Every position is checked against the unit's own travel before the first move, and again when
+    // it is commanded.
     let travel_mm = stage.travel_mm()?;
     let steps = plan.steps(&rig, travel_mm)?;
     let limits = Limits::new(&rig.stage, travel_mm);
@@ -299,7 +304,8 @@ fn session_id(rig: &str, plan: &str, created: &str) -> String {
     format!("{rig}-{plan}-{stamp}")
 }
 
-/// Writes run.json; the same facts go into the recording. Says whether the devices are simulated, too.
+/// Writes run.json; the same facts go into the recording. Says whether the devices are simulated,
+/// too.
 fn describe(
     request: &RecordRequest,
     rig: &Rig,

@@ -78,7 +78,8 @@ impl Open {
 }
 
 impl Recorder {
-    /// Creates the file; it must not exist. `about` is written to it as metadata (devices, plan, program).
+    /// Creates the file; it must not exist. `about` is written to it as metadata (devices, plan,
+    /// program).
     ///
     /// # Errors
     /// When the file exists or cannot be written.
@@ -168,7 +169,8 @@ impl Recorder {
         self.lock().refused.clone()
     }
 
-    /// Sends what is in the file to the disk, beside what goes on: a busy disk takes seconds, and no device waits for it.
+    /// Sends what is in the file to the disk, beside what goes on: a busy disk takes seconds, and
+    /// no device waits for it.
     fn begin_sync(&self) -> io::Result<()> {
         let mut running = self.syncing.lock().unwrap_or_else(PoisonError::into_inner);
         if running.as_ref().is_some_and(|sync| !sync.is_finished()) {
@@ -222,7 +224,8 @@ impl Recorder {
         self.message(topic::LOG, &line, host_s).map(drop)
     }
 
-    /// Records the arrival of a frame and, where it shows the settled pose of a step, the picture without loss.
+    /// Records the arrival of a frame and, where it shows the settled pose of a step, the picture
+    /// without loss.
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.

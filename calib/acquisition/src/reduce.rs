@@ -23,8 +23,9 @@ pub use crate::reduction::Reduction;
 const MAX_MISSING: f64 = 0.1;
 /// A clock that is off by more than this from one recording to the next was set, s.
 const CLOCK_SET_S: f64 = 1.0;
-/// Windows and moves that are looked at for a scan, on average over a recording: it lies in one, in two where a clock was set back, and a sweep
-/// has two moves that compare the clocks. More are events that no sweep made, and would take memory and time without end.
+/// Windows and moves that are looked at for a scan, on average over a recording: it lies in one, in
+/// two where a clock was set back, and a sweep has two moves that compare the clocks. More are
+/// events that no sweep made, and would take memory and time without end.
 const MAX_WINDOWS_PER_SCAN: u64 = 16;
 
 /// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
@@ -34,7 +35,8 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
     first.chain(later).take_while(|p| p.exists()).collect()
 }
 
-/// Refuses a recording without a byte: an interrupted copy, or a full disk. Tables made without it would lack its rows in silence.
+/// Refuses a recording without a byte: an interrupted copy, or a full disk. Tables made without it
+/// would lack its rows in silence.
 ///
 /// # Errors
 /// Which one, and the way out.
@@ -89,7 +91,8 @@ fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), 
 /// Rebuilds the tables of a recorded session.
 ///
 /// # Errors
-/// When rig, run file or recording cannot be read, or nothing was recorded; the tables are then as they were.
+/// When rig, run file or recording cannot be read, or nothing was recorded; the tables are then as
+/// they were.
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let path = folder.join("rig.toml");
     let text =
@@ -156,15 +159,16 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     Ok(result)
 }
 
-/// Adds the rows of a recording. A reading whose `done` was lost with the end of its recording is made again: each step counts once, as it was
-/// made last.
+/// Adds the rows of a recording. A reading whose `done` was lost with the end of its recording is
+/// made again: each step counts once, as it was made last.
 fn add_part(rows: &mut Vec<Row>, own: Vec<Row>) {
     let again: BTreeSet<u32> = own.iter().map(|row| row.step).collect();
     rows.retain(|row| !again.contains(&row.step));
     rows.extend(own);
 }
 
-/// Entries of an earlier session.toml that name results from the pictures: the files are still there.
+/// Entries of an earlier session.toml that name results from the pictures: the files are still
+/// there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
     let text = wcal_core::files::read_text(folder.join("session.toml")).unwrap_or_default();
     let Ok(old) = text.parse::<toml::Table>() else {
@@ -311,7 +315,8 @@ fn reduce_part(
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
-    // The stage's position is known by host time: without aligned clocks no row can be assigned one.
+    // The stage's position is known by host time: without aligned clocks no row can be assigned
+    // one.
     let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     let (mut count, mut visits) = (0, 0);
@@ -343,7 +348,8 @@ fn reduce_part(
                 signal.push((t_s, a, b));
             }
         }
-        // A window that was over before the clock's fault has no scans from after it, whatever time they state.
+        // A window that was over before the clock's fault has no scans from after it, whatever time
+        // they state.
         let after_fault = sound.broken.filter(|_| unclocked).map(|(_, events)| events);
         visits += take_sample(
             &mut windows,
@@ -395,8 +401,9 @@ fn add_clock(result: &mut Reduction, fit: ClockFit, clock_scale: f64) -> f64 {
     set_s
 }
 
-/// A scan into the windows that it lies in; windows on the fly may touch each other, and none is longer than a settled one. `after_fault`: events
-/// before a fault of the clock after which the scan came. Returns how many windows were looked at.
+/// A scan into the windows that it lies in; windows on the fly may touch each other, and none is
+/// longer than a settled one. `after_fault`: events before a fault of the clock after which the
+/// scan came. Returns how many windows were looked at.
 fn take_sample(
     windows: &mut [Window],
     scan: &Scan,
@@ -470,8 +477,9 @@ fn add_rows(
     }
 }
 
-/// By how much a clock was set between two recordings, s; 0 within what a working clock may have drifted. The computer's clock tells, but
-/// for that of an accelerated bench, which begins anew with each run.
+/// By how much a clock was set between two recordings, s; 0 within what a working clock may have
+/// drifted. The computer's clock tells, but for that of an accelerated bench, which begins anew
+/// with each run.
 fn clock_set_s(first: &ClockFit, fit: &ClockFit, clock_scale: f64) -> f64 {
     let at_s = fit.origin_host_s;
     let set_s = fit.device_s(at_s) - first.device_s(at_s);

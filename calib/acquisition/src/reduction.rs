@@ -64,7 +64,8 @@ impl Reduction {
         all
     }
 
-    /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
+    /// The warnings less recordings that were cut off: a sweep that was resumed has measured again
+    /// what they lack.
     pub fn stream_warnings(&self) -> Vec<String> {
         let Self {
             lost,

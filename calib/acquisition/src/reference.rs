@@ -1,5 +1,5 @@
-//! Before the first move toward the wire: what stands in the way is found out while nothing has moved yet, and put right in the order that
-//! is safe.
+//! Before the first move toward the wire: what stands in the way is found out while nothing has
+//! moved yet, and put right in the order that is safe.
 //!
 //! ```text
 //! stage: flags cleared, reference searched -> stage retracted -> mount: flags cleared, reference searched
@@ -9,7 +9,8 @@ use crate::plan::Step;
 use crate::steps::Sweep;
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission, Stage};
 
-/// A reference search is allowed a move over this many travels: it is slow at its end, and may begin with the wrong direction.
+/// A reference search is allowed a move over this many travels: it is slow at its end, and may
+/// begin with the wrong direction.
 const HOME_TRAVELS: f64 = 4.0;
 
 /// Whether the sweep can begin with what the user allows; asks, moves nothing.

@@ -29,7 +29,8 @@ pub enum Message {
     Frame(FrameInfo),
     /// The picture of a settled pose: name of the camera, host time (ns), PNG.
     PosePicture(String, u64, Vec<u8>),
-    /// A picture for people: name of the camera, host time, start of exposure by the camera's clock, s.
+    /// A picture for people: name of the camera, host time, start of exposure by the camera's
+    /// clock, s.
     Picture(String, f64, f64),
     /// Anything else: topic and host time, s.
     Other(String, f64),
@@ -80,11 +81,13 @@ impl fmt::Display for End {
     }
 }
 
-/// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture. A longer one is a damaged length.
+/// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture.
+/// A longer one is a damaged length.
 const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// Passes every message in file order to `take`, each once. A chunk with a wrong checksum is omitted whole, a message that makes no sense
-/// alone; at a wrong length the rest cannot be found and reading stops. None is an error: the result states what was lost.
+/// Passes every message in file order to `take`, each once. A chunk with a wrong checksum is
+/// omitted whole, a message that makes no sense alone; at a wrong length the rest cannot be found
+/// and reading stops. None is an error: the result states what was lost.
 ///
 /// # Errors
 /// When the file cannot be opened, is no MCAP file, or is compressed.
@@ -125,7 +128,8 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                         header.compression,
                     ));
                 }
-                // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
+                // A chunk is checked before any of its messages is given: a wrong bit must not pass
+                // as data.
                 let records = records(&data, header.uncompressed_crc)
                     .filter(|_| header.compression.is_empty());
                 let mut whole = records.is_some();
@@ -138,7 +142,8 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                 let whole = messages.give(opcode, data, &mut take);
                 messages.end.damaged_chunks += u64::from(!whole);
             }
-            // A recorder that was killed before its first flush leaves an empty file, no other bytes.
+            // A recorder that was killed before its first flush leaves an empty file, no other
+            // bytes.
             Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
                 return Err(AcquisitionError::input(
                     path.display().to_string(),
@@ -182,8 +187,8 @@ struct Messages {
 }
 
 impl Messages {
-    /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor of a known channel (its channel stood in
-    /// a damaged chunk).
+    /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor
+    /// of a known channel (its channel stood in a damaged chunk).
     fn give(&mut self, opcode: u8, body: &[u8], take: &mut impl FnMut(Message)) -> bool {
         // Of others nothing is read.
         if ![op::CHANNEL, op::MESSAGE].contains(&opcode) {
@@ -214,8 +219,8 @@ impl Messages {
 /// What was given so far: files are merged with copies of themselves, and each message counts once.
 #[derive(Default)]
 struct Given {
-    /// Runs of scans whose numbers follow each other: host time (ns) and number of the first, and of the last. A scan an entry would be most
-    /// of the file.
+    /// Runs of scans whose numbers follow each other: host time (ns) and number of the first, and
+    /// of the last. A scan an entry would be most of the file.
     runs: BTreeMap<(u64, u64), (u64, u64)>,
     /// First of the run that grew last.
     newest: (u64, u64),
@@ -300,7 +305,8 @@ fn decode(topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, BadMessag
     })
 }
 
-/// The time stamp of a `foxglove.CompressedImage`, or of the `foxglove.RawImage` of older recordings; pixels are passed over.
+/// The time stamp of a `foxglove.CompressedImage`, or of the `foxglove.RawImage` of older
+/// recordings; pixels are passed over.
 #[derive(Clone, PartialEq, prost::Message)]
 struct PictureTime {
     #[prost(message, optional, tag = "1")]

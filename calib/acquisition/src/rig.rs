@@ -1,4 +1,5 @@
-//! `rig.toml`: what stands on the bench. Parts that belong to the session are copied into it as they are.
+//! `rig.toml`: what stands on the bench. Parts that belong to the session are copied into it as
+//! they are.
 
 use crate::error::AcquisitionError;
 use nalgebra::Vector3;
@@ -112,7 +113,8 @@ impl Rig {
                 found,
             ))
         };
-        // What the session takes over has to be what a session can be read with, before the sweep and not after it.
+        // What the session takes over has to be what a session can be read with, before the sweep
+        // and not after it.
         wcal_session::check_wire(place, &rig.whisker, rig.moments.as_ref(), &rig.fbg).map_err(
             |e| match e {
                 SessionError::Content(e) => {
@@ -169,7 +171,8 @@ impl Rig {
                     a.name.clone(),
                 );
             }
-            // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
+            // Within a whisker a stray peak is seen scan by scan; between whiskers it would be
+            // taken for the other's.
             let overlaps =
                 |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
             let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;

@@ -1,4 +1,5 @@
-//! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
+//! `run.json`: who recorded a session, with what, and when. Written before the first move; what
+//! came of each run is added when it ends.
 
 use crate::error::AcquisitionError;
 use schemars::JsonSchema;
@@ -66,13 +67,14 @@ pub struct RunOutcome {
     pub scans: u64,
     /// Scans that were lost.
     pub lost_scans: u64,
-    /// What was lost or not as it should be in the session up to here; each was a reason for exit code 3.
+    /// What was lost or not as it should be in the session up to here; each was a reason for exit
+    /// code 3.
     pub warnings: Vec<String>,
 }
 
 impl RunFile {
-    /// Whether the devices were simulated. Files from before this key are recognised by the names that the virtual bench's devices give
-    /// themselves, and by its clock.
+    /// Whether the devices were simulated. Files from before this key are recognised by the names
+    /// that the virtual bench's devices give themselves, and by its clock.
     pub fn is_simulated(&self) -> bool {
         self.simulated
             || self.clock_scale != 1.0

@@ -1,4 +1,5 @@
-//! The folder of a session before its first move: locked, new or begun with the same rig and plan, and as it was when nothing comes of it.
+//! The folder of a session before its first move: locked, new or begun with the same rig and plan,
+//! and as it was when nothing comes of it.
 
 use crate::AcquisitionError;
 use crate::reduce::{recordings, refuse_empty};
@@ -32,13 +33,15 @@ pub struct RecordRequest {
     pub command: Vec<String>,
 }
 
-/// Held while a sweep records into the folder. The name is that of a file half-written: nobody takes it for a result.
+/// Held while a sweep records into the folder. The name is that of a file half-written: nobody
+/// takes it for a result.
 const LOCK: &str = ".wcal-session.tmp";
-/// Space that is given back when the sweep has ended: of a disk that is full there are tables all the same.
+/// Space that is given back when the sweep has ended: of a disk that is full there are tables all
+/// the same.
 const RESERVE: &str = ".wcal-reserve.tmp";
 
-/// A session's folder, this process's own. What was made in it goes again unless the sweep keeps it: a device that could not be opened
-/// leaves nothing that would block the next attempt.
+/// A session's folder, this process's own. What was made in it goes again unless the sweep keeps
+/// it: a device that could not be opened leaves nothing that would block the next attempt.
 pub(crate) struct OwnedSessionFolder {
     folder: PathBuf,
     /// Files and folders made, in order.
@@ -49,7 +52,8 @@ pub(crate) struct OwnedSessionFolder {
 }
 
 impl OwnedSessionFolder {
-    /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
+    /// A new folder with copies of rig and plan, or an old one that has the same; steps done
+    /// already.
     ///
     /// # Errors
     /// When another sweep records there, or something else is there.
@@ -81,7 +85,8 @@ impl OwnedSessionFolder {
         path
     }
 
-    /// Takes the space that the tables will need, bytes; a disk that has none is known before anything moves.
+    /// Takes the space that the tables will need, bytes; a disk that has none is known before
+    /// anything moves.
     ///
     /// # Errors
     /// When the disk is full.

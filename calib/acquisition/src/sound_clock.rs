@@ -4,7 +4,8 @@ use crate::clock_watch::ClockWatch;
 use crate::clocks::ClockPair;
 use crate::message::Scan;
 
-/// The scans of a recording up to the first fault of the interrogator's clock: the clocks are aligned by these alone.
+/// The scans of a recording up to the first fault of the interrogator's clock: the clocks are
+/// aligned by these alone.
 pub(crate) struct SoundClock {
     watch: ClockWatch,
     count: usize,
@@ -24,7 +25,8 @@ impl SoundClock {
         }
     }
 
-    /// Takes the next scan, after that many events; good ones go to `clocks`, what the clock did to `faults`.
+    /// Takes the next scan, after that many events; good ones go to `clocks`, what the clock did to
+    /// `faults`.
     pub(crate) fn take(
         &mut self,
         scan: &Scan,

@@ -8,7 +8,8 @@ use std::ops::Range;
 /// Answers of the stage this near to a time tell its place and speed then, s; and how many do.
 const NEAR_S: f64 = 0.025;
 const MIN_NEAR: usize = 4;
-/// The next move may begin at the end of a window, and answers are stamped some milliseconds off: its last part shows nothing, s.
+/// The next move may begin at the end of a window, and answers are stamped some milliseconds off:
+/// its last part shows nothing, s.
 const NEXT_MOVE_S: f64 = 0.05;
 
 /// Stage depth (mm) in device time.
@@ -33,7 +34,8 @@ impl Track {
         }
     }
 
-    /// The answers that tell where the stage was in a settled window: those inside, or where it did not answer the two around it.
+    /// The answers that tell where the stage was in a settled window: those inside, or where it did
+    /// not answer the two around it.
     fn answers(&self, begin_s: f64, end_s: f64) -> Option<Range<usize>> {
         let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
         let from = self.points.partition_point(|p| p.0 < begin_s);
@@ -47,7 +49,8 @@ impl Track {
         (answers.end <= self.points.len()).then_some(answers)
     }
 
-    /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
+    /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from
+    /// its zero.
     pub(crate) fn has_left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
         let Some(answers) = self.answers(begin_s, end_s) else {
             return true;
@@ -57,8 +60,8 @@ impl Track {
             || depths_mm.any(|mm| (mm - target_mm).abs() > ARRIVAL_MM)
     }
 
-    /// Depth (mm) and speed (mm/s): the line through the answers around it, or between its neighbours where there are few; `None` outside the
-    /// recording.
+    /// Depth (mm) and speed (mm/s): the line through the answers around it, or between its
+    /// neighbours where there are few; `None` outside the recording.
     pub(crate) fn at(&self, t_s: f64) -> Option<(f64, f64)> {
         let before = |limit_s: f64| self.points.partition_point(|p| p.0 <= limit_s);
         let after = before(t_s);
@@ -71,7 +74,8 @@ impl Track {
             let speed = (b.1 - a.1) / (b.0 - a.0);
             return Some((a.1 + speed * (t_s - a.0), speed));
         }
-        // Answers are stamped some milliseconds late, now more, now less: two of them 8 ms apart give a speed that is 15 % off.
+        // Answers are stamped some milliseconds late, now more, now less: two of them 8 ms apart
+        // give a speed that is 15 % off.
         let n = near.len() as f64;
         let (mean_s, mean_mm) = (
             near.iter().map(|p| p.0 - t_s).sum::<f64>() / n,
@@ -121,7 +125,8 @@ mod tests {
         };
         let [mm, speed] = worst(&points(0.008));
         assert!(mm < 1e-3 && speed < 0.03, "{mm} {speed}");
-        // Control: of answers that are far apart two have to do, and their stamps are all in the place.
+        // Control: of answers that are far apart two have to do, and their stamps are all in the
+        // place.
         let [mm, _] = worst(&points(0.04));
         assert!(mm > 1e-3, "{mm}");
     }
@@ -148,7 +153,8 @@ mod tests {
     /// A busy computer does not get to ask the stage: what it last said is of the pose before.
     #[test]
     fn a_window_without_an_answer_is_judged_by_the_answers_around_it() {
-        // A second at each of 1, 2, 3 ... mm, an answer every 20 ms but for some time; the last tenth of a second is the next move.
+        // A second at each of 1, 2, 3 ... mm, an answer every 20 ms but for some time; the last
+        // tenth of a second is the next move.
         let track = |silent: std::ops::Range<f64>| {
             let times = (0..500)
                 .map(|k| 0.02 * f64::from(k))

@@ -1,4 +1,5 @@
-//! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when something fails.
+//! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when
+//! something fails.
 
 use crate::error::AcquisitionError;
 use crate::limits::LimitedStage;
@@ -23,7 +24,8 @@ const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
 /// Longest wait for the pair of a pose after its averaging window (wall time).
 const PICTURE: Duration = Duration::from_secs(3);
-/// A wait by the device's clock may take this many times its length, and a margin (wall): a slower clock counts nothing any more.
+/// A wait by the device's clock may take this many times its length, and a margin (wall): a slower
+/// clock counts nothing any more.
 const SLOW_TIMES: f64 = 10.0;
 const SLOW_MARGIN: Duration = Duration::from_secs(30);
 
@@ -253,7 +255,8 @@ impl Sweep<'_, '_, '_> {
         )
     }
 
-    /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
+    /// The stage stands until the pair of the pose is recorded; after a time limit the sweep
+    /// continues without it.
     fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
         let deadline = Deadline::uninterruptible(PICTURE);
         while lock(self.bench.monitor).wanted_picture().is_some() && !deadline.is_over() {
@@ -337,7 +340,8 @@ impl Sweep<'_, '_, '_> {
         Ok(())
     }
 
-    /// A stage that stands stays where it was sent: another program, or a hand at its knob, would leave readings of another place.
+    /// A stage that stands stays where it was sent: another program, or a hand at its knob, would
+    /// leave readings of another place.
     fn still_there(&mut self) -> Result<(), DeviceError> {
         let Some(target_mm) = self.stands_mm else {
             return Ok(());
@@ -364,7 +368,8 @@ impl Sweep<'_, '_, '_> {
         )))
     }
 
-    /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage that stays BUSY has failed.
+    /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage
+    /// that stays BUSY has failed.
     pub(crate) fn until_standing(
         &mut self,
         action: &str,
@@ -374,7 +379,8 @@ impl Sweep<'_, '_, '_> {
         let allowed = move_allowance(way_mm, speed_mm_s, self.rig.clock_scale);
         let deadline = Deadline::after(allowed, self.bench.interrupt);
         loop {
-            // The last look begins after the end: recording, or a busy computer, may have kept this program from it.
+            // The last look begins after the end: recording, or a busy computer, may have kept this
+            // program from it.
             let over = deadline.is_over();
             self.tick(POLL_MOVING)?;
             if !self.last.moving {
@@ -488,7 +494,8 @@ impl Sweep<'_, '_, '_> {
         lock(self.bench.monitor).device_s().unwrap_or(0.0)
     }
 
-    /// Device time of the last stage reading, s: a stream that is behind has not shown that moment yet.
+    /// Device time of the last stage reading, s: a stream that is behind has not shown that moment
+    /// yet.
     fn stage_s(&self) -> f64 {
         let (monitor, host_s) = (lock(self.bench.monitor), self.last.clocks.host_s);
         monitor.device_s_at(host_s).unwrap_or(0.0)

@@ -102,7 +102,8 @@ impl SweepReport {
     }
 }
 
-/// A thread that records: one that panics is a fault that is reported to those who would wait for it.
+/// A thread that records: one that panics is a fault that is reported to those who would wait for
+/// it.
 pub struct Watched<F: Fn(DeviceError)>(pub F);
 
 impl<F: Fn(DeviceError)> Drop for Watched<F> {
@@ -189,7 +190,8 @@ fn stream(
     Ok(())
 }
 
-/// Carries out `steps`, leaving out those in `skip`; `allowed`: what the user allows before the first move.
+/// Carries out `steps`, leaving out those in `skip`; `allowed`: what the user allows before the
+/// first move.
 pub fn run(
     bench: SweepBench<'_>,
     rig: &Rig,

@@ -53,8 +53,8 @@ pub enum Stream {
     Whole,
     /// Scans are missing.
     Lost,
-    /// Scans came late (the bench or the recording computer had fallen behind), or the clocks cannot be aligned: where the stage was is not
-    /// known.
+    /// Scans came late (the bench or the recording computer had fallen behind), or the clocks
+    /// cannot be aligned: where the stage was is not known.
     Late,
     /// The stage moved, or stood where it had not been sent: the row is of no one place.
     Moved,
@@ -123,8 +123,8 @@ fn csv_text(
         .map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-/// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv, outliers.csv. Simulated readings are
-/// marked in a last column.
+/// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv,
+/// outliers.csv. Simulated readings are marked in a last column.
 ///
 /// # Errors
 /// Practically none: text is written to memory.
@@ -231,7 +231,8 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
     fields
 }
 
-/// Shift of each sensing grating per shift of the reference, from the rig's temperature coefficients; 0 without them.
+/// Shift of each sensing grating per shift of the reference, from the rig's temperature
+/// coefficients; 0 without them.
 pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
     let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
     let reference = rig

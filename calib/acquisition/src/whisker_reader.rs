@@ -1,4 +1,5 @@
-//! One whisker's readings out of the scans: assigned, flagged, temperature compensated; nothing is filled in.
+//! One whisker's readings out of the scans: assigned, flagged, temperature compensated; nothing is
+//! filled in.
 
 use crate::assign::ChannelMap;
 use crate::error::AcquisitionError;

@@ -1,17 +1,20 @@
-//! Averaging windows that a sweep's events state, and samples of one: mean, spread, marked outliers.
+//! Averaging windows that a sweep's events state, and samples of one: mean, spread, marked
+//! outliers.
 //!
 //! ```text
 //! outlier   |x - med| > 8 * 1.4826 * median |x - med|        the factor makes the deviation that of a normal distribution
 //! ```
 //!
-//! Source: F. R. Hampel, "The Influence Curve and Its Role in Robust Estimation", J. Am. Stat. Assoc. 69 (1974) 383.
+//! Source: F. R. Hampel, "The Influence Curve and Its Role in Robust Estimation", J. Am. Stat.
+//! Assoc. 69 (1974) 383.
 
 use crate::message::SweepEvent;
 use wcal_core::order_statistics::{mad_sd, median};
 
 /// Length of the window of a row on the fly, s.
 const MOVING_WINDOW_S: f64 = 0.02;
-/// A sample farther than this many robust standard deviations from the median is marked, not averaged.
+/// A sample farther than this many robust standard deviations from the median is marked, not
+/// averaged.
 const OUTLIER_SIGMA: f64 = 8.0;
 
 /// Samples of one window: scan number, reference and sensing gratings, nm.
@@ -40,7 +43,8 @@ pub struct WindowMean {
     pub sensing_nm: [f64; 2],
     /// Spread of single samples, pm.
     pub sensing_sd_pm: [f64; 2],
-    /// Mean time of the samples since the window's begin, s: in motion half a scan from the window's centre is its own place.
+    /// Mean time of the samples since the window's begin, s: in motion half a scan from the
+    /// window's centre is its own place.
     pub time_s: f64,
     /// Samples averaged.
     pub samples: usize,

@@ -1,4 +1,5 @@
-//! kill -9 while recording: a quarter of a second is lost at most, the file opens, and what it holds is whole.
+//! kill -9 while recording: a quarter of a second is lost at most, the file opens, and what it
+//! holds is whole.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::collections::BTreeSet;
@@ -29,7 +30,8 @@ fn scan(serial: u64) -> FbgReading {
     }
 }
 
-/// Not a test of its own: the process that is killed. It prints each scan's number and, in seconds, when it gave it to the recorder.
+/// Not a test of its own: the process that is killed. It prints each scan's number and, in seconds,
+/// when it gave it to the recorder.
 #[test]
 #[ignore = "run by the test below"]
 fn child_that_records() {
@@ -57,8 +59,8 @@ fn serials(path: &Path) -> (Vec<u64>, End) {
     (found, end.unwrap())
 }
 
-/// Time over which the scans were given that the file lacks, s. By the writer's own clock a loss is what came within one flush, however
-/// often the machine made the writer wait.
+/// Time over which the scans were given that the file lacks, s. By the writer's own clock a loss is
+/// what came within one flush, however often the machine made the writer wait.
 fn lost_s(given_s: &[f64], found: &[u64]) -> f64 {
     given_s
         .get(found.len())
@@ -128,7 +130,8 @@ fn recorded(folder: &Path) -> PathBuf {
     path
 }
 
-/// Where the chunks of a recording begin (their operation code), and how long each is with code and length.
+/// Where the chunks of a recording begin (their operation code), and how long each is with code and
+/// length.
 fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
     let (mut at, mut found) = (8, Vec::new());
     while at + 9 <= bytes.len() {
@@ -202,7 +205,8 @@ fn a_damaged_chunk_is_left_out_and_those_behind_it_are_read() {
     );
 }
 
-/// No stated length is believed: none asks for more memory than the file has, and what can be read is.
+/// No stated length is believed: none asks for more memory than the file has, and what can be read
+/// is.
 #[test]
 fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
     let dir = tempfile::tempdir().unwrap();
@@ -215,7 +219,8 @@ fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
         std::fs::write(&path, &damaged).unwrap();
         serials(&path)
     };
-    // In a chunk: uncompressed size at 16, checksum at 24, length of the compression's name at 28, size of the records at 32.
+    // In a chunk: uncompressed size at 16, checksum at 24, length of the compression's name at 28,
+    // size of the records at 32.
     for length in [u64::MAX, u64::MAX - 8, 1 << 62, 1 << 40, bytes.len() as u64] {
         let put = |b: &mut Vec<u8>, at: usize| b[at..at + 8].copy_from_slice(&length.to_le_bytes());
         let (found, end) = read(&|b| put(b, at + 1));
@@ -267,7 +272,8 @@ fn with_number(bytes: &[u8], from: f64, to: f64) -> Vec<u8> {
     changed
 }
 
-/// What the reader refuses the recorder does not write; where it stands in a file all the same, it costs itself alone.
+/// What the reader refuses the recorder does not write; where it stands in a file all the same, it
+/// costs itself alone.
 #[test]
 fn an_odd_number_of_a_device_costs_its_own_message() {
     let dir = tempfile::tempdir().unwrap();
@@ -322,7 +328,8 @@ fn an_odd_number_of_a_device_costs_its_own_message() {
     assert_eq!(serials(&path), (without(&[10, 20, 30]), End::default()));
 }
 
-/// Files are merged with copies of themselves: message by message, chunk by chunk, or one behind the other.
+/// Files are merged with copies of themselves: message by message, chunk by chunk, or one behind
+/// the other.
 #[test]
 fn a_message_that_a_file_holds_again_is_given_once() {
     let dir = tempfile::tempdir().unwrap();
@@ -380,7 +387,8 @@ fn a_message_that_a_file_holds_again_is_given_once() {
     );
 }
 
-/// Not a test of its own: the process that is stopped. It waits for what never comes, and says how long it did.
+/// Not a test of its own: the process that is stopped. It waits for what never comes, and says how
+/// long it did.
 #[test]
 #[ignore = "run by the test below"]
 fn child_that_waits() {
@@ -397,7 +405,8 @@ fn child_that_waits() {
     println!("at {}", start.elapsed().as_secs_f64());
 }
 
-/// A program that was stopped did not wait for a device meanwhile: its wait has what was left of it when it goes on.
+/// A program that was stopped did not wait for a device meanwhile: its wait has what was left of it
+/// when it goes on.
 #[test]
 fn a_wait_goes_on_where_the_program_was_stopped() {
     let waited_s = |stopped: Option<Duration>| -> f64 {

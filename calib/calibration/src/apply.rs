@@ -28,8 +28,8 @@ pub trait Calibration {
     /// # Errors
     /// Where the table cannot be read, or lacks a column that the calibration needs.
     fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError>;
-    /// Applied to the readings of a session, or to those that were sealed, against what the session knows of them; none where nothing can
-    /// be computed at its poses.
+    /// Applied to the readings of a session, or to those that were sealed, against what the session
+    /// knows of them; none where nothing can be computed at its poses.
     ///
     /// # Errors
     /// [`CalibrationError::OtherKind`], or where it cannot answer.
@@ -73,7 +73,8 @@ pub trait WhiskerCalibration {
     /// # Errors
     /// Where the table cannot be read, lacks a column, or the wire cannot be bent.
     fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError>;
-    /// The wire that `whisker` describes, in air, as the calibration has it, and by one standard deviation of each of the first common unknowns.
+    /// The wire that `whisker` describes, in air, as the calibration has it, and by one standard
+    /// deviation of each of the first common unknowns.
     ///
     /// # Errors
     /// Where the wire cannot be bent.
@@ -81,7 +82,8 @@ pub trait WhiskerCalibration {
         &self,
         whisker: &WhiskerSpec,
     ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError>;
-    /// A session's moments and the ways of its groove, not its place; none where nothing can be computed.
+    /// A session's moments and the ways of its groove, not its place; none where nothing can be
+    /// computed.
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion>;
 }
 

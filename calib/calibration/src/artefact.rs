@@ -29,7 +29,8 @@ pub enum CalibrationModel {
     Map(MapArtefact),
     /// Sensitivity with accepted effects, of `verify`.
     Physical(PhysicalModel),
-    /// Response or position error with accepted effects, of `verify` on a transducer or axis session.
+    /// Response or position error with accepted effects, of `verify` on a transducer or axis
+    /// session.
     Scalar(ScalarModel),
 }
 
@@ -142,7 +143,8 @@ pub fn read_calibration(
     }
 }
 
-/// Reads the file and checks its format and its model; says so where the content is not what was sealed.
+/// Reads the file and checks its format and its model; says so where the content is not what was
+/// sealed.
 ///
 /// # Errors
 /// Where the file cannot be read or is no calibration.

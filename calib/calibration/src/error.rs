@@ -16,7 +16,8 @@ pub enum CalibrationError {
         /// Cause.
         source: std::io::Error,
     },
-    /// A calibration or a table of readings that cannot be used: what was expected and what was found.
+    /// A calibration or a table of readings that cannot be used: what was expected and what was
+    /// found.
     #[error("{place}: {detail}")]
     Content {
         /// File.

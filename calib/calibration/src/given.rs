@@ -18,7 +18,8 @@ pub struct GivenCalibration {
 }
 
 impl GivenCalibration {
-    /// Reads it. A holdout whose file was fitted for it proves nothing, nor does its own session without a holdout.
+    /// Reads it. A holdout whose file was fitted for it proves nothing, nor does its own session
+    /// without a holdout.
     ///
     /// # Errors
     /// Where it cannot be read, or all readings were in its fit.
@@ -62,7 +63,8 @@ impl GivenCalibration {
         }
     }
 
-    /// Judged by the moments of a whisker session's poses, or by the responses of a transducer or axis session.
+    /// Judged by the moments of a whisker session's poses, or by the responses of a transducer or
+    /// axis session.
     ///
     /// # Errors
     /// Where it is of another kind of session, or there is nothing to judge it by.

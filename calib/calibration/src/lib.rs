@@ -1,9 +1,11 @@
-//! Calibrations as files: what `calibration.json` holds, how it is sealed, when it may be used, and how it is applied.
+//! Calibrations as files: what `calibration.json` holds, how it is sealed, when it may be used, and
+//! how it is applied.
 //!
-//! A calibration turns readings into the quantity that they stand for: wavelengths into moments (a map of `fit-gpr`, or the traced model
-//! of `verify`), a transducer's response into its stimulus, a commanded position into its error. [`Calibration`] applies any of them to a
-//! table; [`WhiskerCalibration`] applies those of a whisker reading by reading, too. [`GivenCalibration`] is one that is judged on readings
-//! that were not in its fit.
+//! A calibration turns readings into the quantity that they stand for: wavelengths into moments (a
+//! map of `fit-gpr`, or the traced model of `verify`), a transducer's response into its stimulus, a
+//! commanded position into its error. [`Calibration`] applies any of them to a table;
+//! [`WhiskerCalibration`] applies those of a whisker reading by reading, too. [`GivenCalibration`]
+//! is one that is judged on readings that were not in its fit.
 
 mod apply;
 mod artefact;

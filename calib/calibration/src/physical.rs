@@ -1,4 +1,5 @@
-//! The traced whisker model: sensitivity and accepted effects. Memory effects run over a table's own history.
+//! The traced whisker model: sensitivity and accepted effects. Memory effects run over a table's
+//! own history.
 
 use crate::apply::{
     AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,

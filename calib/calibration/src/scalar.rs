@@ -1,4 +1,5 @@
-//! Transducers and axes: the response at a stimulus, the stimulus of a response, the error of a position.
+//! Transducers and axes: the response at a stimulus, the stimulus of a response, the error of a
+//! position.
 
 use crate::apply::{AppliedTable, Calibration, SessionSystem, WhiskerCalibration};
 use crate::error::CalibrationError;
@@ -10,7 +11,8 @@ use wcal_session::{TextTable, TextTableLayout, asked_name, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
 use wcal_trace::verify::HeldOut;
 
-/// A table's columns by the session's names; a table that has none of such a name may have the column that the session's table was made of.
+/// A table's columns by the session's names; a table that has none of such a name may have the
+/// column that the session's table was made of.
 struct Columns<'a> {
     table: &'a TextTable,
     own: &'a BTreeMap<String, String>,

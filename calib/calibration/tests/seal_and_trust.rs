@@ -1,4 +1,5 @@
-//! The seal of `calibration.json`, what speaks against using it, and its application, on a straight line written by hand.
+//! The seal of `calibration.json`, what speaks against using it, and its application, on a straight
+//! line written by hand.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use serde_json::{Value, json};

@@ -1,4 +1,5 @@
-//! What the errors that all shapes share (cameras, board, base tag, light, the wire's end) do to them, in independent parts.
+//! What the errors that all shapes share (cameras, board, base tag, light, the wire's end) do to
+//! them, in independent parts.
 //!
 //! ```text
 //! C = F F',   (J F)' (J F) = V L V',   parts: columns of J F V by falling L        J: of all shapes' places and lengths by the shared parameters
@@ -10,11 +11,13 @@ use wcal_core::covariance;
 use wcal_core::shapes_document::{PairErrors, ShapesDocument};
 use wcal_rod::MeasuredShape;
 
-/// Share of the shapes' variance by common errors below which a part of it is omitted, and largest number of parts.
+/// Share of the shapes' variance by common errors below which a part of it is omitted, and largest
+/// number of parts.
 const LEFT_OUT: f64 = 1e-4;
 const MAX_PARTS: usize = 8;
 
-/// The shapes moved by one standard deviation of each independent error that they share; none where a shape does not say how.
+/// The shapes moved by one standard deviation of each independent error that they share; none where
+/// a shape does not say how.
 ///
 /// # Errors
 /// Where the document's covariance is none.
@@ -86,7 +89,8 @@ pub fn moved_by_shared(
     Ok(parts.map(shapes).collect())
 }
 
-/// A shape moved at its stations, and between them in proportion; the last number is the change of its length.
+/// A shape moved at its stations, and between them in proportion; the last number is the change of
+/// its length.
 fn moved_by(shape: &MeasuredShape, stations: &[usize], part: &[f64]) -> MeasuredShape {
     let by = |point: usize| {
         let after = stations

@@ -20,7 +20,8 @@ pub struct DynamicsArgs {
     /// Fit damping and contact of the MuJoCo model too (minutes; needs wcal-mujoco)
     #[arg(long)]
     pub dynamics: bool,
-    /// Recorded ring-down of the released wire: a table with columns t_s and moment_nmm, from the release on
+    /// Recorded ring-down of the released wire: a table with columns t_s and moment_nmm, from the
+    /// release on
     #[arg(long, value_name = "CSV", requires = "dynamics")]
     pub ring_down: Option<PathBuf>,
     /// Wanted speed of the bounce over the undamped wire's
@@ -60,7 +61,8 @@ const GRID_TRIALS: u32 = 50;
 #[derive(Debug, Serialize)]
 pub struct Dynamics {
     simulated: bool,
-    /// Material time (damping over stiffness), s, and armature over stiffness, s^2: they hold for any number of links.
+    /// Material time (damping over stiffness), s, and armature over stiffness, s^2: they hold for
+    /// any number of links.
     damping_s: f64,
     armature_s2: f64,
     contact_time_s: f64,

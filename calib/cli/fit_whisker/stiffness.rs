@@ -1,7 +1,8 @@
 //! Young's modulus from base moments that are known at a session's poses, with the fitted geometry.
 //!
-//! At a given pose the rod's moment is proportional to the modulus (the ratio to the shear modulus kept): one slope through all
-//! points, robust against labels on another branch; its sd by a jackknife over trajectories, and by the geometry's covariance.
+//! At a given pose the rod's moment is proportional to the modulus (the ratio to the shear modulus
+//! kept): one slope through all points, robust against labels on another branch; its sd by a
+//! jackknife over trajectories, and by the geometry's covariance.
 
 use anyhow::{bail, ensure};
 use nalgebra::DVector;
@@ -18,7 +19,8 @@ const HUBER: f64 = 1.345;
 const ROUNDS: usize = 30;
 /// A residual beyond this many robust standard deviations is no noise.
 const OUTLIER: f64 = 6.0;
-/// Steps for the derivative by the geometry, over those of the fit: labels are followed anew from the first touch.
+/// Steps for the derivative by the geometry, over those of the fit: labels are followed anew from
+/// the first touch.
 const NUDGE: f64 = 10.0;
 
 /// `[stiffness]` of whisker.toml.
@@ -174,7 +176,8 @@ fn weights(pairs: &[Pair]) -> Vec<f64> {
     let mut weights = vec![1.0; pairs.len()];
     for _ in 0..ROUNDS {
         let off: Vec<f64> = pairs.iter().map(|p| residual(p, ratio)).collect();
-        // Median length of a plane normal vector: 1.177 standard deviations; a floor for labels without noise.
+        // Median length of a plane normal vector: 1.177 standard deviations; a floor for labels
+        // without noise.
         let sd = (median(off.iter().copied()).unwrap_or(0.0) / 1.177).max(1e-6);
         weights = off
             .iter()

@@ -67,7 +67,8 @@ pub struct ImportArgs {
     pub response_unit: Option<String>,
     /// Further column and its name in the session
     ///
-    /// May be repeated; COL alone keeps its name. Errors of an axis in place of positions: error_um=COL (or error_mm, error_in).
+    /// May be repeated; COL alone keeps its name. Errors of an axis in place of positions:
+    /// error_um=COL (or error_mm, error_in).
     #[arg(
         help_heading = "Further columns",
         long = "covariate",
@@ -88,7 +89,8 @@ pub struct ImportArgs {
 
     /// Column of the time
     ///
-    /// In s, another unit that it names, or time stamps; where date and clock have columns of their own, either of them. 'COL since STAMP' counts from another time stamp than the first.
+    /// In s, another unit that it names, or time stamps; where date and clock have columns of their
+    /// own, either of them. 'COL since STAMP' counts from another time stamp than the first.
     #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub time: Option<String>,
     /// Column of the direction: +1 or -1, + or -, up or down
@@ -150,7 +152,8 @@ pub struct ImportArgs {
     pub columns: Option<Vec<String>>,
     /// comma, semicolon, tab or whitespace
     ///
-    /// Default: what the file says, else the one by which a line has the columns that are asked for.
+    /// Default: what the file says, else the one by which a line has the columns that are asked
+    /// for.
     #[arg(help_heading = "Form of the table", long, value_name = "SEPARATOR")]
     pub separator: Option<Separator>,
     /// Short for --separator whitespace

@@ -159,7 +159,8 @@ impl Plan {
         Some(table.columns[source.index()?].clone())
     }
 
-    /// Columns of the session that have another name in the foreign table, or a factor: by their names in the session.
+    /// Columns of the session that have another name in the foreign table, or a factor: by their
+    /// names in the session.
     pub(super) fn renamed(&self, table: &TextTable) -> toml::Table {
         let text = |(name, source): &(String, Source)| match source {
             Source::Column { index, factor } => {
@@ -171,7 +172,8 @@ impl Plan {
                 };
                 (text != *name).then(|| (name.clone(), text.into()))
             }
-            // Without a date it is not known how long after the first of these another clock begins.
+            // Without a date it is not known how long after the first of these another clock
+            // begins.
             Source::Stamps { index, stamps } => {
                 let since = if stamps.dated {
                     format!(" since {}", stamps.first)
@@ -216,7 +218,8 @@ impl Plan {
         stamps.next()
     }
 
-    /// What the arguments ask of a table; dated time stamps count from `since`, where another table of the session begins.
+    /// What the arguments ask of a table; dated time stamps count from `since`, where another table
+    /// of the session begins.
     ///
     /// # Errors
     /// Where a column is missing, or a mapping is malformed.
@@ -350,8 +353,8 @@ impl Plan {
         Ok(plan)
     }
 
-    /// A column of the foreign table and the factor that its cells are multiplied by: that of `COL*FACTOR`, else that of its unit to the
-    /// session's.
+    /// A column of the foreign table and the factor that its cells are multiplied by: that of
+    /// `COL*FACTOR`, else that of its unit to the session's.
     ///
     /// # Errors
     /// Where the table has no such column, or states two units of it.
@@ -453,7 +456,8 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
     let (cycle, replicate) = if axis {
         (args.cycle.clone().or_else(|| args.replicate.clone()), None)
     } else if args.kind == Kind::Transducer {
-        // The cycle of a transducer is its repetition: readings of one are left out together, and it is no quantity that acts.
+        // The cycle of a transducer is its repetition: readings of one are left out together, and
+        // it is no quantity that acts.
         (None, args.replicate.clone().or_else(|| args.cycle.clone()))
     } else {
         (args.cycle.clone(), args.replicate.clone())

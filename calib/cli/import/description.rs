@@ -36,8 +36,8 @@ pub(super) fn identifier(args: &ImportArgs) -> anyhow::Result<String> {
     folder.context("--out: expected the name of a new folder")
 }
 
-/// What every imported session states, its tables of points and of the holdout by their names. The medium is air; session.toml is where another
-/// one is stated.
+/// What every imported session states, its tables of points and of the holdout by their names. The
+/// medium is air; session.toml is where another one is stated.
 pub(super) fn header(
     args: &ImportArgs,
     kind: &str,

@@ -55,8 +55,8 @@ fn earlier_inputs(folder: &Path) -> Option<Vec<(String, String)>> {
         .collect()
 }
 
-/// Refuses to replace the session of other tables. The same table may be imported again with other options, and a later state of it with the
-/// same columns.
+/// Refuses to replace the session of other tables. The same table may be imported again with other
+/// options, and a later state of it with the same columns.
 pub(super) fn refuse_other_tables(
     out: &OutputFolder<'_>,
     tables: &[&TextTable],
@@ -110,7 +110,8 @@ impl Noticed {
     }
 }
 
-/// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.
+/// Says what was imported, and what was odd about it; exit code 3 where the new session carries
+/// warnings.
 pub(super) fn say(
     args: &ImportArgs,
     document: &ImportDocument<'_>,

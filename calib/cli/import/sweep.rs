@@ -1,4 +1,5 @@
-//! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
+//! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base,
+//! and the object where it is known.
 
 use super::arguments::{ImportArgs, layout};
 use super::description;

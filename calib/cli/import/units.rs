@@ -1,4 +1,5 @@
-//! Units of the foreign table: those that stand in its names and below its header become the session's.
+//! Units of the foreign table: those that stand in its names and below its header become the
+//! session's.
 
 use crate::column_words::quoted;
 use anyhow::bail;
@@ -18,8 +19,8 @@ const FIXED: [(&str, &str, &str); 4] = [
 /// What was noticed of a table: remarks, and what is odd.
 pub(super) type Noticed<'a> = (&'a mut Vec<String>, &'a mut Vec<String>);
 
-/// Factor from the unit that the table states of a column, in its name or below the header, to that of the session's column; 1 where it states
-/// none.
+/// Factor from the unit that the table states of a column, in its name or below the header, to that
+/// of the session's column; 1 where it states none.
 ///
 /// # Errors
 /// Where it states two, or one that measures something else.
@@ -78,7 +79,8 @@ pub(super) fn factor(
     }
 }
 
-/// What a table says of a column's unit below its header, or in each row in a column of units beside it.
+/// What a table says of a column's unit below its header, or in each row in a column of units
+/// beside it.
 ///
 /// # Errors
 /// Where rows have several.
@@ -117,7 +119,8 @@ fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
     Ok(first)
 }
 
-/// Times without a unit are taken as seconds, which is said; where they hardly are seconds, it is asked.
+/// Times without a unit are taken as seconds, which is said; where they hardly are seconds, it is
+/// asked.
 ///
 /// # Errors
 /// Where they can be none.
@@ -210,7 +213,8 @@ pub(super) fn signal(
     let index = column.index;
     let (file, name) = (&table.file, &table.columns[index]);
     let sure = below(table, index)?.or_else(|| stated_unit(name));
-    // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
+    // A last word that is a unit may be one, and is where it is of one kind with what is stated:
+    // `load_kN`.
     let last = possible_units(name).next().or_else(|| bracketed(name));
     let of_kind = |unit: &&str| {
         matches!(
@@ -256,7 +260,8 @@ pub(super) fn signal(
     }
 }
 
-/// Whether a column's name says that it holds uncertainties: `u_load`, `U95_ref`, `u(m)`, `sd`, `std_dev`, `Unsicherheit`. A voltage may be called `u_mv`.
+/// Whether a column's name says that it holds uncertainties: `u_load`, `U95_ref`, `u(m)`, `sd`,
+/// `std_dev`, `Unsicherheit`. A voltage may be called `u_mv`.
 pub(super) fn is_uncertainty(name: &str) -> bool {
     let name = name.to_lowercase();
     let words: Vec<&str> = name

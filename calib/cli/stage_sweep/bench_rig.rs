@@ -59,8 +59,8 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
-/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, its rate is the scenario's, and it draws no
-/// pictures.
+/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, its
+/// rate is the scenario's, and it draws no pictures.
 pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
     let mut rig = wcal_core::document::toml(rig)?;
     let stated = rig.get("interrogator").and_then(|i| i.get("rate_hz"));
@@ -88,7 +88,8 @@ pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
-/// How far the bench's time of earlier runs of a session is ahead of the wall's, s: a bench in this process goes on after them.
+/// How far the bench's time of earlier runs of a session is ahead of the wall's, s: a bench in this
+/// process goes on after them.
 pub(super) fn ahead_s(session: &Path) -> Result<f64> {
     let mut last_s = f64::NEG_INFINITY;
     for part in recordings(session) {

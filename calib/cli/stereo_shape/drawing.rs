@@ -1,4 +1,5 @@
-//! What the page draws of a pair: the pictures, and in their pixels the curve, the measured pieces, tags and groove.
+//! What the page draws of a pair: the pictures, and in their pixels the curve, the measured pieces,
+//! tags and groove.
 
 use anyhow::Result;
 use base64::Engine;
@@ -53,7 +54,8 @@ pub(super) fn drawing(
     })
 }
 
-/// Distance of every measured piece from the reprojected curve (px) over the arc length (mm), left and right.
+/// Distance of every measured piece from the reprojected curve (px) over the arc length (mm), left
+/// and right.
 pub(super) fn residuals(fit: &PairFit) -> [Vec<[f64; 2]>; 2] {
     [0, 1].map(|camera| {
         let all = fit.observations.iter().zip(&fit.system.residuals_px);

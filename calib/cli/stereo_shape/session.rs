@@ -19,7 +19,8 @@ const RESULTS: [(bool, &str, &str); 2] = [
     (true, "shapes-holdout.json", "holdout_shapes"),
 ];
 
-/// Fits the pairs of the session's poses, writes them into the session and names them in session.toml.
+/// Fits the pairs of the session's poses, writes them into the session and names them in
+/// session.toml.
 pub(super) fn run(
     args: &StereoShapeArgs,
     shaper: &Shaper,

@@ -37,14 +37,15 @@ pub struct StereoShapeArgs {
     /// Right pictures
     #[arg(requires_all = ["rig", "out"])]
     pub right: Option<String>,
-    /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr; both ROS files), whose
-    /// uncertainties are unknown
+    /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr;
+    /// both ROS files), whose uncertainties are unknown
     #[arg(long, num_args = 1..=2, required = true, value_name = "FILE")]
     pub cameras: Vec<PathBuf>,
     /// Rig: whisker, tags, groove; a session has its own
     #[arg(long, value_name = "rig.toml", requires = "right")]
     pub rig: Option<PathBuf>,
-    /// Folder for shapes.json and report.html (annotated pictures, residuals, a rotatable 3D view); for a session, the page only
+    /// Folder for shapes.json and report.html (annotated pictures, residuals, a rotatable 3D view);
+    /// for a session, the page only
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Overwrite unrelated files
@@ -92,7 +93,8 @@ impl Shaper {
         })
     }
 
-    /// Shapes of pairs, with what they were made from; `session`: identifier of the session that they belong to.
+    /// Shapes of pairs, with what they were made from; `session`: identifier of the session that
+    /// they belong to.
     pub(super) fn shapes(
         &self,
         files: &[PairFiles],

@@ -37,7 +37,8 @@ pub struct TrackArgs {
     pub model: Vec<String>,
     /// Log of the relative motion of base and object
     ///
-    /// A CSV with t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw .. base_qz; _m for metres. Default: such columns of the table.
+    /// A CSV with t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
+    /// base_qz; _m for metres. Default: such columns of the table.
     #[arg(
         help_heading = "Motion",
         long,
@@ -61,12 +62,14 @@ pub struct TrackArgs {
     pub base_mm_s: Option<f64>,
     /// The base moves along its +z past an object at rest
     ///
-    /// At a speed within the training range: rows in contact are not motion-assumed and have the network's regions.
+    /// At a speed within the training range: rows in contact are not motion-assumed and have the
+    /// network's regions.
     #[arg(help_heading = "Motion", long, requires = "model")]
     pub sweep: bool,
     /// Duration at the start, free of contact, that gives the zero
     ///
-    /// In s, its mean moments; 0 keeps the calibration's zero. Default: a table uses the free readings at its start where they can be identified, a stream the calibration's zero.
+    /// In s, its mean moments; 0 keeps the calibration's zero. Default: a table uses the free
+    /// readings at its start where they can be identified, a stream the calibration's zero.
     #[arg(help_heading = "Whisker", long, value_name = "S")]
     pub tare_s: Option<f64>,
     /// Relative sd of the diameter of another wire of this kind
@@ -108,7 +111,8 @@ pub struct TrackArgs {
     pub json: bool,
 }
 
-/// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free of contact, that the noise is estimated from, s.
+/// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free
+/// of contact, that the noise is estimated from, s.
 pub const RATE_HZ: f64 = 10.0;
 pub const LAG_S: f64 = 0.1;
 pub const PREFIX_S: f64 = 3.0;
@@ -118,7 +122,8 @@ pub const ACCURACY: MotionAccuracy = MotionAccuracy {
     clock_sd_s: 0.01,
 };
 
-/// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to do in the last line.
+/// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to
+/// do in the last line.
 ///
 /// # Errors
 /// When the disk does not take it.

@@ -1,4 +1,5 @@
-//! Scans from the devices to the tracker: recorded first, then queued; a full queue drops and counts, and never waits.
+//! Scans from the devices to the tracker: recorded first, then queued; a full queue drops and
+//! counts, and never waits.
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -25,7 +26,8 @@ pub enum FeedItem {
     Failed(DeviceError),
 }
 
-/// The end that takes what the devices give. Recording and queue see everything in the same order, so that a replay does too.
+/// The end that takes what the devices give. Recording and queue see everything in the same order,
+/// so that a replay does too.
 pub struct FeedInput {
     recorder: Option<Arc<Recorder>>,
     line: Mutex<Line>,
@@ -84,7 +86,8 @@ impl FeedInput {
         Ok(true)
     }
 
-    /// Takes a position of the stage. A full queue drops it: the rows then have no pose of the base.
+    /// Takes a position of the stage. A full queue drops it: the rows then have no pose of the
+    /// base.
     ///
     /// # Errors
     /// When the disk does not take it.

@@ -133,7 +133,8 @@ fn recorded(parts: &[PathBuf], queue: &SyncSender<FeedItem>) -> Result<Vec<Strin
 /// Tracks the rig's interrogator until Ctrl-C, the end of the time or a fault.
 ///
 /// # Errors
-/// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
+/// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is
+/// written.
 pub fn track(
     args: &TrackArgs,
     place: &str,
@@ -314,7 +315,8 @@ fn watch_stage(
     }
 }
 
-/// The scans of a queue as a source of readings, until the time that was asked for is over or somebody ends it.
+/// The scans of a queue as a source of readings, until the time that was asked for is over or
+/// somebody ends it.
 struct Scans<'q, 'a> {
     args: &'q TrackArgs,
     receiver: &'q Receiver<FeedItem>,
@@ -493,7 +495,8 @@ fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
     }
 }
 
-/// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.
+/// Table of a session's points, and whose whisker's session it is; none where the folder is no
+/// reduced session.
 fn session_points(folder: &Path) -> Option<(PathBuf, Option<String>)> {
     let session: toml::Table = wcal_core::files::read_text(folder.join("session.toml"))
         .ok()?

@@ -6,11 +6,12 @@ use wcal_contact::mesh_score::{KnownObject, MeshScore};
 use wcal_session::sweep_session::SweepSession;
 use wcal_sim::Mesh;
 
-/// Contacts farther than this from a mesh whose place is known do not belong to it, mm, in the median.
+/// Contacts farther than this from a mesh whose place is known do not belong to it, mm, in the
+/// median.
 const MAX_MEDIAN_MM: f64 = 1.0;
 
-/// The object of the sweep session that a table belongs to; stated places lie a radius from its surface. None where no mesh is known, or not where
-/// it lies.
+/// The object of the sweep session that a table belongs to; stated places lie a radius from its
+/// surface. None where no mesh is known, or not where it lies.
 ///
 /// # Errors
 /// A description or mesh that cannot be read.
@@ -28,7 +29,8 @@ pub fn passed_object(table: &Path, radius_mm: f64) -> Result<Option<KnownObject>
     )?))
 }
 
-/// What speaks against contacts that lie off an object whose place is known; none where nothing does.
+/// What speaks against contacts that lie off an object whose place is known; none where nothing
+/// does.
 pub fn off_object(score: Option<&MeshScore>) -> Option<String> {
     let s = score.filter(|s| s.distances.median_mm > MAX_MEDIAN_MM)?;
     Some(format!(

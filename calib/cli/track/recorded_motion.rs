@@ -1,4 +1,5 @@
-//! The log of a motion, checked against the clock of the table or the recording that it goes with before anything is tracked.
+//! The log of a motion, checked against the clock of the table or the recording that it goes with
+//! before anything is tracked.
 
 use super::arguments::TrackArgs;
 use anyhow::{Context, Result};
@@ -7,7 +8,8 @@ use wcal_acquisition::replay::{self, Message};
 use wcal_session::MotionLog;
 use wcal_session::motion_table::{LoggedMotion, read};
 
-/// The session whose recording is tracked: the folder that was named, or without a network the one that the recording lies in.
+/// The session whose recording is tracked: the folder that was named, or without a network the one
+/// that the recording lies in.
 pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
     let source = args.source.as_deref()?;
     if source.is_dir() || !args.model.is_empty() {
@@ -17,7 +19,8 @@ pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
     }
 }
 
-/// The log of `--motion` by the recording's clock (seconds since the first scan); none where none was given.
+/// The log of `--motion` by the recording's clock (seconds since the first scan); none where none
+/// was given.
 ///
 /// # Errors
 /// Where log or recording cannot be read, or their clocks have nothing in common.

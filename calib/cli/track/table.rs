@@ -114,8 +114,8 @@ pub fn of_session<'a>(
     })
 }
 
-/// The readings of a table: by the network where there is one, else along the motion of `--motion` or of the table's own columns, else by
-/// the moments alone.
+/// The readings of a table: by the network where there is one, else along the motion of `--motion`
+/// or of the table's own columns, else by the moments alone.
 ///
 /// # Errors
 /// Where table, motion or calibration cannot be used.
@@ -197,8 +197,9 @@ pub fn of_table<'a>(
 pub const NO_ZERO: &str = "expected free readings at the beginning, or their time by --tare-s: the calibration does not know the zero of the \
      free wire (fit-gpr left out its readings at rest); found neither";
 
-/// Time whose mean moments are the zero of a table, s: the one that is stated, else its free beginning, which says what the readings' own noise
-/// is, too; what the poses of the calibration scatter by beyond it is an error that they share.
+/// Time whose mean moments are the zero of a table, s: the one that is stated, else its free
+/// beginning, which says what the readings' own noise is, too; what the poses of the calibration
+/// scatter by beyond it is an error that they share.
 ///
 /// # Errors
 /// Where there is none, and the calibration does not know the zero of the free wire.

@@ -1,4 +1,5 @@
-//! MuJoCo's labels at a session's poses: other equilibria, the error against the session's labels and against the rod.
+//! MuJoCo's labels at a session's poses: other equilibria, the error against the session's labels
+//! and against the rod.
 
 use super::rows::{Text, of_trajectory, row};
 use crate::progress::Progress;

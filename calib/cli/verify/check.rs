@@ -1,4 +1,5 @@
-//! `wcal verify --check`: what a session holds, what it lacks, and what looks wrong; nothing is fitted.
+//! `wcal verify --check`: what a session holds, what it lacks, and what looks wrong; nothing is
+//! fitted.
 
 use crate::simulated::word;
 use schemars::JsonSchema;
@@ -9,7 +10,8 @@ use wcal_core::{InputFile, SessionData, SessionKind};
 use wcal_session::{Finding, LoadedSession, Severity, attach_holdout, examine, load};
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
-/// Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be used. A session that cannot be read is a finding, too.
+/// Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be used. A session
+/// that cannot be read is a finding, too.
 ///
 /// # Errors
 /// Where the findings cannot be printed.

@@ -54,7 +54,8 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
     Ok(csv)
 }
 
-/// Every reading with what both models say of it, in the session's units; a residual is measured less predicted.
+/// Every reading with what both models say of it, in the session's units; a residual is measured
+/// less predicted.
 pub(super) fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
     let axis = matches!(data, ScalarData::Axis(_));
     // Of an axis the model's response is the error, measured less commanded.
@@ -278,7 +279,8 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     );
 }
 
-/// What it is all for, in one line: by which trajectories, and with an interval whether anything distinguishes both models.
+/// What it is all for, in one line: by which trajectories, and with an interval whether anything
+/// distinguishes both models.
 fn contact_line(c: &ContactComparison, interval95: Option<[f64; 2]>, how: &str) -> String {
     let [before, after, expected] =
         [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));

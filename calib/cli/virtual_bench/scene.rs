@@ -1,4 +1,5 @@
-//! What the virtual bench's cameras see: the plant's wire, groove and tags at the stage's position, or its chessboard.
+//! What the virtual bench's cameras see: the plant's wire, groove and tags at the stage's position,
+//! or its chessboard.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::sync::{Mutex, PoisonError};
@@ -16,7 +17,8 @@ pub(super) const REACH: f64 = 0.4;
 /// Pieces of the drawn centre line, mm.
 const STEP_MM: f64 = 0.25;
 
-/// A trajectory's path, and the stage position past first declared contact at which it truly touches, mm.
+/// A trajectory's path, and the stage position past first declared contact at which it truly
+/// touches, mm.
 pub struct ScenePath {
     pub id: u32,
     pub path: Path,

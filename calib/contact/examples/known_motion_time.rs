@@ -1,8 +1,10 @@
-//! Time of a reading in the recursive posterior of known motion, on one core: `cargo run --release -p wcal-track --example known_motion_time`.
+//! Time of a reading in the recursive posterior of known motion, on one core:
+//! `cargo run --release -p wcal-track --example known_motion_time`.
 //!
-//! SIMULATED presses, a row every 2.5 ms at 4 mm/s, twelve unknowns that all readings share. Printed: rows a second, quantiles of single
-//! readings. On Linux readings during which the system gave the core to another process are left out and counted (`preempted`): on a busy
-//! machine they measure its scheduler.
+//! SIMULATED presses, a row every 2.5 ms at 4 mm/s, twelve unknowns that all readings share.
+//! Printed: rows a second, quantiles of single readings. On Linux readings during which the system
+//! gave the core to another process are left out and counted (`preempted`): on a busy machine they
+//! measure its scheduler.
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,

@@ -1,9 +1,12 @@
 //! The information that transverse moments alone have about a contact: a posterior along an arc.
 //!
-//! Every node k of the inverse explains the moments m by a place p_k with the normal n_k (`StaticInverse`); nothing but a prior weighs them:
+//! Every node k of the inverse explains the moments m by a place p_k with the normal n_k
+//! (`StaticInverse`); nothing but a prior weighs them:
 //!
-//! `w_k ~ l_k` on the wire (l_k the length that the node stands for), `TIP` in all at the tip's tilts; 0 where m cannot come from;
-//! `p = sum w_k p_k`, `C = sum w_k ((p_k - p)(p_k - p)' + c_k^2 s^2 n_k n_k') + s_min^2 1`, `c = |dp.n/dm|`, `s` the moments' standard deviation.
+//! `w_k ~ l_k` on the wire (l_k the length that the node stands for), `TIP` in all at the tip's
+//! tilts; 0 where m cannot come from; `p = sum w_k p_k`,
+//! `C = sum w_k ((p_k - p)(p_k - p)' + c_k^2 s^2 n_k n_k') + s_min^2 1`, `c = |dp.n/dm|`, `s` the
+//! moments' standard deviation.
 
 use crate::arc_posterior::ArcDensity;
 use nalgebra::{Matrix3, Vector3};
@@ -12,7 +15,8 @@ use wcal_track::network::Prediction;
 
 /// Probability that a contact of which nothing is known is one of the tip. An assumption.
 const TIP: f64 = 0.15;
-/// Standard deviation added for model errors, mm: friction tilts the force, and a wire differs from its model.
+/// Standard deviation added for model errors, mm: friction tilts the force, and a wire differs from
+/// its model.
 const MIN_SD_MM: f64 = 0.5;
 /// Length that each node stands for, mm; the tip's share it out among its tilts.
 fn lengths(nodes: &[Node]) -> Vec<f64> {
@@ -24,7 +28,8 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
         .collect()
 }
 
-/// The answer to moments (N mm) of which nothing else is known; probabilities and number of contacts are those of `answer`.
+/// The answer to moments (N mm) of which nothing else is known; probabilities and number of
+/// contacts are those of `answer`.
 pub fn static_arc(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
@@ -43,14 +48,16 @@ pub(crate) fn allowed_weights(
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
-    // A contact anywhere on the wire is as probable by length; the tip has its own mass, shared by its tilts.
+    // A contact anywhere on the wire is as probable by length; the tip has its own mass, shared by
+    // its tilts.
     let tilts = nodes.iter().filter(|n| n.tilt > 0.0).count().max(1) as f64;
     let whole: f64 = lengths.iter().sum();
     let prior = |k: usize| match nodes[k].tilt > 0.0 {
         true => TIP / tilts,
         false => (1.0 - TIP) * lengths[k] / whole,
     };
-    // Nodes from which no force gives these moments have no weight; without any reachable node the prior remains.
+    // Nodes from which no force gives these moments have no weight; without any reachable node the
+    // prior remains.
     let any = solutions.iter().any(|s| s.reachable);
     let weight =
         |(k, s): (usize, &InverseSolution)| if s.reachable || !any { prior(k) } else { 0.0 };
@@ -92,8 +99,9 @@ pub(crate) fn stated_answer(
 /// Probability that a motion of which nothing is known is one as in training. An assumption.
 const AS_TRAINED: f32 = 0.5;
 
-/// What is stated of a network's answer (point p, covariance C_n, weights u_k) where the motion is not known: with probability a it is as in
-/// training, else nothing but the moments counts (mean q, C_a, v_k; [`static_arc`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
+/// What is stated of a network's answer (point p, covariance C_n, weights u_k) where the motion is
+/// not known: with probability a it is as in training, else nothing but the moments counts (mean q,
+/// C_a, v_k; [`static_arc`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
 /// `C = a C_n + (1 - a) (C_a + (q - p)(q - p)')`, the mixture's second moment about p.
 pub fn any_motion(
     inverse: &StaticInverse,

@@ -1,17 +1,20 @@
 //! A posterior over the wire: its density by arc length, and the regions where it is highest.
 //!
-//! The density is constant in each of its cells. A region holds cells in the order of their density until it has 95 % of the mass; neighbours
-//! are one piece (G. E. P. Box, G. C. Tiao, "Bayesian Inference in Statistical Analysis", 1973, 2.8).
+//! The density is constant in each of its cells. A region holds cells in the order of their density
+//! until it has 95 % of the mass; neighbours are one piece (G. E. P. Box, G. C. Tiao, "Bayesian
+//! Inference in Statistical Analysis", 1973, 2.8).
 
 use nalgebra::{Matrix3, Vector3};
 
 /// Mass of the stated regions.
 pub const REGION: f64 = 0.95;
-/// Cells between two nodes whose density is known: fewest, most, and their width between, mm; least width of any cell, mm.
+/// Cells between two nodes whose density is known: fewest, most, and their width between, mm; least
+/// width of any cell, mm.
 const PARTS: [f64; 2] = [8.0, 32.0];
 const PART_MM: f64 = 0.02;
 const MIN_MM: f64 = 1e-3;
-/// Cells of normal distributions: in a standard deviation, their largest width, mm, and most of them; standard deviations that are looked at.
+/// Cells of normal distributions: in a standard deviation, their largest width, mm, and most of
+/// them; standard deviations that are looked at.
 const CELLS_A_SD: f64 = 4.0;
 const CELL_MM: f64 = 0.1;
 const MAX_CELLS: f64 = 400.0;
@@ -38,7 +41,8 @@ impl Region {
     }
 }
 
-/// Density over the wire: cells in order of arc length, whose masses sum to 1; empty where nothing is known.
+/// Density over the wire: cells in order of arc length, whose masses sum to 1; empty where nothing
+/// is known.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ArcDensity(Vec<Region>);
 
@@ -85,7 +89,8 @@ impl ArcDensity {
                     places_mm[k] + width_mm * share * p as f64
                 }
             };
-            // ln p is near linear between nodes that differ by little: a cell is the midpoint rule of the exponential.
+            // ln p is near linear between nodes that differ by little: a cell is the midpoint rule
+            // of the exponential.
             let density = (ln[k] + (ln[k + 1] - ln[k]) * share * (p as f64 + 0.5) - best).exp();
             Region {
                 from_mm: at(p),
@@ -102,7 +107,8 @@ impl ArcDensity {
         )
     }
 
-    /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire; what lies past its tip is at the tip.
+    /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire;
+    /// what lies past its tip is at the tip.
     pub fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
         let least = parts.iter().map(|p| p.2).fold(f64::INFINITY, f64::min);
         let ends = |sign: f64| {
@@ -274,7 +280,8 @@ mod tests {
             (piece.from_mm - 29.804).abs() < 0.006 && (piece.to_mm - 30.196).abs() < 0.006,
             "{piece:?}"
         );
-        // Two of the same a millimetre apart: their middle lies between them, and the spread is theirs.
+        // Two of the same a millimetre apart: their middle lies between them, and the spread is
+        // theirs.
         let at = |x: f64| (0.5, Vector3::new(x, 0.0, 0.0), Matrix3::identity() * 0.01);
         let (mean, covariance) = mixed_place([at(30.0), at(31.0)].into_iter()).unwrap();
         assert!((mean.x - 30.5).abs() < 1e-12 && (covariance[(0, 0)] - 0.26).abs() < 1e-12);

@@ -20,8 +20,8 @@ pub struct CalibratedWire {
     pub field: Arc<MomentField>,
     rod: Rod,
     diameter_mm: f64,
-    /// Relative standard deviation of the diameter of the wire that is tracked; none where it is the calibration's own, whose stiffness is in
-    /// the scale of the moments.
+    /// Relative standard deviation of the diameter of the wire that is tracked; none where it is
+    /// the calibration's own, whose stiffness is in the scale of the moments.
     tolerance: Option<f64>,
     /// On what touches it.
     friction: FrictionPrior,
@@ -50,13 +50,15 @@ fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
 }
 
 impl CalibratedWire {
-    /// With the wire by one standard deviation of each of the readings' first common unknowns; `diameter_mm` is the declared one.
+    /// With the wire by one standard deviation of each of the readings' first common unknowns;
+    /// `diameter_mm` is the declared one.
     pub fn new(wire: &AcceptedWire, changed: &[AcceptedWire], diameter_mm: f64) -> Self {
         let base = (&WireFrame::default(), &MomentAxes::default());
         Self::of_session((wire, changed), base, diameter_mm)
     }
 
-    /// The wire of a session in a frame, or, where the rod of an accepted one cannot be turned, by its own axes.
+    /// The wire of a session in a frame, or, where the rod of an accepted one cannot be turned, by
+    /// its own axes.
     pub fn of_session(
         (wire, changed): (&AcceptedWire, &[AcceptedWire]),
         (frame, axes): (&WireFrame, &MomentAxes),
@@ -110,12 +112,14 @@ impl CalibratedWire {
         Self { friction, ..self }
     }
 
-    /// Relative standard deviation of the stiffness, which goes with the fourth power of the diameter.
+    /// Relative standard deviation of the stiffness, which goes with the fourth power of the
+    /// diameter.
     pub fn stiffness_sd(&self) -> f64 {
         4.0 * self.tolerance.unwrap_or(0.0)
     }
 
-    /// What regions assume of it, with a bar between: `wire=calibrated` or the diameter's relative standard deviation, and the friction.
+    /// What regions assume of it, with a bar between: `wire=calibrated` or the diameter's relative
+    /// standard deviation, and the friction.
     pub fn assumes(&self) -> String {
         let wire = self.tolerance.map_or_else(
             || "wire=calibrated".to_owned(),
@@ -124,8 +128,9 @@ impl CalibratedWire {
         format!("{wire}|friction={}", self.friction)
     }
 
-    /// Columns of what all readings of a record share, N mm by one standard deviation of each: the calibration's unknowns, the zero, and the
-    /// stiffness of another wire, which scales all moments of a held wire.
+    /// Columns of what all readings of a record share, N mm by one standard deviation of each: the
+    /// calibration's unknowns, the zero, and the stiffness of another wire, which scales all
+    /// moments of a held wire.
     pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
         let zero = m
             .zero_nmm2
@@ -147,7 +152,8 @@ impl CalibratedWire {
             .collect()
     }
 
-    /// A reading along its motion, where its moments and motion are known; without its own noise it has that from pose to pose.
+    /// A reading along its motion, where its moments and motion are known; without its own noise it
+    /// has that from pose to pose.
     pub fn row(&self, reading: &Reading, accuracy: &MotionAccuracy) -> Option<MotionRow> {
         let (m, motion) = (reading.moments.as_ref()?, reading.motion.as_ref().ok()?);
         Some(MotionRow {

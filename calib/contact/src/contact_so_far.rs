@@ -1,7 +1,8 @@
 //! The contact at hand of a stream: what is known of it after each reading.
 //!
-//! A point that stays or creeps has its recursive posteriors. Where a point that stays does not explain the moments, the contact is followed as
-//! one that slides ([`SlidingStream`]), too; each way has its weight ([`crate::regimes`]), anew with each block of readings.
+//! A point that stays or creeps has its recursive posteriors. Where a point that stays does not
+//! explain the moments, the contact is followed as one that slides ([`SlidingStream`]), too; each
+//! way has its weight ([`crate::regimes`]), anew with each block of readings.
 
 use crate::ContactError;
 use crate::arc_posterior::{ArcDensity, Region};
@@ -131,7 +132,8 @@ impl ContactSoFar {
         }))
     }
 
-    /// Weighs the contact where a block of its readings is complete; where it is as one that slides.
+    /// Weighs the contact where a block of its readings is complete; where it is as one that
+    /// slides.
     fn weighed(
         &mut self,
         of: &Assumed,

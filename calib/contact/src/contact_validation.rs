@@ -1,13 +1,16 @@
-//! How far the contacts of a session lie from its groove, by the declared and by the accepted model, on trajectories that had no part in the
-//! calibrations that locate them.
+//! How far the contacts of a session lie from its groove, by the declared and by the accepted
+//! model, on trajectories that had no part in the calibrations that locate them.
 //!
 //! ```text
 //! e_k = |p_k - (g_k + a_k d + o)|             p: located by moments and motion, g: stated place of the groove, d: its direction
 //! rms = sqrt(mean of e_k^2),   difference = rms of the accepted model less rms of the declared one, over readings that both locate
 //! ```
 //!
-//! By what a_k the effects of the fold's model correct the stage and by what o the place of the groove are fitted without the trajectory, so that nothing of it is in its own answer; the declared model corrects nothing. Intervals leave out each trajectory, whose readings share one error: of a root mean
-//! square on the scale of its logarithm, of a difference as it is ([`wcal_core::jackknife`]).
+//! By what a_k the effects of the fold's model correct the stage and by what o the place of the
+//! groove are fitted without the trajectory, so that nothing of it is in its own answer; the
+//! declared model corrects nothing. Intervals leave out each trajectory, whose readings share one
+//! error: of a root mean square on the scale of its logarithm, of a difference as it is
+//! ([`wcal_core::jackknife`]).
 
 use crate::ContactError as Error;
 use crate::groove_comparison::{Compared, rms};
@@ -20,8 +23,8 @@ use wcal_core::verify_document::{ContactComparison, ContactError, TrajectoryCont
 use wcal_trace::verify::{Decision, FoldCalibrations};
 use wcal_trace::whisker::{PhysicalModel, WhiskerSystem};
 
-/// Places that the tracker finds through a calibration beside the groove's, on the `chosen` readings of a system; none where the stage's way is not
-/// recorded, or the wire cannot be bent.
+/// Places that the tracker finds through a calibration beside the groove's, on the `chosen`
+/// readings of a system; none where the stage's way is not recorded, or the wire cannot be bent.
 ///
 /// # Errors
 /// Where moments or motion cannot be used.

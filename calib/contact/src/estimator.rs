@@ -80,7 +80,8 @@ pub struct Contact {
 }
 
 impl Contact {
-    /// What the ways in which a contact may move state together; `on_object`: whether its place is a point of the object.
+    /// What the ways in which a contact may move state together; `on_object`: whether its place is
+    /// a point of the object.
     pub fn averaged(
         all: &[Alternative],
         flags: Flags,
@@ -107,9 +108,11 @@ impl Contact {
     }
 }
 
-/// Locates the contacts of one whisker; readings and contacts are in the frame of its wire ([`crate::frame`]).
+/// Locates the contacts of one whisker; readings and contacts are in the frame of its wire
+/// ([`crate::frame`]).
 pub trait Estimator {
-    /// Takes the next reading in order of time; gives the contacts that are settled by now, in the order of their readings.
+    /// Takes the next reading in order of time; gives the contacts that are settled by now, in the
+    /// order of their readings.
     ///
     /// # Errors
     /// For a reading that cannot be used, and where the wire cannot be bent.
@@ -141,10 +144,12 @@ pub struct Findings {
     pub messages: Vec<String>,
     /// Readings could not be used for want of a motion.
     pub lost: bool,
-    /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
+    /// Contact in a motion of which the estimator knows nothing, or that does not belong to the
+    /// moments.
     pub doubt: bool,
     /// Groove of a session against the answers; none inside where nothing was compared.
     pub groove: Option<Option<GrooveTracking>>,
-    /// First and last reading of each contact, s, where each reading knows what came before it alone.
+    /// First and last reading of each contact, s, where each reading knows what came before it
+    /// alone.
     pub spans_s: Option<Vec<[f64; 2]>>,
 }

@@ -1,4 +1,5 @@
-//! Located places beside a groove that is known: errors, bound, coverage of the regions, and what that makes of a contact's uncertainty.
+//! Located places beside a groove that is known: errors, bound, coverage of the regions, and what
+//! that makes of a contact's uncertainty.
 
 use crate::arc_posterior::REGION;
 use crate::known_groove::too_few;
@@ -22,7 +23,8 @@ pub struct Compared {
     pub bound_mm: f64,
     /// See `bound_mm`.
     pub bound_by_map_mm: f64,
-    /// Largest moment of the trajectory and its standard deviation by what all readings share, N mm.
+    /// Largest moment of the trajectory and its standard deviation by what all readings share, N
+    /// mm.
     pub moment_nmm: [f64; 2],
     /// Whether the 95 % region holds the groove.
     pub held: bool,
@@ -42,8 +44,9 @@ fn lost(compared: &[Compared]) -> usize {
         .count()
 }
 
-/// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
-/// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
+/// Whether the groove is not where it was said to be: the stated regions hold too few trajectories
+/// for an accident, and the error is more than the bound explains. Of nine trajectories three that
+/// miss by hundredths of a millimetre happen where the noise is that small.
 pub fn coverage_rejected(t: &GrooveTracking) -> bool {
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
     too_few(t.trajectories_held, t.trajectories, REGION)
@@ -66,7 +69,8 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
             .or_default()
             .insert(c.trajectory, *c);
     }
-    // Trajectories are independent, their readings are not: one number a trajectory, root mean square over them.
+    // Trajectories are independent, their readings are not: one number a trajectory, root mean
+    // square over them.
     let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
         let each: Vec<Compared> = each.into_values().collect();
         let rms = |of: fn(&Compared) -> f64| rms(&each, of);
@@ -106,7 +110,8 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
     })
 }
 
-/// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.
+/// What the tracked groove tells a calibration's user of contacts; none where no trajectory was
+/// compared.
 pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
     const METHOD: &str = "Bayesian Cramer-Rao bound of the contact on the session's trajectories, motion known: covariance of the calibration, \
                           noise of the readings, place of the free wire; root mean square over the trajectories of an arc length";

@@ -1,4 +1,5 @@
-//! The groove of a session's own calibration from its table (`groove_x_mm`, `groove_y_mm`, `groove_z_mm`).
+//! The groove of a session's own calibration from its table (`groove_x_mm`, `groove_y_mm`,
+//! `groove_z_mm`).
 
 use crate::ContactError;
 use crate::known_groove::{KnownPlace, MAX_INTERVAL_S};

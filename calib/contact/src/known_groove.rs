@@ -1,8 +1,10 @@
 //! Answers compared with the groove of a calibration, whose place is known at each of its readings.
 //!
-//! A reading at which the stage stood takes the last answer before it, a moving one what lies between the answers around it, in proportion to the
-//! time. Readings of one visit are not independent: a visit is held where half of its readings or more lie in their 95 % regions. With h of n
-//! visits held, `P(H <= h)` of the binomial distribution with p = 0.95 says whether fewer are an accident.
+//! A reading at which the stage stood takes the last answer before it, a moving one what lies
+//! between the answers around it, in proportion to the time. Readings of one visit are not
+//! independent: a visit is held where half of its readings or more lie in their 95 % regions. With
+//! h of n visits held, `P(H <= h)` of the binomial distribution with p = 0.95 says whether fewer
+//! are an accident.
 
 use crate::arc_posterior::REGION;
 use crate::estimator::ContactEstimate;
@@ -12,9 +14,11 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::WhiskerSpec;
 
-/// Longest interval between a reading and an answer that it is compared with, s; a longer one between readings parts visits.
+/// Longest interval between a reading and an answer that it is compared with, s; a longer one
+/// between readings parts visits.
 pub(crate) const MAX_INTERVAL_S: f64 = 0.3;
-/// Squared radius of the 95 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
+/// Squared radius of the 95 % region of three Gaussian numbers (chi-squared, three degrees of
+/// freedom).
 const CHI2_95: f64 = 7.814_727_903_251_18;
 /// Level of significance of a test against the stated coverage.
 const LEVEL: f64 = 0.01;
@@ -65,7 +69,8 @@ struct Answer {
 }
 
 impl Answer {
-    /// What lies between this answer and a later one at a time: the base goes on evenly from one to the other.
+    /// What lies between this answer and a later one at a time: the base goes on evenly from one to
+    /// the other.
     fn until(&self, later: &Self, t_s: f64) -> Self {
         let share = (t_s - self.t_s) / (later.t_s - self.t_s);
         Self {
@@ -131,11 +136,13 @@ impl KnownGroove {
         (!own.places.is_empty()).then_some(own)
     }
 
-    /// Takes the answer at a time; readings up to there are compared with the last one before them, moving ones with what lies between.
+    /// Takes the answer at a time; readings up to there are compared with the last one before them,
+    /// moving ones with what lies between.
     pub fn push(&mut self, t_s: f64, estimate: &ContactEstimate) {
         let now = Answer {
             t_s,
-            // The contact is on the object's surface; the groove's place is that of the wire's axis.
+            // The contact is on the object's surface; the groove's place is that of the wire's
+            // axis.
             axis_mm: estimate.place_mm + estimate.normal * self.radius_mm,
             covariance_mm2: estimate.covariance_mm2,
             contact: estimate.probability,
@@ -181,8 +188,8 @@ impl KnownGroove {
         })
     }
 
-    /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
-    /// where none was compared.
+    /// RMS error at the last compared reading of each contact (first and last time, s), mm: a
+    /// contact's readings before it knew less. None where none was compared.
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
         let within = |[from, to]: &[f64; 2]| {
             self.compared
@@ -286,7 +293,8 @@ mod tests {
         ] {
             groove.push(t_s, &answer(x, 0.5));
         }
-        // Standing: the answer before. Moving: between both (the nearest is .4 mm off). None within reach of the third.
+        // Standing: the answer before. Moving: between both (the nearest is .4 mm off). None within
+        // reach of the third.
         let s = groove.score().unwrap();
         assert_eq!((s.readings, s.compared), (3, 2), "{s:?}");
         assert!(s.largest_mm < 1e-6, "{s:?}");

@@ -7,7 +7,8 @@
 //!               Reading  ->  WhiskerTrack { Estimator }  ->  TrackRow, WhiskerDocument, Outcome        one loop: track
 //! ```
 //!
-//! Sources and sinks speak in the base frame of the session, estimators in that of the wire ([`frame`]): lengths in mm, moments in N mm, time in s.
+//! Sources and sinks speak in the base frame of the session, estimators in that of the wire
+//! ([`frame`]): lengths in mm, moments in N mm, time in s.
 
 pub mod arc;
 pub mod arc_posterior;

@@ -1,5 +1,6 @@
-//! Distances of contact points from the mesh of the touched object, where its place is known: from those of its faces that something outside can
-//! touch. A vessel's mesh has an inner wall, too, which is near to contacts that are too deep; it does not count.
+//! Distances of contact points from the mesh of the touched object, where its place is known: from
+//! those of its faces that something outside can touch. A vessel's mesh has an inner wall, too,
+//! which is near to contacts that are too deep; it does not count.
 
 use nalgebra::{Isometry3, Vector3};
 use schemars::JsonSchema;

@@ -1,15 +1,16 @@
 //! A network as an estimator: filters and network (TrackerStream), then what the motion allows.
 //!
-//! A network knows one motion: the base goes along its +z past an object at rest, at the speeds of its training. Two moments cannot tell
-//! another one from it: presses and sweeps give the same moments. So a contact has one of two statuses:
+//! A network knows one motion: the base goes along its +z past an object at rest, at the speeds of
+//! its training. Two moments cannot tell another one from it: presses and sweeps give the same
+//! moments. So a contact has one of two statuses:
 //!
 //! | motion | status | point | regions |
 //! |---|---|---|---|
 //! | known or vouched for, and one of training | `ok` | network's | network's |
 //! | any other, or not known | `motion-assumed` | network's | of the mixture of network and moments alone (`arc::any_motion`) |
 //!
-//! It knows one wire, too. On another one the row says `wire-assumed`: its spread is that of the mixture, its regions are what the moments alone
-//! allow of that wire.
+//! It knows one wire, too. On another one the row says `wire-assumed`: its spread is that of the
+//! mixture, its regions are what the moments alone allow of that wire.
 
 use crate::ContactError;
 use crate::arc::{any_motion, arc_density};
@@ -36,7 +37,8 @@ pub struct NetworkEstimator<'a> {
     foreign_rows: u64,
     rows: u64,
     assumed_rows: u64,
-    /// Rows with a probability of several contacts, and those at which several are more probable than one.
+    /// Rows with a probability of several contacts, and those at which several are more probable
+    /// than one.
     several_rows: [u64; 2],
 }
 
@@ -51,8 +53,9 @@ const LOADED_SDS: f64 = 5.0;
 const TOUCHED: f32 = 0.9;
 
 impl<'a> NetworkEstimator<'a> {
-    /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not known is as in training; `other_wire`: the
-    /// wire that is tracked, where the network was trained for another.
+    /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not
+    /// known is as in training; `other_wire`: the wire that is tracked, where the network was
+    /// trained for another.
     pub fn new(
         (tracker, card): (&'a Tracker, &'a Card),
         filters: FilterBank,

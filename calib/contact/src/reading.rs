@@ -4,10 +4,11 @@
 //! m = m_true + h c - z + b + n,    c ~ N(0, 1),   z ~ N(0, Z),   b ~ N(0, B),   n ~ N(0, R)
 //! ```
 //!
-//! h: by how much one standard deviation of each unknown of the calibration, which all readings share, makes the moments too large; z: what
-//! is not known of the record's zero, drift included; B: noise from pose to pose, as the calibration's own readings have it about its law, one
-//! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
-//! that readings of like moments share.
+//! h: by how much one standard deviation of each unknown of the calibration, which all readings
+//! share, makes the moments too large; z: what is not known of the record's zero, drift included;
+//! B: noise from pose to pose, as the calibration's own readings have it about its law, one draw
+//! for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's
+//! misfit: no noise of a reading, but an error that readings of like moments share.
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
@@ -30,7 +31,8 @@ pub struct Moments {
     pub pose_nmm2: Matrix2<f64>,
     /// Covariance R of the reading's own noise, where it is known, (N mm)^2.
     pub own_nmm2: Option<Matrix2<f64>>,
-    /// Statistical inefficiency of the reading's own noise: so many in a row say as much as one that is independent; 0 where it is not known.
+    /// Statistical inefficiency of the reading's own noise: so many in a row say as much as one
+    /// that is independent; 0 where it is not known.
     pub inefficiency: f64,
     /// Covariance of the drift of the zero within a record, (N mm)^2; 0 where none is known.
     pub drift_nmm2: Matrix2<f64>,
@@ -116,7 +118,8 @@ pub struct Reading {
     pub in_prefix: bool,
     /// What happened since the reading before is not known.
     pub gap: bool,
-    /// By how much one standard deviation of each common unknown changes the displacement, base frame, mm; empty where none does.
+    /// By how much one standard deviation of each common unknown changes the displacement, base
+    /// frame, mm; empty where none does.
     pub shared_displacement_mm: Vec<Vector3<f64>>,
     /// Counts up where the contact was left, as far as the source knows.
     pub visit: u32,

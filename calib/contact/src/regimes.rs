@@ -1,4 +1,5 @@
-//! Ways in which a contact may move on what it touches, weighed by what each predicts of the same readings.
+//! Ways in which a contact may move on what it touches, weighed by what each predicts of the same
+//! readings.
 //!
 //! ```text
 //! fixed       at one point of the object                                          (known_motion)
@@ -12,12 +13,12 @@
 //! p(s, P | m) = sum_h w_h p(s, P | m, h)
 //! ```
 //!
-//! What is misstated is so in all contacts c of a record: `p(g | m) ~ pi_g prod_c p(m_c | g)`. A point that holds the wire shows g to a tenth or so,
-//! several together to less. One surface takes up any g, and a creep nearly so: theirs is
-//! the same for all g.
+//! What is misstated is so in all contacts c of a record: `p(g | m) ~ pi_g prod_c p(m_c | g)`. A
+//! point that holds the wire shows g to a tenth or so, several together to less. One surface takes
+//! up any g, and a creep nearly so: theirs is the same for all g.
 //!
-//! Sources: A. P. Dawid, J. R. Stat. Soc. A 147 (1984) 278 (prequential evidence); J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Stat.
-//! Sci. 14 (1999) 382 (model averaging).
+//! Sources: A. P. Dawid, J. R. Stat. Soc. A 147 (1984) 278 (prequential evidence); J. A. Hoeting,
+//! D. Madigan, A. E. Raftery, C. T. Volinsky, Stat. Sci. 14 (1999) 382 (model averaging).
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::{EpisodeContact, MomentField, MotionRow, RecursivePosterior, Settings};
@@ -25,16 +26,18 @@ use crate::sliding::{LN_ANYTHING, model_nmm2, reversed};
 use nalgebra::Vector3;
 use wcal_core::stream::Flags;
 
-/// Of an object of which nothing is known the touched point may go on by so much of the motion (standard deviations, each as probable). An
-/// assumption.
+/// Of an object of which nothing is known the touched point may go on by so much of the motion
+/// (standard deviations, each as probable). An assumption.
 pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
 /// A regime of less weight is omitted from what is stated.
 pub const MIN_WEIGHT: f64 = 1e-3;
-/// A mistake is stated from this weight on: a 95 % region need not hold a rarer one, which is far off and would be most of the covariance.
+/// A mistake is stated from this weight on: a 95 % region need not hold a rarer one, which is far
+/// off and would be most of the covariance.
 const MIN_MISTAKE: f64 = 0.05;
-/// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1; what lies between two is an unknown.
+/// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1;
+/// what lies between two is an unknown.
 const FACTOR: f64 = 1.2;
 const FACTORS: i32 = 5;
 /// What is said once of a record with contacts.
@@ -80,7 +83,8 @@ pub const ANY_OBJECT: RegimeWeights = RegimeWeights([0.38, 0.32, 0.28, 0.015, 0.
 pub const SWEPT_OBJECT: RegimeWeights = RegimeWeights([0.1, 0.1, 0.78, 0.015, 0.005]);
 /// The same in a groove.
 pub const GROOVE: RegimeWeights = RegimeWeights([0.92, 0.0, 0.05, 0.02, 0.01]);
-/// The same in a groove along the trajectories of a session: a calibration is judged by what it says of that.
+/// The same in a groove along the trajectories of a session: a calibration is judged by what it
+/// says of that.
 pub const POINT: RegimeWeights = RegimeWeights([1.0, 0.0, 0.0, 0.0, 0.0]);
 
 /// Probabilities of the regimes; they sum to 1.
@@ -103,10 +107,11 @@ impl RegimeWeights {
         self.of(Regime::Misstated) + self.of(Regime::Anywhere)
     }
 
-    /// By the logarithms of the evidence, in the order of [`REGIMES`]. A way that could not be looked at keeps its probability: what its readings
-    /// would have said is not known.
+    /// By the logarithms of the evidence, in the order of [`REGIMES`]. A way that could not be
+    /// looked at keeps its probability: what its readings would have said is not known.
     pub fn after(&self, ln_evidence: &[Option<f64>; 5]) -> Self {
-        // Bayes' rule with the evidence to a power (a power posterior: readings are not as independent as they count).
+        // Bayes' rule with the evidence to a power (a power posterior: readings are not as
+        // independent as they count).
         let ln = |k: usize| ln_evidence[k].map(|e| self.0[k].ln() + POWER * e);
         let best = (0..5).filter_map(ln).fold(OUT, f64::max);
         let all: [Option<f64>; 5] = std::array::from_fn(|k| Some((ln(k)? - best).exp()));
@@ -129,8 +134,10 @@ impl RegimeWeights {
             .sum()
     }
 
-    /// Where a surface explains all blocks, and better along the motion than along the reversed one: creeping is the first order of sliding over it, straight and steady; what its few
-    /// numbers save in evidence says nothing of which it is. The surface, which has that course among others, takes its probability.
+    /// Where a surface explains all blocks, and better along the motion than along the reversed
+    /// one: creeping is the first order of sliding over it, straight and steady; what its few
+    /// numbers save in evidence says nothing of which it is. The surface, which has that course
+    /// among others, takes its probability.
     fn of_one_surface(mut self) -> Self {
         self.0[Regime::Sliding as usize] += std::mem::take(&mut self.0[Regime::Creeping as usize]);
         self
@@ -220,7 +227,8 @@ pub struct ContactWeights {
     pub creeping: [f64; 3],
     /// Weight of the ways that could not be looked at.
     pub untried: f64,
-    /// The likeliest misstatement, and with it the probabilities of a fixed point and of one that slides.
+    /// The likeliest misstatement, and with it the probabilities of a fixed point and of one that
+    /// slides.
     pub misstatement: Option<(Misstatement, [f64; 2])>,
 }
 
@@ -241,7 +249,8 @@ impl ContactWeights {
         self.certain() == Some(Regime::Sliding)
     }
 
-    /// The regime that is more probable than all others together; none where a way that may be could not be looked at.
+    /// The regime that is more probable than all others together; none where a way that may be
+    /// could not be looked at.
     pub fn certain(&self) -> Option<Regime> {
         self.regimes
             .certain()
@@ -260,8 +269,9 @@ impl ContactWeights {
         (self.regimes.of(Regime::Misstated) * slides > 0.5).then_some(misstated)
     }
 
-    /// What stays in doubt: moments and motion that do not belong together, by the weights or by what a point leaves (`point_disagrees`), and
-    /// a sliding contact that may be lost (not `sure`), or a way that could not be looked at.
+    /// What stays in doubt: moments and motion that do not belong together, by the weights or by
+    /// what a point leaves (`point_disagrees`), and a sliding contact that may be lost (not
+    /// `sure`), or a way that could not be looked at.
     pub fn flags(&self, point_disagrees: bool, sure: bool) -> Flags {
         let undecided = if self.untried > MIN_MISTAKE {
             Flags::UNDECIDED
@@ -276,7 +286,8 @@ impl ContactWeights {
         })
     }
 
-    /// The ways of a contact at or near a point with their weights: how much it creeps, and what is misstated.
+    /// The ways of a contact at or near a point with their weights: how much it creeps, and what is
+    /// misstated.
     pub fn points(&self) -> Vec<(f64, f64, Misstatement)> {
         let own = |regime| self.regimes.of(regime);
         let mut all = vec![(own(Regime::Fixed), 0.0, Misstatement::NONE)];
@@ -309,8 +320,8 @@ pub struct Weighed<'a> {
 }
 
 impl Weighed<'_> {
-    /// ln p(m) of a point that creeps by a share with this standard deviation where something is misstated; none without blocks, and where the push
-    /// runs along the wire.
+    /// ln p(m) of a point that creeps by a share with this standard deviation where something is
+    /// misstated; none without blocks, and where the push runs along the wire.
     fn point(&self, creep_sd: f64, misstated: Misstatement) -> Option<f64> {
         let (blocks, settings) = misstated.undone(&self.blocks, &self.settings);
         let before = self.before.as_ref().map(|row| {
@@ -333,7 +344,8 @@ impl Weighed<'_> {
         Some(point_evidence(self.field, &settings, push, before.as_ref(), &blocks)? - by_factor)
     }
 
-    /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one, where one could be made; `whole`: the surface explains all blocks.
+    /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one,
+    /// where one could be made; `whole`: the surface explains all blocks.
     pub fn evidence(
         &self,
         prior: RegimeWeights,
@@ -356,7 +368,8 @@ impl Weighed<'_> {
             whole,
             misstated: Vec::new(),
         };
-        // A surface has no point; a stream looks at a mistake where a fixed point does not explain the readings as they are.
+        // A surface has no point; a stream looks at a mistake where a fixed point does not explain
+        // the readings as they are.
         let fixed_explains = || own.weights(&[]).regimes.of(Regime::Fixed) >= 0.5;
         if self.factors || !fixed_explains() {
             let point = |m: Misstatement| if whole { OUT } else { point(0.0, m) };
@@ -367,7 +380,8 @@ impl Weighed<'_> {
     }
 }
 
-/// Most that one contact says for or against what is misstated of a record, natural logarithm: its ways leave out others.
+/// Most that one contact says for or against what is misstated of a record, natural logarithm: its
+/// ways leave out others.
 const MAX_LN_EVIDENCE: f64 = 30.0;
 
 /// ln p(m) of a contact's blocks by how it moves.
@@ -384,8 +398,9 @@ pub struct ContactEvidence {
 }
 
 impl ContactEvidence {
-    /// ln p(m) as a fixed point, where it is this one, as one that creeps and as one that slides, each with its prior. Where a surface explains all
-    /// blocks, a point is no other way: with moments by some factor it has the surface's curve, too.
+    /// ln p(m) as a fixed point, where it is this one, as one that creeps and as one that slides,
+    /// each with its prior. Where a surface explains all blocks, a point is no other way: with
+    /// moments by some factor it has the surface's curve, too.
     fn ways(&self, fixed: f64, reversed: bool) -> [f64; 3] {
         let total = 1.0 - self.prior.no_motion();
         let ways = [
@@ -489,7 +504,8 @@ fn ln_mean(ln: &[f64]) -> f64 {
     ln_sum(ln) - (ln.len().max(1) as f64).ln()
 }
 
-/// ln p(m) of a contact at or near one point, over blocks of readings; `before` is the last free reading.
+/// ln p(m) of a contact at or near one point, over blocks of readings; `before` is the last free
+/// reading.
 fn point_evidence(
     field: &MomentField,
     settings: &Settings,
@@ -497,7 +513,8 @@ fn point_evidence(
     before: Option<&MotionRow>,
     blocks: &[MotionRow],
 ) -> Option<f64> {
-    // What the wire's model is off at a block is a draw for each block, as the sliding contact has it.
+    // What the wire's model is off at a block is a draw for each block, as the sliding contact has
+    // it.
     let noisy = |row: &MotionRow| MotionRow {
         noise_nmm2: row.noise_nmm2 + model_nmm2(row),
         ..row.clone()

@@ -1,4 +1,5 @@
-//! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
+//! Contact places of a session from its moments and the known way of the groove, and how far they
+//! are from the groove.
 
 #[cfg(test)]
 mod session_groove_test;
@@ -21,10 +22,12 @@ use wcal_core::{Role, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{GrooveMotion, ReadingWithMotion};
 
-/// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
+/// The rows of a session without the groove's place, so that no answer can come from it; their
+/// order stays.
 ///
 /// # Errors
-/// Where a loaded row has no stage position, or stands on a trajectory that the session does not describe.
+/// Where a loaded row has no stage position, or stands on a trajectory that the session does not
+/// describe.
 pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData, ContactError> {
     let mut blind = data.clone();
     for row in &mut blind.rows {
@@ -58,14 +61,16 @@ pub struct SessionGroove {
     pub frame: WireFrame,
     tracker: ContactTracker,
     trajectories: Vec<Trajectory>,
-    /// Readings in order of time, with the place of the groove where it is known; it is looked at after every answer.
+    /// Readings in order of time, with the place of the groove where it is known; it is looked at
+    /// after every answer.
     readings: Vec<(ReadingWithMotion, Option<Vector3<f64>>)>,
     /// What the calibration adds to the declared place of the groove, mm.
     offset_mm: Vector3<f64>,
     groove: Option<GrooveTracking>,
 }
 
-/// Places that are found on those of a session's readings that are `chosen` of the system's path, beside the groove's, which `known` gives.
+/// Places that are found on those of a session's readings that are `chosen` of the system's path,
+/// beside the groove's, which `known` gives.
 ///
 /// # Errors
 /// Where moments or motion cannot be used.
@@ -90,8 +95,8 @@ pub fn compared(
 }
 
 impl SessionGroove {
-    /// A session's readings through a calibration, in order of time, with what locates their contacts; `known` gives the groove's place by
-    /// reading of the system's path.
+    /// A session's readings through a calibration, in order of time, with what locates their
+    /// contacts; `known` gives the groove's place by reading of the system's path.
     ///
     /// # Errors
     /// Where the axes of the moments cannot be used.
@@ -247,7 +252,8 @@ fn noiseless(episode: &Episode) -> Episode {
     }
 }
 
-/// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N mm.
+/// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N
+/// mm.
 fn largest_moment(episode: &Episode) -> [f64; 2] {
     let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
     let largest = episode
@@ -270,7 +276,8 @@ fn largest_moment(episode: &Episode) -> [f64; 2] {
 
 impl Estimator for SessionGroove {
     fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
-        // Each mounting has the zero of its rest readings, whose error is one of the calibration's unknowns.
+        // Each mounting has the zero of its rest readings, whose error is one of the calibration's
+        // unknowns.
         let zero_nmm2 = Matrix2::zeros();
         let moments = reading.moments.clone().map(|m| Moments { zero_nmm2, ..m });
         self.tracker.push(&Reading {

@@ -1,4 +1,5 @@
-//! Readings of whose motion nothing is known: an arc of the wire for every loaded one ([`crate::arc`]), each reading by itself.
+//! Readings of whose motion nothing is known: an arc of the wire for every loaded one
+//! ([`crate::arc`]), each reading by itself.
 
 use crate::ContactError;
 use crate::arc::{arc_density, static_arc};
@@ -54,7 +55,8 @@ impl StaticArc {
     /// # Errors
     /// Where the wire cannot be bent.
     pub fn estimate_contact(&mut self, m: &Moments) -> Result<Contact, ContactError> {
-        // A reading's own noise may be larger than that from pose to pose, which is one of averages.
+        // A reading's own noise may be larger than that from pose to pose, which is one of
+        // averages.
         let own = m.own_nmm2.map_or(0.0, |n| n.trace());
         let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();
         if m.moment_nmm[0].hypot(m.moment_nmm[1]) <= LOADED_SDS * sd_nmm {

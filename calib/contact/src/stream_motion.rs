@@ -1,4 +1,5 @@
-//! How base and object move at the rows of a stream: by the stage's positions in it, or by its own log.
+//! How base and object move at the rows of a stream: by the stage's positions in it, or by its own
+//! log.
 //!
 //! ```text
 //! [base] carried_along a      base at world_from_base a x(t), object at rest: d = -a x
@@ -34,7 +35,8 @@ pub struct KnownAtRow {
 pub struct StreamMotion {
     base: Option<BaseMotion>,
     base_mm_s: Option<f64>,
-    /// Groove that the stage carries, base frame, since a trajectory was mounted, with the trajectory's direction.
+    /// Groove that the stage carries, base frame, since a trajectory was mounted, with the
+    /// trajectory's direction.
     groove: Option<(BaseMotion, Vector3<f64>)>,
     mounts: u32,
     trajectories: BTreeMap<u32, Vector3<f64>>,
@@ -70,8 +72,8 @@ impl StreamMotion {
         }
     }
 
-    /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory, unless the rig says that it carries the
-    /// base.
+    /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory,
+    /// unless the rig says that it carries the base.
     pub fn sweep_event(&mut self, event: &SweepEvent) {
         let direction = self
             .trajectories
@@ -102,7 +104,8 @@ impl StreamMotion {
         }
     }
 
-    /// The motion of the object with respect to the base, averaged over the filter's kernel; `middle` is the free wire's middle, mm.
+    /// The motion of the object with respect to the base, averaged over the filter's kernel;
+    /// `middle` is the free wire's middle, mm.
     ///
     /// # Errors
     /// Where it is not known.

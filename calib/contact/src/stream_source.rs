@@ -60,7 +60,8 @@ struct Whisker<'a> {
     whisker: WhiskerSpec,
     reader: WhiskerReader,
     chain: SignalChain,
-    /// Middle of the free wire, base frame, and what the calibration adds to the declared place of the groove, mm.
+    /// Middle of the free wire, base frame, and what the calibration adds to the declared place of
+    /// the groove, mm.
     middle_mm: Vector3<f64>,
     offset_mm: Vector3<f64>,
     kernel: Vec<(f64, f64)>,
@@ -148,7 +149,8 @@ impl<'a> StreamSource<'a> {
             .map_or(0.0, |origin| now - origin - self.stepped_s)
     }
 
-    /// Hears what time a scan states, before it is tracked; what the clock has done, where it steps or stands still.
+    /// Hears what time a scan states, before it is tracked; what the clock has done, where it steps
+    /// or stands still.
     pub fn hear(&mut self, reading: &FbgReading) -> Option<ClockFault> {
         let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         let fault = self
@@ -190,7 +192,8 @@ impl<'a> StreamSource<'a> {
         self.motion.sweep_event(event);
     }
 
-    /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
+    /// Compares answers with the groove of the session's readings; `whisker` is whose session it
+    /// is, none where the rig has one alone.
     pub fn know_groove(
         &self,
         tracks: &mut [WhiskerTrack<'_>],
@@ -208,7 +211,8 @@ impl<'a> StreamSource<'a> {
         }
     }
 
-    /// Takes a scan; the readings that the filters settle by it. `dropped`: scans before it were dropped on this side.
+    /// Takes a scan; the readings that the filters settle by it. `dropped`: scans before it were
+    /// dropped on this side.
     ///
     /// # Errors
     /// Where the stream is not the one that the rig describes.
@@ -254,7 +258,8 @@ impl<'a> StreamSource<'a> {
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
-    /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the tracker dropped; `tracked`: time in the tracks.
+    /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the
+    /// tracker dropped; `tracked`: time in the tracks.
     pub fn findings(
         &self,
         tracks: &[WhiskerTrack<'_>],
@@ -374,7 +379,8 @@ impl<'a> Whisker<'a> {
                         .with_tolerance(stream.diameter_sd)
                         .with_friction(stream.friction);
                     let middle_mm = frame.rotation().inverse() * wire.middle_mm();
-                    // The prefix is long enough; a reading that comes sooner solves what it needs itself.
+                    // The prefix is long enough; a reading that comes sooner solves what it needs
+                    // itself.
                     let filled = wire.clone();
                     std::thread::spawn(move || filled.field.fill(REACH_MM));
                     let touched = if of_groove { GROOVE } else { ANY_OBJECT };

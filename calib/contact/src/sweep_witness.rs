@@ -1,9 +1,10 @@
 //! A sweep over an object that is known judges the explanations of a calibration session.
 //!
-//! The moments m of a reading allow a contact anywhere on the curve p(s; m), with a force along n(s; m) (`StaticInverse`). The object allows it
-//! where its surface is, with the force along its normal and friction. The gap d of a reading is what remains between both ([`scene`]), a function
-//! of what else is not known: eta, the clock between readings and motion, the object's place, turn and size, and friction. All readings from
-//! first load to release count:
+//! The moments m of a reading allow a contact anywhere on the curve p(s; m), with a force along
+//! n(s; m) (`StaticInverse`). The object allows it where its surface is, with the force along its
+//! normal and friction. The gap d of a reading is what remains between both ([`scene`]), a function
+//! of what else is not known: eta, the clock between readings and motion, the object's place, turn
+//! and size, and friction. All readings from first load to release count:
 //!
 //! ```text
 //! d_k(eta) = g_k' ((h_k - h_0) c + z + e(m_k)) + f_k,   g = dd/dm,   c ~ N(0, 1),   z ~ N(0, Z),   eta ~ N(0, 1)
@@ -13,9 +14,11 @@
 //! T = sum_j (u_j' (d(eta^) - J eta^))^2 / l_j ~ chi^2(q)        l_j, u_j: eigenvalues and vectors of C + J J'; q of them exceed 2 s_f^2
 //! ```
 //!
-//! The search begins from several clocks, and the largest p counts. T is d' C^-1 d + |eta|^2 at its least, in the directions that the noise of a
-//! single reading does not rule: s_f bounds an error and is no measured noise. h_0 is the common error at the sweep's own zero (the readings
-//! before the free wire comes near the object), which takes it away. An explanation is held against the declared model, too:
+//! The search begins from several clocks, and the largest p counts. T is d' C^-1 d + |eta|^2 at its
+//! least, in the directions that the noise of a single reading does not rule: s_f bounds an error
+//! and is no measured noise. h_0 is the common error at the sweep's own zero (the readings before
+//! the free wire comes near the object), which takes it away. An explanation is held against the
+//! declared model, too:
 //!
 //! ```text
 //! P(L_0 / L_e >= 1 / a) <= a  where e is right       (Markov; L. Wasserman, A. Ramdas, S. Balakrishnan, PNAS 117 (2020) 16880)
@@ -47,27 +50,32 @@ use wcal_track::{InverseGrid, InverseSolution, StaticInverse};
 
 mod scene;
 
-/// The free wire is clear of the object from this distance on, mm, beside three standard deviations of the object's place.
+/// The free wire is clear of the object from this distance on, mm, beside three standard deviations
+/// of the object's place.
 const CLEAR_MM: f64 = 0.5;
 /// Readings that judge at most: denser ones say the same again.
 const MAX_SAMPLES: usize = 60;
-/// A reading is loaded beyond this many standard deviations of the free ones, or this share of the largest moment.
+/// A reading is loaded beyond this many standard deviations of the free ones, or this share of the
+/// largest moment.
 const LOADED_SD: f64 = 5.0;
 const LOADED_SHARE: f64 = 0.02;
 /// A reading below this share of the largest moment may be one that a dead zone hides.
 const HIDDEN_SHARE: f64 = 0.3;
 /// Errors of what is felt are made larger by a dead zone at most so many times.
 const MOST_LARGER: f64 = 100.0;
-/// The table of the wire reaches this multiple of the largest moment: a trial may take the moments for larger.
+/// The table of the wire reaches this multiple of the largest moment: a trial may take the moments
+/// for larger.
 const TABLE_REACH: f64 = 1.6;
 /// Step of the moments for gradients, N mm.
 const STEP_NMM: f64 = 0.02;
-/// What friction, the mesh and the model of one contact leave of a gap, mm, and over which way of the base it is alike, mm.
+/// What friction, the mesh and the model of one contact leave of a gap, mm, and over which way of
+/// the base it is alike, mm.
 const CONTACT_SD_MM: f64 = 0.3;
 const CONTACT_WAY_MM: f64 = 5.0;
 /// Share of that variance that is each reading's own.
 const CONTACT_OWN: f64 = 0.1;
-/// Step of the unknowns for gradients, in their standard deviations; rounds of the search and halvings of its step.
+/// Step of the unknowns for gradients, in their standard deviations; rounds of the search and
+/// halvings of its step.
 const UNKNOWN_STEP: f64 = 0.05;
 const ROUNDS: usize = 30;
 /// A gap that changes by less with the moments says nothing of them, mm/(N mm).
@@ -108,7 +116,8 @@ struct Touch<'a> {
 }
 
 impl SweepWitness {
-    /// Of a sweep with a whisker, its moment axes, and the number of loaded poses of its calibration session.
+    /// Of a sweep with a whisker, its moment axes, and the number of loaded poses of its
+    /// calibration session.
     ///
     /// # Errors
     /// Where the sweep has no object or does not say where it lies, or the wire cannot be used.
@@ -149,8 +158,9 @@ impl SweepWitness {
         })
     }
 
-    /// Whether the contacts that the moments of a calibration allow lie on the object, and by no less than those of the `declared` one where it is
-    /// another; none where its uncertainty rules in no direction.
+    /// Whether the contacts that the moments of a calibration allow lie on the object, and by no
+    /// less than those of the `declared` one where it is another; none where its uncertainty rules
+    /// in no direction.
     ///
     /// # Errors
     /// Where the sweep's table cannot be read by it, starts in contact, or never touches.
@@ -202,7 +212,8 @@ impl SweepWitness {
         }))
     }
 
-    /// Where the search ends under a calibration, at the readings that are `chosen`, else at those that it finds loaded.
+    /// Where the search ends under a calibration, at the readings that are `chosen`, else at those
+    /// that it finds loaded.
     fn search(
         &self,
         calibration: &dyn WhiskerCalibration,
@@ -230,7 +241,8 @@ impl SweepWitness {
         // A single loaded reading is an outlier.
         let high = |k: usize| k < rows.len() && load(k) > loaded_nmm;
         let loaded = |k: &usize| high(*k) && (high(*k + 1) || high(*k - 1));
-        // Near both ends of the contact a load may more than double from one reading to the next: what lies outside of that a dead zone hides.
+        // Near both ends of the contact a load may more than double from one reading to the next:
+        // what lies outside of that a dead zone hides.
         let peak = (zero.free..rows.len())
             .max_by(|a, b| load(*a).total_cmp(&load(*b)))
             .unwrap_or(zero.free);
@@ -269,7 +281,8 @@ impl SweepWitness {
             path,
             sd: self.session.unknown_sd,
         };
-        // A pose of the calibration stands for its share of the moments' range: within it the misfit is one.
+        // A pose of the calibration stands for its share of the moments' range: within it the
+        // misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
         let zero_nmm2 = Matrix2::identity() * (zero.variance_nmm2 / zero.free as f64);
         // What all readings share is off the zero already.
@@ -328,7 +341,8 @@ impl SweepWitness {
         )
     }
 
-    /// How many readings the free wire is clear of the object at first, as the clock is said to be and with one that is off, and by how much, mm.
+    /// How many readings the free wire is clear of the object at first, as the clock is said to be
+    /// and with one that is off, and by how much, mm.
     fn clear(&self, rows: &[SweepRow], path: &BasePath) -> Result<([usize; 2], f64), ContactError> {
         let shape = Shape::new(&self.whisker.rest_shape, 0.5)?;
         let clear_mm = CLEAR_MM + 3.0 * self.session.unknown_sd[1] + 0.5 * self.whisker.diameter_mm;
@@ -374,7 +388,8 @@ impl<'a> Touch<'a> {
             .windows(2)
             .map(|w| (place(&w[1]) - place(&w[0])).norm())
             .sum();
-        // Of a moment m only m - h is felt, in the same direction: an error across is longer by m / (m - h).
+        // Of a moment m only m - h is felt, in the same direction: an error across is longer by m /
+        // (m - h).
         let felt = 1.0 - hidden_nmm / moment_nmm.norm();
         let larger = 1.0 / felt.max(1.0 / MOST_LARGER);
         Self {
@@ -390,7 +405,8 @@ impl<'a> Touch<'a> {
         scene.gap(&self.curves[0], self.row.t_s, eta, near)
     }
 
-    /// Derivative of the gap by the moments. Forward difference: the contact moves with the moments by the wire's compliance.
+    /// Derivative of the gap by the moments. Forward difference: the contact moves with the moments
+    /// by the wire's compliance.
     fn by_moment(&self, scene: &Scene<'_>, eta: &Unknowns, gap: &Gap) -> Vector2<f64> {
         let by = |k: usize| {
             let more = scene.gap(&self.curves[k], self.row.t_s, eta, Some(gap.node));
@@ -458,7 +474,8 @@ fn descend(
             let d = offsets(gaps);
             d.dot(&factor.solve(&d)) + eta.norm_squared()
         };
-        // (J' C^-1 J + 1) eta = J' C^-1 (J eta_0 - d): the unknowns of the linearised gaps, with their spread before the sweep.
+        // (J' C^-1 J + 1) eta = J' C^-1 (J eta_0 - d): the unknowns of the linearised gaps, with
+        // their spread before the sweep.
         let weighed = factor.solve(&by_unknown);
         let normal = by_unknown.transpose() * &weighed + DMatrix::identity(UNKNOWNS, UNKNOWNS);
         let right = weighed.transpose() * (&by_unknown * eta - offsets(&gaps));
@@ -490,7 +507,8 @@ fn offsets(gaps: &[Gap]) -> DVector<f64> {
 }
 
 impl Best {
-    /// -2 log likelihood of the moments along which the gaps change, up to a constant; none where it is not defined.
+    /// -2 log likelihood of the moments along which the gaps change, up to a constant; none where
+    /// it is not defined.
     fn deviance(&self) -> Option<f64> {
         let d = offsets(&self.gaps) - &self.by_unknown * self.eta;
         let factor =
@@ -505,11 +523,12 @@ impl Best {
         Some(d.dot(&factor.solve(&d)) + log_determinant - 2.0 * slopes)
     }
 
-    /// Sum of squares of the gaps under their covariance in the directions in which something known rules, their number, and the chance of as
-    /// much; none without any.
+    /// Sum of squares of the gaps under their covariance in the directions in which something known
+    /// rules, their number, and the chance of as much; none without any.
     fn chi_squared(&self) -> Option<(f64, f64, f64)> {
         let d = offsets(&self.gaps) - &self.by_unknown * self.eta;
-        // Along eigenvectors of the covariance the gaps are independent: each square over its eigenvalue is chi-squared.
+        // Along eigenvectors of the covariance the gaps are independent: each square over its
+        // eigenvalue is chi-squared.
         let eigen =
             (&self.covariance + &self.by_unknown * self.by_unknown.transpose()).symmetric_eigen();
         let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
@@ -523,7 +542,8 @@ impl Best {
     }
 }
 
-/// Covariance of the gaps where the calibration is right within its uncertainty, mm^2, by their derivatives by the moments.
+/// Covariance of the gaps where the calibration is right within its uncertainty, mm^2, by their
+/// derivatives by the moments.
 fn covariance(
     touches: &[Touch<'_>],
     by_moment: &[Vector2<f64>],
@@ -546,7 +566,8 @@ fn covariance(
         .map(|i| shared_nmm[i].iter().map(|h| by_moment[i].dot(h)).collect())
         .collect();
     let alike = |off: f64| (-0.5 * off * off).exp();
-    // Errors add: misfit alike for like moments, common unknowns, the zero, and each contact's own, alike nearby.
+    // Errors add: misfit alike for like moments, common unknowns, the zero, and each contact's own,
+    // alike nearby.
     DMatrix::from_fn(n, n, |i, j| {
         let off = (touches[i].moment_nmm - touches[j].moment_nmm).norm() / spacing_nmm.max(1e-9);
         let common: f64 = shared[i].iter().zip(&shared[j]).map(|(a, b)| a * b).sum();

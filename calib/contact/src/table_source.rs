@@ -1,4 +1,5 @@
-//! Readings of a table: moments through a calibration, and the motion by a log or by the poses in its rows.
+//! Readings of a table: moments through a calibration, and the motion by a log or by the poses in
+//! its rows.
 
 use crate::ContactError;
 use crate::groove_table::known_places;
@@ -25,7 +26,8 @@ pub struct TableSource {
     noise: CalibrationNoise,
     /// Whether the calibration needs the strain-isolated grating in every row.
     needs_reference: bool,
-    /// The wire as the calibration has it, and by one standard deviation of each of the first common unknowns.
+    /// The wire as the calibration has it, and by one standard deviation of each of the first
+    /// common unknowns.
     pub wire: AcceptedWire,
     /// See `wire`.
     pub changed: Vec<AcceptedWire>,
@@ -109,8 +111,8 @@ impl TableSource {
         self.rows.iter().map(one).collect()
     }
 
-    /// Readings as a network takes them: along the poses of the table's own columns, else with a speed along +z, else past a known groove; a long
-    /// step is a gap.
+    /// Readings as a network takes them: along the poses of the table's own columns, else with a
+    /// speed along +z, else past a known groove; a long step is a gap.
     pub fn past_object(
         &self,
         poses: Option<&LoggedMotion>,

@@ -1,5 +1,5 @@
-//! The one loop of tracking: a source's readings through the tracks of their whiskers to the files, of a table, a session, a recording or a live
-//! stream.
+//! The one loop of tracking: a source's readings through the tracks of their whiskers to the files,
+//! of a table, a session, a recording or a live stream.
 
 use crate::ContactError;
 use crate::reading::Reading;
@@ -19,7 +19,8 @@ pub enum Input {
     Idle,
 }
 
-/// Takes all that a source gives; whatever ends it, what was read is tracked to its end and written. Gives the time that the tracks took.
+/// Takes all that a source gives; whatever ends it, what was read is tracked to its end and
+/// written. Gives the time that the tracks took.
 ///
 /// # Errors
 /// What the source fails with, a reading that cannot be used, a disk that takes no more.

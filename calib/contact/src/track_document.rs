@@ -42,7 +42,8 @@ pub enum Method {
     StaticArc,
 }
 
-/// Summary of track.csv: a table and a session by known motion have their counts at the top, a stream has them for each whisker.
+/// Summary of track.csv: a table and a session by known motion have their counts at the top, a
+/// stream has them for each whisker.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TrackDocument {
     /// Format and version.
@@ -165,7 +166,8 @@ pub struct ContactDocument {
     /// Identifier of a session's trajectory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<u32>,
-    /// Regions of first touch along the wire; null where nothing was found, or where they change from reading to reading.
+    /// Regions of first touch along the wire; null where nothing was found, or where they change
+    /// from reading to reading.
     pub regions: Option<Vec<Region>>,
     /// Sum of squares of the innovations.
     pub chi2: f64,
@@ -186,7 +188,8 @@ pub struct ContactDocument {
     /// Last reading, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
-    /// How the contact moves on the object, where one way is more probable than all others together.
+    /// How the contact moves on the object, where one way is more probable than all others
+    /// together.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("enum" = ["fixed", "creeping", "sliding", "misstated", "anywhere", "undecided"]))]
     pub contact: Option<&'static str>,
@@ -196,7 +199,8 @@ pub struct ContactDocument {
     /// How well the motion predicts a sliding contact.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sliding: Option<Option<SlidingDocument>>,
-    /// How far the contact moves where the calibration's moments are too large by 1 %, which they do not show themselves, mm.
+    /// How far the contact moves where the calibration's moments are too large by 1 %, which they
+    /// do not show themselves, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mm_by_gain_percent: Option<f64>,
 }
@@ -281,7 +285,8 @@ impl ContactDocument {
 /// How well a motion predicts a sliding contact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct SlidingDocument {
-    /// Marginal log likelihood of the readings along the motion, natural units of 1/(N mm)^2 a block.
+    /// Marginal log likelihood of the readings along the motion, natural units of 1/(N mm)^2 a
+    /// block.
     pub log_evidence: f64,
     /// The same of the reversed motion.
     pub reversed_log_evidence: f64,

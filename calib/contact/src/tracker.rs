@@ -1,4 +1,5 @@
-//! Contacts along a known motion, fed reading by reading by a table, a recording, a live stream or a session; no network.
+//! Contacts along a known motion, fed reading by reading by a table, a recording, a live stream or
+//! a session; no network.
 //!
 //! ```text
 //! stream      a reading is answered at once, from those up to it                                   (contact_so_far)
@@ -6,8 +7,9 @@
 //! no motion   of a stream: the arc of the wire that the moments of a loaded reading allow          (static_arc)
 //! ```
 //!
-//! Noise of a stream: a row's own is that of the no-contact prefix through the filter; the calibration's noise from pose to pose is a draw that
-//! rows of one pose share, forgotten over half a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
+//! Noise of a stream: a row's own is that of the no-contact prefix through the filter; the
+//! calibration's noise from pose to pose is a draw that rows of one pose share, forgotten over half
+//! a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
 
 use crate::ContactError;
 use crate::calibrated_wire::{Assumed, CalibratedWire};
@@ -29,7 +31,8 @@ use wcal_core::stream::Flags;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
-/// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
+/// A contact goes on over rows without moments or motion for so long, s: the displacement is known
+/// again after them.
 const MAX_LOST_S: f64 = 1.0;
 
 /// A contact of which no reading follows.
@@ -44,7 +47,8 @@ struct Ended {
 pub struct ContactTracker {
     of: Assumed,
     accuracy: MotionAccuracy,
-    /// Of a stream: the contact at hand, and the time of the last row (s) with its number of common unknowns.
+    /// Of a stream: the contact at hand, and the time of the last row (s) with its number of common
+    /// unknowns.
     segmenter: Segmenter,
     contact: Option<ContactSoFar>,
     last: Option<(f64, usize)>,
@@ -53,7 +57,8 @@ pub struct ContactTracker {
     known: Vec<Known>,
     answers: Vec<Contact>,
     contacts: Vec<WholeContact>,
-    /// For readings whose motion is not known, and how many there are by why; of a stream those that are loaded.
+    /// For readings whose motion is not known, and how many there are by why; of a stream those
+    /// that are loaded.
     alone: StaticArc,
     lost: BTreeMap<&'static str, u64>,
     readings: usize,
@@ -64,7 +69,8 @@ pub struct ContactTracker {
 }
 
 impl ContactTracker {
-    /// Of a whisker's wire, by readings that are answered in the end; `prior`: how a contact may move on what it touches.
+    /// Of a whisker's wire, by readings that are answered in the end; `prior`: how a contact may
+    /// move on what it touches.
     pub fn of_record(wire: CalibratedWire, accuracy: MotionAccuracy, prior: RegimeWeights) -> Self {
         Self {
             is_record: true,
@@ -72,7 +78,8 @@ impl ContactTracker {
         }
     }
 
-    /// Of a session, whose trajectories are pieces of the motion that take turns, each past one point of the groove.
+    /// Of a session, whose trajectories are pieces of the motion that take turns, each past one
+    /// point of the groove.
     pub fn of_session(wire: CalibratedWire, correlated: Option<CorrelatedNoise>) -> Self {
         let accuracy = MotionAccuracy {
             moved_sd_mm: 0.0,

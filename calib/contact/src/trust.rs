@@ -15,7 +15,8 @@ use wcal_track::model_file::Card;
 use wcal_track::tracker::trained_steps_s;
 use wcal_track::{InverseGrid, StaticInverse, Tracker};
 
-/// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
+/// What speaks against a calibration and a model, each with a short code for the rows and a
+/// sentence for people.
 #[derive(Debug, Clone, Default)]
 pub struct TrustIssues(Vec<TrustIssue>);
 
@@ -135,10 +136,12 @@ impl<'a> WhiskerModel<'a> {
         self.card.is_some()
     }
 
-    /// Reads a calibration and judges it by itself and beside the model, where contacts come from one.
+    /// Reads a calibration and judges it by itself and beside the model, where contacts come from
+    /// one.
     ///
     /// # Errors
-    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
+    /// Where the calibration cannot be read, or was changed so that its content means nothing any
+    /// more.
     pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
         let (file, mut issues) = calibration_issues(place)?;
         // In the frame of the wire: a network knows one orientation.
@@ -187,7 +190,8 @@ impl<'a> WhiskerModel<'a> {
     }
 }
 
-/// The frame of a wire by what its calibration says of the session; older ones have moments about y and z.
+/// The frame of a wire by what its calibration says of the session; older ones have moments about y
+/// and z.
 fn frame_of(
     file: &CalibrationFile<CalibrationModel>,
     whisker: &WhiskerSpec,

@@ -62,7 +62,8 @@ pub struct WhiskerTrack<'a> {
 }
 
 impl<'a> WhiskerTrack<'a> {
-    /// Of an estimator in the frame of its wire; `tare_s`: time at the beginning whose mean moments are the zero; `followed`: contacts have intervals.
+    /// Of an estimator in the frame of its wire; `tare_s`: time at the beginning whose mean moments
+    /// are the zero; `followed`: contacts have intervals.
     pub fn new(
         facts: WhiskerFacts,
         (frame, estimator): (WireFrame, Box<dyn Estimator + 'a>),
@@ -275,7 +276,8 @@ pub struct Outcome {
     pub coverage_rejected: bool,
     /// Readings were lost, dropped or unusable.
     pub lost: bool,
-    /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
+    /// Contact in a motion of which the estimator knows nothing, or that does not belong to the
+    /// moments.
     pub doubt: bool,
 }
 
@@ -315,7 +317,8 @@ impl Outcome {
         (code != 0).then(|| format!("exit code {code}: {}", why.join("; ")))
     }
 
-    /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
+    /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good
+    /// enough.
     pub fn exit_code(self, forced: bool) -> u8 {
         match (
             (self.outside || self.coverage_rejected) && !forced,

@@ -1,5 +1,5 @@
-//! Contacts of a record, each from all of its readings, averaged over the ways in which it may move ([`crate::regimes`]); what is misstated of
-//! the record is so in all of them.
+//! Contacts of a record, each from all of its readings, averaged over the ways in which it may move
+//! ([`crate::regimes`]); what is misstated of the record is so in all of them.
 
 use crate::ContactError;
 use crate::arc_posterior::ArcDensity;
@@ -23,7 +23,8 @@ use rayon::prelude::*;
 use wcal_core::order_statistics::median;
 use wcal_core::stream::Flags;
 
-/// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
+/// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are
+/// not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
 /// Readings past the end of a contact that are looked at.
 const PAST: usize = 2;
@@ -36,7 +37,8 @@ pub(crate) struct WholeContact {
     /// Readings past its end, which show whether the load was lost at once.
     past: Vec<MotionRow>,
     weights: ContactWeights,
-    /// As one at a point, with its weight and what would be misstated; those that may be, the fixed one first.
+    /// As one at a point, with its weight and what would be misstated; those that may be, the fixed
+    /// one first.
     points: Vec<(f64, Misstatement, EpisodeEstimate)>,
     /// As one that slides.
     sliding: SlidingContact,
@@ -71,7 +73,8 @@ impl Known {
     }
 }
 
-/// The contacts of all readings of a record; of a session, whose contacts stay, each piece is a trajectory.
+/// The contacts of all readings of a record; of a session, whose contacts stay, each piece is a
+/// trajectory.
 ///
 /// # Errors
 /// Where moments or motion cannot be used.
@@ -112,7 +115,8 @@ pub(crate) fn located(
             .map_or_else(Vec::new, ContactEvidence::of_misstatements)
     };
     let said: Vec<Vec<f64>> = found.iter().map(|f| said(&f.1)).collect();
-    // Contacts are independent but for what is misstated, which is so in all of them: their logarithms add up.
+    // Contacts are independent but for what is misstated, which is so in all of them: their
+    // logarithms add up.
     let others = |n: usize| {
         let of = |m: usize| {
             said.iter()
@@ -133,11 +137,13 @@ pub(crate) fn located(
 
 /// Noise of the readings, and the misfit of the calibration's law that they share.
 ///
-/// Where the readings' own noise is known, the misfit S is an error that is none at the free wire and grows with the moment, a matrix of
-/// gains of which nothing is known but its size: `e_i = sum_j g_ij m_j / |m|_max`, `g_ij ~ N(0, S_ii / 2)`. Where it is not, rows of one
-/// pose have one noise from pose to pose, and each counts for its share.
+/// Where the readings' own noise is known, the misfit S is an error that is none at the free wire
+/// and grows with the moment, a matrix of gains of which nothing is known but its size:
+/// `e_i = sum_j g_ij m_j / |m|_max`, `g_ij ~ N(0, S_ii / 2)`. Where it is not, rows of one pose
+/// have one noise from pose to pose, and each counts for its share.
 fn split_noise(known: &mut [Known], has_stiffness: bool) {
-    // An error of the law is a smooth function of the moment: to first order a gain, largest at the largest load.
+    // An error of the law is a smooth function of the moment: to first order a gain, largest at the
+    // largest load.
     let size = |k: &Known| k.row.moment_nmm[0].hypot(k.row.moment_nmm[1]);
     let largest_nmm = known.iter().map(size).fold(1e-9, f64::max);
     let poses: Vec<f64> = (0..known.len()).map(|k| same_pose(known, k)).collect();
@@ -180,7 +186,8 @@ fn same_pose(known: &[Known], k: usize) -> f64 {
         as f64
 }
 
-/// First reading of each contact, the free ones before it that belong to it included, and one past its last.
+/// First reading of each contact, the free ones before it that belong to it included, and one past
+/// its last.
 fn ranges(field: &MomentField, known: &mut [Known]) -> Vec<[usize; 2]> {
     let mut segmenter = Segmenter::new(field);
     let mut segments = Vec::new();
@@ -347,7 +354,8 @@ impl WholeContact {
         }
     }
 
-    /// As one that slides at a reading: where the path has no place yet, that of the nearest reading goes with the object.
+    /// As one that slides at a reading: where the path has no place yet, that of the nearest
+    /// reading goes with the object.
     fn slid(&self, k: usize) -> Option<(EpisodeContact, ArcDensity)> {
         let (rows, places) = (&self.episode.rows, &self.sliding.places);
         let located = (0..places.len()).filter(|j| places[*j].place_mm.is_some());

@@ -5,24 +5,29 @@
 //! g   = 1 + 2 sum_j rho_j                                        rho_j: correlation of the free readings' noise over j readings
 //! ```
 //!
-//! h_0 is the mean of h over the free readings: what all readings of a calibration share is the less uncertain the nearer a reading is to the
-//! free wire. R: noise of a reading, g of which count as one where it is slow, D: drift of the zero within the record. A record without free readings keeps the calibration's zero,
-//! cov z = B / 4 + D: it may be off by half of the noise from pose to pose B, an assumption. Where R is not known the free readings are one draw
-//! of B. The sum ends where two successive rho_j are not positive together (C. J. Geyer, Stat. Sci. 7 (1992) 473).
+//! h_0 is the mean of h over the free readings: what all readings of a calibration share is the
+//! less uncertain the nearer a reading is to the free wire. R: noise of a reading, g of which count
+//! as one where it is slow, D: drift of the zero within the record. A record without free readings
+//! keeps the calibration's zero, cov z = B / 4 + D: it may be off by half of the noise from pose to
+//! pose B, an assumption. Where R is not known the free readings are one draw of B. The sum ends
+//! where two successive rho_j are not positive together (C. J. Geyer, Stat. Sci. 7 (1992) 473).
 
 use crate::reading::{Moments, Reading};
 use nalgebra::{Matrix2, Vector2};
 use wcal_core::order_statistics::median;
 
-/// Share of the noise from pose to pose by which the calibration's zero may be off in another record. An assumption.
+/// Share of the noise from pose to pose by which the calibration's zero may be off in another
+/// record. An assumption.
 pub(crate) const ZERO: f64 = 0.5;
-/// Share of it that is white from one averaged reading to the next, and a row's own where no prefix was measured; the rest is slow. An assumption.
+/// Share of it that is white from one averaged reading to the next, and a row's own where no prefix
+/// was measured; the rest is slow. An assumption.
 pub(crate) const WHITE: f64 = 0.2;
 /// Fewer free readings are no zero, and say nothing of the noise.
 const MIN_FREE: usize = 5;
 /// A reading that is this many standard deviations of the free ones' noise off is no longer free.
 const FREE_SDS: f64 = 6.0;
-/// A zero that is this many standard deviations of what the calibration states of it off is none: the record begins in contact.
+/// A zero that is this many standard deviations of what the calibration states of it off is none:
+/// the record begins in contact.
 const ZERO_SDS: f64 = 4.0;
 /// Lower quartile of chi-squared with two degrees of freedom.
 const CHI2_QUARTER: f64 = 0.575;
@@ -97,7 +102,8 @@ impl Zero {
             .zip(&self.shared_nmm)
             .map(less)
             .collect();
-        // Noise of the mean falls as g / n; free readings of one pose are one draw. Drift enters twice, at the zero and at the reading.
+        // Noise of the mean falls as g / n; free readings of one pose are one draw. Drift enters
+        // twice, at the zero and at the reading.
         let mean = |own: Matrix2<f64>| own * (m.inefficiency.max(1.0) / self.count);
         let zero_nmm2 = m.own_nmm2.map_or(m.pose_nmm2, mean) + m.drift_nmm2 * 2.0;
         Moments {
@@ -117,12 +123,14 @@ pub(crate) struct Steady {
     pub limit_nmm: f64,
 }
 
-/// The steady beginning of a record whose readings have at least this noise, N mm; none where there is none.
+/// The steady beginning of a record whose readings have at least this noise, N mm; none where there
+/// is none.
 pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Steady> {
     if moments_nmm.len() < MIN_FREE {
         return None;
     }
-    // Second differences have no trend and six times the noise's variance; a quarter of the readings is taken to be quiet.
+    // Second differences have no trend and six times the noise's variance; a quarter of the
+    // readings is taken to be quiet.
     let mut bends: Vec<f64> = moments_nmm
         .windows(3)
         .map(|w| (w[0] - w[1] * 2.0 + w[2]).norm_squared() / 6.0)
@@ -140,8 +148,8 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
     (count >= MIN_FREE).then_some(Steady { count, limit_nmm })
 }
 
-/// What the first readings of a table are. A calibration that does not know the zero of the free wire cannot tell a beginning in contact: any
-/// steady one is taken for free.
+/// What the first readings of a table are. A calibration that does not know the zero of the free
+/// wire cannot tell a beginning in contact: any steady one is taken for free.
 pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
     let all: Vec<(f64, &Moments)> = readings
         .iter()
@@ -283,7 +291,8 @@ mod tests {
 
     #[test]
     fn slow_noise_is_counted_and_white_noise_is_white() {
-        // First-order Gauss-Markov noise of correlation phi from reading to reading: g = (1 + phi) / (1 - phi).
+        // First-order Gauss-Markov noise of correlation phi from reading to reading: g = (1 + phi)
+        // / (1 - phi).
         let g = |phi: f64| {
             let (mut state, mut last) = (7_u64, Vector2::zeros());
             let mut uniform = || {

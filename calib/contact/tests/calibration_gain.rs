@@ -1,5 +1,6 @@
-//! What an error of the calibration's gain does to a track along a known motion: contacts that slide one way, that slide there and back, and that
-//! stay at a point (SIMULATED by the independent plant, and by the rod where a point holds the wire).
+//! What an error of the calibration's gain does to a track along a known motion: contacts that
+//! slide one way, that slide there and back, and that stay at a point (SIMULATED by the independent
+//! plant, and by the rod where a point holds the wire).
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -44,7 +45,8 @@ struct Record {
     places: Vec<Option<Vector3<f64>>>,
 }
 
-/// A contact that slides over an object; `back`: up to the middle and the same way back, which is in equilibrium without friction alone.
+/// A contact that slides over an object; `back`: up to the middle and the same way back, which is
+/// in equilibrium without friction alone.
 fn slide(seed: u64, back: bool) -> Record {
     let cases = (0..).filter_map(|k| SweepCase::draw(seed + 1000 * k).ok());
     let case = cases
@@ -186,7 +188,8 @@ enum Family {
 struct Stated {
     /// Errors, mm.
     errors_mm: Vec<f64>,
-    /// Readings whose region holds the true place: as it is stated, and with the error of the gain taken into account.
+    /// Readings whose region holds the true place: as it is stated, and with the error of the gain
+    /// taken into account.
     held: usize,
     held_by_gain: usize,
     /// Readings in doubt.
@@ -251,7 +254,8 @@ fn tracked(record: &Record, gain: f64) -> Stated {
     stated
 }
 
-/// Shares of the readings that are held, that are held with the error of the gain taken into account, and that are in doubt.
+/// Shares of the readings that are held, that are held with the error of the gain taken into
+/// account, and that are in doubt.
 fn shares(family: Family, records: &[Record], gain: f64) -> [f64; 3] {
     let all: Vec<Stated> = records.par_iter().map(|r| tracked(r, gain)).collect();
     let mut errors_mm: Vec<f64> = all
@@ -280,7 +284,8 @@ fn shares(family: Family, records: &[Record], gain: f64) -> [f64; 3] {
     found
 }
 
-/// Moments and motion of one contact do not show an error of the gain. What is said of it has to be enough: how far it moves the contact.
+/// Moments and motion of one contact do not show an error of the gain. What is said of it has to be
+/// enough: how far it moves the contact.
 #[test]
 fn what_a_wrong_gain_moves_is_what_the_track_says() {
     for family in [Family::Slides, Family::ThereAndBack, Family::Stays] {

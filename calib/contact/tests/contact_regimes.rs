@@ -1,5 +1,6 @@
-//! Acceptance of the tracker along a known motion: regions and weights of the regimes on contacts that stay, creep and slide, along a reversed
-//! motion, and on a wire of another diameter (SIMULATED; seeds on which nothing was chosen).
+//! Acceptance of the tracker along a known motion: regions and weights of the regimes on contacts
+//! that stay, creep and slide, along a reversed motion, and on a wire of another diameter
+//! (SIMULATED; seeds on which nothing was chosen).
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -141,8 +142,8 @@ fn sweep(case: &SweepCase) -> Vec<Known> {
 /// What the tracker states of the readings of one record.
 #[derive(Default)]
 struct Stated {
-    /// By reading in contact whether the ellipsoid in space holds the true place, whether the region along the wire holds its arc length, and
-    /// the standard deviation in space, mm.
+    /// By reading in contact whether the ellipsoid in space holds the true place, whether the
+    /// region along the wire holds its arc length, and the standard deviation in space, mm.
     rows: Vec<(bool, bool, f64)>,
     /// Of them those that are in doubt.
     flagged: usize,
@@ -194,7 +195,8 @@ fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
     }
 }
 
-/// Shares of the readings that ellipsoids and regions hold and that are in doubt, and of the records that have the right regime.
+/// Shares of the readings that ellipsoids and regions hold and that are in doubt, and of the
+/// records that have the right regime.
 fn judged(family: Family, tolerance: f64) -> [f64; 4] {
     let tolerance = (family == Family::OtherWire && tolerance > 0.0).then_some(tolerance);
     let wire = calibrated(&WhiskerSpec::nominal(), MESH_MM).with_tolerance(tolerance);
@@ -247,7 +249,8 @@ fn regions_hold_and_the_regime_is_told_in_every_family() {
         Family::Sliding,
     ] {
         let [in_space, along, flagged, right] = judged(family, DIAMETER_SHARE);
-        // 24 presses, or four sweeps, of which each is held or not: the goal is 0.92 to 0.97 and 0.9, measured in the lab notes.
+        // 24 presses, or four sweeps, of which each is held or not: the goal is 0.92 to 0.97 and
+        // 0.9, measured in the lab notes.
         assert!(
             in_space > 0.85 && along > 0.7 && right > 0.8,
             "{family:?}: {in_space} {along} {right}"
@@ -263,7 +266,8 @@ fn regions_hold_and_the_regime_is_told_in_every_family() {
     assert!(in_space < 0.5, "{in_space}");
 }
 
-/// Rows in contact that are located, of a press read so often whose readings have the noise from pose to pose, or one of their own.
+/// Rows in contact that are located, of a press read so often whose readings have the noise from
+/// pose to pose, or one of their own.
 fn located(hz: f64, deepest_mm: f64, own: bool) -> (usize, usize) {
     let wire = calibrated(&WhiskerSpec::nominal(), MESH_MM);
     let (touch, _) = wire.field.free(30.0);

@@ -1,4 +1,5 @@
-//! A session in any orientation has the same contacts: wire, moments and motion turned by any rotation.
+//! A session in any orientation has the same contacts: wire, moments and motion turned by any
+//! rotation.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -147,7 +148,8 @@ impl Session {
     }
 }
 
-/// Largest distance of places and difference of regions between a session and one that is not turned, mm; none where one has a place alone.
+/// Largest distance of places and difference of regions between a session and one that is not
+/// turned, mm; none where one has a place alone.
 fn apart(session: &Session, rows: &[TrackRow], plain: &[TrackRow]) -> Option<f64> {
     let mut far: f64 = 0.0;
     for (row, plain) in rows.iter().zip(plain) {

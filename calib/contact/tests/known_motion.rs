@@ -1,4 +1,5 @@
-//! Known motion on sessions of the plant (SIMULATED, physics that shares no code with the tracker's rod).
+//! Known motion on sessions of the plant (SIMULATED, physics that shares no code with the tracker's
+//! rod).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -45,7 +46,8 @@ fn field(case: &Case) -> MomentField {
     MomentField::new(&rod, &MomentAxes::default(), Friction::NONE)
 }
 
-/// Episodes by trajectory through the true sensitivity, each with the true place at its first reading.
+/// Episodes by trajectory through the true sensitivity, each with the true place at its first
+/// reading.
 fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
     let b = &case.bench;
     let inverse = Matrix2::new(b.k[0][0], b.k[0][1], b.k[1][0], b.k[1][1])
@@ -171,8 +173,8 @@ fn contacts_are_found_at_the_bound_and_their_regions_hold() {
     }
 }
 
-/// One reading of an episode off by hundreds of standard deviations: it is named and tells nothing. Control: where no reading can be an outlier,
-/// the place is off by many times the bound.
+/// One reading of an episode off by hundreds of standard deviations: it is named and tells nothing.
+/// Control: where no reading can be an outlier, the place is off by many times the bound.
 #[test]
 fn a_gross_reading_is_named_and_draws_nothing() {
     let case = drawn(3, Design::Paper);
@@ -206,7 +208,8 @@ fn a_gross_reading_is_named_and_draws_nothing() {
             .map_or(1e3, |at| (at - place).norm_squared());
         episodes_count += 1;
     }
-    // With three loaded readings of a pose each, one less doubles the bound at most; the errors scatter about it.
+    // With three loaded readings of a pose each, one less doubles the bound at most; the errors
+    // scatter about it.
     assert!(
         robust < 9.0 * bound_mm2 && plain > 100.0 * bound_mm2,
         "{robust} {plain} {bound_mm2} mm^2"
@@ -214,7 +217,8 @@ fn a_gross_reading_is_named_and_draws_nothing() {
     assert!(named >= episodes_count - 1, "{named} of {episodes_count}");
 }
 
-/// A push, a hold, a retraction, a lateral motion and a rotation of the base, by the tracker's own rod: what the plant's stage cannot do.
+/// A push, a hold, a retraction, a lateral motion and a rotation of the base, by the tracker's own
+/// rod: what the plant's stage cannot do.
 fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let noise_nmm = 4e-3;
@@ -326,7 +330,8 @@ fn scaled(episode: &Episode, factor: f64) -> Episode {
     episode
 }
 
-/// Displacements count from the first loaded reading. Where it is gross and left out, they still do.
+/// Displacements count from the first loaded reading. Where it is gross and left out, they still
+/// do.
 #[test]
 fn a_first_reading_that_is_left_out_moves_no_contact() {
     let case = drawn(3, Design::Rich);
@@ -390,7 +395,8 @@ fn motion_that_is_reversed_or_in_metres_is_doubted() {
     }
 }
 
-/// A straight press in a random direction by the rod itself, not by the table that the tracker interpolates in; each pose is read twice.
+/// A straight press in a random direction by the rod itself, not by the table that the tracker
+/// interpolates in; each pose is read twice.
 fn pressed(
     rod: &Rod,
     field: &MomentField,
@@ -441,7 +447,8 @@ fn pressed(
     ))
 }
 
-/// Where the readings are better than the table, the table's own error is most of what is not known.
+/// Where the readings are better than the table, the table's own error is most of what is not
+/// known.
 #[test]
 fn regions_hold_where_the_noise_is_smaller_than_the_table_s_error() {
     let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();

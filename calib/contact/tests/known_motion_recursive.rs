@@ -1,4 +1,5 @@
-//! The recursive posterior of known motion on presses by the tracker's own rod (SIMULATED): its regions on the way.
+//! The recursive posterior of known motion on presses by the tracker's own rod (SIMULATED): its
+//! regions on the way.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -38,7 +39,8 @@ fn normal(rng: &mut impl Rng) -> f64 {
     rng.sample(StandardNormal)
 }
 
-/// A press, a hold, half of the way back and on again, with everything that the model calls unknown drawn from its prior.
+/// A press, a hold, half of the way back and on again, with everything that the model calls unknown
+/// drawn from its prior.
 struct Press {
     rows: Vec<MotionRow>,
     push: Vector3<f64>,
@@ -177,7 +179,8 @@ fn recursive(
     }
 }
 
-/// Share of presses whose joint region holds the true state, and whose pieces hold the arc length, after so many readings.
+/// Share of presses whose joint region holds the true state, and whose pieces hold the arc length,
+/// after so many readings.
 fn coverage(
     field: &MomentField,
     seeds: std::ops::Range<u64>,
@@ -240,7 +243,8 @@ fn regions_hold_the_truth_all_along() {
     assert!(last.2 < 0.6, "{wrong:?}");
 }
 
-/// Innovations of all contacts of rows as a stream takes them, and the readings at which motion and moments disagree.
+/// Innovations of all contacts of rows as a stream takes them, and the readings at which motion and
+/// moments disagree.
 fn streamed(wire: &MomentField, press: &Press, factor: f64) -> (Vec<Innovations>, usize) {
     let (settings, mut segmenter) = (settings(None), Segmenter::new(wire));
     let mut posterior: Option<RecursivePosterior> = None;

@@ -1,4 +1,5 @@
-//! Contacts that slide over ellipses and boxes, from moments and the known motion, beside the truth of an independent plant (SIMULATED).
+//! Contacts that slide over ellipses and boxes, from moments and the known motion, beside the truth
+//! of an independent plant (SIMULATED).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
@@ -18,7 +19,8 @@ use wcal_plant::sweep::{SweepCase, SweepReading};
 
 /// Sweeps that the model was not made on: those were 0 to 39.
 const SEEDS: std::ops::Range<u64> = 500..508;
-/// Sweeps with a slip on which the rule of slips was chosen: a regression, no judgement. Others are rarely drawn in few trials.
+/// Sweeps with a slip on which the rule of slips was chosen: a regression, no judgement. Others are
+/// rarely drawn in few trials.
 const SLIP_SEEDS: [u64; 3] = [1, 5, 6];
 /// Rounding of a region's end at the tip, mm.
 const ROUNDING_MM: f64 = 1e-9;
@@ -49,8 +51,8 @@ fn wire(case: &SweepCase) -> TouchedWire {
     calibrated(&whisker(case), MESH_MM).touched().unwrap()
 }
 
-/// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
-/// truth; one a reading in contact.
+/// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`,
+/// and whether the ellipsoid in space holds the truth; one a reading in contact.
 fn judged(case: &SweepCase, found: &SlidingContact, shift_mm: f64) -> Vec<(f64, bool, bool)> {
     let all = case
         .readings
@@ -114,7 +116,8 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
         said(&followed),
         said(&others)
     );
-    // Five of eight on these seeds; seven of eight were on seeds 300 to 307, before answers with gaps in the surface were not sure any more.
+    // Five of eight on these seeds; seven of eight were on seeds 300 to 307, before answers with
+    // gaps in the surface were not sure any more.
     assert!(sure * 2 > found.len(), "{sure}");
     let [median, rms, held, inside] = summary(&followed);
     // A regression limit: these seeds had 0.39 and 0.78 mm at first sight.
@@ -122,8 +125,8 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
         followed.len() > 300 && median < 0.5 && rms < 1.0,
         "{median} {rms}"
     );
-    // Readings of a sweep share their errors: a dozen sweeps determine the coverage to some per cent.
-    // The ellipsoids in space are too small: 84 % for 95 at first sight.
+    // Readings of a sweep share their errors: a dozen sweeps determine the coverage to some per
+    // cent. The ellipsoids in space are too small: 84 % for 95 at first sight.
     assert!(
         (0.9..=1.0).contains(&held) && inside > 0.75,
         "{held} {inside}"
@@ -133,7 +136,8 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     assert!(beside_held < 0.4, "{beside_held}");
 }
 
-/// The wire slips off a body and snaps onto another one: before and after the slip the contact is followed.
+/// The wire slips off a body and snaps onto another one: before and after the slip the contact is
+/// followed.
 #[test]
 fn a_contact_is_followed_past_a_slip() {
     let one = |seed: u64| {
@@ -175,10 +179,12 @@ fn a_wrong_motion_is_worse_than_the_true_one() {
     assert!(all.iter().filter(|a| a.0 && a.1).count() >= 3 && all.iter().all(|a| !(a.1 && a.2)));
 }
 
-/// What the stream knows at each reading: once no fixed point explains the moments, the contact is followed as one that slides. The motion reversed: it is not.
+/// What the stream knows at each reading: once no fixed point explains the moments, the contact is
+/// followed as one that slides. The motion reversed: it is not.
 #[test]
 fn a_stream_follows_a_contact_that_slides() {
-    // Errors of the readings of a sweep that are followed as sliding, along the motion times a factor.
+    // Errors of the readings of a sweep that are followed as sliding, along the motion times a
+    // factor.
     let slid = |case: &SweepCase, way: f64| {
         let stream = {
             let wire = calibrated(&whisker(case), MESH_MM);

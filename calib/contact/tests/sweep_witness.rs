@@ -1,5 +1,6 @@
-//! How often a sweep refutes what is true, and what is not: sweeps of the independent plant whose clock, object and friction are off within what
-//! is stated (SIMULATED, physics that shares no code with wire, table and fitter).
+//! How often a sweep refutes what is true, and what is not: sweeps of the independent plant whose
+//! clock, object and friction are off within what is stated (SIMULATED, physics that shares no code
+//! with wire, table and fitter).
 
 #![allow(
     clippy::unwrap_used,
@@ -102,7 +103,8 @@ impl Drawn {
             .flatten()
     }
 
-    /// The sweep as a session, its clock and its object off by draws of what a session takes them for.
+    /// The sweep as a session, its clock and its object off by draws of what a session takes them
+    /// for.
     fn write(&self, folder: &Path, fault: Fault) -> SweepSession {
         let mut rng = ChaCha8Rng::seed_from_u64(7000 + self.case.seed);
         let mut normal =
@@ -176,7 +178,8 @@ impl Drawn {
     }
 }
 
-/// Rates over drawn sweeps, printed and held: `WCAL_FIRST=930 WCAL_DRAWS=20 cargo test --test sweep_witness -- --nocapture`.
+/// Rates over drawn sweeps, printed and held:
+/// `WCAL_FIRST=930 WCAL_DRAWS=20 cargo test --test sweep_witness -- --nocapture`.
 #[test]
 fn the_truth_stands_and_what_is_wrong_is_refuted() {
     let draws: u64 = std::env::var("WCAL_DRAWS")

@@ -1,11 +1,14 @@
-//! The bootstrap: what a statistic would have been on units drawn again, with replacement, from those that there are.
+//! The bootstrap: what a statistic would have been on units drawn again, with replacement, from
+//! those that there are.
 //!
-//! A unit is what is independent: a group of readings, a sweep, an object. With replicates t*_1 <= ... <= t*_B the percentile interval is
-//! [t*_(0.025 B), t*_(0.975 B)]. For few units n it is too narrow by sqrt((n - 1) / n) and by the ratio of normal to Student quantiles; the
-//! expanded percentile interval takes the shares Phi(-+ t_(0.975, n - 1) sqrt(n / (n - 1))) instead.
+//! A unit is what is independent: a group of readings, a sweep, an object. With replicates t*_1 <=
+//! ... <= t*_B the percentile interval is [t*_(0.025 B), t*_(0.975 B)]. For few units n it is too
+//! narrow by sqrt((n - 1) / n) and by the ratio of normal to Student quantiles; the expanded
+//! percentile interval takes the shares Phi(-+ t_(0.975, n - 1) sqrt(n / (n - 1))) instead.
 //!
-//! Source: A. C. Davison & D. V. Hinkley, "Bootstrap Methods and their Application" (1997), ch. 2 and 3.8; T. C. Hesterberg, "What teachers
-//! should know about the bootstrap", Amer. Statist. 69 (2015).
+//! Source: A. C. Davison & D. V. Hinkley, "Bootstrap Methods and their Application" (1997), ch. 2
+//! and 3.8; T. C. Hesterberg, "What teachers should know about the bootstrap", Amer. Statist. 69
+//! (2015).
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -51,7 +54,8 @@ fn interval(mut replicates: Vec<f64>, share: f64) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
 
-    /// The mean of n values has the standard deviation sd / sqrt(n); both intervals are held against it.
+    /// The mean of n values has the standard deviation sd / sqrt(n); both intervals are held
+    /// against it.
     #[test]
     fn the_intervals_of_a_mean_are_those_of_theory() {
         let values: Vec<f64> = (0..200).map(|k| (f64::from(k) * 0.7).sin()).collect();
@@ -69,7 +73,8 @@ mod tests {
             ((high - low) / exact - 1.0).abs() < 0.06,
             "{low} {high} {exact}"
         );
-        // Of five units the interval must be wider than its quantiles; two hundred hardly ask for it.
+        // Of five units the interval must be wider than its quantiles; two hundred hardly ask for
+        // it.
         let wider = |of: usize| {
             let [a, b] = expanded_interval95(means(of), of).unwrap();
             let [low, high] = interval(means(of), 0.025).unwrap();

@@ -18,13 +18,15 @@ pub enum VerificationStatus {
     Unverified,
     /// `verify` found it adequate, or accepted the effects that it carries.
     Verified,
-    /// The same, on sealed readings that another decision had met before: its level was a part of that of a first look.
+    /// The same, on sealed readings that another decision had met before: its level was a part of
+    /// that of a first look.
     Reverified,
     /// `verify` found it not good enough.
     Failed,
 }
 
-/// The frame of a calibration's session: how the wire lies in it, and along what its moments are components.
+/// The frame of a calibration's session: how the wire lies in it, and along what its moments are
+/// components.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationFrame {
     /// Stress-free centre line, root first, base frame.
@@ -34,7 +36,8 @@ pub struct CalibrationFrame {
     pub moment_axes: [Vector3<f64>; 2],
     /// +1: moment = r x F acting on the base; -1: its reaction.
     pub moment_sign: f64,
-    /// Way of the base past an object at rest that a network takes for the one of its training: against the wire's bend. Base frame.
+    /// Way of the base past an object at rest that a network takes for the one of its training:
+    /// against the wire's bend. Base frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<[f64; 3]>")]
     pub sweep_direction: Option<Vector3<f64>>,
@@ -50,18 +53,21 @@ impl CalibrationFrame {
     }
 }
 
-/// What the errors of a calibration's moments are made of: standard deviations of the two moments, N mm; none where they are not known.
+/// What the errors of a calibration's moments are made of: standard deviations of the two moments,
+/// N mm; none where they are not known.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationNoise {
     /// Noise of a single reading.
     pub reading_sd_nmm: Option<[f64; 2]>,
     /// Drift of the zero within a session.
     pub drift_sd_nmm: Option<[f64; 2]>,
-    /// What the fitted law leaves of the calibration's own readings beyond their noise: an error that later readings share.
+    /// What the fitted law leaves of the calibration's own readings beyond their noise: an error
+    /// that later readings share.
     pub misfit_sd_nmm: Option<[f64; 2]>,
 }
 
-/// What `predict` and `track` apply; `judged-calibration.json` is one that `verify --calibration` found not to hold.
+/// What `predict` and `track` apply; `judged-calibration.json` is one that `verify --calibration`
+/// found not to hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationFile<M> {
     /// Format and version.
@@ -80,19 +86,21 @@ pub struct CalibrationFile<M> {
     /// The wire that it was made with; absent where there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub whisker: Option<WhiskerSpec>,
-    /// Map U to contact U: what the uncertainty of this calibration and of its readings makes of a contact whose motion is known; absent
-    /// where verify did not track the groove.
+    /// Map U to contact U: what the uncertainty of this calibration and of its readings makes of a
+    /// contact whose motion is known; absent where verify did not track the groove.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_uncertainty: Option<CalibrationContact>,
-    /// Frame of the session: what turns the calibration's moments and a sweep's motion into the frame of the wire; absent: moments about y and
-    /// z.
+    /// Frame of the session: what turns the calibration's moments and a sweep's motion into the
+    /// frame of the wire; absent: moments about y and z.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<CalibrationFrame>,
-    /// What the errors of the moments are made of: standard deviations, N mm; null: not known. Absent where there is no whisker.
+    /// What the errors of the moments are made of: standard deviations, N mm; null: not known.
+    /// Absent where there is no whisker.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<CalibrationNoise>,
-    /// SHA-256 over the compact JSON of the list `session`, `verification`, `expires`, `model`, `provenance`, and of a whisker `whisker`,
-    /// `contact_uncertainty`, `frame`, `noise` with `null` for what is not there. Tampering changes it.
+    /// SHA-256 over the compact JSON of the list `session`, `verification`, `expires`, `model`,
+    /// `provenance`, and of a whisker `whisker`, `contact_uncertainty`, `frame`, `noise` with
+    /// `null` for what is not there. Tampering changes it.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub content_sha256: String,
 }

@@ -1,9 +1,11 @@
-//! Covariances: what a file may state as one (square, symmetric, no variance or combination of parameters below zero), and the root of one.
+//! Covariances: what a file may state as one (square, symmetric, no variance or combination of
+//! parameters below zero), and the root of one.
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DefaultAllocator, Dim, OMatrix};
 
-/// Relative size of a negative eigenvalue, and of a difference across the diagonal, that is rounding.
+/// Relative size of a negative eigenvalue, and of a difference across the diagonal, that is
+/// rounding.
 const ROUNDING: f64 = 1e-6;
 /// Largest standard deviation that is a number of something.
 const LARGEST: f64 = 1e30;
@@ -33,7 +35,8 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
             k + 1
         ));
     }
-    // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance is taken as known.
+    // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance
+    // is taken as known.
     let sd: Vec<f64> = (0..parameters).map(|i| covariance[i][i].sqrt()).collect();
     let correlation = DMatrix::from_fn(parameters, parameters, |i, j| match sd[i] * sd[j] {
         scale if scale > 0.0 => covariance[i][j] / scale,
@@ -56,8 +59,9 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
     }
 }
 
-/// The lower triangle L with L L^T = `covariance` (Cholesky): its columns are errors of one standard deviation that are independent of each
-/// other. Zero, of what is known exactly, has the root zero.
+/// The lower triangle L with L L^T = `covariance` (Cholesky): its columns are errors of one
+/// standard deviation that are independent of each other. Zero, of what is known exactly, has the
+/// root zero.
 ///
 /// # Errors
 /// Where it is no covariance: as zero, errors that nobody knows would count as none.

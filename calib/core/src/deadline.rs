@@ -97,7 +97,8 @@ impl Interrupt {
             .and_then(|k| Signal::ALL.get(k).copied())
     }
 
-    /// The request so far is being obeyed, and what comes now must not be broken off by another: stopping a stage, and reaching it again.
+    /// The request so far is being obeyed, and what comes now must not be broken off by another:
+    /// stopping a stage, and reaching it again.
     #[must_use = "requests are held back until it is dropped"]
     pub fn hold(&self) -> HeldInterrupt<'_> {
         self.0.store(HELD, Ordering::SeqCst);
@@ -124,15 +125,16 @@ fn interrupted(device: &str, action: &str, signal: Signal) -> DeviceError {
     )
 }
 
-/// When a wait ends. Connecting, reading, writing and every loop that waits for a device take one: what a device sends meanwhile does not
-/// prolong it.
+/// When a wait ends. Connecting, reading, writing and every loop that waits for a device take one:
+/// what a device sends meanwhile does not prolong it.
 #[derive(Debug, Clone)]
 pub struct Deadline {
     /// In the time that a virtual bench shares.
     end: Duration,
     allowed: Duration,
     interrupt: Interrupt,
-    /// How long the program had stood still when it began: time in which nobody could look is no part of the wait.
+    /// How long the program had stood still when it began: time in which nobody could look is no
+    /// part of the wait.
     still: Duration,
 }
 
@@ -184,7 +186,8 @@ impl Deadline {
         self.remaining().is_zero()
     }
 
-    /// Time for one call of the system: short, so that an interrupt is heard, and never zero, which some calls take for no limit.
+    /// Time for one call of the system: short, so that an interrupt is heard, and never zero, which
+    /// some calls take for no limit.
     pub fn slice(&self) -> Duration {
         self.remaining().clamp(Duration::from_millis(1), SLICE)
     }
@@ -201,7 +204,8 @@ impl Deadline {
         }
     }
 
-    /// Why it is over: `Interrupted`, or `Timeout` with what was expected in the time allowed, and what was found instead.
+    /// Why it is over: `Interrupted`, or `Timeout` with what was expected in the time allowed, and
+    /// what was found instead.
     pub fn error(&self, device: &str, action: &str, expected: &str, found: &str) -> DeviceError {
         match self.interrupt.signal() {
             Some(signal) => interrupted(device, action, signal),
@@ -217,8 +221,9 @@ fn now() -> Duration {
     Duration::from_nanos(shared_time::now_ns())
 }
 
-/// Longest time (wall) that a move of this way (mm) at this speed (mm/s) may take; `clock_scale`: host seconds per wall second. A way or
-/// speed that is no number above 0 is allowed the margin alone.
+/// Longest time (wall) that a move of this way (mm) at this speed (mm/s) may take; `clock_scale`:
+/// host seconds per wall second. A way or speed that is no number above 0 is allowed the margin
+/// alone.
 pub fn move_allowance(way_mm: f64, speed_mm_s: f64, clock_scale: f64) -> Duration {
     let own_s = way_mm.abs() / speed_mm_s.abs() / clock_scale.max(f64::MIN_POSITIVE);
     let own = if own_s.is_nan() {

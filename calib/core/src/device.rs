@@ -1,6 +1,8 @@
-//! The three device roles of a bench. Real, virtual and replayed devices are the same to every caller.
+//! The three device roles of a bench. Real, virtual and replayed devices are the same to every
+//! caller.
 //!
-//! A reading carries what was commanded (where a device can be commanded), what was measured, and two clocks.
+//! A reading carries what was commanded (where a device can be commanded), what was measured, and
+//! two clocks.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -140,7 +142,8 @@ pub struct DeviceIdentity {
 }
 
 impl DeviceIdentity {
-    /// Whether the unit is one of the virtual bench: its interrogators and cameras say so in their model.
+    /// Whether the unit is one of the virtual bench: its interrogators and cameras say so in their
+    /// model.
     pub fn is_virtual(&self) -> bool {
         self.model.split_whitespace().any(|word| word == "virtual")
     }
@@ -166,8 +169,8 @@ pub struct StageReading {
 pub struct Permission {
     /// To search a missing reference: a motion to the home switch (`--home`).
     pub home: bool,
-    /// To take back flags that a unit keeps until somebody has looked, of a stall for one, and to search the reference anew
-    /// (`--home --resume`).
+    /// To take back flags that a unit keeps until somebody has looked, of a stall for one, and to
+    /// search the reference anew (`--home --resume`).
     pub clear_flags: bool,
 }
 
@@ -184,7 +187,8 @@ impl Permission {
     }
 }
 
-/// A linear axis. Moves start and return at once: the caller polls `read`, so that it can watch other devices too.
+/// A linear axis. Moves start and return at once: the caller polls `read`, so that it can watch
+/// other devices too.
 pub trait Stage {
     /// Model, serial number, firmware and settings, read from the unit.
     ///
@@ -211,8 +215,9 @@ pub trait Stage {
     /// # Errors
     /// `Stalled`, `Displaced`, `DriverOff`, `CriticalFault`, `NotHomed`, or what the link reports.
     fn read(&mut self) -> Result<StageReading, DeviceError>;
-    /// Takes back the flags that the unit keeps until somebody has looked, and names those that had forbidden to measure. Only where the
-    /// user says so ([`Permission::clear_flags`]); after it the reference is searched anew. Moves nothing.
+    /// Takes back the flags that the unit keeps until somebody has looked, and names those that had
+    /// forbidden to measure. Only where the user says so ([`Permission::clear_flags`]); after it
+    /// the reference is searched anew. Moves nothing.
     ///
     /// # Errors
     /// What the link reports.
@@ -233,7 +238,8 @@ pub trait Mount {
     fn check(&mut self, _trajectories: &[u32], _allowed: Permission) -> Result<(), DeviceError> {
         Ok(())
     }
-    /// Takes flags back and searches a missing reference, as far as the user allows. Moves: the stage is retracted before.
+    /// Takes flags back and searches a missing reference, as far as the user allows. Moves: the
+    /// stage is retracted before.
     ///
     /// # Errors
     /// `NotHomed`, a flag that forbids to move, or what the unit reports.
@@ -245,7 +251,8 @@ pub trait Mount {
     /// # Errors
     /// When it cannot be reached or the user declines.
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError>;
-    /// Decelerates to standstill, whatever happened before: a link that was lost while it turned stopped nothing.
+    /// Decelerates to standstill, whatever happened before: a link that was lost while it turned
+    /// stopped nothing.
     ///
     /// # Errors
     /// [`DeviceError`] when the stop could not be confirmed.

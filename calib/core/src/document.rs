@@ -1,5 +1,6 @@
-//! Documents as they are read: syntax, format and version, the range of every number, and only then the type. Files are read by
-//! [`crate::files::read_text`], which limits their size; what is wrong is said in one line of limited length.
+//! Documents as they are read: syntax, format and version, the range of every number, and only then
+//! the type. Files are read by [`crate::files::read_text`], which limits their size; what is wrong
+//! is said in one line of limited length.
 
 use crate::format::{self, FormatMismatch};
 use crate::ranges::{self, Numbers, OutOfRange, Range};

@@ -1,4 +1,5 @@
-//! Files as people give them: read whole and bounded, written so that a reader sees the old content or the new one.
+//! Files as people give them: read whole and bounded, written so that a reader sees the old content
+//! or the new one.
 
 use crate::text;
 use std::fs;
@@ -7,7 +8,8 @@ use std::path::{Path, PathBuf};
 
 /// Largest file that is read into memory (tables, weights, pictures), bytes.
 pub const MAX_BYTES: u64 = 1 << 30;
-/// Largest text document (TOML, JSON, YAML), bytes: parsed, it takes up to a hundred times as much memory.
+/// Largest text document (TOML, JSON, YAML), bytes: parsed, it takes up to a hundred times as much
+/// memory.
 pub const MAX_DOCUMENT_BYTES: u64 = 16 << 20;
 
 /// The file system refused.
@@ -112,7 +114,8 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     let mut file = builder.tempfile_in(folder).map_err(&fail)?;
-    // Whoever tidies the folder meanwhile sees that somebody is at work; a file system without locks tidies nothing.
+    // Whoever tidies the folder meanwhile sees that somebody is at work; a file system without
+    // locks tidies nothing.
     let _ = file.as_file().try_lock();
     file.write_all(bytes).map_err(&fail)?;
     file.as_file().sync_all().map_err(&fail)?;
@@ -123,14 +126,16 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 /// Begin and end of the names of files and folders that are being written.
 pub const HALF_WRITTEN: [&str; 2] = [".wcal-", ".tmp"];
 
-/// A file or folder that is being written, locked until the result is dropped; none where somebody else holds it, or the file system has no locks.
+/// A file or folder that is being written, locked until the result is dropped; none where somebody
+/// else holds it, or the file system has no locks.
 pub fn hold(path: &Path) -> Option<fs::File> {
     fs::File::open(path)
         .ok()
         .filter(|open| open.try_lock().is_ok())
 }
 
-/// Removes what programs that were killed left half-written in a folder: what nobody holds locked any more.
+/// Removes what programs that were killed left half-written in a folder: what nobody holds locked
+/// any more.
 pub fn remove_abandoned(folder: &Path) {
     // What cannot be read or removed stays: it is in nobody's way.
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {

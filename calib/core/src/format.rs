@@ -1,4 +1,5 @@
-//! Formats and their versions: `wcal-plan/1`. A document of another version may mean something else by the same key.
+//! Formats and their versions: `wcal-plan/1`. A document of another version may mean something else
+//! by the same key.
 
 /// Another format or version than the one that is read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -4,14 +4,17 @@
 //! v = (n - 1)/n sum_k (T_(k) - mean T_(.))^2,     interval = T +- t_(0.975, n - 1) sqrt(v)          T_(k): without unit k
 //! ```
 //!
-//! Of root mean squares over few units, one of which may hold most of the sum, it holds far more often on the scale of the logarithm than percentiles of the
-//! bootstrap do (0.90 to 0.96 against 0.57 to 0.90 of 95 %).
+//! Of root mean squares over few units, one of which may hold most of the sum, it holds far more
+//! often on the scale of the logarithm than percentiles of the bootstrap do (0.90 to 0.96 against
+//! 0.57 to 0.90 of 95 %).
 //!
-//! Source: B. Efron & R. J. Tibshirani, "An Introduction to the Bootstrap" (1993), ch. 11; J. W. Tukey, Ann. Math. Statist. 29 (1958), 614.
+//! Source: B. Efron & R. J. Tibshirani, "An Introduction to the Bootstrap" (1993), ch. 11; J. W.
+//! Tukey, Ann. Math. Statist. 29 (1958), 614.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// 95 % interval of a statistic `whole` of all units by those `without` each of them; none for fewer than two, or where one of them is not finite.
+/// 95 % interval of a statistic `whole` of all units by those `without` each of them; none for
+/// fewer than two, or where one of them is not finite.
 pub fn interval95(whole: f64, without: &[f64]) -> Option<[f64; 2]> {
     let n = without.len() as f64;
     let t = StudentsT::new(0.0, 1.0, n - 1.0)

@@ -1,14 +1,17 @@
-//! Nonlinear least squares by Levenberg and Marquardt: the loop that the fits of this workspace share.
+//! Nonlinear least squares by Levenberg and Marquardt: the loop that the fits of this workspace
+//! share.
 //!
 //! min over x of F(x) = sum_i r_i(x)^2. With J = dr/dx the step d at damping lambda solves
 //!
 //! (J^T J + lambda diag(J^T J)) d = -J^T r.
 //!
-//! It is taken where F does not rise, and lambda falls; else lambda grows and a shorter step, nearer to steepest descent, is tried.
-//! Source: D. W. Marquardt, J. SIAM 11 (1963); J. Nocedal & S. Wright, "Numerical Optimization" (2006), sec. 10.3.
+//! It is taken where F does not rise, and lambda falls; else lambda grows and a shorter step,
+//! nearer to steepest descent, is tried. Source: D. W. Marquardt, J. SIAM 11 (1963); J. Nocedal &
+//! S. Wright, "Numerical Optimization" (2006), sec. 10.3.
 //!
-//! A problem says how it is linearised at a place ([`Linearised`]; [`NormalEquations`] where its normal matrix is small) and how a step
-//! moves the place: unknowns may be poses, and steps clamped.
+//! A problem says how it is linearised at a place ([`Linearised`]; [`NormalEquations`] where its
+//! normal matrix is small) and how a step moves the place: unknowns may be poses, and steps
+//! clamped.
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimMin, Dyn, OMatrix, OVector};
@@ -58,8 +61,9 @@ where
     }
 }
 
-/// Normal equations of unknowns that stay within bounds: what a bound holds back takes no part in the step (active set; Nocedal & Wright,
-/// sec. 16.7). The step may still cross a bound that was not yet reached: `moved` cuts it there.
+/// Normal equations of unknowns that stay within bounds: what a bound holds back takes no part in
+/// the step (active set; Nocedal & Wright, sec. 16.7). The step may still cross a bound that was
+/// not yet reached: `moved` cuts it there.
 #[derive(Debug, Clone)]
 pub struct BoundedNormalEquations {
     /// Without bounds.
@@ -163,8 +167,9 @@ pub struct Minimum<X, L> {
     pub ending: Ending,
 }
 
-/// Goes down from a place and the problem linearised there. `linearise` gives none where the residuals do not exist; `moved` applies a step
-/// to a place linearised so; `converged` judges a step that was taken by itself and the costs before and after.
+/// Goes down from a place and the problem linearised there. `linearise` gives none where the
+/// residuals do not exist; `moved` applies a step to a place linearised so; `converged` judges a
+/// step that was taken by itself and the costs before and after.
 pub fn minimise<X, L: Linearised>(
     (place, at): (X, L),
     damping: &Damping,

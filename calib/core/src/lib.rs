@@ -1,7 +1,8 @@
 //! Quantities, observations, residual records and the documents that wcal's programs exchange.
 //!
-//! No device and no native code; of files only how they are opened, written and locked. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
-//! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
+//! No device and no native code; of files only how they are opened, written and locked. Units are
+//! in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`. Frames: **base**
+//! has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
 pub mod bootstrap;
 pub mod calibration;

@@ -1,6 +1,7 @@
 //! One master a session and a stage: a file that a process holds locked while it works.
 //!
-//! The system gives the lock back when the process ends, however it ends: a file that was left behind locks nobody out.
+//! The system gives the lock back when the process ends, however it ends: a file that was left
+//! behind locks nobody out.
 
 use crate::files::FileError;
 use std::collections::BTreeSet;
@@ -12,7 +13,8 @@ use std::path::{Path, PathBuf};
 /// Longest text of a holder, bytes.
 const TEXT_LIMIT: u64 = 1024;
 
-/// Folder of the locks of ports: the same for every process of this machine, whatever its environment says.
+/// Folder of the locks of ports: the same for every process of this machine, whatever its
+/// environment says.
 const PORT_LOCKS: &str = "/tmp";
 
 /// Attempts on a file whose holders come and go.
@@ -37,14 +39,17 @@ pub struct FileLock {
 }
 
 impl FileLock {
-    /// Locks `path`, which is made anew; `purpose` is what another process reads, e.g. `stage-sweep of s1`.
+    /// Locks `path`, which is made anew; `purpose` is what another process reads, e.g.
+    /// `stage-sweep of s1`.
     ///
     /// # Errors
-    /// [`LockError::Held`] with process and purpose of the holder, or what is there in place of a file.
+    /// [`LockError::Held`] with process and purpose of the holder, or what is there in place of a
+    /// file.
     pub fn take(path: &Path, purpose: &str) -> Result<Self, LockError> {
         let fail = FileError::of("locking", path);
         for _ in 0..ATTEMPTS {
-            // Only a file that this process makes is written to: a name may be a link to somebody's file.
+            // Only a file that this process makes is written to: a name may be a link to somebody's
+            // file.
             let made = OpenOptions::new()
                 .read(true)
                 .write(true)
@@ -72,8 +77,9 @@ impl FileLock {
                 Err(TryLockError::Error(e)) if e.kind() == ErrorKind::Unsupported => {}
                 Err(TryLockError::Error(e)) => return Err(fail(e).into()),
             }
-            // The holder before may have removed the file between the two calls: a lock on a file without a name keeps nobody out. One that
-            // was left behind is removed; where another user's cannot be, it is locked without words.
+            // The holder before may have removed the file between the two calls: a lock on a file
+            // without a name keeps nobody out. One that was left behind is removed; where another
+            // user's cannot be, it is locked without words.
             if !is_at(&file, path) || !own && std::fs::remove_file(path).is_ok() {
                 continue;
             }
@@ -90,7 +96,8 @@ impl FileLock {
         Err(LockError::Held("another process".to_owned()))
     }
 
-    /// Locks a port for this machine: the path of a serial port, links resolved, or every address that `host:port` stands for.
+    /// Locks a port for this machine: the path of a serial port, links resolved, or every address
+    /// that `host:port` stands for.
     ///
     /// # Errors
     /// As for [`FileLock::take`].
@@ -108,13 +115,15 @@ impl FileLock {
 
 impl Drop for FileLock {
     fn drop(&mut self) {
-        // Removed while it is still locked, so that nobody loses a file of his own; one of another user stays, unlocked.
+        // Removed while it is still locked, so that nobody loses a file of his own; one of another
+        // user stays, unlocked.
         let _ = std::fs::remove_file(&self.path);
         let _ = self.file.unlock();
     }
 }
 
-/// The names of a port, the same however it is written: the addresses behind a host's name, or the path behind links.
+/// The names of a port, the same however it is written: the addresses behind a host's name, or the
+/// path behind links.
 fn names_of(port: &str) -> BTreeSet<String> {
     let Some(address) = port.strip_prefix("tcp://") else {
         let path = std::fs::canonicalize(port)
@@ -236,7 +245,8 @@ mod tests {
         FileLock::of_port(&link, "b").unwrap();
     }
 
-    /// A session from elsewhere, or another user of this machine, may have laid a link where a lock is to be.
+    /// A session from elsewhere, or another user of this machine, may have laid a link where a lock
+    /// is to be.
     #[test]
     fn what_a_link_in_place_of_a_lock_points_to_stays_as_it_is() {
         let folder = tempfile::tempdir().unwrap();

@@ -65,12 +65,14 @@ pub struct MapDocument {
     pub chosen: String,
     /// Every candidate.
     pub candidates: Vec<MapCandidate>,
-    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none, or too few loaded ones.
+    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none,
+    /// or too few loaded ones.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestZero>,
     /// How well the readings determine the moments.
     pub identifiability: Identifiability,
-    /// Where the map may be used: `kind` (`hull`), `vertices_pm` (counter-clockwise, pm), `margin_pm`.
+    /// Where the map may be used: `kind` (`hull`), `vertices_pm` (counter-clockwise, pm),
+    /// `margin_pm`.
     pub valid_region: serde_json::Value,
     /// Hyperparameters of the chosen map, by name.
     pub hyperparameters: BTreeMap<String, serde_json::Value>,

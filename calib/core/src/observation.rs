@@ -97,14 +97,16 @@ impl FbgSpec {
                 .is_some_and(|k| k != 0.0)
     }
 
-    /// Temperature over that of the reference grating's nominal wavelength, K, from its shift (pm), where its coefficient is known.
+    /// Temperature over that of the reference grating's nominal wavelength, K, from its shift (pm),
+    /// where its coefficient is known.
     pub fn rise_degc(&self, reference_shift_pm: f64) -> Option<f64> {
         self.reference_temperature_pm_per_degc
             .filter(|k| *k != 0.0)
             .map(|k| reference_shift_pm / k)
     }
 
-    /// Temperature-compensated shifts, pm, from raw shifts and the reference grating's: see [`WhiskerRow::compensated_pm`].
+    /// Temperature-compensated shifts, pm, from raw shifts and the reference grating's: see
+    /// [`WhiskerRow::compensated_pm`].
     pub fn compensated_pm(&self, shift_pm: [f64; 2], reference_shift_pm: Option<f64>) -> [f64; 2] {
         if self.temperature_compensated {
             return shift_pm;
@@ -160,7 +162,8 @@ pub struct WhiskerRow {
     pub speed_mm_s: Option<f64>,
     /// Time since arrival, s.
     pub dwell_s: Option<f64>,
-    /// Length of the averaging window of a settled reading, s: `t_s` and `dwell_s` are those of its middle.
+    /// Length of the averaging window of a settled reading, s: `t_s` and `dwell_s` are those of its
+    /// middle.
     pub average_s: Option<f64>,
     /// Centre of the wire when it sits in the vertex, mm, base frame.
     pub groove_mm: Option<Vector3<f64>>,
@@ -174,7 +177,8 @@ pub struct WhiskerRow {
     pub shift_sd_pm: Option<[f64; 2]>,
     /// Samples averaged.
     pub samples: Option<u32>,
-    /// 0 for the session itself; added sessions count up. The whisker was seated anew, so the gratings' zero may differ.
+    /// 0 for the session itself; added sessions count up. The whisker was seated anew, so the
+    /// gratings' zero may differ.
     pub seating: u32,
     /// Counts among the held-out readings, whatever its role says.
     #[serde(default)]
@@ -185,8 +189,9 @@ pub struct WhiskerRow {
 }
 
 impl WhiskerRow {
-    /// Temperature-compensated shifts, pm: `shift - k_T (T - T0)` with `T - T0` from the strain-isolated grating.
-    /// Uncompensated where the session has no reference grating or says that it is compensated already.
+    /// Temperature-compensated shifts, pm: `shift - k_T (T - T0)` with `T - T0` from the
+    /// strain-isolated grating. Uncompensated where the session has no reference grating or says
+    /// that it is compensated already.
     pub fn compensated_pm(&self, fbg: &FbgSpec) -> [f64; 2] {
         fbg.compensated_pm(self.shift_pm, self.reference_shift_pm)
     }
@@ -218,11 +223,13 @@ pub struct WhiskerData {
     pub rows: Vec<WhiskerRow>,
     /// Labels of an outside twin; empty when there are none.
     pub twin: Vec<TwinLabel>,
-    /// What the shapes of all pairs share, and which pairs stand aside; none where the session names no shapes.
+    /// What the shapes of all pairs share, and which pairs stand aside; none where the session
+    /// names no shapes.
     pub shapes: Option<SessionShapes>,
 }
 
-/// Shapes of a session: what its pairs share. The pairs themselves stand with their rows ([`WhiskerRow::pair`]).
+/// Shapes of a session: what its pairs share. The pairs themselves stand with their rows
+/// ([`WhiskerRow::pair`]).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionShapes {
     /// File that the session names.

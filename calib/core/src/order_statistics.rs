@@ -1,8 +1,9 @@
 //! Statistics by rank: of values in order x_1 <= ... <= x_n.
 //!
-//! Median: the middle one, the upper of the two of an even n. Quantile q: x at (n - 1) q + 1, linear in between (R. Hyndman & Y. Fan, Amer.
-//! Statist. 50, 1996, type 7). The median absolute deviation of a normal distribution is its standard deviation over 1.4826 (F. Hampel,
-//! J. Amer. Statist. Assoc. 69, 1974).
+//! Median: the middle one, the upper of the two of an even n. Quantile q: x at (n - 1) q + 1,
+//! linear in between (R. Hyndman & Y. Fan, Amer. Statist. 50, 1996, type 7). The median absolute
+//! deviation of a normal distribution is its standard deviation over 1.4826 (F. Hampel, J. Amer.
+//! Statist. Assoc. 69, 1974).
 
 /// Standard deviation of a normal distribution over its median absolute deviation: 1 / Phi^-1(3/4).
 pub const MAD_TO_SD: f64 = 1.4826;
@@ -52,7 +53,8 @@ mod tests {
         );
     }
 
-    /// One value far out moves no median deviation; the root mean square of the same values is far off.
+    /// One value far out moves no median deviation; the root mean square of the same values is far
+    /// off.
     #[test]
     fn the_deviation_of_a_normal_sample_is_its_standard_deviation() {
         use statrs::distribution::{ContinuousCDF, Normal};

@@ -50,7 +50,8 @@ pub struct Provenance {
     pub seed: u64,
     /// Files read.
     pub inputs: Vec<InputFile>,
-    /// What was read is simulated, not measured; absent in files from before the mark, which keep their hash.
+    /// What was read is simulated, not measured; absent in files from before the mark, which keep
+    /// their hash.
     #[serde(default, skip_serializing_if = "is_measured")]
     pub simulated: bool,
 }
@@ -72,7 +73,8 @@ pub fn sha256_hex(bytes: &[u8]) -> String {
         .collect()
 }
 
-/// JSON without spaces and with the keys of every object sorted: equal content is equal text, and so has one hash.
+/// JSON without spaces and with the keys of every object sorted: equal content is equal text, and
+/// so has one hash.
 pub fn canonical_json(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {

@@ -1,7 +1,8 @@
-//! Which numbers a document may hold: a table of ranges by key, checked on the text's own values, before anything is made of them.
+//! Which numbers a document may hold: a table of ranges by key, checked on the text's own values,
+//! before anything is made of them.
 //!
-//! A key is matched by its last parts: `youngs_gpa` or `whisker.youngs_gpa`; the first range that fits counts, and `""` fits every key.
-//! Positions in arrays are no part of it.
+//! A key is matched by its last parts: `youngs_gpa` or `whisker.youngs_gpa`; the first range that
+//! fits counts, and `""` fits every key. Positions in arrays are no part of it.
 
 use crate::text::{brief, number};
 use serde_json::Value;
@@ -41,7 +42,8 @@ impl Range {
         (self.low..=self.high).contains(&value)
     }
 
-    /// Judges one number: `name` is what a message calls it, `whole` whether it is written as a whole one.
+    /// Judges one number: `name` is what a message calls it, `whole` whether it is written as a
+    /// whole one.
     ///
     /// # Errors
     /// Where it is out of the range.
@@ -123,7 +125,8 @@ pub struct OutOfRange {
 
 /// A value of a document, whatever language it is written in.
 pub trait Numbers {
-    /// Calls `see` with every number below, the key that it stands under (without positions), and its own name.
+    /// Calls `see` with every number below, the key that it stands under (without positions), and
+    /// its own name.
     ///
     /// # Errors
     /// The first that `see` gives.

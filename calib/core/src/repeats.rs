@@ -3,7 +3,8 @@
 /// Digits below the largest value that are looked at.
 const DIGITS: i32 = 8;
 
-/// Coarsest decimal step of which all values are multiples; none where it is fine beside their size, as noise then hides it.
+/// Coarsest decimal step of which all values are multiples; none where it is fine beside their
+/// size, as noise then hides it.
 pub fn decimal_step(values: &[f64]) -> Option<f64> {
     let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     if !(largest > 0.0) {
@@ -17,7 +18,8 @@ pub fn decimal_step(values: &[f64]) -> Option<f64> {
     #[allow(clippy::cast_possible_truncation)]
     let top = largest.log10().floor() as i32;
     let decimal = (0..DIGITS).map(|k| 10f64.powi(top - k)).find(|s| on(*s))?;
-    // A scale may count in fives or twos: as many different values are multiples of such a step by chance once in 2^8.
+    // A scale may count in fives or twos: as many different values are multiples of such a step by
+    // chance once in 2^8.
     let mut different = values.to_vec();
     different.sort_by(f64::total_cmp);
     different.dedup();

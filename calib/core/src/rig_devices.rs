@@ -55,16 +55,17 @@ pub const RIG_RANGES: &[Range] = &[
     Range::real("width_along_wire_mm", 0.0, 1e3),
 ];
 
-/// Opens devices by what a rig says of them: real and virtual ones by wcal-drivers, scripted ones in tests.
+/// Opens devices by what a rig says of them: real and virtual ones by wcal-drivers, scripted ones
+/// in tests.
 pub trait DeviceOpener {
-    /// The linear stage; opened anew after its link was lost, on the same line as before, whose old link is dropped first. Moves
-    /// nothing.
+    /// The linear stage; opened anew after its link was lost, on the same line as before, whose old
+    /// link is dropped first. Moves nothing.
     ///
     /// # Errors
     /// `Configuration` for a travel that is not the rig's, else what the unit reports.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError>;
-    /// A motorised mount, once the stage is open (both may hang on one line); `None` where the whisker is turned by hand.
-    /// Moves nothing.
+    /// A motorised mount, once the stage is open (both may hang on one line); `None` where the
+    /// whisker is turned by hand. Moves nothing.
     ///
     /// # Errors
     /// What the unit reports.
@@ -243,7 +244,8 @@ pub struct GratingRig {
     pub nominal_nm: f64,
     /// Farthest a peak may be from the nominal wavelength, nm.
     pub window_nm: f64,
-    /// Whisker that it belongs to, where the fibres carry several; sessions are recorded of the first.
+    /// Whisker that it belongs to, where the fibres carry several; sessions are recorded of the
+    /// first.
     #[serde(default)]
     pub whisker: String,
 }
@@ -285,7 +287,8 @@ pub struct CameraRig {
     pub calibration_file: Option<String>,
 }
 
-/// Names of the families that can be detected. Kalibr prints those with a black border with one of two cells.
+/// Names of the families that can be detected. Kalibr prints those with a black border with one of
+/// two cells.
 pub const TAG_FAMILIES: [&str; 9] = [
     "tag36h11",
     "tag25h9",

@@ -1,20 +1,22 @@
-//! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone, once, against a decision that can no longer
-//! change.
+//! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone,
+//! once, against a decision that can no longer change.
 //!
 //! ```text
 //! look n of the same files has the level alpha / (n (n + 1)):     sum over n of 1 / (n (n + 1)) = 1
 //! ```
 //!
-//! K. K. G. Lan, D. L. DeMets, Biometrika 70 (1983), 659-663 (a level that is spent); C. Dwork et al., Science 349 (2015), 636-638 (why a second
-//! decision on the same holdout is dearer than the first).
+//! K. K. G. Lan, D. L. DeMets, Biometrika 70 (1983), 659-663 (a level that is spent); C. Dwork et
+//! al., Science 349 (2015), 636-638 (why a second decision on the same holdout is dearer than the
+//! first).
 
 use crate::provenance::{canonical_json, sha256_hex};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
-/// Sealed rows. There is no way to their values but [`Sealed::unseal`]: they are not copied, not written, not printed, and a check of admission
-/// gives no more than its answer. What works on them is a function, not a closure, so that nothing is carried out.
+/// Sealed rows. There is no way to their values but [`Sealed::unseal`]: they are not copied, not
+/// written, not printed, and a check of admission gives no more than its answer. What works on them
+/// is a function, not a closure, so that nothing is carried out.
 ///
 /// ```compile_fail
 /// let sealed = wcal_core::Sealed::new(vec![1.0]);
@@ -97,7 +99,8 @@ impl<R> Default for Sealed<R> {
     }
 }
 
-/// Hash of a row by the numbers that were set and read, to ten digits: 16 hex digits. Form and place in a table do not change it.
+/// Hash of a row by the numbers that were set and read, to ten digits: 16 hex digits. Form and
+/// place in a table do not change it.
 pub fn fingerprint(numbers: &[f64]) -> String {
     // A zero has no sign.
     let text: Vec<String> = numbers
@@ -112,8 +115,9 @@ pub fn fingerprint(numbers: &[f64]) -> String {
 
 /// A decision that holds still: what is hashed is what is judged.
 pub trait Decide {
-    /// Everything that the sealed rows could have changed: terms, values, noise, rule of the flags, claims. Numbers are rounded to a hundredth of their
-    /// standard error, so that the same outcome by another seed or machine is the same decision.
+    /// Everything that the sealed rows could have changed: terms, values, noise, rule of the flags,
+    /// claims. Numbers are rounded to a hundredth of their standard error, so that the same outcome
+    /// by another seed or machine is the same decision.
     fn content(&self) -> serde_json::Value;
 }
 
@@ -145,7 +149,8 @@ impl Look {
 
 type Record = dyn Fn(&Opening<'_>) -> Result<usize, String> + Send + Sync;
 
-/// Writes down for good that a decision meets sealed rows, before they come out, and counts the looks.
+/// Writes down for good that a decision meets sealed rows, before they come out, and counts the
+/// looks.
 #[derive(Clone, Default)]
 pub struct Ledger(Option<Arc<Record>>);
 
@@ -177,7 +182,8 @@ pub struct Opened<R, D> {
 }
 
 impl<R, D> Opened<R, D> {
-    /// The one use of the rows: the decision is read, the rows are read, numbers come out. None of a look where nothing was sealed.
+    /// The one use of the rows: the decision is read, the rows are read, numbers come out. None of
+    /// a look where nothing was sealed.
     pub fn assess<A>(self, assess: impl FnOnce(&D, &[R], Option<&Look>) -> A) -> (D, A) {
         let found = assess(&self.decision, &self.rows, self.look.as_ref());
         (self.decision, found)
@@ -230,7 +236,8 @@ impl<R> Sealed<R> {
         self.rows.iter().map(Labelled::label).collect()
     }
 
-    /// Hash of each row's `content`, and the file that it came from: rows are known again by it, and no value comes out.
+    /// Hash of each row's `content`, and the file that it came from: rows are known again by it,
+    /// and no value comes out.
     pub fn fingerprints<C: ?Sized>(
         &self,
         with: &C,
@@ -242,7 +249,8 @@ impl<R> Sealed<R> {
             .collect()
     }
 
-    /// Hands the rows to a check of admission, which decides whether the data can be used; only its refusal comes out, in a sentence.
+    /// Hands the rows to a check of admission, which decides whether the data can be used; only its
+    /// refusal comes out, in a sentence.
     pub fn refusal<C: ?Sized>(
         &self,
         with: &C,

@@ -1,16 +1,19 @@
-//! `shapes.json` (format `wcal-shapes/1`): what the cameras saw of the wire in each pair of pictures, and how wrong it may be.
+//! `shapes.json` (format `wcal-shapes/1`): what the cameras saw of the wire in each pair of
+//! pictures, and how wrong it may be.
 //!
-//! A pair's observations are stacked in one vector `z` = (centre line at the stations, groove position, contact arc length, length),
-//! base frame, mm. Its error is
+//! A pair's observations are stacked in one vector `z` = (centre line at the stations, groove
+//! position, contact arc length, length), base frame, mm. Its error is
 //!
 //! ```text
 //! dz_i = sum_k own_ik a_ik + sum_p shared_ip q_p + floor_i b_i      a_ik, b_i ~ N(0, 1) independent,  q ~ N(0, shared_covariance)
 //! cov(z_i, z_j) = delta_ij (sum_k own_ik own_ik^T + floor_i^2 I) + S_i C S_j^T
 //! ```
-//! with a pair's own errors (the pictures' noise: pieces of the wire, corners of its tags) and the derivatives `S_i` = `shared` of what
-//! all pairs share: the cameras' calibration, the base's tags, the rig tag's orientation, the light across the line, the form of the
-//! wire's end. A parameter of zero variance is taken as known by `stereo-shape`; its derivative says what an error of it would do
-//! (`board-scale`, a rig tag glued askew). Source: JCGM 102:2011, 6.2 (propagation of a covariance matrix).
+//! with a pair's own errors (the pictures' noise: pieces of the wire, corners of its tags) and the
+//! derivatives `S_i` = `shared` of what all pairs share: the cameras' calibration, the base's tags,
+//! the rig tag's orientation, the light across the line, the form of the wire's end. A parameter of
+//! zero variance is taken as known by `stereo-shape`; its derivative says what an error of it would
+//! do (`board-scale`, a rig tag glued askew). Source: JCGM 102:2011, 6.2 (propagation of a
+//! covariance matrix).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -58,7 +61,8 @@ pub struct GrooveDocument {
     /// Unit tangent of the wire in the groove, base frame: the groove's axis follows it.
     #[serde(default)]
     pub axis: [f64; 3],
-    /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims), `out-of-vertex` (on one flank), `none`.
+    /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims),
+    /// `out-of-vertex` (on one flank), `none`.
     #[serde(default)]
     #[schemars(extend("enum" = ["vertex", "double", "out-of-vertex", "none"]))]
     pub contact: String,
@@ -68,7 +72,8 @@ pub struct GrooveDocument {
     /// Distance of the wire from the vertex position that the tag states, mm.
     #[serde(default)]
     pub distance_from_vertex_mm: f64,
-    /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough to tell the push's direction.
+    /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough
+    /// to tell the push's direction.
     pub apex_mm: Option<[f64; 3]>,
     /// Vertex position by the rig tag alone, base frame, mm.
     #[serde(default)]
@@ -78,22 +83,27 @@ pub struct GrooveDocument {
     pub covariance_mm2: Option<[[f64; 3]; 3]>,
 }
 
-/// A parameter whose error all pairs share; its place in [`ShapesDocument::shared_parameters`] is its place in every list.
+/// A parameter whose error all pairs share; its place in [`ShapesDocument::shared_parameters`] is
+/// its place in every list.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct SharedParameter {
-    /// Name, e.g. `left fx`, `right_from_left tz`, `board-scale`, `base-tag rx`, `rig-tag y`, `line`, `end`.
+    /// Name, e.g. `left fx`, `right_from_left tz`, `board-scale`, `base-tag rx`, `rig-tag y`,
+    /// `line`, `end`.
     pub name: String,
     /// Unit: `px`, `rad`, `mm`, or `1`.
     pub unit: String,
-    /// Effect or step that it belongs to: `cameras` (calibration), `board-scale`, `base-tag`, `rig-tag`, `line`, `end`.
+    /// Effect or step that it belongs to: `cameras` (calibration), `board-scale`, `base-tag`,
+    /// `rig-tag`, `line`, `end`.
     pub cause: String,
 }
 
-/// What one error does to a pair's observations: a standard deviation of it (own errors) or a unit of it (shared parameters).
+/// What one error does to a pair's observations: a standard deviation of it (own errors) or a unit
+/// of it (shared parameters).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct ErrorColumn {
-    /// Displacement of the centre line at each of [`PairErrors::stations`], base frame, mm (a unit).
+    /// Displacement of the centre line at each of [`PairErrors::stations`], base frame, mm (a
+    /// unit).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Displacement of [`GrooveDocument::position_mm`], mm (a unit); zero without groove.
@@ -107,11 +117,13 @@ pub struct ErrorColumn {
 /// Errors of a pair's observations; the module says what they add up to.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct PairErrors {
-    /// Places of the centre line that count as observations: indices into [`PairDocument::centreline_mm`], rising.
+    /// Places of the centre line that count as observations: indices into
+    /// [`PairDocument::centreline_mm`], rising.
     pub stations: Vec<usize>,
     /// Arc lengths of the stations from the root, mm.
     pub stations_mm: Vec<f64>,
-    /// Errors of this pair alone, one standard deviation each, independent of each other and of other pairs' errors.
+    /// Errors of this pair alone, one standard deviation each, independent of each other and of
+    /// other pairs' errors.
     pub own: Vec<ErrorColumn>,
     /// Standard deviation of what the list of own errors leaves out, every coordinate, mm.
     pub floor_mm: f64,
@@ -123,17 +135,20 @@ pub struct PairErrors {
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct ShapesSource {
-    /// SHA-256 of the file of the cameras; of all files in order where there are several; empty where it was not stated.
+    /// SHA-256 of the file of the cameras; of all files in order where there are several; empty
+    /// where it was not stated.
     pub cameras_sha256: String,
-    /// SHA-256 of the rig's tables `whisker`, `tags` and `groove` as canonical JSON; empty where it was not stated.
+    /// SHA-256 of the rig's tables `whisker`, `tags` and `groove` as canonical JSON; empty where it
+    /// was not stated.
     pub rig_sha256: String,
     /// `id` of the session whose pictures they are; none outside a session.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
 }
 
-/// Hash by which the rig of some shapes is recognised: [`crate::provenance::sha256_hex`] of the tables `whisker`, `tags` and `groove` of
-/// a rig file as JSON with sorted keys. Addresses, speeds and comments do not count.
+/// Hash by which the rig of some shapes is recognised: [`crate::provenance::sha256_hex`] of the
+/// tables `whisker`, `tags` and `groove` of a rig file as JSON with sorted keys. Addresses, speeds
+/// and comments do not count.
 pub fn rig_sha256(rig: &serde_json::Value) -> String {
     let parts: serde_json::Map<String, serde_json::Value> = ["groove", "tags", "whisker"]
         .into_iter()
@@ -167,7 +182,8 @@ pub struct PairDocument {
     pub length_mm: f64,
     /// Standard deviation of the length, mm.
     pub length_sd_mm: f64,
-    /// Errors of the observations, a pair's own and shared ones; absent for pairs that were rejected.
+    /// Errors of the observations, a pair's own and shared ones; absent for pairs that were
+    /// rejected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub errors: Option<PairErrors>,
     /// Stretches not seen.

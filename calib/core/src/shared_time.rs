@@ -1,4 +1,5 @@
-//! Time that a virtual bench shares with the programs at it: it stands while a part of the bench cannot run, on a busy computer.
+//! Time that a virtual bench shares with the programs at it: it stands while a part of the bench
+//! cannot run, on a busy computer.
 //!
 //! Without a virtual bench it is the computer's: a real device does not wait.
 //!
@@ -12,7 +13,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// A part is waited for when its last sign of life is this old, ns: more than a busy computer delays a thread.
+/// A part is waited for when its last sign of life is this old, ns: more than a busy computer
+/// delays a thread.
 const ALIVE_NS: u64 = 250_000_000;
 /// A part that has been waited for this long has gone.
 pub const GONE: Duration = Duration::from_secs(20);
@@ -88,7 +90,8 @@ thread_local! {
     static OWN: OwnPart = OwnPart::default();
 }
 
-/// This thread is a part of a virtual bench, runs, and is `behind` with its work. It must say so again soon, until it ends.
+/// This thread is a part of a virtual bench, runs, and is `behind` with its work. It must say so
+/// again soon, until it ends.
 pub fn lives(behind: Duration) {
     OWN.with(|own| {
         // In this order: a clock that was read before waiting for the others is behind theirs.
@@ -176,7 +179,8 @@ mod tests {
             last = now;
         }
         assert!(last < stands + 1300 * MS, "{last}");
-        // Who never comes back is not waited for, whether others ask or nobody does; nor is one that has ended.
+        // Who never comes back is not waited for, whether others ask or nobody does; nor is one
+        // that has ended.
         run(&mut time, 6000, 40_000, &[&server]);
         let waited = time.now_ns(40_000 * MS);
         assert!(waited > last + 10_000 * MS);

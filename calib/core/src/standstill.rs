@@ -1,7 +1,8 @@
-//! Time in which this program stood still: stopped by a signal, starved, or with a computer that slept. It is no device's silence, and no part of a
-//! wait for one.
+//! Time in which this program stood still: stopped by a signal, starved, or with a computer that
+//! slept. It is no device's silence, and no part of a wait for one.
 //!
-//! A thread looks at the clock ten times a second. A look that comes a second late says that nobody in this program could look.
+//! A thread looks at the clock ten times a second. A look that comes a second late says that nobody
+//! in this program could look.
 
 use crate::device::{DeviceError, DeviceErrorKind};
 use std::sync::OnceLock;
@@ -13,7 +14,8 @@ const LOOK: Duration = Duration::from_millis(100);
 /// A gap between looks that a busy computer does not make, ns.
 const STILL_NS: u64 = 1_000_000_000;
 
-/// What fails this soon after a gap fails because of it, ns: buffers have run over, or the other side has given up.
+/// What fails this soon after a gap fails because of it, ns: buffers have run over, or the other
+/// side has given up.
 const AFTER_NS: u64 = 10_000_000_000;
 
 /// Looks at the clock.
@@ -84,7 +86,8 @@ pub fn now_ns() -> u64 {
     }
 }
 
-/// The watch of this program; none where its thread cannot be started: then nothing is known, and nothing is taken off a wait.
+/// The watch of this program; none where its thread cannot be started: then nothing is known, and
+/// nothing is taken off a wait.
 fn watch() -> Option<&'static Watch> {
     static WATCH: OnceLock<Watch> = OnceLock::new();
     static THREAD: OnceLock<bool> = OnceLock::new();
@@ -111,7 +114,8 @@ pub fn total() -> Duration {
     })
 }
 
-/// What a device reports: where this program has just stood still, that is said first, and no device is blamed.
+/// What a device reports: where this program has just stood still, that is said first, and no
+/// device is blamed.
 pub fn blame(error: DeviceError) -> DeviceError {
     let still_ns = watch().map_or(0, |watch| watch.just_now_ns(now_ns()));
     if still_ns == 0 || error.kind == DeviceErrorKind::Interrupted {

@@ -29,9 +29,11 @@ impl Flags {
     pub const MOTION_DISAGREES: Self = Self(512);
     /// The motion at this time is not known.
     pub const MOTION_LOST: Self = Self(1024);
-    /// Contact in a motion that is not known to be one that the network was trained on; its place assumes that it is.
+    /// Contact in a motion that is not known to be one that the network was trained on; its place
+    /// assumes that it is.
     pub const MOTION_ASSUMED: Self = Self(2048);
-    /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
+    /// No fixed point of the object explains the moments along the known motion; one that slides
+    /// does, and was assumed.
     pub const SLIDING_ASSUMED: Self = Self(4096);
 
     /// A way in which the contact may move on what it touches could not be looked at.
@@ -93,7 +95,8 @@ pub struct WhiskerReading {
     pub serial: u64,
     /// Time since the first scan, s, by the device's clock.
     pub t_s: f64,
-    /// Temperature-compensated shifts, pm, and the temperature over nominal, K; `None` where the reading cannot be used.
+    /// Temperature-compensated shifts, pm, and the temperature over nominal, K; `None` where the
+    /// reading cannot be used.
     pub shift_pm: Option<[f64; 2]>,
     /// See `shift_pm`; 0 without a reference grating.
     pub rise_degc: f64,
@@ -117,7 +120,8 @@ pub struct StreamMoments {
 pub struct MomentSpread {
     /// Covariance of the noise from pose to pose, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
-    /// By how much one standard deviation of each unknown that all readings share makes the moments too large, N mm.
+    /// By how much one standard deviation of each unknown that all readings share makes the moments
+    /// too large, N mm.
     pub shared_nmm: Vec<[f64; 2]>,
 }
 
@@ -127,7 +131,8 @@ pub trait MomentStream: Send {
     fn quick_nmm(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2];
     /// Moments with their spread and validity, memory effects carried on from the reading before.
     fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments;
-    /// What the spread of the moments is made of that [`Self::moments`] gave last; as many shared unknowns at every reading.
+    /// What the spread of the moments is made of that [`Self::moments`] gave last; as many shared
+    /// unknowns at every reading.
     fn spread(&self) -> MomentSpread;
 }
 

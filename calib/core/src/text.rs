@@ -55,7 +55,8 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     }
 }
 
-/// What a message repeats of a file's content, or of a parser's words about it: one line, the middle left out where it is long.
+/// What a message repeats of a file's content, or of a parser's words about it: one line, the
+/// middle left out where it is long.
 pub fn brief(text: &str) -> String {
     /// Characters of the beginning and of the end that are kept.
     const KEPT: [usize; 2] = [220, 80];
@@ -71,8 +72,8 @@ pub fn brief(text: &str) -> String {
     }
 }
 
-/// A text for the terminal: its characters that control one (Unicode's Cc but the line's end), that turn or hide others or end a line (Cf, Zl, Zp) are
-/// blanks.
+/// A text for the terminal: its characters that control one (Unicode's Cc but the line's end), that
+/// turn or hide others or end a line (Cf, Zl, Zp) are blanks.
 pub fn printable(text: &str) -> String {
     let controls = |c: char| {
         matches!(
@@ -114,7 +115,8 @@ const LATIN_1: NotUtf8 = NotUtf8 {
 };
 const UTF_16: &str = "UTF-16 text";
 
-/// Text in the encoding that its bytes have (UTF-8, UTF-16, else Windows-1252, which has all of Latin-1), and which it is where it is not UTF-8.
+/// Text in the encoding that its bytes have (UTF-8, UTF-16, else Windows-1252, which has all of
+/// Latin-1), and which it is where it is not UTF-8.
 ///
 /// # Errors
 /// What the bytes are that are no text.
@@ -151,7 +153,8 @@ pub fn with_unit(what: &str, unit: &str) -> String {
     }
 }
 
-/// A number with so many significant digits at most and no zeros behind them; an exponent where it is very small or large.
+/// A number with so many significant digits at most and no zeros behind them; an exponent where it
+/// is very small or large.
 pub fn number(value: f64, digits: usize) -> String {
     let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>() else {
         return value.to_string();

@@ -78,12 +78,12 @@ pub struct VerifyDocument {
     pub before: Option<HeldOutError>,
     /// Held-out error of the accepted model.
     pub after: Option<HeldOutError>,
-    /// Held-out error of the accepted model without sealed readings far outside the noise; absent where there is none. Where it stands, the
-    /// exit code is 3.
+    /// Held-out error of the accepted model without sealed readings far outside the noise; absent
+    /// where there is none. Where it stands, the exit code is 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub after_trimmed: Option<HeldOutError>,
-    /// What the sealed readings say; it never changes the verdict. Where they contradict the accepted model, no calibration is written and the exit
-    /// code is 4.
+    /// What the sealed readings say; it never changes the verdict. Where they contradict the
+    /// accepted model, no calibration is written and the exit code is 4.
     pub holdout: HoldoutJudgement,
     /// Share of the stated 95 % intervals that hold the held-out value.
     #[schemars(range(min = 0, max = 1))]
@@ -96,7 +96,8 @@ pub struct VerifyDocument {
     pub seed: u64,
     /// Files read.
     pub inputs: Vec<InputFile>,
-    /// What limits the use of the result although nothing contradicts it; where one stands, the exit code is 3. Absent without any.
+    /// What limits the use of the result although nothing contradicts it; where one stands, the
+    /// exit code is 3. Absent without any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cautions: Vec<String>,
     /// Remarks: what was absent, what was marked and kept.
@@ -104,16 +105,19 @@ pub struct VerifyDocument {
     /// What each accepted effect is worth; absent without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
-    /// How a given calibration does on readings that were not in its fit; absent without `--calibration`.
+    /// How a given calibration does on readings that were not in its fit; absent without
+    /// `--calibration`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
-    /// Contacts where their place is known (the groove), by the declared and by the accepted model; null where it is not, or no model is accepted.
+    /// Contacts where their place is known (the groove), by the declared and by the accepted model;
+    /// null where it is not, or no model is accepted.
     pub contact: Option<ContactComparison>,
-    /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
+    /// Where the tracker by known motion puts the groove through the accepted calibration
+    /// (whisker); absent where it was not tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
-    /// What further measurements of the instrument say: a sweep over a known object (`--sweep`) of each explanation, pictures of each, too;
-    /// absent without any.
+    /// What further measurements of the instrument say: a sweep over a known object (`--sweep`) of
+    /// each explanation, pictures of each, too; absent without any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tests: Vec<WitnessTest>,
 }

@@ -1,4 +1,5 @@
-//! A whisker's wire as it is declared: material, stress-free shape, what such a wire can be, and in what two differ.
+//! A whisker's wire as it is declared: material, stress-free shape, what such a wire can be, and in
+//! what two differ.
 
 use crate::ranges::{self, OutOfRange, Range};
 use nalgebra::Vector3;
@@ -89,7 +90,8 @@ impl WhiskerSpec {
         self.density_kg_m3.unwrap_or(NITI_KG_M3)
     }
 
-    /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc of 20 mm (docs/src/system.md).
+    /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc
+    /// of 20 mm (docs/src/system.md).
     pub fn nominal() -> Self {
         Self {
             diameter_mm: 0.3,
@@ -127,7 +129,8 @@ pub enum RestShape {
 const MAX_APART_MM: f64 = 1.0;
 
 impl RestShape {
-    /// As points that are at most `step_mm` apart where it is given by lengths; a polyline as it is.
+    /// As points that are at most `step_mm` apart where it is given by lengths; a polyline as it
+    /// is.
     pub fn points(&self, step_mm: f64) -> Vec<Vector3<f64>> {
         let (straight_mm, radius_mm, length_mm) = match self {
             Self::Polyline(points) => return points.clone(),
@@ -183,8 +186,8 @@ fn distance_along(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
 }
 
 impl WhiskerSpec {
-    /// The first property in which another whisker differs by more than a share of 1 % (shape: 1 mm), named with both values; the
-    /// density does not bend a wire at rest and is not compared.
+    /// The first property in which another whisker differs by more than a share of 1 % (shape: 1
+    /// mm), named with both values; the density does not bend a wire at rest and is not compared.
     pub fn difference(&self, other: &Self) -> Option<String> {
         let own = [
             ("diameter_mm", self.diameter_mm, other.diameter_mm),

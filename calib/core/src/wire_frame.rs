@@ -1,4 +1,5 @@
-//! The frame in which contacts are computed, whatever the orientation in which a session describes its wire.
+//! The frame in which contacts are computed, whatever the orientation in which a session describes
+//! its wire.
 //!
 //! ```text
 //! x = +-(a_1 x a_2) toward the wire's side,   z = -(b - (b . x) x) / |..|,   y = z x x          b: direction in which the wire bends
@@ -6,14 +7,16 @@
 //! p = R p_base,   m = sigma C m_base,   cov m = C cov m_base C'
 //! ```
 //!
-//! a_1, a_2, sigma: the axes and the sign of the moments that the calibration gives. The moments do not see the component along x; the
-//! root may lean against it. A wire that is given by lengths (straight along x, bending toward -z) with moments about y and z stays as it is.
+//! a_1, a_2, sigma: the axes and the sign of the moments that the calibration gives. The moments do
+//! not see the component along x; the root may lean against it. A wire that is given by lengths
+//! (straight along x, bending toward -z) with moments about y and z stays as it is.
 
 use crate::observation::{MomentAxes, RestShape, WhiskerSpec};
 use crate::ranges::OutOfRange;
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 
-/// Smallest sine of the angle between the axes of the moments, and cosine of that between their normal and the wire's root: 60 degrees.
+/// Smallest sine of the angle between the axes of the moments, and cosine of that between their
+/// normal and the wire's root: 60 degrees.
 const MIN_SINE: f64 = 0.1;
 const MIN_COSINE: f64 = 0.5;
 /// A wire whose tip is off its root's direction by less than this share of its length is straight.
@@ -114,7 +117,8 @@ impl WireFrame {
             .map_or(*nmm2, |(_, mix)| mix * nmm2 * mix.transpose())
     }
 
-    /// Way of the base past an object at rest that sweeps have: against the wire's bend. Base frame.
+    /// Way of the base past an object at rest that sweeps have: against the wire's bend. Base
+    /// frame.
     pub fn sweep_direction(&self) -> Vector3<f64> {
         self.rotation().inverse() * Vector3::z()
     }

@@ -1,4 +1,5 @@
-//! Time to fit and choose on the measured set: every candidate, leave-one-out and leave-one-trajectory-out with refits.
+//! Time to fit and choose on the measured set: every candidate, leave-one-out and
+//! leave-one-trajectory-out with refits.
 #![allow(clippy::unwrap_used, reason = "a measurement")]
 #![allow(
     clippy::expect_used,

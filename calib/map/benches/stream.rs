@@ -1,7 +1,7 @@
 //! Map at stream rate: one reading in, two moments and their deviations out.
 //!
-//! 2 kHz x 16 whiskers on one core leave 31 us a reading. Beside criterion's mean, the 99th percentile of single readings
-//! is printed, since that is what the goal (100 us) is about.
+//! 2 kHz x 16 whiskers on one core leave 31 us a reading. Beside criterion's mean, the 99th
+//! percentile of single readings is printed, since that is what the goal (100 us) is about.
 #![allow(clippy::unwrap_used, reason = "a measurement")]
 #![allow(
     clippy::expect_used,

@@ -41,10 +41,12 @@ pub struct MapArtefact {
     pub law: WavelengthFromMoment,
     /// Gratings, for tables of absolute wavelengths and for temperature.
     pub fbg: FbgSpec,
-    /// Noise of a single reading in the two moments, N mm; absent where the session has neither samples nor their deviation.
+    /// Noise of a single reading in the two moments, N mm; absent where the session has neither
+    /// samples nor their deviation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reading_sd_nmm: Option<[f64; 2]>,
-    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none, or too few loaded ones.
+    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none,
+    /// or too few loaded ones.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestZero>,
 }

@@ -1,10 +1,11 @@
 //! The candidate maps, their fits and their left-out errors.
 //!
-//! With left-out errors e_i, scales s_i and degrees of freedom nu: RMSE^2 = sum e_i^2 / n; negative log predictive density
-//! sum (ln s_i - ln t_nu(e_i / s_i)) / n; reach r_i = |e_i| / (t_(0.975, nu) s_i), coverage = share of r_i <= 1. Inflation: the
-//! ceil(0.95 (n + 1))-th smallest r_i, where the coverage lies below the binomial bounds.
-//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 5.4.2; the rank: V. Vovk, A. Gammerman &
-//! G. Shafer, "Algorithmic Learning in a Random World" (2005) (split-conformal prediction).
+//! With left-out errors e_i, scales s_i and degrees of freedom nu: RMSE^2 = sum e_i^2 / n; negative
+//! log predictive density sum (ln s_i - ln t_nu(e_i / s_i)) / n; reach r_i = |e_i| / (t_(0.975, nu)
+//! s_i), coverage = share of r_i <= 1. Inflation: the ceil(0.95 (n + 1))-th smallest r_i, where the
+//! coverage lies below the binomial bounds. Source: C. Rasmussen & C. Williams, "Gaussian Processes
+//! for Machine Learning" (2006), sec. 5.4.2; the rank: V. Vovk, A. Gammerman & G. Shafer,
+//! "Algorithmic Learning in a Random World" (2005) (split-conformal prediction).
 
 use crate::error::MapError;
 use crate::evidence::{ShapeSearch, choose_hyperparameters, log_evidence};
@@ -21,7 +22,8 @@ pub enum MapKind {
     Affine,
     /// Quadratic least squares.
     Quadratic,
-    /// Thin plate about an affine mean. The radius cancels: with an affine mean only r^3 remains of the kernel.
+    /// Thin plate about an affine mean. The radius cancels: with an affine mean only r^3 remains of
+    /// the kernel.
     ThinPlate,
     /// Thin plate about a constant mean; the radius sets how steep the map is expected to be.
     ThinPlateConstant,
@@ -69,7 +71,8 @@ impl MapKind {
 
     /// Starting kernel and range of its shape, for a region of this diameter (scaled input units).
     fn kernel(self, diameter: f64, radius: f64) -> (Kernel, Option<ShapeSearch>) {
-        // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the trend remains.
+        // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the
+        // trend remains.
         let length = ShapeSearch {
             low: 0.1 * diameter,
             high: 20.0 * diameter,
@@ -107,7 +110,8 @@ pub struct Scaled {
 }
 
 impl Scaled {
-    /// Scales the readings about `centre_pm`; the radius is the declared one or the smallest safe one.
+    /// Scales the readings about `centre_pm`; the radius is the declared one or the smallest safe
+    /// one.
     ///
     /// # Errors
     /// [`MapError::RadiusTooSmall`] where `radius_pm` is below 1.6 x `diameter_pm`.
@@ -170,7 +174,8 @@ impl LeftOutSummary {
         out
     }
 
-    /// Share of the readings inside their 95 % interval once every interval is widened by `inflation`.
+    /// Share of the readings inside their 95 % interval once every interval is widened by
+    /// `inflation`.
     pub fn coverage_with(&self, inflation: f64) -> f64 {
         let inside = self
             .errors
@@ -185,8 +190,9 @@ impl LeftOutSummary {
         e.error.abs() / (half95(e.dof) * e.sd)
     }
 
-    /// Factor on the standard deviation: 1 unless the left-out coverage lies below the binomial bounds of 95 %, then the
-    /// smallest factor that brings the ceil(0.95 (n + 1))-th largest error inside (split-conformal rank). Never below 1.
+    /// Factor on the standard deviation: 1 unless the left-out coverage lies below the binomial
+    /// bounds of 95 %, then the smallest factor that brings the ceil(0.95 (n + 1))-th largest error
+    /// inside (split-conformal rank). Never below 1.
     pub fn inflation(&self) -> f64 {
         let n = self.errors.len();
         let inside = (self.coverage95 * n as f64).round() as usize;
@@ -218,8 +224,8 @@ pub struct CandidateFit {
     pub inflation: [f64; 2],
 }
 
-/// How a moment's model is chosen from inputs and outputs, for the whole set and for every fold; last the full fit's model, from which a fold
-/// may start.
+/// How a moment's model is chosen from inputs and outputs, for the whole set and for every fold;
+/// last the full fit's model, from which a fold may start.
 pub(crate) type Recipe<'a> =
     &'a dyn Fn(&[[f64; 2]], &[f64], Option<&ProcessModel>) -> Result<ProcessModel, MapError>;
 
@@ -241,8 +247,9 @@ impl MapKind {
     }
 }
 
-/// Fits both moments and leaves out poses and trajectories. Each moment has its own hyperparameters: the two are
-/// determined to very different degrees, and a shared noise ratio would smooth the good one for the bad one's sake.
+/// Fits both moments and leaves out poses and trajectories. Each moment has its own
+/// hyperparameters: the two are determined to very different degrees, and a shared noise ratio
+/// would smooth the good one for the bad one's sake.
 pub(crate) fn fit_candidate(
     name: &'static str,
     recipe: Recipe<'_>,

@@ -1,15 +1,18 @@
 //! Choice between candidates.
 //!
-//! S_cm = sum_g S_cmg: squared left-out errors of candidate c, moment m, group g (trajectory or pose). Best b: least prod_m S_cm.
-//! Excess of c over b: D_c = sum_g d_g, d_g = 1/2 sum_m (S_cmg - S_bmg) / S_bm, with standard error
-//! sqrt(G / (G - 1) sum_g (d_g - D_c / G)^2) over G groups. Chosen: the first (simplest) with D_c <= its standard error (or 0.001: refits
-//! agree to rounding). Source: L. Breiman et al., "Classification and Regression Trees" (1984), sec. 3.4.3, paired.
+//! S_cm = sum_g S_cmg: squared left-out errors of candidate c, moment m, group g (trajectory or
+//! pose). Best b: least prod_m S_cm. Excess of c over b: D_c = sum_g d_g, d_g = 1/2 sum_m (S_cmg -
+//! S_bmg) / S_bm, with standard error sqrt(G / (G - 1) sum_g (d_g - D_c / G)^2) over G groups.
+//! Chosen: the first (simplest) with D_c <= its standard error (or 0.001: refits agree to
+//! rounding). Source: L. Breiman et al., "Classification and Regression Trees" (1984), sec. 3.4.3,
+//! paired.
 
 use crate::candidate::{CandidateFit, LeftOutSummary};
 use crate::training::MapTraining;
 use std::collections::BTreeMap;
 
-/// Relative excess below which two candidates count as equal: refits agree to rounding, not to the bit.
+/// Relative excess below which two candidates count as equal: refits agree to rounding, not to the
+/// bit.
 const EQUAL: f64 = 1e-3;
 
 /// The choice and what it rests on.
@@ -29,9 +32,10 @@ pub struct Choice {
 
 /// Chooses by leave-one-trajectory-out error (leave-one-out with fewer than three trajectories).
 ///
-/// The best candidate has the smallest product of the two moments' mean squared errors. The first candidate in the given
-/// order (simplest first) whose squared error exceeds the best one's by no more than one standard error of the paired
-/// difference over trajectories is chosen (the one-standard-error rule of Breiman et al. 1984, paired).
+/// The best candidate has the smallest product of the two moments' mean squared errors. The first
+/// candidate in the given order (simplest first) whose squared error exceeds the best one's by no
+/// more than one standard error of the paired difference over trajectories is chosen (the
+/// one-standard-error rule of Breiman et al. 1984, paired).
 pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let by_trajectory = candidates.iter().all(|c| c.loto.is_some());
     let group_of: Vec<usize> = if by_trajectory {

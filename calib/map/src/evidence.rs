@@ -1,10 +1,11 @@
 //! Hyperparameters by restricted likelihood.
 //!
-//! Contrasts z = Q^T y with Q^T H = 0 (Householder), K_Q = Q^T K Q, n' = n - terms:
-//! ln L = -1/2 [n' (ln 2 pi s2 + 1) + ln det(K_Q + nu I)], s2 = z . (K_Q + nu I)^-1 z / n'. With K_Q = V T V^T, T tridiagonal, it costs O(n)
-//! for each further noise ratio nu: pivots p_i = T_ii + nu - T_(i,i-1)^2 / p_(i-1), w_i = (V^T z)_i - T_(i,i-1) w_(i-1) / p_(i-1),
-//! ln det = sum ln p_i, n' s2 = sum w_i^2 / p_i.
-//! Source: H. Patterson & R. Thompson, Biometrika 58 (1971); G. Golub & C. Van Loan, "Matrix Computations" (2013), sec. 5.1, 8.3 and 4.3.
+//! Contrasts z = Q^T y with Q^T H = 0 (Householder), K_Q = Q^T K Q, n' = n - terms: ln L = -1/2 [n'
+//! (ln 2 pi s2 + 1) + ln det(K_Q + nu I)], s2 = z . (K_Q + nu I)^-1 z / n'. With K_Q = V T V^T, T
+//! tridiagonal, it costs O(n) for each further noise ratio nu: pivots p_i = T_ii + nu - T_(i,i-1)^2
+//! / p_(i-1), w_i = (V^T z)_i - T_(i,i-1) w_(i-1) / p_(i-1), ln det = sum ln p_i, n' s2 = sum w_i^2
+//! / p_i. Source: H. Patterson & R. Thompson, Biometrika 58 (1971); G. Golub & C. Van Loan, "Matrix
+//! Computations" (2013), sec. 5.1, 8.3 and 4.3.
 
 use crate::error::MapError;
 use crate::kernel::Kernel;
@@ -12,7 +13,8 @@ use crate::process::ProcessModel;
 use crate::trend::Trend;
 use nalgebra::{DMatrix, DVector, SymmetricTridiagonal};
 
-/// Range of noise over signal variance. The upper end is "no correlated part to be seen", the lower one keeps C well conditioned.
+/// Range of noise over signal variance. The upper end is "no correlated part to be seen", the lower
+/// one keeps C well conditioned.
 const LOG10_NUGGET: [f64; 2] = [-9.0, 6.0];
 
 /// Range of the shape parameter that is searched, and the number of grid points on it.
@@ -27,7 +29,8 @@ pub struct ShapeSearch {
 }
 
 impl ShapeSearch {
-    /// A bracket of a factor 3 either way about a value, inside the range: folds start from the full fit.
+    /// A bracket of a factor 3 either way about a value, inside the range: folds start from the
+    /// full fit.
     pub fn about(&self, value: f64) -> Self {
         Self {
             low: (value / 3.0).max(self.low),
@@ -37,7 +40,8 @@ impl ShapeSearch {
     }
 }
 
-/// Residual contrasts of one output: the data with the trend projected off, in the basis that makes K tridiagonal.
+/// Residual contrasts of one output: the data with the trend projected off, in the basis that makes
+/// K tridiagonal.
 struct Contrasts {
     diagonal: DVector<f64>,
     off: DVector<f64>,
@@ -102,7 +106,8 @@ impl TrendNull {
 
 impl Contrasts {
     fn new(null: &TrendNull, kernel: &Kernel, inputs: &[[f64; 2]], y: &[f64]) -> Self {
-        // Orthonormal contrasts: their likelihood is the restricted one, up to a constant in the hyperparameters.
+        // Orthonormal contrasts: their likelihood is the restricted one, up to a constant in the
+        // hyperparameters.
         let projected = null.project_matrix(kernel.matrix(inputs));
         let y = null.project_vector(y);
         if y.len() < 2 {
@@ -121,7 +126,8 @@ impl Contrasts {
         }
     }
 
-    /// Restricted log likelihood with s2 profiled out, in O(n); none where the matrix is not positive definite.
+    /// Restricted log likelihood with s2 profiled out, in O(n); none where the matrix is not
+    /// positive definite.
     fn log_evidence(&self, nugget: f64) -> Option<f64> {
         let n = self.y.len();
         // One sweep of the tridiagonal factorisation gives the determinant and the quadratic form.
@@ -149,7 +155,8 @@ fn profiled(n: usize, square: f64, log_det: f64) -> f64 {
     -0.5 * (free * ((2.0 * std::f64::consts::PI * variance).ln() + 1.0) + log_det)
 }
 
-/// Restricted log likelihood of a model with s2 profiled out; none where it is not positive definite.
+/// Restricted log likelihood of a model with s2 profiled out; none where it is not positive
+/// definite.
 pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Option<f64> {
     let null = TrendNull::new(model.trend, inputs);
     if model.kernel == Kernel::None {

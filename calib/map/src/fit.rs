@@ -11,7 +11,8 @@ use crate::released;
 use crate::training::MapTraining;
 use wcal_core::FbgSpec;
 
-/// Readings above which the processes are left to the polynomial rivals: their cost grows with the cube.
+/// Readings above which the processes are left to the polynomial rivals: their cost grows with the
+/// cube.
 pub const MAX_PROCESS_READINGS: usize = 800;
 
 /// How to fit.

@@ -1,8 +1,9 @@
 //! Plane geometry of the wavelength cloud.
 //!
-//! Orientation of o, a, b: (a - o) x (b - o) > 0 where they turn left; a point is inside a counter-clockwise hull where it lies left of all
-//! edges. Distance from an edge: |p - (a + t (b - a))|, t = clamp((p - a) . (b - a) / |b - a|^2, 0, 1).
-//! Source: A. Andrew, Inf. Process. Lett. 9 (1979), the monotone chain.
+//! Orientation of o, a, b: (a - o) x (b - o) > 0 where they turn left; a point is inside a
+//! counter-clockwise hull where it lies left of all edges. Distance from an edge: |p - (a + t (b -
+//! a))|, t = clamp((p - a) . (b - a) / |b - a|^2, 0, 1). Source: A. Andrew, Inf. Process. Lett. 9
+//! (1979), the monotone chain.
 
 /// Mean of the points and root-mean-square deviation of a coordinate from it.
 pub(crate) fn centre_and_spread(points: &[[f64; 2]]) -> ([f64; 2], f64) {
@@ -38,7 +39,8 @@ fn cross(o: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0])
 }
 
-/// Convex hull, counter-clockwise (Andrew's monotone chain); one or two vertices where the points coincide or lie on a line.
+/// Convex hull, counter-clockwise (Andrew's monotone chain); one or two vertices where the points
+/// coincide or lie on a line.
 pub(crate) fn convex_hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let mut sorted: Vec<[f64; 2]> = points.to_vec();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));

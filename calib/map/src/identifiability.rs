@@ -1,7 +1,9 @@
 //! How well the wavelengths determine each moment.
 //!
-//! Affine law of the shifts: s = z + K m + e, by least squares. Condition of K: ratio of its singular values. Explained share: 1 - RMSE_loo^2 / var(labels). Source: G. Golub & C. Van Loan, "Matrix Computations"
-//! (2013), sec. 2.6 and 5.3; G. Seber & A. Lee, "Linear Regression Analysis" (2003), ch. 3.
+//! Affine law of the shifts: s = z + K m + e, by least squares. Condition of K: ratio of its
+//! singular values. Explained share: 1 - RMSE_loo^2 / var(labels). Source: G. Golub & C. Van Loan,
+//! "Matrix Computations" (2013), sec. 2.6 and 5.3; G. Seber & A. Lee, "Linear Regression Analysis"
+//! (2003), ch. 3.
 
 use crate::error::MapError;
 use crate::training::MapTraining;
@@ -9,7 +11,8 @@ use nalgebra::{DMatrix, Matrix2, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Share of a moment's variance that left-out predictions must explain for it to count as determined.
+/// Share of a moment's variance that left-out predictions must explain for it to count as
+/// determined.
 const EXPLAINED_ENOUGH: f64 = 0.5;
 /// Condition number above which one direction of moment is called barely visible.
 const CONDITION_LIMIT: f64 = 10.0;
@@ -36,7 +39,8 @@ impl WavelengthFromMoment {
         })
     }
 
-    /// Standard deviations of the moments (N mm) by independent ones of the shifts (pm): `m = K^-1 (shift - zero)`.
+    /// Standard deviations of the moments (N mm) by independent ones of the shifts (pm):
+    /// `m = K^-1 (shift - zero)`.
     pub fn moment_sd_nmm(&self, shift_sd_pm: [f64; 2]) -> Option<[f64; 2]> {
         let [[a, b], [c, d]] = self.k_pm_per_nmm;
         // Independent errors of the shifts add in squares through the rows of K^-1.

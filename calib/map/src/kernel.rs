@@ -1,8 +1,8 @@
 //! Correlation functions of the scaled wavelength plane.
 //!
-//! Thin plate: k(r) = 1 - 3 u^2 + 2 u^3, u = r / R (O. Williams & A. Fitzgibbon, "Gaussian process implicit surfaces", 2007).
-//! Matern 5/2: k(r) = (1 + s + s^2 / 3) exp(-s), s = sqrt(5) r / l (C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning",
-//! 2006, eq. 4.17).
+//! Thin plate: k(r) = 1 - 3 u^2 + 2 u^3, u = r / R (O. Williams & A. Fitzgibbon, "Gaussian process
+//! implicit surfaces", 2007). Matern 5/2: k(r) = (1 + s + s^2 / 3) exp(-s), s = sqrt(5) r / l (C.
+//! Rasmussen & C. Williams, "Gaussian Processes for Machine Learning", 2006, eq. 4.17).
 
 use crate::error::MapError;
 use crate::geometry::distance;
@@ -12,8 +12,9 @@ use serde::{Deserialize, Serialize};
 
 /// Safe radius as a multiple of the diameter of readings and declared domain.
 ///
-/// The thin-plate kernel is positive definite only where the data's ball has diameter <= 0.866 R in the plane. A set of
-/// diameter d lies in a ball of diameter 2 d / sqrt(3) = 1.155 d (Jung), so R >= 1.34 d suffices; 1.6 leaves a margin.
+/// The thin-plate kernel is positive definite only where the data's ball has diameter <= 0.866 R
+/// in the plane. A set of diameter d lies in a ball of diameter 2 d / sqrt(3) = 1.155 d (Jung), so
+/// R >= 1.34 d suffices; 1.6 leaves a margin.
 pub const RADIUS_PER_DIAMETER: f64 = 1.6;
 
 /// Correlation between two scaled inputs; every one is 1 at distance 0.
@@ -22,8 +23,8 @@ pub const RADIUS_PER_DIAMETER: f64 = 1.6;
 pub enum Kernel {
     /// No correlated part: a plain regression on the trend.
     None,
-    /// (2 r^3 - 3 R r^2 + R^3) / R^3, the kernel of Williams & Fitzgibbon (2007, Gaussian process implicit surfaces)
-    /// scaled to 1 at r = 0.
+    /// (2 r^3 - 3 R r^2 + R^3) / R^3, the kernel of Williams & Fitzgibbon (2007, Gaussian process
+    /// implicit surfaces) scaled to 1 at r = 0.
     ThinPlate {
         /// R of the thin plate, scaled.
         radius: f64,
@@ -75,7 +76,8 @@ impl Kernel {
         }
     }
 
-    /// Refuses a thin-plate radius that is too small for a region of this diameter (scaled input units).
+    /// Refuses a thin-plate radius that is too small for a region of this diameter (scaled input
+    /// units).
     ///
     /// # Errors
     /// [`MapError::RadiusTooSmall`].

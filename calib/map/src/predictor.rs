@@ -1,8 +1,9 @@
 //! Evaluation of a stored map, one reading at a time and without allocation.
 //!
-//! With C = K + nu I = L L^T, G = L^-1 H, G^T G = A A^T (Cholesky), k_i = k(|z_i - z|), h the trend's basis at z:
-//! mean = h . b + k . a, variance = s2 [k(0) - |v|^2 + |A^-1 (h - G^T v)|^2], v = L^-1 k (universal kriging).
-//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 2.7. Fit and symbols: [`crate::Process`].
+//! With C = K + nu I = L L^T, G = L^-1 H, G^T G = A A^T (Cholesky), k_i = k(|z_i - z|), h the
+//! trend's basis at z: mean = h . b + k . a, variance = s2 [k(0) - |v|^2 + |A^-1 (h - G^T v)|^2],
+//! v = L^-1 k (universal kriging). Source: C. Rasmussen & C. Williams, "Gaussian Processes for
+//! Machine Learning" (2006), sec. 2.7. Fit and symbols: [`crate::Process`].
 
 use crate::artefact::{MapArtefact, OutputMap};
 use crate::error::MapError;
@@ -36,7 +37,8 @@ impl MapPrediction {
         self.outside_by_pm <= 0.0
     }
 
-    /// What the spread is made of: the map's uncertainty is taken as common to all readings, one unknown for each moment.
+    /// What the spread is made of: the map's uncertainty is taken as common to all readings, one
+    /// unknown for each moment.
     pub fn spread(&self) -> MomentSpread {
         const MIN_NMM2: f64 = 1e-12;
         let map = self.sd_map_nmm;
@@ -85,7 +87,8 @@ impl MapPredictor {
     /// Checks the artefact and rebuilds its factors.
     ///
     /// # Errors
-    /// As [`MapArtefact::check`], and [`MapError::NotPositiveDefinite`] where the covariance cannot be factorised.
+    /// As [`MapArtefact::check`], and [`MapError::NotPositiveDefinite`] where the covariance cannot
+    /// be factorised.
     pub fn new(artefact: &MapArtefact) -> Result<Self, MapError> {
         artefact.check()?;
         let scale =
@@ -104,7 +107,8 @@ impl MapPredictor {
         })
     }
 
-    /// Moments (N mm) of one temperature-compensated reading (pm), with deviations and the distance from the valid region.
+    /// Moments (N mm) of one temperature-compensated reading (pm), with deviations and the distance
+    /// from the valid region.
     pub fn predict(&mut self, shift_pm: [f64; 2]) -> MapPrediction {
         let z = [0, 1].map(|c| (shift_pm[c] - self.centre_pm[c]) / self.scale_pm);
         let mut out = MapPrediction {

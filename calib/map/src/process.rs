@@ -1,11 +1,12 @@
-//! One output: generalised least squares with a trend and a correlated part, its leave-out errors and its predictions.
+//! One output: generalised least squares with a trend and a correlated part, its leave-out errors
+//! and its predictions.
 //!
-//! y = H b + f + e, cov(f) = s2 K, cov(e) = s2 nu I, C = K + nu I = L L^T, G = L^-1 H:
-//! b = (G^T G)^-1 G^T L^-1 y, a = C^-1 (y - H b), s2 = |L^-1 (y - H b)|^2 / (n - terms).
-//! At z: mean = h . b + k . a, variance = s2 [k(0) - |v|^2 + u . (G^T G)^-1 u], v = L^-1 k, u = h - G^T v; noise adds s2 nu.
-//! Left out as a group g: e_g = (P_gg)^-1 (P y)_g, P = C^-1 - C^-1 H (H^T C^-1 H)^-1 H^T C^-1, P y = a.
-//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 2.7 and 5.4.2; O. Dubrule, Math. Geol. 15
-//! (1983).
+//! y = H b + f + e, cov(f) = s2 K, cov(e) = s2 nu I, C = K + nu I = L L^T, G = L^-1 H: b = (G^T
+//! G)^-1 G^T L^-1 y, a = C^-1 (y - H b), s2 = |L^-1 (y - H b)|^2 / (n - terms). At z: mean = h .
+//! b + k . a, variance = s2 [k(0) - |v|^2 + u . (G^T G)^-1 u], v = L^-1 k, u = h - G^T v; noise
+//! adds s2 nu. Left out as a group g: e_g = (P_gg)^-1 (P y)_g, P = C^-1 - C^-1 H (H^T C^-1 H)^-1
+//! H^T C^-1, P y = a. Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine
+//! Learning" (2006), sec. 2.7 and 5.4.2; O. Dubrule, Math. Geol. 15 (1983).
 
 use crate::error::MapError;
 use crate::kernel::Kernel;
@@ -14,7 +15,8 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Trend, correlation and noise of one output.
 ///
-/// y = H b + f + e with cov(f) = s2 K and cov(e) = s2 nugget I; s2 is profiled out unless it is given.
+/// y = H b + f + e with cov(f) = s2 K and cov(e) = s2 nugget I; s2 is profiled out unless it is
+/// given.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProcessModel {
     /// Mean.
@@ -111,7 +113,8 @@ impl Process {
     /// Conditions the model on data (n scaled inputs, n outputs).
     ///
     /// # Errors
-    /// [`MapError::NotPositiveDefinite`], [`MapError::RankDeficient`] or, with too few readings for the trend, [`MapError::TooFew`].
+    /// [`MapError::NotPositiveDefinite`], [`MapError::RankDeficient`] or, with too few readings for
+    /// the trend, [`MapError::TooFew`].
     pub fn fit(model: ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Result<Self, MapError> {
         let terms = model.trend.terms();
         if inputs.len() < terms + 2 {
@@ -157,7 +160,8 @@ impl Process {
         self.variance * self.model.nugget
     }
 
-    /// Mean at a scaled input and the variances of the mean without and with noise, output units squared.
+    /// Mean at a scaled input and the variances of the mean without and with noise, output units
+    /// squared.
     pub fn predict(&self, z: [f64; 2]) -> (f64, f64, f64) {
         let kernel = &self.model.kernel;
         let k = DVector::from_iterator(
@@ -167,7 +171,8 @@ impl Process {
                 .map(|x| kernel.at(crate::geometry::distance(*x, z))),
         );
         let h = DVector::from_column_slice(&self.model.trend.basis(z)[..self.model.trend.terms()]);
-        // What the data tell of f takes its prior variance down; what they leave open of b puts some on again.
+        // What the data tell of f takes its prior variance down; what they leave open of b puts
+        // some on again.
         let mean = h.dot(&self.beta) + k.dot(&self.alpha);
         let v = self.factor.l.solve_lower_triangular(&k).unwrap_or(k);
         let mut spread = kernel.at_zero() - v.norm_squared();
@@ -197,8 +202,9 @@ impl Process {
         p
     }
 
-    /// Errors of each group when it is omitted, from the inverse alone (Dubrule 1983; Rasmussen & Williams 2006, eq. 5.12):
-    /// e_g = (P_gg)^-1 (P y)_g. Hyperparameters stay; trend and, where it is estimated, s2 are those of the rest.
+    /// Errors of each group when it is omitted, from the inverse alone (Dubrule 1983; Rasmussen &
+    /// Williams 2006, eq. 5.12): e_g = (P_gg)^-1 (P y)_g. Hyperparameters stay; trend and, where it
+    /// is estimated, s2 are those of the rest.
     pub fn leave_out(&self, groups: &[Vec<usize>]) -> Vec<LeftOut> {
         let p = self.projection();
         let total = self.dof.map_or(0.0, |nu| nu * self.variance);

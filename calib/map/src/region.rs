@@ -1,7 +1,8 @@
 //! Where the map may be used.
 //!
-//! Valid where dist(s, hull) <= margin = share * max |s_i - s_j|: outside the hull the map extrapolates, and its stated variance, which
-//! rests on the kernel alone, is no longer tested by any left-out reading.
+//! Valid where dist(s, hull) <= margin = share * max |s_i - s_j|: outside the hull the map
+//! extrapolates, and its stated variance, which rests on the kernel alone, is no longer tested by
+//! any left-out reading.
 
 use crate::geometry::{convex_hull, diameter, distance_to_polygon};
 use schemars::JsonSchema;
@@ -10,7 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Default margin of the valid region as a share of the diameter of the readings.
 pub const DEFAULT_MARGIN: f64 = 0.1;
 
-/// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a margin.
+/// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a
+/// margin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ValidRegion {
     /// Always `hull`.

@@ -1,9 +1,10 @@
 //! Preset `released`: the map of the code released with arXiv 2410.14005.
 //!
-//! There (WhiskerFBG, commit fe9700e) one zero-mean process a moment is conditioned on min-max scaled data with the
-//! unscaled kernel (2 r^3 - 3 R r^2 + R^3)/12, R = 1000. Its parameter `variance` = 3 is a noise standard deviation: 3^2
-//! goes on the diagonal of the square covariance, on top of the Gaussian likelihood's default variance of 1. Nothing is
-//! optimised. The released program also moves each record's first prediction to zero moment, which is tare, not map.
+//! There (WhiskerFBG, commit fe9700e) one zero-mean process a moment is conditioned on min-max
+//! scaled data with the unscaled kernel (2 r^3 - 3 R r^2 + R^3)/12, R = 1000. Its parameter
+//! `variance` = 3 is a noise standard deviation: 3^2 goes on the diagonal of the square covariance,
+//! on top of the Gaussian likelihood's default variance of 1. Nothing is optimised. The released
+//! program also moves each record's first prediction to zero moment, which is tare, not map.
 
 use crate::error::MapError;
 use crate::kernel::Kernel;
@@ -36,7 +37,8 @@ pub fn model() -> ProcessModel {
     }
 }
 
-/// The training set in the released scaling; moments keep their zero at scaled output 0 and their unit.
+/// The training set in the released scaling; moments keep their zero at scaled output 0 and their
+/// unit.
 ///
 /// # Errors
 /// [`MapError::RadiusTooSmall`] where the readings spread over more than R / 1.6 scaled units.

@@ -1,14 +1,18 @@
-//! Quantiles and densities of standardised errors: Student t with known degrees of freedom, or normal.
+//! Quantiles and densities of standardised errors: Student t with known degrees of freedom, or
+//! normal.
 //!
-//! An error over its estimated scale with nu degrees of freedom follows t_nu; its central 95 % are +- t_(0.975, nu), 1.960 for a known
-//! scale. Of n trials with success p the counts k with P(X <= k) > 0.025 and P(X >= k) > 0.025 are not contradicted at 5 %
-//! (C. Clopper & E. Pearson, Biometrika 26, 1934).
+//! An error over its estimated scale with nu degrees of freedom follows t_nu; its central 95 % are
+//! +- t_(0.975, nu), 1.960 for a known scale. Of n trials with success p the counts k with P(X <=
+//! k) > 0.025 and P(X >= k) > 0.025 are not contradicted at 5 % (C. Clopper & E. Pearson,
+//! Biometrika 26, 1934).
 
 use statrs::distribution::{Binomial, Continuous, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 
-/// Half width of a central 95 % interval in standard deviations (the t scale, not the t standard deviation).
+/// Half width of a central 95 % interval in standard deviations (the t scale, not the t standard
+/// deviation).
 pub fn half95(dof: Option<f64>) -> f64 {
-    // Past a million degrees of freedom it is the normal distribution's to 2e-6, and the search for it takes minutes.
+    // Past a million degrees of freedom it is the normal distribution's to 2e-6, and the search for
+    // it takes minutes.
     match dof
         .filter(|nu| *nu <= 1e6)
         .and_then(|nu| StudentsT::new(0.0, 1.0, nu).ok())
@@ -34,7 +38,8 @@ pub(crate) fn log_density(z: f64, dof: Option<f64>) -> f64 {
     }
 }
 
-/// Smallest and largest count of `n` trials that a success rate of `p` does not contradict at the two-sided 5 % level.
+/// Smallest and largest count of `n` trials that a success rate of `p` does not contradict at the
+/// two-sided 5 % level.
 pub fn binomial_bounds(n: usize, p: f64) -> [usize; 2] {
     let Ok(law) = Binomial::new(p, n as u64) else {
         return [0, n];

@@ -13,11 +13,13 @@ pub struct MapTraining {
     pub moments_nmm: Vec<[f64; 2]>,
     /// Trajectory of each reading; none at rest. Rest readings stay in every training fold.
     pub trajectory: Vec<Option<u32>>,
-    /// Pose group: readings that share it are left out together by leave-one-out. Empty: every reading is its own pose.
+    /// Pose group: readings that share it are left out together by leave-one-out. Empty: every
+    /// reading is its own pose.
     pub pose: Vec<u32>,
     /// Point numbers.
     pub point: Vec<i64>,
-    /// Standard deviation of the readings' own noise, pm, where known (from replicates or sample spread).
+    /// Standard deviation of the readings' own noise, pm, where known (from replicates or sample
+    /// spread).
     pub noise_sd_pm: Option<[f64; 2]>,
 }
 
@@ -35,8 +37,8 @@ impl MapTraining {
     /// Checks lengths, finiteness and size.
     ///
     /// # Errors
-    /// [`MapError::Length`], [`MapError::NotFinite`] or [`MapError::TooFew`] (fewer than 5: three affine coefficients and
-    /// two degrees of freedom).
+    /// [`MapError::Length`], [`MapError::NotFinite`] or [`MapError::TooFew`] (fewer than 5: three
+    /// affine coefficients and two degrees of freedom).
     pub fn validate(&self) -> Result<(), MapError> {
         let n = self.len();
         let lengths = [
@@ -140,7 +142,8 @@ impl MapTraining {
         self.moments_nmm.iter().map(|m| m[moment]).collect()
     }
 
-    /// Centre (pm) and one common scale (pm) for both gratings: a common scale keeps the kernel isotropic in wavelength.
+    /// Centre (pm) and one common scale (pm) for both gratings: a common scale keeps the kernel
+    /// isotropic in wavelength.
     pub fn input_scaling(&self) -> ([f64; 2], f64) {
         let (centre, spread) = centre_and_spread(&self.shifts_pm);
         (centre, if spread > 0.0 { spread } else { 1.0 })

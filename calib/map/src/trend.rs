@@ -1,7 +1,7 @@
 //! Explicit basis functions of the mean.
 //!
-//! h(x) = (1, x1, x2, x1^2, x1 x2, x2^2), cut after 0, 1, 3 or 6 terms; mean h(x) . b with b estimated (universal kriging: N. Cressie,
-//! "Statistics for Spatial Data", 1993, sec. 3.4).
+//! h(x) = (1, x1, x2, x1^2, x1 x2, x2^2), cut after 0, 1, 3 or 6 terms; mean h(x) . b with b
+//! estimated (universal kriging: N. Cressie, "Statistics for Spatial Data", 1993, sec. 3.4).
 
 use nalgebra::DMatrix;
 use schemars::JsonSchema;

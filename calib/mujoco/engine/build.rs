@@ -1,4 +1,5 @@
-//! Links libmujoco where `make setup` has put it; without it the program is built all the same and says so when it is asked.
+//! Links libmujoco where `make setup` has put it; without it the program is built all the same and
+//! says so when it is asked.
 
 use std::path::Path;
 

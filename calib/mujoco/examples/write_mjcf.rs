@@ -1,5 +1,5 @@
-//! A whisker's MJCF and an equilibrium of the continuous rod to compare with: `write_mjcf LINKS OUT.xml` prints JSON.
-//! Used by tests/peers/mujoco_statics.py.
+//! A whisker's MJCF and an equilibrium of the continuous rod to compare with:
+//! `write_mjcf LINKS OUT.xml` prints JSON. Used by tests/peers/mujoco_statics.py.
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use nalgebra::Vector3;

@@ -1,7 +1,10 @@
-//! What MuJoCo's wire gets wrong by its links alone: statics against the continuous rod under the same load.
+//! What MuJoCo's wire gets wrong by its links alone: statics against the continuous rod under the
+//! same load.
 //!
-//! The rod is pulled at 2/3 of its length without friction and gives force F, place s and root moment M; MuJoCo's wire is pushed by the same
-//! F at s until it rests. Errors: |r - r_rod| / |r_rod - r_rest| and |M - M_rod| / |M_rod|; both fall with 1 / links^2 (second order).
+//! The rod is pulled at 2/3 of its length without friction and gives force F, place s and
+//! root moment M; MuJoCo's wire is pushed by the same F at s until it rests. Errors: |r -
+//! r_rod| / |r_rod - r_rest| and |M - M_rod| / |M_rod|; both fall with 1 / links^2 (second
+//! order).
 
 use crate::engine::protocol::{Frame, Request};
 use crate::mjcf::{MjcfOptions, mjcf};

@@ -1,13 +1,16 @@
-//! Damping and contact of MuJoCo's wire: the paper's grid from coarse to fine, then NLopt around the best (all SIMULATED trials).
+//! Damping and contact of MuJoCo's wire: the paper's grid from coarse to fine, then NLopt around
+//! the best (all SIMULATED trials).
 //!
-//! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, docs/src/system.md), and on
-//! a sweep over a ball at two speeds: ripple, speed bias, and how deep the wire overlaps the ball.
+//! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of
+//! the undamped wire's, docs/src/system.md), and on a sweep over a ball at two speeds: ripple,
+//! speed bias, and how deep the wire overlaps the ball.
 //!
-//! min over x of sum_i ((y_i(x) - y_i*) / u_i)^2, x = (damping, width, d0, dmax), y the demands (ring-down as its logarithm) and u the
-//! units that count. Sensitivity: with J the change of y_i / u_i over one step of the grid in each x_k and N = J^T J = V diag(n) V^T, the
-//! standard deviation of x_k with the others free is sqrt(sum_j V_kj^2 / n_j) steps.
-//! Source: M. Powell, "The BOBYQA algorithm", DAMTP 2009/NA06; P. Kaelo & M. Ali, J. Optim. Theory Appl. 130 (2006) (CRS2), both by NLopt;
-//! contact parameters: MuJoCo documentation, "Solver parameters".
+//! min over x of sum_i ((y_i(x) - y_i*) / u_i)^2, x = (damping, width, d0, dmax), y the demands
+//! (ring-down as its logarithm) and u the units that count. Sensitivity: with J the change of y_i /
+//! u_i over one step of the grid in each x_k and N = J^T J = V diag(n) V^T, the standard deviation
+//! of x_k with the others free is sqrt(sum_j V_kj^2 / n_j) steps. Source: M. Powell, "The BOBYQA
+//! algorithm", DAMTP 2009/NA06; P. Kaelo & M. Ali, J. Optim. Theory Appl. 130 (2006) (CRS2), both
+//! by NLopt; contact parameters: MuJoCo documentation, "Solver parameters".
 
 mod trial_rig;
 
@@ -44,15 +47,16 @@ pub struct DynamicsFit {
     pub trials: Vec<Trial>,
     /// Number of the best.
     pub best: usize,
-    /// How much the demands change with a step of the paper's grid in each parameter, in units of what counts; below 1 the data do
-    /// not determine it to a step.
+    /// How much the demands change with a step of the paper's grid in each parameter, in units of
+    /// what counts; below 1 the data do not determine it to a step.
     pub sensitivity: Sensitivity,
     /// Options of the best, 40 links.
     #[serde(skip)]
     pub options: MjcfOptions,
 }
 
-/// Change of all demands together over a step of the paper's grid, each parameter alone; and how well they are known together.
+/// Change of all demands together over a step of the paper's grid, each parameter alone; and how
+/// well they are known together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Sensitivity {
     /// Over 0.005 N m s/rad.
@@ -63,8 +67,9 @@ pub struct Sensitivity {
     pub d0: f64,
     /// Over 0.05.
     pub dmax: f64,
-    /// Standard deviation of each, in steps, with the others free and every demand met to its unit: contact parameters that trade with
-    /// each other are not determined, however strongly each acts alone. At most [`UNKNOWN_STEPS`].
+    /// Standard deviation of each, in steps, with the others free and every demand met to its unit:
+    /// contact parameters that trade with each other are not determined, however strongly each acts
+    /// alone. At most [`UNKNOWN_STEPS`].
     pub together_steps: [f64; 4],
 }
 
@@ -72,7 +77,8 @@ pub struct Sensitivity {
 const UNKNOWN_STEPS: f64 = 1e3;
 
 impl Sensitivity {
-    /// Names of the parameters that the data do not determine to a step of the grid while the others are free.
+    /// Names of the parameters that the data do not determine to a step of the grid while the
+    /// others are free.
     pub fn undetermined(&self) -> Vec<&'static str> {
         let names = ["damping", "width", "d0", "dmax"];
         names
@@ -126,7 +132,8 @@ pub fn fit_dynamics(
         trials.push(trial);
         Ok(trial.score.total)
     };
-    // Damping with a hard contact, then the contact with that damping: the two barely meet in ring-down and overlap.
+    // Damping with a hard contact, then the contact with that damping: the two barely meet in
+    // ring-down and overlap.
     let mut best = Parameters {
         damping_nms_rad: 0.0,
         width_mm: 1.0,

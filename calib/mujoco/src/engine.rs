@@ -1,7 +1,9 @@
-//! MuJoCo, in its own program (`wcal-mujoco`, calib/mujoco/engine) that is spoken to by lines of JSON.
+//! MuJoCo, in its own program (`wcal-mujoco`, calib/mujoco/engine) that is spoken to by lines of
+//! JSON.
 //!
-//! MuJoCo ends the process on some errors (a plugin that does not load, an inconsistent model) and its library may be missing: behind
-//! a pipe both are errors with a name, and whatever else runs goes on. Units of the protocol are SI, as MuJoCo's; the border is here.
+//! MuJoCo ends the process on some errors (a plugin that does not load, an inconsistent model) and
+//! its library may be missing: behind a pipe both are errors with a name, and whatever else runs
+//! goes on. Units of the protocol are SI, as MuJoCo's; the border is here.
 
 pub mod fluid;
 pub mod protocol;
@@ -21,7 +23,8 @@ pub const VARIABLE: &str = "WCAL_MUJOCO";
 
 /// Variable that says how long an answer is waited for, s.
 pub const WAIT_VARIABLE: &str = "WCAL_MUJOCO_WAIT_S";
-/// Longest wait for an answer, s: the longest request is 20,000 steps, some ten seconds on a free core; CoACD takes minutes.
+/// Longest wait for an answer, s: the longest request is 20,000 steps, some ten seconds on a free
+/// core; CoACD takes minutes.
 const WAIT_S: f64 = 300.0;
 const COACD_WAIT_S: f64 = 1800.0;
 /// Tenths of a second that a program may take to end.
@@ -42,7 +45,8 @@ pub struct MujocoEngine {
     pub core_s: f64,
 }
 
-/// Where the program may lie: as the variable says, in the folder of this program (or its parent: tests), or on the path.
+/// Where the program may lie: as the variable says, in the folder of this program (or its parent:
+/// tests), or on the path.
 fn program() -> Result<PathBuf, TwinError> {
     if let Some(named) = std::env::var_os(VARIABLE) {
         let path = PathBuf::from(named);

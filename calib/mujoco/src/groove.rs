@@ -1,7 +1,8 @@
-//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides (facts: groove_tip/SOURCE.md).
+//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides
+//! (facts: groove_tip/SOURCE.md).
 //!
-//! In the released frame the wire leaves its root along +y and bends toward -x; the groove comes from +y. Sessions in the default
-//! frame (x distal, arc toward -z) are turned into it and back.
+//! In the released frame the wire leaves its root along +y and bends toward -x; the groove comes
+//! from +y. Sessions in the default frame (x distal, arc toward -z) are turned into it and back.
 
 use crate::TwinError;
 use crate::mjcf::{MjcfOptions, Touch, WorldParts, convex_parts, mjcf_among};
@@ -14,10 +15,12 @@ use wcal_sim::stl::Stl;
 /// Which twin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
-    /// As released: MuJoCo's composite cable with a rigid first link, the released damping and contact.
+    /// As released: MuJoCo's composite cable with a rigid first link, the released damping and
+    /// contact.
     Released,
-    /// The whisker as measured: clamp right to second order, 40 links; damping, armature and contact as released, scaled with the links:
-    /// that contact is soft where joints are lighter, and the wire sinks through the tip.
+    /// The whisker as measured: clamp right to second order, 40 links; damping, armature and
+    /// contact as released, scaled with the links: that contact is soft where joints are lighter,
+    /// and the wire sinks through the tip.
     Paper,
 }
 
@@ -26,8 +29,8 @@ pub(crate) const START_MM: [f64; 3] = [0.0, 7.855, 0.0];
 /// Tip's body and the root in the world, mm.
 const TIP_MM: [f64; 3] = [0.0, 65.383, 25.85];
 const ROOT_MM: [f64; 3] = [0.0, 0.0, 50.0];
-/// Mass of the tip, kg: the released model counts its parts and its picture. It only slides; how it swings in decides where friction holds
-/// the wire.
+/// Mass of the tip, kg: the released model counts its parts and its picture. It only slides; how it
+/// swings in decides where friction holds the wire.
 const TIP_KG: f64 = 0.037_658_68;
 /// Vertices of the cable that stands for an arc.
 const VERTICES: usize = 40;

@@ -1,8 +1,10 @@
 //! Base moments at the poses of a calibration by MuJoCo's groove bench, and what they hang on.
 //!
-//! The poses are run as released. The groove goes from pose to pose in a quarter of a second, and where the wire is held near its tip it
-//! swings sideways: it still slides over the tip when the moment is read, and MuJoCo's version and step decide how far it has come. Such
-//! poses are recognised without any label: the wire is not at rest, or it rests elsewhere when the groove comes straight from the start.
+//! The poses are run as released. The groove goes from pose to pose in a quarter of a second, and
+//! where the wire is held near its tip it swings sideways: it still slides over the tip when the
+//! moment is read, and MuJoCo's version and step decide how far it has come. Such poses are
+//! recognised without any label: the wire is not at rest, or it rests elsewhere when the groove
+//! comes straight from the start.
 
 use crate::engine::protocol::{Frame, Request};
 use crate::groove::{Preset, START_MM, bench, released_from};
@@ -33,7 +35,8 @@ const AGAIN: Settle = Settle {
 const CHECK_STEPS: u64 = 250;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
 const REST_RAD_S: f64 = 1e-3;
-/// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
+/// Another equilibrium: moments that differ by this share of them and this many N mm; less is
+/// friction's doing.
 const ELSEWHERE: [f64; 2] = [0.05, 0.02];
 /// Share of steps with a change between touching and free past which a settled wire chatters.
 const CHATTER: f64 = 0.02;
@@ -65,7 +68,8 @@ pub struct PoseLabel {
     pub overlap_mm: f64,
     /// Fastest joint at the end, rad/s.
     pub fastest_rad_s: f64,
-    /// Change of the moment over the second half of the settling, N mm: what damping still holds back.
+    /// Change of the moment over the second half of the settling, N mm: what damping still holds
+    /// back.
     pub creep_nmm: f64,
     /// Whether the wire touches and comes free from step to step.
     pub chatters: bool,
@@ -82,8 +86,8 @@ impl PoseLabel {
     }
 }
 
-/// Labels at the groove's places of each trajectory (session's frame, in order of travel); trajectories run side by side. `each` is called
-/// twice a place.
+/// Labels at the groove's places of each trajectory (session's frame, in order of travel);
+/// trajectories run side by side. `each` is called twice a place.
 ///
 /// # Errors
 /// Where the engine is missing or dies.
@@ -116,8 +120,9 @@ pub fn labels(
     Ok(labels)
 }
 
-/// The trajectories as the released program ran them: one after the other, the wire's motion carried on, which decides where friction
-/// holds it. Between them the groove goes ten steps out for every step back, until that stands still, then to its start.
+/// The trajectories as the released program ran them: one after the other, the wire's motion
+/// carried on, which decides where friction holds it. Between them the groove goes ten steps out
+/// for every step back, until that stands still, then to its start.
 fn released(
     whisker: &WhiskerSpec,
     preset: Preset,

@@ -1,11 +1,14 @@
-//! The whisker as a MuJoCo model (MJCF, SI units): rigid links joined by three hinges a joint, springs from the section's stiffness.
+//! The whisker as a MuJoCo model (MJCF, SI units): rigid links joined by three hinges a joint,
+//! springs from the section's stiffness.
 //!
-//! Stiffness of joint j: diag(GJ, EI, EI) / span_j, span h, at the clamp h / 2; damping and armature proportional to it (Rayleigh). Mass of a
-//! link: rho pi D^2 h / 4. Symbols as in `wcal_rod::discrete`.
+//! Stiffness of joint j: diag(GJ, EI, EI) / span_j, span h, at the clamp h / 2; damping and
+//! armature proportional to it (Rayleigh). Mass of a link: rho pi D^2 h / 4. Symbols as in
+//! `wcal_rod::discrete`.
 //!
-//! The rest shape is in the bodies' poses, so that every spring rests at zero. Twist and bending have their own stiffness, which a ball
-//! joint cannot have; three hinges in one place turn as it does up to the second order of a joint's angle. The clamp's spring spans half
-//! a link: the plain layout is too stiff there by 1.5/N (docs/src/method.md, Rod). No plugin is needed.
+//! The rest shape is in the bodies' poses, so that every spring rests at zero. Twist and bending
+//! have their own stiffness, which a ball joint cannot have; three hinges in one place turn as it
+//! does up to the second order of a joint's angle. The clamp's spring spans half a link: the plain
+//! layout is too stiff there by 1.5/N (docs/src/method.md, Rod). No plugin is needed.
 
 use crate::TwinError;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
@@ -15,8 +18,9 @@ use std::fmt::Write as _;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{DiscreteRod, Section, Shape};
 
-/// What a model needs besides the wire. Damping and armature are stated over the stiffness: they then scale with the number of links
-/// as it does, and the wire's motion does not depend on that number.
+/// What a model needs besides the wire. Damping and armature are stated over the stiffness: they
+/// then scale with the number of links as it does, and the wire's motion does not depend on that
+/// number.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MjcfOptions {
     /// Links.

@@ -1,4 +1,5 @@
-//! The MJCF text: bodies nest, rest shape and stiffness are the rod's. tests/peers/mujoco_statics.py loads it into MuJoCo itself.
+//! The MJCF text: bodies nest, rest shape and stiffness are the rod's.
+//! tests/peers/mujoco_statics.py loads it into MuJoCo itself.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;

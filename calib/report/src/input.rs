@@ -10,18 +10,20 @@ use wcal_core::{Provenance, ResidualRecord};
 pub struct ReportInput {
     /// Heading, e.g. `Calibration of whisker 3`; empty: the session identifier stands for it.
     pub title: String,
-    /// How the data was simulated, where that is known. Whether they are is for `verify.simulated` to say: the page carries a
-    /// SIMULATED badge there.
+    /// How the data was simulated, where that is known. Whether they are is for `verify.simulated`
+    /// to say: the page carries a SIMULATED badge there.
     pub simulated_by: Option<String>,
     /// The explanation was accepted on request, although the data leave others open.
     pub accepted_on_request: bool,
-    /// Name and value of what the reader should know of the session: wire, medium, rows by role, devices.
+    /// Name and value of what the reader should know of the session: wire, medium, rows by role,
+    /// devices.
     pub facts: Vec<Fact>,
     /// Result of `verify`.
     pub verify: VerifyDocument,
     /// Every reading with its residuals, in time order.
     pub residuals: Vec<ResidualRecord>,
-    /// Further held-out errors in addition to `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
+    /// Further held-out errors in addition to `verify.before` and `verify.after`: the black-box
+    /// rival, other splits, repaired labels.
     pub further_errors: Vec<NamedError>,
     /// Tests of the omnibus gate.
     pub gate: Vec<GateTest>,
@@ -68,7 +70,8 @@ impl ReportInput {
         model_after(&self.verify, self.accepted_on_request)
     }
 
-    /// Unit of the response as the residual records give it; empty for kinds that name their unit themselves.
+    /// Unit of the response as the residual records give it; empty for kinds that name their unit
+    /// themselves.
     pub(crate) fn response_unit(&self) -> &str {
         let own = self.verify.kind == "transducer";
         self.residuals
@@ -193,7 +196,8 @@ pub struct EvidenceRow {
 /// A line of the overview page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IndexEntry {
-    /// Link to the session's report, relative to the overview page; `#...` within one page; empty: no link.
+    /// Link to the session's report, relative to the overview page; `#...` within one page; empty:
+    /// no link.
     pub href: String,
     /// Heading of the session's report.
     pub title: String,

@@ -1,7 +1,9 @@
-//! Renders the results of a session to one self-contained HTML page that reads well offline, in print, in light and in dark.
+//! Renders the results of a session to one self-contained HTML page that reads well offline, in
+//! print, in light and in dark.
 //!
-//! The crate computes nothing: it shows what other crates computed. The only arithmetic is that of display: scaling of
-//! axes, the difference measured − predicted, and the ratio of an error to what the model after expects.
+//! The crate computes nothing: it shows what other crates computed. The only arithmetic is that of
+//! display: scaling of axes, the difference measured − predicted, and the ratio of an error to what
+//! the model after expects.
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.

@@ -1,8 +1,10 @@
-//! Escaping and tables: every text passes through here, so the page stays well-formed whatever a session holds.
+//! Escaping and tables: every text passes through here, so the page stays well-formed whatever a
+//! session holds.
 
 use std::fmt::Write;
 
-/// Text that is safe inside elements and attribute values; characters that XML forbids become U+FFFD.
+/// Text that is safe inside elements and attribute values; characters that XML forbids become
+/// U+FFFD.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

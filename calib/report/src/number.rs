@@ -3,7 +3,8 @@
 /// What stands for a value that is not finite.
 pub const NOT_AVAILABLE: &str = "n/a";
 
-/// Four significant digits without trailing zeros, e.g. `0.6`, `134.1`, `2.052×10⁻⁴`; `n/a` where not finite.
+/// Four significant digits without trailing zeros, e.g. `0.6`, `134.1`, `2.052×10⁻⁴`; `n/a` where
+/// not finite.
 pub fn number(value: f64) -> String {
     significant(value, 4)
 }

@@ -137,8 +137,8 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
-/// A page without a verdict: line above the heading and heading, whether the data are simulated, facts, and sections (anchor, heading,
-/// content) of which empty ones are left out.
+/// A page without a verdict: line above the heading and heading, whether the data are simulated,
+/// facts, and sections (anchor, heading, content) of which empty ones are left out.
 pub fn plain_page(
     (over, title): (&str, &str),
     simulated: bool,

@@ -1,5 +1,5 @@
-//! The page of shapes from stereo pictures: the shapes in space (to be turned), and for every pair its pictures with what was found drawn
-//! on them and the residuals along the wire.
+//! The page of shapes from stereo pictures: the shapes in space (to be turned), and for every pair
+//! its pictures with what was found drawn on them and the residuals along the wire.
 
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, escape, list};
@@ -204,7 +204,8 @@ fn space(input: &ShapesInput) -> String {
             |p| serde_json::json!({"name": p.name, "line": p.centreline_mm, "groove": p.groove_mm}),
         )
         .collect();
-    // Neither markup nor the end of the script may come out of a name, and the page stays well-formed XML.
+    // Neither markup nor the end of the script may come out of a name, and the page stays
+    // well-formed XML.
     let data = serde_json::Value::from(pairs).to_string();
     let data = data
         .replace('<', "\\u003c")

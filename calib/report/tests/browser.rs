@@ -1,4 +1,5 @@
-//! Opens the sample pages in a real browser: no console message, every section laid out, nothing wider than a phone.
+//! Opens the sample pages in a real browser: no console message, every section laid out, nothing
+//! wider than a phone.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 #[path = "../examples/sample/data.rs"]

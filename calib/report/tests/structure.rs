@@ -1,4 +1,5 @@
-//! Structure of the pages: well-formed, complete, escaped, free of NaN and of anything from outside.
+//! Structure of the pages: well-formed, complete, escaped, free of NaN and of anything from
+//! outside.
 
 #[path = "../examples/sample/data.rs"]
 mod data;

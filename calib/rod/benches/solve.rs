@@ -1,4 +1,5 @@
-//! One solve and one trajectory at the working mesh, numbers compared with scipy's in tests/peers/rod_peers.py.
+//! One solve and one trajectory at the working mesh, numbers compared with scipy's in
+//! tests/peers/rod_peers.py.
 #![allow(clippy::expect_used, reason = "a measurement")]
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::Vector3;

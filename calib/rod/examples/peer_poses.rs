@@ -1,6 +1,7 @@
 //! Prints poses, base moments and the time of one solve as JSON for tests/peers/rod_peers.py.
 //!
-//! Each pose is solved from the equilibrium of the pose 0.3 mm before it, as a calibration sweep does.
+//! Each pose is solved from the equilibrium of the pose 0.3 mm before it, as a calibration sweep
+//! does.
 
 use nalgebra::Vector3;
 use std::io::Write;

@@ -1,8 +1,9 @@
 //! The wire as rigid links with springs at their joints: rest turns and stiffness.
 //!
-//! Rest turn w0_j = int u0 over the wire that joint j stands for, stiffness K_j = diag(GJ, EI, EI) / span_j. Joints lie between link
-//! centres; the clamp's spring spans half a link, which makes the scheme second order at the root.
-//! Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
+//! Rest turn w0_j = int u0 over the wire that joint j stands for, stiffness K_j = diag(GJ, EI, EI)
+//! / span_j. Joints lie between link centres; the clamp's spring spans half a link, which makes the
+//! scheme second order at the root. Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27
+//! (2008), with rigid links for the inextensible wire.
 
 use crate::{Rod, RodError, Section, Shape, Softening};
 use nalgebra::{Matrix3, Vector3};
@@ -14,7 +15,8 @@ pub struct DiscreteRod {
     pub link_mm: f64,
     /// Radius of the wire, mm.
     pub radius_mm: f64,
-    /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
+    /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the
+    /// clamp's first.
     joints: Vec<(Vector3<f64>, Vector3<f64>)>,
     clamp: Matrix3<f64>,
     softening: Option<Softening>,
@@ -23,7 +25,8 @@ pub struct DiscreteRod {
 }
 
 impl DiscreteRod {
-    /// `links` rigid links for a wire of `section` and `diameter_mm` (mm) that is at rest in `shape`.
+    /// `links` rigid links for a wire of `section` and `diameter_mm` (mm) that is at rest in
+    /// `shape`.
     ///
     /// # Errors
     /// Without links, or where the wire has no thickness or stiffness.
@@ -43,7 +46,8 @@ impl DiscreteRod {
             });
         }
         let link_mm = shape.length_mm / links as f64;
-        // A joint stands for the wire between the middles of its two links; the first from the clamp to the middle of link 0.
+        // A joint stands for the wire between the middles of its two links; the first from the
+        // clamp to the middle of link 0.
         let joints = (0..links)
             .map(|j| {
                 let (from, to) = (
@@ -81,7 +85,8 @@ impl DiscreteRod {
         })
     }
 
-    /// Turn of a joint from its rest, rad, where a linear one turns by `linear`: past the onset bending is softer.
+    /// Turn of a joint from its rest, rad, where a linear one turns by `linear`: past the onset
+    /// bending is softer.
     pub(crate) fn softened(&self, joint: usize, linear: Vector3<f64>) -> Vector3<f64> {
         let Some(softening) = self.softening else {
             return linear;
@@ -105,7 +110,8 @@ impl DiscreteRod {
         self.joints.len()
     }
 
-    /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
+    /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the
+    /// clamp's first.
     pub fn joints(&self) -> &[(Vector3<f64>, Vector3<f64>)] {
         &self.joints
     }

@@ -1,7 +1,7 @@
 //! Forward-mode derivatives by the three components of the contact force.
 //!
-//! a + b e_i with e_i e_j = 0: (f g)' = f' g + f g', f(a)' = f'(a) a'. Source: A. Griewank & A. Walther, "Evaluating Derivatives" (2008),
-//! ch. 3.
+//! a + b e_i with e_i e_j = 0: (f g)' = f' g + f g', f(a)' = f'(a) a'. Source: A. Griewank & A.
+//! Walther, "Evaluating Derivatives" (2008), ch. 3.
 
 use std::ops::{Add, Mul, Sub};
 

@@ -1,15 +1,19 @@
-//! Inverse statics of the discrete rod under one point force, from the contact inward: explicit, without a search for the equilibrium.
+//! Inverse statics of the discrete rod under one point force, from the contact inward: explicit,
+//! without a search for the equilibrium.
 //!
-//! In the frame of the link that is loaded, with the force f at c and nothing beyond: for j from that link to the root
-//! m_j = (c - x_j) x f (moment at joint j), w_j = w0_j + K_j^-1 J_r(w_j)^T R_j^T m_j, R_(j-1) = R_j exp(-w_j), x_(j-1) = x_j - h R_(j-1) e1.
-//! The root's frame, place and moment come out at the end; rotated so that the root stands in the clamp, which yields by that moment, they are
-//! the base's. Past the onset of softening a joint's turn from its rest is that of the section's law.
-//! Each joint is solved by a fixed point with Newton's slope at the start. Symbols as in [`crate::discrete::rod`].
+//! In the frame of the link that is loaded, with the force f at c and nothing beyond: for j from
+//! that link to the root m_j = (c - x_j) x f (moment at joint j), w_j = w0_j + K_j^-1 J_r(w_j)^T
+//! R_j^T m_j, R_(j-1) = R_j exp(-w_j), x_(j-1) = x_j - h R_(j-1) e1. The root's frame, place and
+//! moment come out at the end; rotated so that the root stands in the clamp, which yields by that
+//! moment, they are the base's. Past the onset of softening a joint's turn from its rest is that of
+//! the section's law. Each joint is solved by a fixed point with Newton's slope at the start.
+//! Symbols as in [`crate::discrete::rod`].
 
 use crate::DiscreteRod;
 use nalgebra::{Matrix3, Vector3};
 
-/// Steps of the fixed point for a joint's turn; its factor of contraction is a quarter of the turn at most.
+/// Steps of the fixed point for a joint's turn; its factor of contraction is a quarter of the turn
+/// at most.
 const TURN_STEPS: usize = 12;
 /// Change of a joint's turn at which it has settled, rad.
 const TURN_AGREES: f64 = 1e-10;
@@ -34,8 +38,8 @@ pub struct PointLoad {
 }
 
 impl DiscreteRod {
-    /// Contact place, force and root moment in the base frame for a force (N), given in the frame of the link that it acts on, at an arc
-    /// length (mm).
+    /// Contact place, force and root moment in the base frame for a force (N), given in the frame
+    /// of the link that it acts on, at an arc length (mm).
     pub fn under_point_load(&self, arclength_mm: f64, force_n: &Vector3<f64>) -> PointLoad {
         let last = ((arclength_mm / self.link_mm).max(0.0) as usize).min(self.links() - 1);
         // In the frame of the link that is pushed, from its inner end.
@@ -43,7 +47,8 @@ impl DiscreteRod {
         let (mut frame, mut node, mut moment) =
             (Matrix3::identity(), Vector3::zeros(), Vector3::zeros());
         for j in (0..=last).rev() {
-            // Beyond a joint only f acts: its moment gives the joint's turn, and that the next link inward.
+            // Beyond a joint only f acts: its moment gives the joint's turn, and that the next link
+            // inward.
             moment = (touched - node).cross(force_n);
             let turn = self.joint_rotation(j, &frame.tr_mul(&moment));
             frame *= rotation(&-turn);
@@ -51,7 +56,8 @@ impl DiscreteRod {
                 node -= frame.column(0) * self.link_mm;
             }
         }
-        // All is turned so that the root stands in the clamp; one that yields turns with the moment that it carries, which turns with it.
+        // All is turned so that the root stands in the clamp; one that yields turns with the moment
+        // that it carries, which turns with it.
         let stiff = self.clamp_frame() * frame.transpose();
         let mut base = stiff;
         if self.compliance != Vector3::zeros() {
@@ -68,7 +74,8 @@ impl DiscreteRod {
         }
     }
 
-    /// Rotation vector (rad) of a joint that carries a moment (N mm, frame of the link beyond it): rest + J_r(turn)^T moment / stiffness.
+    /// Rotation vector (rad) of a joint that carries a moment (N mm, frame of the link beyond it):
+    /// rest + J_r(turn)^T moment / stiffness.
     fn joint_rotation(&self, joint: usize, moment_nmm: &Vector3<f64>) -> Vector3<f64> {
         let (rest, stiffness) = self.joints()[joint];
         let soft = stiffness.map(f64::recip);
@@ -96,7 +103,8 @@ impl DiscreteRod {
     }
 }
 
-/// Transposed right Jacobian of the rotation vector `w` times `m`: m + (1 - cos)/w^2 w x m + (w - sin)/w^3 w x (w x m).
+/// Transposed right Jacobian of the rotation vector `w` times `m`: m + (1 - cos)/w^2 w x m + (w -
+/// sin)/w^3 w x (w x m).
 fn right_jacobian_transposed(w: &Vector3<f64>, m: &Vector3<f64>) -> Vector3<f64> {
     let (_, a, b) = rotation_factors(w.norm_squared());
     let once = w.cross(m);
@@ -112,7 +120,8 @@ fn rotation(w: &Vector3<f64>) -> Matrix3<f64> {
     r
 }
 
-/// sin(w)/w, (1 - cos(w))/w^2 and (w - sin(w))/w^3 by the square of w; a link's turn is small, its series is at the last digit after seven terms.
+/// sin(w)/w, (1 - cos(w))/w^2 and (w - sin(w))/w^3 by the square of w; a link's turn is small, its
+/// series is at the last digit after seven terms.
 fn rotation_factors(w2: f64) -> (f64, f64, f64) {
     if w2 > SERIES_RAD2 {
         let w = w2.sqrt();

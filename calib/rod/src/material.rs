@@ -1,8 +1,9 @@
 //! Section stiffness: bending, torsion, taper along the wire, and softening past a yield curvature.
 //!
-//! du = (m1 / GJ, m2 / EI, m3 / EI) / c(s), c(s) = (1 + (e - 1) s/L)^4 with e^4 = 1 + taper (a diameter that changes linearly).
-//! Past the onset kappa_y (change of curvature) the bending part is scaled: |M| = EI kappa_y y(x), x = |du| / kappa_y, with y(x) the
-//! [`Softening`]. The circular section's y is the integral of its stress: elastic inside |z| < q radius, flat beyond.
+//! du = (m1 / GJ, m2 / EI, m3 / EI) / c(s), c(s) = (1 + (e - 1) s/L)^4 with e^4 = 1 + taper (a
+//! diameter that changes linearly). Past the onset kappa_y (change of curvature) the bending part
+//! is scaled: |M| = EI kappa_y y(x), x = |du| / kappa_y, with y(x) the [`Softening`]. The circular
+//! section's y is the integral of its stress: elastic inside |z| < q radius, flat beyond.
 
 use crate::dual::{Scalar, V3};
 use schemars::JsonSchema;
@@ -20,8 +21,9 @@ pub enum Softening {
         /// Tangent stiffness past the onset over EI, 0..1.
         ratio: f64,
     },
-    /// Circular section whose stress is flat past the transformation strain, plus a hardening share:
-    /// M/M_y = 2/(3 pi) [ (5 - 2 q^2) sqrt(1 - q^2) + 3 asin(q)/q ], q = onset/curvature; it tends to 16/(3 pi) = 1.698.
+    /// Circular section whose stress is flat past the transformation strain, plus a hardening
+    /// share: M/M_y = 2/(3 pi) [ (5 - 2 q^2) sqrt(1 - q^2) + 3 asin(q)/q ], q = onset/curvature; it
+    /// tends to 16/(3 pi) = 1.698.
     Section {
         /// Onset curvature (change from rest), 1/m.
         onset_per_m: f64,
@@ -51,7 +53,8 @@ impl Softening {
                 let q = 1.0 / x;
                 let root = (1.0 - q * q).sqrt();
                 let value = 2.0 / (3.0 * PI) * ((5.0 - 2.0 * q * q) * root + 3.0 * q.asin() * x);
-                // Only the elastic core carries more: share of the second moment of area inside |y| < q.
+                // Only the elastic core carries more: share of the second moment of area inside |y|
+                // < q.
                 let slope = 2.0 / PI * (q.asin() - q * (1.0 - 2.0 * q * q) * root);
                 (
                     (1.0 - hardening) * value + hardening * x,
@@ -88,7 +91,8 @@ impl Softening {
         for _ in 0..60 {
             let (value, slope) = self.relative_moment(x);
             let step = (y - value) / slope.max(1e-4);
-            // Past the plateau no curvature carries the moment; the cap keeps Newton finite and the outer solve fails cleanly.
+            // Past the plateau no curvature carries the moment; the cap keeps Newton finite and the
+            // outer solve fails cleanly.
             let next = (x + step).clamp(1.0, 60.0);
             if (next - x).abs() < 1e-13 * x {
                 x = next;
@@ -107,7 +111,8 @@ pub struct Section {
     pub ei_nmm2: f64,
     /// Torsional stiffness at the root, N mm^2.
     pub gj_nmm2: f64,
-    /// Relative change of EI from root to tip; the diameter changes linearly and EI with its fourth power.
+    /// Relative change of EI from root to tip; the diameter changes linearly and EI with its fourth
+    /// power.
     pub taper: f64,
     /// Softening past a yield curvature.
     pub softening: Option<Softening>,
@@ -134,7 +139,8 @@ impl Section {
         (1.0 + (end - 1.0) * fraction).powi(4)
     }
 
-    /// Change of body curvature (1/mm) under the body moment `m` (N mm) where the stiffness is `factor` times the root's.
+    /// Change of body curvature (1/mm) under the body moment `m` (N mm) where the stiffness is
+    /// `factor` times the root's.
     #[inline(always)]
     pub fn curvature_change<T: Scalar>(&self, m: &V3<T>, factor: f64) -> V3<T> {
         let twist = m[0].scale(1.0 / (self.gj_nmm2 * factor));

@@ -1,9 +1,11 @@
-//! Rigid motion along the wire: Runge-Kutta-Munthe-Kaas integration on SE(3), fourth order; exact for constant curvature.
+//! Rigid motion along the wire: Runge-Kutta-Munthe-Kaas integration on SE(3), fourth order; exact
+//! for constant curvature.
 //!
-//! g' = g (u, e1) with g = (R, r). One step of length h:
-//! Omega_i = h sum_j a_ij K_j, K_i = dexp^-1_(Omega_i)(xi(g exp(Omega_i))), g_1 = g exp(h sum_i b_i K_i) with the classical a, b (RK4);
-//! dexp^-1_Omega(xi) = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12 for the body frame, enough for fourth order.
-//! Source: H. Munthe-Kaas, "High order Runge-Kutta methods on manifolds", Appl. Numer. Math. 29 (1999).
+//! g' = g (u, e1) with g = (R, r). One step of length h: Omega_i = h sum_j a_ij K_j, K_i =
+//! dexp^-1_(Omega_i)(xi(g exp(Omega_i))), g_1 = g exp(h sum_i b_i K_i) with the classical a, b
+//! (RK4); dexp^-1_Omega(xi) = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12 for the body frame,
+//! enough for fourth order. Source: H. Munthe-Kaas, "High order Runge-Kutta methods on manifolds",
+//! Appl. Numer. Math. 29 (1999).
 
 use crate::dual::{M3, Scalar, V3, add, cross, mat_mat, mat_vec, scaled, sub};
 use nalgebra::Matrix3;
@@ -94,7 +96,8 @@ fn dexp_inverse<T: Scalar>(omega: &Twist<T>, xi: &Twist<T>) -> Twist<T> {
     )
 }
 
-/// One Runge-Kutta step of `h` along the wire from `g`; `twist` gives (u, e1) at an offset from there.
+/// One Runge-Kutta step of `h` along the wire from `g`; `twist` gives (u, e1) at an offset from
+/// there.
 #[inline(always)]
 pub fn step<T: Scalar>(h: f64, g: &Pose<T>, twist: impl Fn(f64, &Pose<T>) -> Twist<T>) -> Pose<T> {
     let times = |k: &Twist<T>, f: f64| -> Twist<T> { (scaled(&k.0, f), scaled(&k.1, f)) };

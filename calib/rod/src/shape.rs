@@ -1,8 +1,9 @@
 //! Rest shape: body curvature u0(s) along the wire, piecewise linear on a fixed mesh.
 //!
-//! Straight part and arc: u0 = (0, 1/radius, 0) past the straight part (the tangent turns toward -z). Polyline: at an inner vertex
-//! u0 = R^T theta a / l with the turning angle theta about a and l the mean length of the two edges; R is carried without twist (Bishop's
-//! frame: R. L. Bishop, Amer. Math. Monthly 82, 1975).
+//! Straight part and arc: u0 = (0, 1/radius, 0) past the straight part (the tangent turns toward
+//! -z). Polyline: at an inner vertex u0 = R^T theta a / l with the turning angle theta about a and
+//! l the mean length of the two edges; R is carried without twist (Bishop's frame: R. L. Bishop,
+//! Amer. Math. Monthly 82, 1975).
 
 use crate::error::RodError;
 use crate::se3::{Pose, matrix_of, rows_of, step};
@@ -77,7 +78,8 @@ impl Shape {
         }
     }
 
-    /// Both transverse curvatures (1/mm) linear between places that are spread evenly from root to tip; the root's tangent is x.
+    /// Both transverse curvatures (1/mm) linear between places that are spread evenly from root to
+    /// tip; the root's tangent is x.
     ///
     /// # Errors
     /// For fewer than two places, or a length or step that is not positive.
@@ -100,7 +102,8 @@ impl Shape {
         Ok(Self::from_pieces(Matrix3::identity(), &pieces, step_mm))
     }
 
-    /// Curvature at an inner vertex = turning angle over the mean length of its two edges, in a frame carried without twist.
+    /// Curvature at an inner vertex = turning angle over the mean length of its two edges, in a
+    /// frame carried without twist.
     fn from_polyline(points: &[Vector3<f64>], step_mm: f64) -> Result<Self, RodError> {
         let edges: Vec<Vector3<f64>> = points.windows(2).map(|w| w[1] - w[0]).collect();
         if edges.len() < 2 || edges.iter().any(|e| !(e.norm() > 1e-9)) {
@@ -149,7 +152,8 @@ impl Shape {
         let mut intervals = Vec::new();
         let mut s = 0.0;
         for (length, u_a, u_b) in pieces {
-            // Equal intervals within a piece: breaks of the curvature fall on nodes, where the integrator keeps its order.
+            // Equal intervals within a piece: breaks of the curvature fall on nodes, where the
+            // integrator keeps its order.
             let count = (length / step_mm).ceil().max(1.0);
             let h = length / count;
             let slope = [0, 1, 2].map(|i| (u_b[i] - u_a[i]) / length);
@@ -199,7 +203,8 @@ impl Shape {
         (nodes, frames)
     }
 
-    /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
+    /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end:
+    /// smooth functions of the wire go on there.
     pub fn extended(&self, by_mm: f64) -> Self {
         let Some(last) = self.intervals.last().filter(|_| by_mm > 0.0) else {
             return self.clone();
@@ -236,7 +241,8 @@ impl Shape {
             .saturating_sub(1)
     }
 
-    /// Point of the unloaded wire at arc length `s_mm`, by cubic Hermite interpolation between nodes.
+    /// Point of the unloaded wire at arc length `s_mm`, by cubic Hermite interpolation between
+    /// nodes.
     pub fn rest_point(&self, s_mm: f64) -> Vector3<f64> {
         let j = self.interval_at(s_mm);
         let h = self.intervals[j].length_mm;

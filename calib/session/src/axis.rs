@@ -61,8 +61,8 @@ pub(crate) fn read_rows(
     Ok((rows, table.input(purpose)))
 }
 
-/// Slope of the measured over the commanded positions, the middle one of the steps between readings: an overflow value or a single wrong target
-/// does not move it.
+/// Slope of the measured over the commanded positions, the middle one of the steps between
+/// readings: an overflow value or a single wrong target does not move it.
 fn slope(rows: &[[f64; 2]]) -> Option<f64> {
     /// Steps shorter than this share of the travel show the errors more than the scale.
     const MIN_STEP: f64 = 0.05;
@@ -78,8 +78,8 @@ fn slope(rows: &[[f64; 2]]) -> Option<f64> {
     median(slopes)
 }
 
-/// The declared model is measured = commanded + constant, so their slope is close to 1. Another one is a unit (um, m, inch, cm), a sense of
-/// counting, or a column of errors in place of positions.
+/// The declared model is measured = commanded + constant, so their slope is close to 1. Another one
+/// is a unit (um, m, inch, cm), a sense of counting, or a column of errors in place of positions.
 fn unit_mismatch(name: &str, rows: &[[f64; 2]]) -> Result<(), InputError> {
     const UNITS: [f64; 7] = [1e3, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, -1.0];
     /// From here to 1 the slope is a scale error, as large as the catalogue lets it be.

@@ -1,4 +1,5 @@
-//! What a cell of a foreign table holds: a number in one of the forms that programs write, a word for a missing value, or text.
+//! What a cell of a foreign table holds: a number in one of the forms that programs write, a word
+//! for a missing value, or text.
 
 use crate::stamp;
 use std::borrow::Cow;
@@ -9,8 +10,8 @@ const GROUP_MARKS: [char; 6] = [' ', '\u{a0}', '\u{202f}', '\u{2009}', '\'', '\u
 /// The minus sign, and a dash that people type for it.
 const MINUS: [char; 2] = ['\u{2212}', '\u{2013}'];
 
-/// Words for a value that is not there, in small letters: those of programs, spreadsheets, and instruments whose input is open or beyond its
-/// range.
+/// Words for a value that is not there, in small letters: those of programs, spreadsheets, and
+/// instruments whose input is open or beyond its range.
 const MISSING: &[&str] = &[
     "nan",
     "na",
@@ -89,8 +90,8 @@ pub(crate) fn content(cell: &str) -> Content {
     }
 }
 
-/// Whether a cell is a word for a missing value. Spreadsheets begin their errors with `#`, old C libraries have `#` after a digit
-/// (`1.#INF`, `-1.#IND`).
+/// Whether a cell is a word for a missing value. Spreadsheets begin their errors with `#`, old C
+/// libraries have `#` after a digit (`1.#INF`, `-1.#IND`).
 pub(crate) fn is_missing(cell: &str) -> bool {
     let word = cell.to_lowercase();
     let unsigned = word
@@ -123,8 +124,8 @@ pub(crate) fn is_accounted(cell: &str) -> bool {
     })
 }
 
-/// A number as Rust reads it: exponents after `D` (Fortran's double precision) with an `E`, no marks between groups of three digits, a
-/// hyphen for the minus sign, also for a bookkeeper's.
+/// A number as Rust reads it: exponents after `D` (Fortran's double precision) with an `E`, no
+/// marks between groups of three digits, a hyphen for the minus sign, also for a bookkeeper's.
 pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
     if is_accounted(cell) {
         let number = format!("-{}", cell.trim_matches(['(', ')', '-']));

@@ -1,17 +1,20 @@
-//! Numbers that the columns of a table may hold, by their names: one list for every table that is read.
+//! Numbers that the columns of a table may hold, by their names: one list for every table that is
+//! read.
 //!
-//! Overflow codes of instruments (9.9e37, the largest float) have to get through where a reader leaves their rows out by name; squares and
-//! fourth powers of what gets through are still numbers.
+//! Overflow codes of instruments (9.9e37, the largest float) have to get through where a reader
+//! leaves their rows out by name; squares and fourth powers of what gets through are still numbers.
 
 use wcal_core::ranges::Range;
 
-/// The range of a column. Both signs throughout: what may not be negative is said where the column means something.
+/// The range of a column. Both signs throughout: what may not be negative is said where the column
+/// means something.
 pub(crate) fn column_range(name: &str) -> Range {
     let most = match name {
         "t_s" => 1e11,
         "dwell_s" | "fbg_1_sd_pm" | "fbg_2_sd_pm" => 1e9,
         "average_s" | "moment_1_nmm" | "moment_2_nmm" => 1e6,
-        // A table in um passes: it is named as one beside the whisker's length and the trajectories.
+        // A table in um passes: it is named as one beside the whisker's length and the
+        // trajectories.
         "stage_mm" | "speed_mm_s" => 1e5,
         "groove_x_mm" | "groove_y_mm" | "groove_z_mm" => 1e7,
         "object_x_mm" | "object_y_mm" | "object_z_mm" => 1e7,

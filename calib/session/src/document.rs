@@ -1,4 +1,5 @@
-//! `session.toml` as typed sections: what is wrong is named by its key, and keys that nobody knows are remembered.
+//! `session.toml` as typed sections: what is wrong is named by its key, and keys that nobody knows
+//! are remembered.
 
 use crate::error::{InputError, not_utf8};
 use nalgebra::Vector3;
@@ -32,8 +33,8 @@ pub(crate) fn sections<T: DeserializeOwned>(
     read.map_err(|e| of_serde(file, &track.path(), e.message()))
 }
 
-/// An error of a section by its key, as `trajectory #1.origin_mm`. Serde's sentences are "missing field `KEY`" and "invalid type: FOUND,
-/// expected EXPECTED".
+/// An error of a section by its key, as `trajectory #1.origin_mm`. Serde's sentences are "missing
+/// field `KEY`" and "invalid type: FOUND, expected EXPECTED".
 fn of_serde(file: &str, path: &Path, message: &str) -> InputError {
     let mut key = String::new();
     for segment in path.iter() {

@@ -1,14 +1,17 @@
-//! Entries of a session.toml that are added after it was recorded: the rest of the file stays as it is, comments and order included.
+//! Entries of a session.toml that are added after it was recorded: the rest of the file stays as it
+//! is, comments and order included.
 
 use crate::error::{InputError, SessionError, quote};
 use std::path::Path;
 use toml_edit::{DocumentMut, TomlError, table, value};
 use wcal_core::files::write_atomic;
 
-/// Sets texts of `session.toml` by table and key, e.g. `("files", "shapes", "shapes.json")`, in one step.
+/// Sets texts of `session.toml` by table and key, e.g. `("files", "shapes", "shapes.json")`, in one
+/// step.
 ///
 /// # Errors
-/// Where the file cannot be read or written, is no TOML, or has something else where a table must be.
+/// Where the file cannot be read or written, is no TOML, or has something else where a table must
+/// be.
 pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), SessionError> {
     let path = folder.join("session.toml");
     let text =

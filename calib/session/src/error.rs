@@ -64,7 +64,8 @@ impl InputError {
         self
     }
 
-    /// The same of the file that this one was made of, with the line and the name of the column there.
+    /// The same of the file that this one was made of, with the line and the name of the column
+    /// there.
     #[must_use]
     pub fn of_source(
         mut self,

@@ -1,4 +1,5 @@
-//! What `wcal verify --check` says of a session: counts, what is absent and what that hides, and what its reader warned of.
+//! What `wcal verify --check` says of a session: counts, what is absent and what that hides, and
+//! what its reader warned of.
 
 use crate::session::LoadedSession;
 use schemars::JsonSchema;
@@ -257,7 +258,8 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
         .collect()
 }
 
-/// What the noise floor can be taken from: rows that repeat a pose, or trajectories that were run again.
+/// What the noise floor can be taken from: rows that repeat a pose, or trajectories that were run
+/// again.
 fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
     let whisker = if let SessionData::Whisker(data) = data {
         data.rows.as_slice()

@@ -1,4 +1,5 @@
-//! Columns of a foreign table as they are asked for, and tables of the form that a session was imported from.
+//! Columns of a foreign table as they are asked for, and tables of the form that a session was
+//! imported from.
 
 use crate::cell::is_missing;
 use crate::error::{InputError, SessionError, quote};
@@ -19,7 +20,8 @@ const OPTIONAL: [&str; 6] = [
     "stimulus_sd",
 ];
 
-/// Columns of a session that a table has not by itself: the number of the row, and that it is held out.
+/// Columns of a session that a table has not by itself: the number of the row, and that it is held
+/// out.
 const GIVEN: [&str; 2] = ["point", "role"];
 
 /// A column as it is asked for: `COL`, `COL*FACTOR`, or time stamps as `COL since STAMP`.
@@ -67,8 +69,8 @@ pub struct Stamps {
 }
 
 impl TextTable {
-    /// Times of a column of time stamps, empty cells left out; none where it holds numbers. Where the date stands in one column and the clock in
-    /// another, both are read.
+    /// Times of a column of time stamps, empty cells left out; none where it holds numbers. Where
+    /// the date stands in one column and the clock in another, both are read.
     ///
     /// # Errors
     /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
@@ -137,7 +139,8 @@ impl TextTable {
         cell.is_empty() || is_missing(cell)
     }
 
-    /// Columns of the date and of the clock, one of them `column`, the other the nearest that holds nothing else.
+    /// Columns of the date and of the clock, one of them `column`, the other the nearest that holds
+    /// nothing else.
     fn other_part(&self, column: usize, held: &[usize]) -> Option<(usize, usize)> {
         let all = |column: usize, is: fn(&str) -> bool| {
             !held.is_empty() && held.iter().all(|&row| is(&self.rows[row].1[column]))
@@ -216,7 +219,8 @@ impl TextTable {
         other.map_or(Ok(()), |stated| Err(error(stated)))
     }
 
-    /// Numbers of a column by row, empty cells left out: words of a direction as signs, time stamps as seconds.
+    /// Numbers of a column by row, empty cells left out: words of a direction as signs, time stamps
+    /// as seconds.
     ///
     /// # Errors
     /// Where a cell holds anything else.
@@ -239,8 +243,9 @@ impl TextTable {
     }
 }
 
-/// A table of the form that a session was imported from, as a table of that session which messages call `name`, with the session's `units` of
-/// columns; none where it has the session's columns itself, or neither these nor those of the import.
+/// A table of the form that a session was imported from, as a table of that session which messages
+/// call `name`, with the session's `units` of columns; none where it has the session's columns
+/// itself, or neither these nor those of the import.
 ///
 /// # Errors
 /// Where a column or a cell cannot be used.

@@ -1,4 +1,5 @@
-//! The form of a table of another program: where its header and its rows are, and which lines are neither.
+//! The form of a table of another program: where its header and its rows are, and which lines are
+//! neither.
 
 use crate::cell::{Content, content, grouped, is_accounted, name_of};
 use crate::error::{InputError, listed, quote};
@@ -11,7 +12,8 @@ use csv::StringRecord;
 const BELOW: usize = 8;
 /// Lines among which the header is looked for.
 pub(crate) const LOOK: usize = 2000;
-/// How the columns are called under which an oscilloscope writes, once below the header, the first time and the step of its samples.
+/// How the columns are called under which an oscilloscope writes, once below the header, the first
+/// time and the step of its samples.
 const START: [&str; 5] = ["start", "x0", "xzero", "xorigin", "t0"];
 const STEP: [&str; 6] = ["increment", "xincrement", "delta", "interval", "dx", "dt"];
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
@@ -98,8 +100,9 @@ impl Preamble {
         }
     }
 
-    /// Where the file says nothing of its separator and no line with commas has any of the names that are `asked` for, it is the one by which
-    /// a line has most of them. Cells with a comma are decimals then, where one cannot be anything else and none has a dot.
+    /// Where the file says nothing of its separator and no line with commas has any of the names
+    /// that are `asked` for, it is the one by which a line has most of them. Cells with a comma are
+    /// decimals then, where one cannot be anything else and none has a dot.
     pub(crate) fn find_separator(&mut self, text: &str, asked: &[String], decimal_comma: bool) {
         if self.separator.is_some() {
             return;
@@ -182,8 +185,8 @@ pub(crate) struct Form {
     pub(crate) warnings: Vec<String>,
 }
 
-/// Names in a line, the mark of a comment before them left out; a column without one is called by its place, and empty cells at the end name
-/// nothing.
+/// Names in a line, the mark of a comment before them left out; a column without one is called by
+/// its place, and empty cells at the end name nothing.
 fn names(cells: &StringRecord) -> Vec<String> {
     let mut names: Vec<String> = cells.iter().map(name_of).collect();
     // A column may be called # itself.
@@ -213,8 +216,9 @@ pub(crate) fn by_place(index: usize) -> String {
 }
 
 impl Form {
-    /// Finds the table in a text: the line with the most of the columns that are `asked` for is its header; of several, the first with as many fields
-    /// as most lines have. Without any of them it is the first such line.
+    /// Finds the table in a text: the line with the most of the columns that are `asked` for is its
+    /// header; of several, the first with as many fields as most lines have. Without any of them it
+    /// is the first such line.
     pub(crate) fn find(place: &Place<'_>, preamble: &Preamble) -> Result<Self, InputError> {
         let mut all = records(place.text, place.skipped + 1, place.separator);
         let mut form = Self {
@@ -274,7 +278,8 @@ impl Form {
         Ok(form)
     }
 
-    /// First time and step of samples that the first column counts: they stand in the line below the header alone, and are taken out of it.
+    /// First time and step of samples that the first column counts: they stand in the line below
+    /// the header alone, and are taken out of it.
     fn sampling(&mut self, all: &mut [Record]) -> Option<[f64; 2]> {
         let ((_, head), rows) = all.split_first_mut().filter(|(_, rows)| !rows.is_empty())?;
         if head
@@ -316,7 +321,8 @@ impl Form {
         Some([start.1, step.1])
     }
 
-    /// Takes the rows: of each part between two headers what remains without the lines of text below its header and at its end.
+    /// Takes the rows: of each part between two headers what remains without the lines of text
+    /// below its header and at its end.
     fn take(&mut self, place: &Place<'_>, all: Vec<Record>) -> Result<(), InputError> {
         let stated = place.stated.is_some() && place.skipped == 0;
         let numeric = numeric_columns(&all, self.columns.len());
@@ -345,7 +351,8 @@ impl Form {
                     .is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)))
             };
             if heads && below() {
-                // Without a line between them it may be a remark, and what follows may belong to the table.
+                // Without a line between them it may be a remark, and what follows may belong to
+                // the table.
                 if !after_gap && cells.len() == self.columns.len() {
                     let found = format!("names in place of numbers, {}", quote(&joined(&cells)));
                     let error = InputError::new(place.file, "rows of one table", found).at(line);
@@ -375,7 +382,8 @@ impl Form {
             ));
         }
         for (k, mut part) in parts.into_iter().enumerate() {
-            // Directly below a header a line without any number is no reading: units, or how the values were made.
+            // Directly below a header a line without any number is no reading: units, or how the
+            // values were made.
             let first = part
                 .iter()
                 .position(|(_, cells)| !is_text(cells))
@@ -429,7 +437,8 @@ impl Form {
         names(cells) == self.columns
     }
 
-    /// Whether a line below the rows names the columns of another table: it has a name in each field, and as many fields as the numbers below it.
+    /// Whether a line below the rows names the columns of another table: it has a name in each
+    /// field, and as many fields as the numbers below it.
     fn heads_another(&self, from: &[Record]) -> bool {
         let Some(((_, head), below)) = from.split_first() else {
             return false;
@@ -481,8 +490,9 @@ impl Form {
         Err(error.hint("another table begins there: split the file"))
     }
 
-    /// Says the units, and fills in what a file with the first time and the step at its head leaves out of its rows: the times, where these are no
-    /// numbers of samples, and empty cells at the end.
+    /// Says the units, and fills in what a file with the first time and the step at its head leaves
+    /// out of its rows: the times, where these are no numbers of samples, and empty cells at the
+    /// end.
     fn complete(&mut self, times: Option<[f64; 2]>, counted: bool) {
         let units = self
             .columns
@@ -553,8 +563,8 @@ fn numeric_columns(all: &[Record], width: usize) -> Vec<bool> {
     balance.into_iter().map(|balance| balance > 0).collect()
 }
 
-/// A line with text and without any number, or one that numbers the columns, as forms have it: (1) (2) (3). Where each field begins like a
-/// number, as `300 N`, it is a reading that cannot be read.
+/// A line with text and without any number, or one that numbers the columns, as forms have it: (1)
+/// (2) (3). Where each field begins like a number, as `300 N`, it is a reading that cannot be read.
 fn is_text(cells: &StringRecord) -> bool {
     if numbers_columns(cells) {
         return true;
@@ -574,7 +584,8 @@ fn is_text(cells: &StringRecord) -> bool {
     text
 }
 
-/// A line that begins with text and is none of the rows: it has text where these have numbers, another number of fields, or the name of a statistic.
+/// A line that begins with text and is none of the rows: it has text where these have numbers,
+/// another number of fields, or the name of a statistic.
 fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
     let mut held = cells.iter().filter(|cell| !cell.is_empty());
     let first = held.next();

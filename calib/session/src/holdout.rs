@@ -1,4 +1,5 @@
-//! Sessions taken together: a holdout that is given separately, or a later session of the same sensor that is fitted too.
+//! Sessions taken together: a holdout that is given separately, or a later session of the same
+//! sensor that is fitted too.
 
 use crate::error::{InputError, SessionError};
 use crate::foreign::as_imported;
@@ -26,14 +27,17 @@ const SCALAR_COLUMNS: [&str; 6] = [
     "cycle",
 ];
 
-/// Adds the rows at `path` (a session folder, or a CSV table with this session's columns) to the session's holdout.
+/// Adds the rows at `path` (a session folder, or a CSV table with this session's columns) to the
+/// session's holdout.
 ///
-/// Of a session every row counts, its own holdout included. Trajectories of a whisker session that clash with ids in use get
-/// new ids (a warning says so), and shifts are taken from this session's nominal wavelengths. `source` of the rows is
-/// the table's name, or `folder/name` where it came with a session.
+/// Of a session every row counts, its own holdout included. Trajectories of a whisker session that
+/// clash with ids in use get new ids (a warning says so), and shifts are taken from this session's
+/// nominal wavelengths. `source` of the rows is the table's name, or `folder/name` where it came
+/// with a session.
 ///
 /// # Errors
-/// As [`load`]; also where kind, wire, moment axes or model differ, or where the file is one that the session already uses.
+/// As [`load`]; also where kind, wire, moment axes or model differ, or where the file is one that
+/// the session already uses.
 pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), SessionError> {
     let before = session.inputs.len();
     if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
@@ -50,10 +54,12 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
     refuse_reuse(session, before)
 }
 
-/// Adds a later session of the same sensor to the fit: its points to the points, its holdout to the holdout.
+/// Adds a later session of the same sensor to the fit: its points to the points, its holdout to the
+/// holdout.
 ///
-/// The rows get a seating number (other kinds: a series) of their own, since the zero may differ after re-seating, and times after the last
-/// reading, of a whisker an hour after it, the wire at rest in between. Labels of its twin, if any, are not taken over (a warning says so).
+/// The rows get a seating number (other kinds: a series) of their own, since the zero may differ
+/// after re-seating, and times after the last reading, of a whisker an hour after it, the wire at
+/// rest in between. Labels of its twin, if any, are not taken over (a warning says so).
 ///
 /// # Errors
 /// As [`attach_holdout`].
@@ -90,8 +96,9 @@ fn place_after((data, sealed): (&WhiskerData, &Sealed<WhiskerRow>), added: &mut 
 /// Time and series of a row.
 type Series<R> = fn(&mut R) -> (&mut Option<f64>, &mut Option<u32>);
 
-/// Rows of a later session are series of their own, since a mounting has its own zero, and lie after the last reading by as long as the session
-/// before took: how long nothing was read is not known.
+/// Rows of a later session are series of their own, since a mounting has its own zero, and lie
+/// after the last reading by as long as the session before took: how long nothing was read is not
+/// known.
 fn place_series<R: Labelled>(
     own: (&mut [R], &mut Sealed<R>),
     added: (&mut [R], &mut Sealed<R>),
@@ -260,7 +267,8 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     Ok(())
 }
 
-/// Pairs of another session count where the same cameras made them: then both share the same errors.
+/// Pairs of another session count where the same cameras made them: then both share the same
+/// errors.
 fn merge_shapes(data: &mut WhiskerData, added: &mut Added, folder: &str) {
     let Some(theirs) = added.data.shapes.take() else {
         return;
@@ -432,7 +440,8 @@ fn other_kind(file: &str) -> InputError {
     InputError::new(file, "the kind of the session", "another one").field("kind")
 }
 
-/// Rows of another session in `folder`: to the fit, or behind the seal; what was sealed there stays sealed.
+/// Rows of another session in `folder`: to the fit, or behind the seal; what was sealed there stays
+/// sealed.
 fn take_over<R>(
     own: (&mut Vec<R>, &mut Sealed<R>),
     (mut rows, mut sealed): (Vec<R>, Sealed<R>),
@@ -454,7 +463,8 @@ fn take_over<R>(
     own.1.join(sealed);
 }
 
-/// Takes over the other session's trajectories; an id that means something else here is replaced by a free one.
+/// Takes over the other session's trajectories; an id that means something else here is replaced by
+/// a free one.
 fn merge_trajectories(
     data: &mut WhiskerData,
     added: &mut Added,

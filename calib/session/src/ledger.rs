@@ -1,11 +1,12 @@
-//! unsealed.json: which held-out rows met which decision, when and by which program. One entry a look, written before the rows come out.
+//! unsealed.json: which held-out rows met which decision, when and by which program. One entry a
+//! look, written before the rows come out.
 //!
 //! ```text
 //! two sets A, B of rows are of one holdout where 2 |A and B| >= min(|A|, |B|)
 //! ```
 //!
-//! Rows are known by a hash of what was set and read, whatever file, form and order they stand in. Single rows of coarse readings agree by chance,
-//! half of them do not.
+//! Rows are known by a hash of what was set and read, whatever file, form and order they stand in.
+//! Single rows of coarse readings agree by chance, half of them do not.
 
 use crate::error::SessionError;
 use crate::foreign::as_imported;
@@ -86,7 +87,8 @@ impl From<OlderLook> for RecordedLook {
 }
 
 impl RecordedLook {
-    /// Whether most of its rows are among `rows`, or most of these among its own; true where its rows are not known.
+    /// Whether most of its rows are among `rows`, or most of these among its own; true where its
+    /// rows are not known.
     fn met(&self, rows: &BTreeSet<String>) -> bool {
         2 * self.rows.intersection(rows).count() >= self.rows.len().min(rows.len())
     }
@@ -195,8 +197,9 @@ fn rows_of(table: &Path, session: &LoadedSession) -> Result<BTreeSet<String>, Se
         .collect())
 }
 
-/// Where it is recorded that a session's held-out rows were opened: beside the session and beside every session whose files are held out for it, so
-/// that another output folder does not forget it; in the output folder where none of them can be written to.
+/// Where it is recorded that a session's held-out rows were opened: beside the session and beside
+/// every session whose files are held out for it, so that another output folder does not forget it;
+/// in the output folder where none of them can be written to.
 #[derive(Debug, Clone)]
 pub struct SessionLedger {
     places: Vec<PathBuf>,
@@ -240,8 +243,9 @@ impl SessionLedger {
         }
     }
 
-    /// Records that `table` was read without a decision, as far as the session in whose folder it lies seals its rows; true where it does. `out`: where
-    /// the record goes if the session cannot be written to.
+    /// Records that `table` was read without a decision, as far as the session in whose folder it
+    /// lies seals its rows; true where it does. `out`: where the record goes if the session cannot
+    /// be written to.
     ///
     /// # Errors
     /// As [`SessionLedger::record`].
@@ -282,8 +286,8 @@ impl SessionLedger {
         })
     }
 
-    /// Writes down that `decision` meets the rows, and gives the number of its look. The same decision on the same rows is the same look: nothing is
-    /// added then.
+    /// Writes down that `decision` meets the rows, and gives the number of its look. The same
+    /// decision on the same rows is the same look: nothing is added then.
     ///
     /// # Errors
     /// Where a record cannot be read, or none of the places can be written to.

@@ -1,8 +1,9 @@
 //! Session folders: reading with every check, writing without half-written files.
 //!
-//! [`load`] turns a folder (`session.toml` and the tables it names) into [`wcal_core::SessionData`]. Whatever cannot be
-//! used is one [`SessionError`] that names file, row, field, what was expected and what was found; what can be used but
-//! deserves attention is a warning in [`LoadedSession::warnings`].
+//! [`load`] turns a folder (`session.toml` and the tables it names) into
+//! [`wcal_core::SessionData`]. Whatever cannot be used is one [`SessionError`] that names file,
+//! row, field, what was expected and what was found; what can be used but deserves attention is a
+//! warning in [`LoadedSession::warnings`].
 
 mod axis;
 mod cell;

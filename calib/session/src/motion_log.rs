@@ -1,22 +1,27 @@
-//! Relative motion of base and object from a log: pose and velocity at a time, and the intervals in which the motion is unknown.
+//! Relative motion of base and object from a log: pose and velocity at a time, and the intervals in
+//! which the motion is unknown.
 //!
-//! Between two rows a and b the translation is linear in time and the rotation follows the shortest arc at constant rate:
+//! Between two rows a and b the translation is linear in time and the rotation follows the shortest
+//! arc at constant rate:
 //!
 //! ```text
 //! u = (t - t_a) / (t_b - t_a),   d(t) = (1 - u) d_a + u d_b,   Q(t) = Q_a exp(u log(Q_a^T Q_b))
 //! v = (Q_b q + d_b - Q_a q - d_a) / (t_b - t_a),   q = Q(t)^T (p - d(t))      of the object's point at p
 //! ```
 //!
-//! Source of the rotation: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985, 245.
+//! Source of the rotation: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985,
+//! 245.
 
 use crate::error::InputError;
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use wcal_core::order_statistics::median;
 
-/// Longest interval between rows over which the motion is interpolated: this many times the log's median step, at least this many s.
+/// Longest interval between rows over which the motion is interpolated: this many times the log's
+/// median step, at least this many s.
 const GAP_STEPS: f64 = 5.0;
 const GAP_S: f64 = 0.5;
-/// A step is a jump where its speed exceeds the median of the moving steps by this factor and its length exceeds this many mm.
+/// A step is a jump where its speed exceeds the median of the moving steps by this factor and its
+/// length exceeds this many mm.
 const JUMP_RATIO: f64 = 20.0;
 const JUMP_MM: f64 = 1.0;
 /// Times closer than this are equal: rounding error, s.
@@ -28,7 +33,8 @@ const ARM_MM: f64 = 60.0;
 /// Clocks whose spans differ by so much are not in the same unit.
 const SPANS: f64 = 100.0;
 
-/// A row of a log: a point of the object at p in a fixed frame is at `turn p + moved` in the base frame.
+/// A row of a log: a point of the object at p in a fixed frame is at `turn p + moved` in the base
+/// frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LogRow {
     /// Line in its file.
@@ -98,7 +104,8 @@ pub struct MotionLog {
 
 /// Length of a step, mm.
 fn step_mm(a: &LogRow, b: &LogRow) -> f64 {
-    // Frobenius norm / sqrt(2) = 2 sin(angle / 2): unlike an arc cosine exact to rounding near zero rotation.
+    // Frobenius norm / sqrt(2) = 2 sin(angle / 2): unlike an arc cosine exact to rounding near zero
+    // rotation.
     let turned = (b.turn.matrix() - a.turn.matrix()).norm() / std::f64::consts::SQRT_2;
     (b.moved_mm - a.moved_mm).norm() + ARM_MM * turned
 }
@@ -169,13 +176,15 @@ impl MotionLog {
         Ok(())
     }
 
-    /// Motion at a time (s), with the velocity of the object's point that is at `point_mm` (base frame) then.
+    /// Motion at a time (s), with the velocity of the object's point that is at `point_mm` (base
+    /// frame) then.
     ///
     /// # Errors
     /// Where the motion is unknown at this time.
     pub fn at(&self, t_s: f64, point_mm: &Vector3<f64>) -> Result<Motion, MotionUnknown> {
         let after = self.rows.partition_point(|r| r.t_s < t_s - SAME_S);
-        // At a row's own time the pose is known; the velocity is that of an adjoining interval that is known.
+        // At a row's own time the pose is known; the velocity is that of an adjoining interval that
+        // is known.
         let own = self.rows.get(after).is_some_and(|r| r.t_s <= t_s + SAME_S);
         let sides = [after.checked_sub(1), own.then_some(after)]
             .into_iter()
@@ -197,7 +206,8 @@ impl MotionLog {
         })
     }
 
-    /// Motion averaged over a filter's times and weights around a time (s), with the rotation at that time.
+    /// Motion averaged over a filter's times and weights around a time (s), with the rotation at
+    /// that time.
     ///
     /// # Errors
     /// Where the motion is unknown within the filter.
@@ -231,7 +241,8 @@ impl MotionLog {
         if self.pieces[k + 1] != self.pieces[k] {
             return Err(MotionUnknown::Jump);
         }
-        // A logger that writes only on change leaves intervals at standstill: equal poses at both ends are no gap.
+        // A logger that writes only on change leaves intervals at standstill: equal poses at both
+        // ends are no gap.
         if b.t_s - a.t_s > self.max_gap_s && step_mm(a, b) > STILL_MM {
             return Err(MotionUnknown::Gap);
         }

@@ -1,4 +1,5 @@
-//! The log of a relative motion as a table: what the object does in the base frame, or the base in the world where the object stands still.
+//! The log of a relative motion as a table: what the object does in the base frame, or the base in
+//! the world where the object stands still.
 
 use crate::error::{InputError, SessionError};
 use crate::motion_log::{LogRow, MotionLog};
@@ -22,7 +23,8 @@ pub struct LoggedMotion {
     pub warning: Option<SessionWarning>,
 }
 
-/// Columns of a place and the millimetres of their unit; none where the table has none of that name.
+/// Columns of a place and the millimetres of their unit; none where the table has none of that
+/// name.
 fn place_columns(table: &TextTable, name: &str) -> Option<([usize; 3], f64)> {
     [("mm", 1.0), ("m", 1e3)]
         .into_iter()

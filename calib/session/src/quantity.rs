@@ -1,4 +1,5 @@
-//! Units as people write them, at the end of a column's name or in a line of units: what they measure, and how much of its base unit they are.
+//! Units as people write them, at the end of a column's name or in a line of units: what they
+//! measure, and how much of its base unit they are.
 
 use crate::cell::name_of;
 
@@ -16,7 +17,8 @@ const PREFIXES: [(&str, &str, f64); 8] = [
     ("M", "mega", 1e6),
     ("G", "giga", 1e9),
 ];
-/// Words for them, and other units: in small letters, with the base and the factor (inch, pound-force, kilopond and psi by their definitions).
+/// Words for them, and other units: in small letters, with the base and the factor (inch,
+/// pound-force, kilopond and psi by their definitions).
 const WORDS: [(&str, &str, f64); 52] = [
     ("newton", "N", 1.0),
     ("pascal", "Pa", 1.0),
@@ -71,7 +73,8 @@ const WORDS: [(&str, &str, f64); 52] = [
     ("mmhg", "Pa", 133.322_387_415),
     ("at", "Pa", 98_066.5),
 ];
-/// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is measured, `sensor_in` an input.
+/// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is
+/// measured, `sensor_in` an input.
 const UNCLEAR: [&str; 4] = ["in", "m", "t", "at"];
 
 /// Base and factor of a unit; none where it is not known.
@@ -156,7 +159,8 @@ pub fn bracketed(name: &str) -> Option<&str> {
         })
 }
 
-/// The unit that a column's name states: `Force (N)`, `t [ms]`, and as DIN 1313 has it `F / kN` and `F in kN`, where the unit is known.
+/// The unit that a column's name states: `Force (N)`, `t [ms]`, and as DIN 1313 has it `F / kN` and
+/// `F in kN`, where the unit is known.
 pub fn stated_unit(name: &str) -> Option<&str> {
     let standard = || {
         [" / ", " in "]
@@ -168,8 +172,8 @@ pub fn stated_unit(name: &str) -> Option<&str> {
         .filter(|unit| parsed(unit).is_some())
 }
 
-/// Units that a column's name may end with: `load_kN`, `t_ms`, `elapsed min`, `timeMs`. None where it has brackets, and none that more often is
-/// something else.
+/// Units that a column's name may end with: `load_kN`, `t_ms`, `elapsed min`, `timeMs`. None where
+/// it has brackets, and none that more often is something else.
 pub fn possible_units(name: &str) -> impl Iterator<Item = &str> {
     const MARKS: &[char] = &['_', ' ', '-', '.', ',', ':', '\u{a0}'];
     let last = name.rsplit(MARKS).next().unwrap_or_default();

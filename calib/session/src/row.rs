@@ -17,7 +17,8 @@ pub(crate) struct Row<'a> {
 
 type Outcome<T> = Result<T, InputError>;
 
-/// Largest number of a point. Beyond this a table's numbers, read as 64-bit floats, are no longer distinguished.
+/// Largest number of a point. Beyond this a table's numbers, read as 64-bit floats, are no longer
+/// distinguished.
 const MAX_POINT: f64 = 9_007_199_254_740_992.0;
 
 impl<'a> Row<'a> {
@@ -130,7 +131,8 @@ impl Row<'_> {
         }
     }
 
-    /// What happened in the reading's averaging window: `lost`, `late` or `moved`; `ok` where it was whole or the table does not say.
+    /// What happened in the reading's averaging window: `lost`, `late` or `moved`; `ok` where it
+    /// was whole or the table does not say.
     pub(crate) fn stream(&self) -> Outcome<&str> {
         match self.text("stream") {
             "" => Ok("ok"),

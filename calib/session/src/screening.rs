@@ -1,5 +1,6 @@
-//! Rows of a table without a reading of their own: an instrument's overflow value, or a copy of an earlier row. They are left out and counted in a
-//! warning, each by one plain rule. What contradicts itself is an error that names the way out.
+//! Rows of a table without a reading of their own: an instrument's overflow value, or a copy of an
+//! earlier row. They are left out and counted in a warning, each by one plain rule. What
+//! contradicts itself is an error that names the way out.
 
 use crate::error::InputError;
 use crate::row::Row;
@@ -8,7 +9,8 @@ use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{HashMap, HashSet};
 use wcal_core::text::number;
 
-/// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
+/// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38
+/// and their like.
 const HUGE: f64 = 1e30;
 /// A step between decades.
 const DECADE: f64 = 10.0;
@@ -25,7 +27,8 @@ const MIN_PAIRS: usize = 8;
 /// A block that chance gives so seldom is a copy.
 const CHANCE: f64 = 1e-4;
 
-/// Marks the rows in which an instrument wrote a code because it had no value: in columns that a person `set`, and in those that were `read`.
+/// Marks the rows in which an instrument wrote a code because it had no value: in columns that a
+/// person `set`, and in those that were `read`.
 pub(crate) fn overflow(
     table: &TextTable,
     [set, read]: [&[&str]; 2],
@@ -62,8 +65,8 @@ pub(crate) fn overflow(
     Ok(warnings)
 }
 
-/// Marks the rows that are copies. Readings of a `gauge` agree by themselves as often as its repeats do; none where a row holds too much to agree
-/// by chance.
+/// Marks the rows that are copies. Readings of a `gauge` agree by themselves as often as its
+/// repeats do; none where a row holds too much to agree by chance.
 pub(crate) fn copied(
     table: &TextTable,
     gauge: Option<&str>,
@@ -114,8 +117,8 @@ fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWa
     Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text).at(lines))
 }
 
-/// One of the numbers that instruments use as codes: huge, nines, an end of a converter's range, or a power-up value; a power of ten is
-/// [`round`].
+/// One of the numbers that instruments use as codes: huge, nines, an end of a converter's range, or
+/// a power-up value; a power of ten is [`round`].
 fn usual(value: f64) -> bool {
     let size = value.abs();
     let digits: Vec<char> = format!("{size}")
@@ -134,14 +137,16 @@ fn usual(value: f64) -> bool {
     size >= HUGE || nines || end || value == 85.0 || value == -273.15
 }
 
-/// A power of ten from 1e3 on, as -1000000 of measuring amplifiers. Series in decades have them as readings.
+/// A power of ten from 1e3 on, as -1000000 of measuring amplifiers. Series in decades have them as
+/// readings.
 fn round(value: f64) -> bool {
     let power = value.abs().log10();
     power > 2.5 && 10f64.powi(power.round() as i32) == value.abs()
 }
 
-/// The codes of a column: usual ones that lie further from its other values than these from each other (round ones, ten times as far), in half of
-/// the rows at most. What a person `set` is a code only where it is no quantity.
+/// The codes of a column: usual ones that lie further from its other values than these from each
+/// other (round ones, ten times as far), in half of the rows at most. What a person `set` is a code
+/// only where it is no quantity.
 fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
     let far = |code: f64| {
         // Other round values may be readings, as in series of decades.
@@ -167,7 +172,8 @@ fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
     found
 }
 
-/// Whether readings are whole multiples of a step of their display, with few steps between the lowest and the highest.
+/// Whether readings are whole multiples of a step of their display, with few steps between the
+/// lowest and the highest.
 fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     let span = |[a, b]: [f64; 2], v: f64| [a.min(v), b.max(v)];
     let [low, high] = readings
@@ -180,7 +186,8 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
             .all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
-/// Pairs of readings of the gauge at one place, and how often they agree, copies and their sources apart; none where few are repeats.
+/// Pairs of readings of the gauge at one place, and how often they agree, copies and their sources
+/// apart; none where few are repeats.
 fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> Option<(f64, f64)> {
     let without = ["point", "t_s", gauge].map(|name| table.place(name));
     let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
@@ -211,8 +218,9 @@ fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> O
     (others >= MIN_PAIRS).then(|| (all as f64, (alike + 1) as f64 / (others + 2) as f64))
 }
 
-/// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
-/// as they do there; each with how far before it that row stands.
+/// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time,
+/// or in a block of rows that follow each other as they do there; each with how far before it that
+/// row stands.
 fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
     let [point, time] = ["point", "t_s"].map(|name| table.place(name));
     let cells = |k: usize, without: Option<usize>| -> Vec<&str> {
@@ -250,15 +258,16 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// Two columns that stand in each other's place from some row on: the settings of the rows before are read in the other column then, to the last
-/// digit, and no longer in their own.
+/// Two columns that stand in each other's place from some row on: the settings of the rows before
+/// are read in the other column then, to the last digit, and no longer in their own.
 pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(), InputError> {
     let columns = [column(table, set)?, column(table, read)?];
     for [own, other] in [[0, 1], [1, 0]] {
         let bits = |k: usize, column: usize| columns[column][k].map(f64::to_bits);
         let mut before: HashSet<Option<u64>> = HashSet::new();
         let rows = table.rows.len();
-        // Where the columns are exchanged, a value stands in its own column for the first time and in the other again.
+        // Where the columns are exchanged, a value stands in its own column for the first time and
+        // in the other again.
         let first = (0..rows).find(|&k| {
             let begins = k >= MIN_BLOCK
                 && !before.contains(&bits(k, own))
@@ -295,11 +304,13 @@ pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(),
     Ok(())
 }
 
-/// A row as its place in the sequence shows it: line in the file, position or stimulus, time, direction.
+/// A row as its place in the sequence shows it: line in the file, position or stimulus, time,
+/// direction.
 pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
 
-/// A clock that stands still, or a direction that says the opposite of the moves at rows before and after which the position rises, or falls. At
-/// the turns, and where targets are approached singly, nothing is contradicted, nor by a table whose moves or directions have one sign alone.
+/// A clock that stands still, or a direction that says the opposite of the moves at rows before and
+/// after which the position rises, or falls. At the turns, and where targets are approached singly,
+/// nothing is contradicted, nor by a table whose moves or directions have one sign alone.
 pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
     let first = rows
         .first()
@@ -327,7 +338,8 @@ pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<
         .iter()
         .filter(|(_, way, direction)| way * direction < 0.0)
         .collect();
-    // All or nearly all the wrong way round, or few among many that agree; what lies between is another convention.
+    // All or nearly all the wrong way round, or few among many that agree; what lies between is
+    // another convention.
     let (count, of) = (against.len(), seen.len());
     let named = both(|s| s.1) && both(|s| s.2) && (4 * count <= of || 10 * count >= 9 * of);
     let Some((line, _, direction)) = against.first().filter(|_| named) else {
@@ -364,7 +376,8 @@ mod tests {
             .collect()
     }
 
-    /// `sweeps` of eleven settings with numbers of points; `noise` counts of scatter in the last of `digits`, another in each sweep.
+    /// `sweeps` of eleven settings with numbers of points; `noise` counts of scatter in the last of
+    /// `digits`, another in each sweep.
     fn sweeps(sweeps: usize, noise: f64, digits: usize) -> Vec<String> {
         let scatter = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
         let last = 10f64.powi(-(digits as i32));
@@ -401,7 +414,8 @@ mod tests {
         assert!(read(table(&sweeps(6, 4.0, 5), [])).is_empty());
         assert!(read(table(&sweeps(1, 0.0, 2), 0..11)).is_empty());
         assert!(read(table(&sweeps(6, 0.2, 2), [])).is_empty());
-        // Four decimals are coarse, but repeats that scatter over several of them do not agree eight times in a row; those of a quiet gauge may.
+        // Four decimals are coarse, but repeats that scatter over several of them do not agree
+        // eight times in a row; those of a quiet gauge may.
         assert_eq!(
             read(table(&sweeps(3, 8.0, 3), 11..19)),
             (35..43).collect::<Vec<_>>()
@@ -495,7 +509,8 @@ mod tests {
         );
         let first = said(&|k, x, y| if k < 22 { [y, x] } else { [x, y] }).unwrap();
         assert!(first.contains("row at line 24, field response"), "{first}");
-        // Nothing exchanged, a coarse gauge of a slope of one, settings that are readings themselves, and new settings in the second half.
+        // Nothing exchanged, a coarse gauge of a slope of one, settings that are readings
+        // themselves, and new settings in the second half.
         assert_eq!(said(&|_, x, y| [x, y]), None);
         assert_eq!(said(&|_, x, _| [x, x]), None);
         assert_eq!(

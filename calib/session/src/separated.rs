@@ -54,8 +54,9 @@ impl std::str::FromStr for Separator {
     }
 }
 
-/// The records of a text, each with the line where it begins, the first of the text being `first`. A quoted field may hold line ends (RFC 4180,
-/// 2.6). Lines without a field that holds something are none.
+/// The records of a text, each with the line where it begins, the first of the text being `first`.
+/// A quoted field may hold line ends (RFC 4180, 2.6). Lines without a field that holds something
+/// are none.
 pub(crate) fn records(
     text: &str,
     first: usize,
@@ -97,7 +98,8 @@ fn record(text: &str, mark: char) -> &str {
     closed.unwrap_or_else(|| first_line(text))
 }
 
-/// Whether a quoted field is open at the end of the text. A quote opens a field at its beginning; two within it are one.
+/// Whether a quoted field is open at the end of the text. A quote opens a field at its beginning;
+/// two within it are one.
 fn is_open(text: &str, mark: char) -> bool {
     let (mut open, mut before) = (false, mark);
     for c in text.chars() {
@@ -135,7 +137,8 @@ fn split(record: &str, mark: Option<char>) -> StringRecord {
         .unwrap_or_default()
 }
 
-/// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
+/// Another separator than the stated one, which stands equally often in every line while the stated
+/// one stands in none; in words.
 pub(crate) fn other_separator(text: &str, stated: Separator) -> Option<String> {
     let lines = || {
         text.lines()

@@ -32,13 +32,15 @@ pub struct LoadedSession {
     pub folder: PathBuf,
     /// Identifier.
     pub id: String,
-    /// Surrounding medium, e.g. `air`, `water`; `unspecified` where the file does not say (kinds other than whisker).
+    /// Surrounding medium, e.g. `air`, `water`; `unspecified` where the file does not say (kinds
+    /// other than whisker).
     pub medium: String,
     /// Creation time as written, if given.
     pub created: Option<String>,
     /// Kind.
     pub kind: SessionKind,
-    /// The data are simulated, not measured: `simulated = true` under `[provenance]`, of this session or of one joined with it.
+    /// The data are simulated, not measured: `simulated = true` under `[provenance]`, of this
+    /// session or of one joined with it.
     pub simulated: bool,
     /// Checked data, to be fitted.
     pub data: SessionData,
@@ -50,9 +52,11 @@ pub struct LoadedSession {
     pub inputs: Vec<InputFile>,
     /// `session.toml` as written.
     pub meta: toml::Table,
-    /// What deserves attention: unknown keys and columns, stage against groove, time, missing labels.
+    /// What deserves attention: unknown keys and columns, stage against groove, time, missing
+    /// labels.
     pub warnings: Vec<SessionWarning>,
-    /// Columns of the table that it was imported from, where they have other names there, by its own.
+    /// Columns of the table that it was imported from, where they have other names there, by its
+    /// own.
     pub imported: BTreeMap<String, String>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
@@ -93,7 +97,8 @@ struct Files {
     pictures: Option<String>,
 }
 
-/// What a reader asks of `[provenance]`: whether the data are simulated, and which cameras and rig its shapes come from.
+/// What a reader asks of `[provenance]`: whether the data are simulated, and which cameras and rig
+/// its shapes come from.
 #[derive(Default, Deserialize)]
 struct ProvenanceSection {
     #[serde(default)]
@@ -108,8 +113,8 @@ const FREE: [&str; 5] = ["format", "note", "whisker_id", "devices", "provenance"
 /// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
 ///
 /// # Errors
-/// The first thing that cannot be used: [`SessionError::Content`] with file, line, field, expected and found, or
-/// [`SessionError::Io`].
+/// The first thing that cannot be used: [`SessionError::Content`] with file, line, field, expected
+/// and found, or [`SessionError::Io`].
 pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let folder = if folder.is_file() {
         folder.parent().unwrap_or(folder)
@@ -243,7 +248,8 @@ fn imported_columns(meta: &toml::Table) -> BTreeMap<String, String> {
 }
 
 impl Files {
-    /// Holds every name against the folder: a session that was handed on must not read anything else of this computer.
+    /// Holds every name against the folder: a session that was handed on must not read anything
+    /// else of this computer.
     fn check(&self, folder: &Path) -> Result<(), InputError> {
         let files = [
             ("points", Some(&self.points)),
@@ -272,8 +278,8 @@ impl Files {
     }
 }
 
-/// Why a name in `[files]` is none of a file, or of a folder of `pictures`, in the session's folder. A file that is not there is no matter of this
-/// check.
+/// Why a name in `[files]` is none of a file, or of a folder of `pictures`, in the session's
+/// folder. A file that is not there is no matter of this check.
 fn outside(folder: &Path, name: &str, pictures: bool) -> Option<String> {
     /// Longest name that a file system takes, bytes.
     const LONGEST: usize = 255;
@@ -282,7 +288,8 @@ fn outside(folder: &Path, name: &str, pictures: bool) -> Option<String> {
         return Some(quote(name));
     }
     let path = folder.join(name);
-    // Links are followed here, once, before anything is opened. The folder of a bare "session.toml" is "".
+    // Links are followed here, once, before anything is opened. The folder of a bare "session.toml"
+    // is "".
     let root = if folder.as_os_str().is_empty() {
         Path::new(".")
     } else {
@@ -375,7 +382,8 @@ fn load_whisker(
     let mut sealed_shapes = None;
     if let Some(name) = &files.holdout {
         let mut sealed = read(name, Purpose::Holdout)?;
-        // Seen by the same cameras, but no part of what is fitted: they show how far off the contact is.
+        // Seen by the same cameras, but no part of what is fitted: they show how far off the
+        // contact is.
         sealed_shapes = pairs(&files.holdout_shapes, &mut sealed, Purpose::Holdout)?;
         holdout.extend(sealed);
     }

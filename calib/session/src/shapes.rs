@@ -1,8 +1,10 @@
-//! `[files] shapes`: what the cameras saw of the session's poses (`shapes.json`), each pair with its row of the points table.
+//! `[files] shapes`: what the cameras saw of the session's poses (`shapes.json`), each pair with
+//! its row of the points table.
 //!
-//! A pair that cannot be used with the wavelengths is omitted by name and the rest is used. All are omitted where the file belongs to
-//! another session, or to other cameras or another rig than the session states, or where its shared covariance is none. Only a file
-//! that is no shapes.json is an error.
+//! A pair that cannot be used with the wavelengths is omitted by name and the rest is used. All are
+//! omitted where the file belongs to another session, or to other cameras or another rig than the
+//! session states, or where its shared covariance is none. Only a file that is no shapes.json is an
+//! error.
 
 use crate::error::{InputError, SessionError, quote};
 use nalgebra::Matrix3;
@@ -34,7 +36,8 @@ const MAX_DERIVATIVE: f64 = 1e7;
 /// Relative size of a negative eigenvalue that is rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// What a session says of the cameras and the rig that its shapes must come from; none where it does not say.
+/// What a session says of the cameras and the rig that its shapes must come from; none where it
+/// does not say.
 #[derive(Debug, Default)]
 pub(crate) struct Expected {
     /// Identifier of the session.
@@ -136,7 +139,8 @@ pub(crate) fn read(
             }
         };
         let place = pair.point.and_then(|point| by_point.get(&point).copied());
-        // At rest the wire is free: such a pair says nothing of a contact, and nothing is wrong with it.
+        // At rest the wire is free: such a pair says nothing of a contact, and nothing is wrong
+        // with it.
         if place.is_some_and(|k| rows[k].role == Role::Rest) {
             continue;
         }

@@ -145,8 +145,8 @@ pub(crate) fn is_stamp(text: &str) -> bool {
         && Form::all().any(|form| form.seconds(text).is_some())
 }
 
-/// Seconds after the first of the stamps, in their order, or which of them says why there are none: a text that is no stamp, or two forms that all
-/// of them could have and that say different times.
+/// Seconds after the first of the stamps, in their order, or which of them says why there are none:
+/// a text that is no stamp, or two forms that all of them could have and that say different times.
 pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
     let forms: Vec<Form> = Form::all()
         .filter(|f| stamps.first().is_some_and(|s| f.seconds(s).is_some()))
@@ -174,7 +174,8 @@ pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)
     let Some(first) = whole.first() else {
         return Err((furthest, "a time stamp of the form of the others"));
     };
-    // A day and a month that could be exchanged: readings of one record follow each other forward and closely.
+    // A day and a month that could be exchanged: readings of one record follow each other forward
+    // and closely.
     const CLOSER: f64 = 10.0;
     let widest = |times: &[f64]| {
         let steps = times.windows(2).map(|w| w[1] - w[0]);
@@ -203,7 +204,8 @@ pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)
     Ok(best.clone())
 }
 
-/// Times after the first; of a clock without dates the step back at midnight is one to the next day.
+/// Times after the first; of a clock without dates the step back at midnight is one to the next
+/// day.
 fn relative(times: &mut [f64], of_day: bool) {
     let Some(&first) = times.first() else { return };
     let (mut before, mut days) = (first, 0.0);

@@ -1,4 +1,5 @@
-//! A session of kind "sweep": readings along a motion of the base, past an object where it is known.
+//! A session of kind "sweep": readings along a motion of the base, past an object where it is
+//! known.
 
 use crate::error::{InputError, SessionError};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -7,10 +8,13 @@ use toml::{Table, Value};
 
 /// Kind in the description.
 pub const KIND: &str = "sweep";
-/// A mesh that is placed by hand lies within this of where it is said to lie, mm, where the session states nothing.
+/// A mesh that is placed by hand lies within this of where it is said to lie, mm, where the session
+/// states nothing.
 pub const PLACED_SD_MM: f64 = 0.5;
-/// What a session may state of its object in `[object]`, as standard deviations: key, unit, what is taken where nothing is stated, and the range.
-/// Clocks of two programs lie within two seconds of each other; what is set down by eye is a degree or two off; a part is within a per cent of its mesh.
+/// What a session may state of its object in `[object]`, as standard deviations: key, unit, what is
+/// taken where nothing is stated, and the range. Clocks of two programs lie within two seconds of
+/// each other; what is set down by eye is a degree or two off; a part is within a per cent of its
+/// mesh.
 const UNKNOWNS: [(&str, &str, f64, [f64; 2]); 4] = [
     ("clock_sd_s", "s", 1.0, [0.0, 60.0]),
     ("sd_mm", "mm", PLACED_SD_MM, [0.0, 100.0]),
@@ -29,8 +33,8 @@ pub struct SweepSession {
     pub object: Option<PathBuf>,
     /// Where the mesh lies in the frame of those poses, where it is known.
     pub world_from_object: Option<Isometry3<f64>>,
-    /// Standard deviations of the clock between readings and motion (s), and of the object's place in each coordinate (mm), turn (degrees) and
-    /// size (relative).
+    /// Standard deviations of the clock between readings and motion (s), and of the object's place
+    /// in each coordinate (mm), turn (degrees) and size (relative).
     pub unknown_sd: [f64; 4],
 }
 

@@ -1,5 +1,5 @@
-//! Tables of text: a session's own, with commas between fields and a dot before decimals, and those of other programs after some header
-//! lines. Every cell is known by file, line and column.
+//! Tables of text: a session's own, with commas between fields and a dot before decimals, and those
+//! of other programs after some header lines. Every cell is known by file, line and column.
 
 use crate::cell::{Content, content, direction, grouped, is_missing, name_of, plain};
 use crate::columns::column_range;
@@ -20,8 +20,8 @@ const MAX_LINE: usize = 1 << 22;
 const MAX_COLUMNS: usize = 1000;
 /// Share of the letters that a name has in common with the one that was meant.
 const ALIKE: f64 = 0.6;
-/// Names of a scalar table's column that groups its readings, the first that there is: counters of repetitions are no quantities that act,
-/// whichever of them groups.
+/// Names of a scalar table's column that groups its readings, the first that there is: counters of
+/// repetitions are no quantities that act, whichever of them groups.
 const GROUPS: [&str; 5] = ["cycle", "replicate", "run", "pose", "day"];
 /// Those that are counters wherever they stand.
 const COUNTERS: usize = 2;
@@ -40,8 +40,9 @@ pub struct TextTableLayout {
     pub separator: Option<Separator>,
     /// Decimals are written with a comma.
     pub decimal_comma: bool,
-    /// Columns that are wanted: the table is looked for by them, and cells are read in the forms of other programs. Without it the table begins at
-    /// the first line and holds nothing but plain numbers.
+    /// Columns that are wanted: the table is looked for by them, and cells are read in the forms of
+    /// other programs. Without it the table begins at the first line and holds nothing but plain
+    /// numbers.
     pub asked: Option<Vec<String>>,
 }
 
@@ -78,7 +79,8 @@ pub struct TextTable {
 /// Reads a foreign table; its lines end in LF, CR LF or CR.
 ///
 /// # Errors
-/// A file that cannot be read, is no text, has no row, or has a row whose number of fields differs from the header's.
+/// A file that cannot be read, is no text, has no row, or has a row whose number of fields differs
+/// from the header's.
 pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
     let file = path.display().to_string();
     let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
@@ -97,7 +99,8 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
 /// Reads a table of a session, which messages call `name`.
 ///
 /// # Errors
-/// As [`read_text_table`], and where it is in another form than a session's tables have, or names a column twice.
+/// As [`read_text_table`], and where it is in another form than a session's tables have, or names a
+/// column twice.
 pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionError> {
     let bytes = wcal_core::files::read(path).map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => {
@@ -145,7 +148,8 @@ fn too_wide(file: &str, columns: usize) -> InputError {
     )
 }
 
-/// As [`read_own`], of a session's readings: where their numbers follow their times, in that order, whatever order the lines have.
+/// As [`read_own`], of a session's readings: where their numbers follow their times, in that order,
+/// whatever order the lines have.
 ///
 /// # Errors
 /// As [`read_own`].
@@ -315,7 +319,8 @@ impl TextTable {
         self.columns.iter().position(|c| c == name)
     }
 
-    /// Takes what a reader knows of a session's table; the others, by name. `required` must be there, and none may be there in another unit.
+    /// Takes what a reader knows of a session's table; the others, by name. `required` must be
+    /// there, and none may be there in another unit.
     pub(crate) fn others(
         &self,
         required: &[&str],
@@ -379,7 +384,8 @@ impl TextTable {
     /// Index of a column; of several with one name and the same cells the first.
     ///
     /// # Errors
-    /// Where there is no such column (the message lists those that there are), or several that differ.
+    /// Where there is no such column (the message lists those that there are), or several that
+    /// differ.
     pub fn column(&self, name: &str) -> Result<usize, InputError> {
         let own = self.columns_named(name);
         let first = *own.first().ok_or_else(|| self.without(&[name]))?;
@@ -474,7 +480,8 @@ impl TextTable {
         }
     }
 
-    /// A column in which a dot stands between thousands beside plain numbers: nobody writes 1.500 beside 500 for one and a half.
+    /// A column in which a dot stands between thousands beside plain numbers: nobody writes 1.500
+    /// beside 500 for one and a half.
     ///
     /// # Errors
     /// Where the column looks so and decimals are not declared to have a comma.
@@ -519,7 +526,8 @@ impl TextTable {
         } else {
             cell.into()
         };
-        // Where decimals have a dot elsewhere, a comma before three digits stands between thousands.
+        // Where decimals have a dot elsewhere, a comma before three digits stands between
+        // thousands.
         if self.foreign && !self.decimal_comma && cell.contains(',') {
             let whole = cell
                 .trim_start_matches(['-', '+'])
@@ -532,7 +540,8 @@ impl TextTable {
             }
         }
         let parsed = if self.decimal_comma {
-            // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
+            // Where a comma stands before decimals a dot stands between thousands, or the table is
+            // of another kind.
             let unsigned = cell.trim_start_matches(['-', '+']);
             let whole = unsigned
                 .split_once(',')

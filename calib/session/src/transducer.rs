@@ -26,7 +26,8 @@ pub(crate) struct TransducerTable {
     pub(crate) input: InputFile,
 }
 
-/// Reads the rows of a table. Columns beyond the known ones are covariates when their first cell is a number.
+/// Reads the rows of a table. Columns beyond the known ones are covariates when their first cell is
+/// a number.
 pub(crate) fn read_rows(
     table: &TextTable,
     purpose: Purpose,

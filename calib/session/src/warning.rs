@@ -30,7 +30,8 @@ pub enum WarningKind {
     UnknownColumn(String),
     /// Points whose scans came late, or whose clocks could not be aligned.
     ScansLate,
-    /// Points left out: the stage moved in their averaging windows, or stood where it had not been sent.
+    /// Points left out: the stage moved in their averaging windows, or stood where it had not been
+    /// sent.
     StageMoved,
     /// A grating reads the same in every row while another grating changes.
     Stuck,
@@ -67,7 +68,8 @@ impl SessionWarning {
         Self::new(file, WarningKind::Other, text)
     }
 
-    /// Whether it says that a grating does not respond: what follows from its readings means nothing.
+    /// Whether it says that a grating does not respond: what follows from its readings means
+    /// nothing.
     pub fn is_stuck(&self) -> bool {
         self.kind == WarningKind::Stuck
     }

@@ -1,4 +1,5 @@
-//! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for `predict`.
+//! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for
+//! `predict`.
 
 use crate::error::{InputError, SessionError};
 use crate::row::{PointNumbers, Row, clock_problem};
@@ -36,8 +37,8 @@ pub struct ReadingTable {
     pub warnings: Vec<SessionWarning>,
 }
 
-/// Reads a free table of whisker readings for prediction: only the fbg columns are required. A row without `point` gets
-/// its order (from 0), a row without `role` is [`Role::Verification`].
+/// Reads a free table of whisker readings for prediction: only the fbg columns are required. A row
+/// without `point` gets its order (from 0), a row without `role` is [`Role::Verification`].
 ///
 /// # Errors
 /// As [`crate::load`]: the first cell that cannot be used.
@@ -51,8 +52,8 @@ pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionErr
     )?)
 }
 
-/// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
-/// `stream` after them.
+/// Columns of a whisker's table in the order of the reference: those that an import takes by their
+/// names, and a recorded session has with `stream` after them.
 pub const WHISKER_COLUMNS: [&str; 23] = [
     "point",
     "role",
@@ -92,7 +93,8 @@ pub const IN_SESSION: [&str; 6] = [
 const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
 const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];
 
-/// Reads the rows of a table of readings. A missing `reference_nominal_nm` is set from the first reading (its offset is part of the zero).
+/// Reads the rows of a table of readings. A missing `reference_nominal_nm` is set from the first
+/// reading (its offset is part of the zero).
 pub(crate) fn read_rows(
     table: &TextTable,
     fbg: &mut FbgSpec,
@@ -346,7 +348,8 @@ fn groove(row: &Row<'_>) -> Result<Option<Vector3<f64>>, InputError> {
     }
 }
 
-/// Shift from nominal, pm, of what a column holds: a shift, or a wavelength where the nominal one is given.
+/// Shift from nominal, pm, of what a column holds: a shift, or a wavelength where the nominal one
+/// is given.
 fn shift_pm(
     row: &Row<'_>,
     column: &str,

@@ -41,7 +41,8 @@ pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), Inp
     Ok(())
 }
 
-/// Compares groove with origin + stage * direction. A disagreement is a warning, unless it is a factor of 1000.
+/// Compares groove with origin + stage * direction. A disagreement is a warning, unless it is a
+/// factor of 1000.
 pub(crate) fn check_stage(
     rows: &[WhiskerRow],
     trajectories: &[Trajectory],
@@ -77,7 +78,8 @@ pub(crate) fn check_stage(
     Ok(())
 }
 
-/// A factor of 1000 between the stage's way and the groove's, in one of the numbers that the three of them come from.
+/// A factor of 1000 between the stage's way and the groove's, in one of the numbers that the three
+/// of them come from.
 fn unit_error(
     row: &WhiskerRow,
     trajectory: &Trajectory,

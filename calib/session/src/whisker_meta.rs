@@ -58,8 +58,8 @@ pub(crate) struct TrajectorySection {
     nominal_arclength_mm: Option<f64>,
 }
 
-/// Holds the tables `[whisker]`, `[moments]` and `[fbg]` of a rig, which a recorded session takes over as they are, against what a
-/// session may state; messages call the rig's file `file`.
+/// Holds the tables `[whisker]`, `[moments]` and `[fbg]` of a rig, which a recorded session takes
+/// over as they are, against what a session may state; messages call the rig's file `file`.
 ///
 /// # Errors
 /// The first key that no session could be read with.
@@ -148,7 +148,8 @@ impl WhiskerSection {
             rest_shape,
             gravity_direction: gravity.transpose()?,
         };
-        // The shape's keys may stand in a table of their own; the last part is the name in the file.
+        // The shape's keys may stand in a table of their own; the last part is the name in the
+        // file.
         let wrong = |e: OutOfRange| match shape_place
             .filter(|place| *place != file && e.key.starts_with("rest_shape"))
         {

@@ -15,11 +15,12 @@ pub struct SessionFiles {
     pub tables: Vec<(String, Vec<u8>)>,
 }
 
-/// Writes a session folder in one step: everything goes to a temporary folder next to `folder`, is loaded from there with
-/// every check, and only then renamed.
+/// Writes a session folder in one step: everything goes to a temporary folder next to `folder`, is
+/// loaded from there with every check, and only then renamed.
 ///
 /// # Errors
-/// Where `folder` exists and is not empty, where the content does not pass [`load`], or on I/O errors; nothing remains then.
+/// Where `folder` exists and is not empty, where the content does not pass [`load`], or on I/O
+/// errors; nothing remains then.
 pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSession, SessionError> {
     let fail = |source| SessionError::Io {
         action: "writing",

@@ -1,7 +1,8 @@
 //! Distances of a surface at the middles of a grid's cells, filled where they are asked for.
 //!
 //! |d(p) - d(q)| <= |p - q| (a distance is 1-Lipschitz), so d(middle) -+ |p - middle| bounds d(p): most questions about a wire that passes an object
-//! are answered "far" by the cell, and the others are searched no farther than the cell allows. Answers stay exact.
+//! are answered "far" by the cell, and the others are searched no farther than the cell allows.
+//! Answers stay exact.
 
 use nalgebra::Vector3;
 use std::sync::Arc;
@@ -42,8 +43,8 @@ impl Grid {
         }
     }
 
-    /// Bounds of the signed distance at `p`: at least, and at most in size. `exact` tells it at a cell's middle.
-    /// None outside the grid or where `exact` knows nothing.
+    /// Bounds of the signed distance at `p`: at least, and at most in size. `exact` tells it at a
+    /// cell's middle. None outside the grid or where `exact` knows nothing.
     pub(crate) fn bounds_mm(
         &self,
         p: &Vector3<f64>,

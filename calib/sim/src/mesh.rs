@@ -1,8 +1,10 @@
 //! Triangle meshes with exact signed distance.
 //!
-//! d(p) = +-|p - q|, q the nearest point of the surface, negative where (p - q) . N(q) <= 0 with N the pseudo-normal of the face, edge or
-//! corner that q is on (J. Baerentzen & H. Aanaes, IEEE TVCG 11, 2005). grad d = n = (p - q) / d. Second derivative: 0 over a face,
-//! b b^T / d over an edge (b across edge and n), (I - n n^T) / d at a corner. Volume: sum of a . (b x c) / 6 over the triangles (Gauss).
+//! d(p) = +-|p - q|, q the nearest point of the surface, negative where (p - q) . N(q) <= 0 with N
+//! the pseudo-normal of the face, edge or corner that q is on (J. Baerentzen & H. Aanaes, IEEE TVCG
+//! 11, 2005). grad d = n = (p - q) / d. Second derivative: 0 over a face, b b^T / d over an edge (b
+//! across edge and n), (I - n n^T) / d at a corner. Volume: sum of a . (b x c) / 6 over the
+//! triangles (Gauss).
 
 use crate::SimError;
 use crate::grid::Grid;
@@ -24,7 +26,8 @@ const APART_MM: f64 = 10_000.0;
 const CLOSE_MM: f64 = 0.7;
 /// Depth up to which a point inside is found, mm.
 const DEEP_MM: f64 = 30.0;
-/// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
+/// Below this distance (mm) the direction to the surface is rounding: the face's own normal is
+/// taken.
 const ON_SURFACE_MM: f64 = 1e-9;
 
 /// What a surface tells of a point.
@@ -52,16 +55,19 @@ pub struct Mesh {
     /// What is remarkable, in words: open edges, another unit.
     pub notes: Vec<String>,
     surface: TriMesh,
-    /// Its closed bodies one by one, where there are several: where they overlap, the nearest face may be one that lies within another.
+    /// Its closed bodies one by one, where there are several: where they overlap, the nearest face
+    /// may be one that lies within another.
     bodies: Vec<TriMesh>,
     grid: Grid,
 }
 
 impl Mesh {
-    /// From corners (mm) and triangles; normals of a closed surface that point inward are turned round.
+    /// From corners (mm) and triangles; normals of a closed surface that point inward are turned
+    /// round.
     ///
     /// # Errors
-    /// Where there is nothing, too much, a value that is not finite, or an object of impossible size.
+    /// Where there is nothing, too much, a value that is not finite, or an object of impossible
+    /// size.
     pub fn new(
         name: &str,
         points_mm: &[Vector3<f64>],
@@ -103,7 +109,8 @@ impl Mesh {
             .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size_mm = (high_mm - low_mm).max();
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
-            // Bodies far apart, as the solids of one file may lie, are of the right unit where the largest is.
+            // Bodies far apart, as the solids of one file may lie, are of the right unit where the
+            // largest is.
             let largest_mm = pieces(points.len(), &triangles)
                 .iter()
                 .map(|p| size_of(&points, p))
@@ -162,7 +169,8 @@ impl Mesh {
         })
     }
 
-    /// From a file of STL, OBJ or PLY. Metres taken for millimetres are recognised by the size and said in `notes`.
+    /// From a file of STL, OBJ or PLY. Metres taken for millimetres are recognised by the size and
+    /// said in `notes`.
     ///
     /// # Errors
     /// As [`Self::new`], or where the file cannot be read.
@@ -196,7 +204,8 @@ impl Mesh {
             .iter()
             .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size = (high - low).max();
-        // Nothing that a whisker of 60 mm sweeps over is smaller than 3 mm; in metres everything is.
+        // Nothing that a whisker of 60 mm sweeps over is smaller than 3 mm; in metres everything
+        // is.
         let metres =
             size.is_finite() && size > 0.0 && size < SIZE_MM[0] && size * 1e3 >= SIZE_MM[0];
         if metres {
@@ -258,7 +267,8 @@ impl Mesh {
         Some(if found.is_inside { -size } else { size })
     }
 
-    /// Nearest place of the surface, or of the body in which the point is deepest, with the mesh that it is on.
+    /// Nearest place of the surface, or of the body in which the point is deepest, with the mesh
+    /// that it is on.
     fn nearest(
         &self,
         p: &Vector3<f64>,
@@ -268,7 +278,8 @@ impl Mesh {
         if found.is_inside || self.bodies.is_empty() {
             return Some((found, at, &self.surface));
         }
-        // Bodies that overlap are one: the greatest of their depths is the nearest bound of the union's.
+        // Bodies that overlap are one: the greatest of their depths is the nearest bound of the
+        // union's.
         let deep = |(found, ..): &(PointProjection, _, _)| (p - vector(found.point)).norm();
         let around = self
             .bodies
@@ -341,7 +352,8 @@ impl Mesh {
             });
         }
         let normal = off / distance_mm;
-        // Distance from a plane is linear; from an edge or a corner it bends with the inverse of itself.
+        // Distance from a plane is linear; from an edge or a corner it bends with the inverse of
+        // itself.
         let across = match feature {
             TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => Matrix3::zeros(),
             TrianglePointLocation::OnVertex(_) => Matrix3::identity() - normal * normal.transpose(),
@@ -361,7 +373,8 @@ impl Mesh {
     }
 }
 
-/// The library's search for the nearest place by squared distances: its own takes a root at every box, a tenth of the time.
+/// The library's search for the nearest place by squared distances: its own takes a root at every
+/// box, a tenth of the time.
 fn nearest_of(
     mesh: &TriMesh,
     p: Place,

@@ -1,4 +1,5 @@
-//! Mesh files as CAD programs and scanners write them: STL (`stl`), Wavefront OBJ, PLY, any of them in gzip; recognised by their content.
+//! Mesh files as CAD programs and scanners write them: STL (`stl`), Wavefront OBJ, PLY, any of them
+//! in gzip; recognised by their content.
 
 use crate::stl::{MAX_BYTES, Stl, check_count};
 use flate2::read::GzDecoder;
@@ -10,7 +11,8 @@ use wcal_core::text::brief;
 /// Corners and triangles of a file's bytes; faces of more corners are fans of triangles.
 ///
 /// # Errors
-/// What was expected and found: no mesh, cut off, too many triangles, or an element that has no place.
+/// What was expected and found: no mesh, cut off, too many triangles, or an element that has no
+/// place.
 pub fn parse(bytes: &[u8]) -> Result<Stl, String> {
     if bytes.starts_with(b"\x1f\x8b") {
         // A gzip of a megabyte may hold a gigabyte.

@@ -1,5 +1,6 @@
-//! The faces of a mesh that something outside can touch. A bottle's mesh is a shell: a millimetre behind the wall that a wire touches lies another
-//! one, and a contact that is a millimetre too deep is on it. A face belongs to the outside where enough of the sky above it is open:
+//! The faces of a mesh that something outside can touch. A bottle's mesh is a shell: a millimetre
+//! behind the wall that a wire touches lies another one, and a contact that is a millimetre too
+//! deep is on it. A face belongs to the outside where enough of the sky above it is open:
 //!
 //! ```text
 //! open share = |{ d : d . n > 0, the ray from the face along d meets no face }| / |{ d : d . n > 0 }|,    d: Fibonacci lattice on the sphere
@@ -13,7 +14,8 @@ use std::f64::consts::PI;
 
 /// Directions of the whole sphere.
 const DIRECTIONS: usize = 128;
-/// A tenth of the sky: from so many open directions on a face is of the outside. The inner wall of a bottle sees less than this of its mouth.
+/// A tenth of the sky: from so many open directions on a face is of the outside. The inner wall of
+/// a bottle sees less than this of its mouth.
 const ENOUGH: usize = DIRECTIONS / 20;
 /// A smaller part of the faces than one in so many are nooks of one surface.
 const FEW: usize = 20;

@@ -1,14 +1,16 @@
 //! STL files as CAD programs and scanners write them: binary, or text with one solid or several.
 //!
-//! Binary: 80 bytes of any content, the number n of triangles (u32), then 50 bytes a triangle (normal and three corners as f32, two bytes
-//! of attributes), all little-endian. Text: `solid NAME`, `facet normal`, `outer loop`, three `vertex x y z`, `endloop`, `endfacet`,
-//! `endsolid`, in any case and with any blanks (Marshall Burns, Automated Fabrication, 1993, section 6.5). A header that begins with
-//! "solid" tells nothing: the length does.
+//! Binary: 80 bytes of any content, the number n of triangles (u32), then 50 bytes a triangle
+//! (normal and three corners as f32, two bytes of attributes), all little-endian. Text:
+//! `solid NAME`, `facet normal`, `outer loop`, three `vertex x y z`, `endloop`, `endfacet`,
+//! `endsolid`, in any case and with any blanks (Marshall Burns, Automated Fabrication, 1993,
+//! section 6.5). A header that begins with "solid" tells nothing: the length does.
 
 use std::collections::HashMap;
 use wcal_core::text;
 
-/// Largest number of triangles that is read: corners, edges and the tree that is searched take 0.6 kB a triangle, twice that in closed bodies.
+/// Largest number of triangles that is read: corners, edges and the tree that is searched take 0.6
+/// kB a triangle, twice that in closed bodies.
 pub const MAX_TRIANGLES: usize = 1_000_000;
 /// Largest file, bytes: a text has some 250 bytes a triangle.
 pub const MAX_BYTES: u64 = 400 << 20;
@@ -31,7 +33,8 @@ impl Stl {
     /// Reads a file's bytes; all solids of a text become one surface.
     ///
     /// # Errors
-    /// What was expected and found: no STL, cut off, too many triangles, or a line that has no place.
+    /// What was expected and found: no STL, cut off, too many triangles, or a line that has no
+    /// place.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         if bytes.is_empty() {
             return Err("expected an STL file, found an empty file".to_owned());

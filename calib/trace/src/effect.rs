@@ -1,4 +1,5 @@
-//! What the loop knows of an effect before it sees data: laws, named parameters with unit and range, and what they need of a session.
+//! What the loop knows of an effect before it sees data: laws, named parameters with unit and
+//! range, and what they need of a session.
 
 /// Role of a parameter in a law.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +69,8 @@ pub struct EffectModel {
     pub parameters: Vec<Parameter>,
     /// Names and units of the coefficients that enter linearly, one a column and channel.
     pub linear: Vec<(&'static str, &'static str)>,
-    /// Largest part that those columns may have in what a channel spans; none where the law has no such limit.
+    /// Largest part that those columns may have in what a channel spans; none where the law has no
+    /// such limit.
     pub largest_share: Option<f64>,
     /// What it needs of the session.
     pub needs: Vec<LawRequirement>,
@@ -163,7 +165,8 @@ impl<'a> Values<'a> {
         self.index
     }
 
-    /// Value of a parameter; NaN where the law has none of that name, so that no design comes of it.
+    /// Value of a parameter; NaN where the law has none of that name, so that no design comes of
+    /// it.
     pub fn of(&self, name: &str) -> f64 {
         let at = self.law.parameters.iter().position(|p| p.name == name);
         at.and_then(|k| self.values.get(k))
@@ -191,14 +194,16 @@ pub struct Effect {
     pub sentence: &'static str,
     /// Laws, the plainest first.
     pub laws: Vec<EffectModel>,
-    /// Richer laws, tried only where the effect is accepted already and something remains. Their indices go on after those of `laws`.
+    /// Richer laws, tried only where the effect is accepted already and something remains. Their
+    /// indices go on after those of `laws`.
     pub refinements: Vec<EffectModel>,
     /// What it does to a reading depends on the readings before.
     pub has_memory: bool,
-    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has its own shape;
-    /// else they describe one thing, and only one of them is true.
+    /// Its laws are things that can act at once (periods, columns, time constants), each more than
+    /// once where it has its own shape; else they describe one thing, and only one of them is true.
     pub superposes: bool,
-    /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.
+    /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one
+    /// that is not steady.
     pub min_shape_ratio: f64,
     /// Each law follows a further column of the session, in their order.
     pub by_column: bool,
@@ -269,7 +274,8 @@ pub struct EffectTerm {
     pub values: Vec<f64>,
 }
 
-/// What a term stands for: two terms of one explanation never stand for the same, and two explanations of the same are one.
+/// What a term stands for: two terms of one explanation never stand for the same, and two
+/// explanations of the same are one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TermKey {
     /// Index in the catalogue.
@@ -295,7 +301,8 @@ impl EffectTerm {
         }
     }
 
-    /// Whether both can stand in one explanation: they stand for different things, or for two instances that differ in shape.
+    /// Whether both can stand in one explanation: they stand for different things, or for two
+    /// instances that differ in shape.
     pub fn beside(&self, other: &Self, catalogue: &Catalogue) -> bool {
         if self.key(catalogue) != other.key(catalogue) {
             return true;
@@ -328,10 +335,12 @@ pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
     out
 }
 
-/// Gaps of the shape's grid from which on two instances are two: for a period one cycle over the range (Rayleigh).
+/// Gaps of the shape's grid from which on two instances are two: for a period one cycle over the
+/// range (Rayleigh).
 const RAYLEIGH_GAPS: f64 = 1.9;
 
-/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
+/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over
+/// about that much.
 pub fn grid_spacing(grid: &[f64], value: f64) -> f64 {
     let near = grid
         .iter()

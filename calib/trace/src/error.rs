@@ -1,4 +1,5 @@
-//! Errors of the trace crate: what stops verification outright. "Not good enough" is a verdict, not an error.
+//! Errors of the trace crate: what stops verification outright. "Not good enough" is a verdict, not
+//! an error.
 
 use thiserror::Error;
 

@@ -1,7 +1,8 @@
-//! The residual loop: find the residual, trace it to an effect that the model lacks, add it, show the held-out error.
+//! The residual loop: find the residual, trace it to an effect that the model lacks, add it, show
+//! the held-out error.
 //!
-//! `method` holds the statistics, `models` the two kinds of session, `verify` the procedure that joins them; `effect` and
-//! `measurement_model` are the traits between them.
+//! `method` holds the statistics, `models` the two kinds of session, `verify` the procedure that
+//! joins them; `effect` and `measurement_model` are the traits between them.
 
 pub mod effect;
 mod error;

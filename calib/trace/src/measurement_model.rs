@@ -1,11 +1,13 @@
-//! The measurement model that the statistics work on: measured values, a design whose coefficients are free, effects, noise.
+//! The measurement model that the statistics work on: measured values, a design whose coefficients
+//! are free, effects, noise.
 //!
 //! ```text
 //! Y = D(terms) B + noise          Y: readings x channels, D: design under the effects' values, B: coefficients, one column a channel
 //! z = g(terms) + noise            z: a second witness, its covariance known, nothing in it free but the effects
 //! ```
 //!
-//! [`crate::verify::SessionModel`] adds what the procedure asks of a kind of session: words, predictions, folds, checks.
+//! [`crate::verify::SessionModel`] adds what the procedure asks of a kind of session: words,
+//! predictions, folds, checks.
 
 use crate::effect::{Effect, EffectTerm};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
@@ -13,7 +15,8 @@ use crate::method::noise::{NoiseInputs, Weights};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// `values` as they are; none where one is not finite, which ends the candidate whose design needs them.
+/// `values` as they are; none where one is not finite, which ends the candidate whose design needs
+/// them.
 pub(crate) fn finite<V: AsRef<[f64]>>(values: V) -> Option<V> {
     values
         .as_ref()
@@ -49,7 +52,8 @@ pub struct DesignTest {
 pub trait MeasurementModel: Sync {
     /// Measured values, readings x channels.
     fn measured(&self) -> &DMatrix<f64>;
-    /// From the channels of [`MeasurementModel::measured`], whose noise is uncorrelated and of one variance, to those of the sensor: `sensor = measured * this`.
+    /// From the channels of [`MeasurementModel::measured`], whose noise is uncorrelated and of one
+    /// variance, to those of the sensor: `sensor = measured * this`.
     fn channels_pm(&self) -> DMatrix<f64> {
         DMatrix::identity(self.measured().ncols(), self.measured().ncols())
     }
@@ -57,7 +61,8 @@ pub trait MeasurementModel: Sync {
     fn noise_factor(&self) -> f64 {
         (self.channels_pm().norm_squared() / self.measured().ncols() as f64).sqrt()
     }
-    /// Design matrix, readings x coefficients; none where the model has no solution at these values.
+    /// Design matrix, readings x coefficients; none where the model has no solution at these
+    /// values.
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
     /// The catalogue.
     fn catalogue(&self) -> &[Effect];
@@ -65,13 +70,16 @@ pub trait MeasurementModel: Sync {
     fn outliers(&self) -> Option<usize> {
         self.catalogue().iter().position(|e| e.is_outlier_process)
     }
-    /// Columns that make a smooth curve of the declared model, whatever bends it: what single readings are judged by before anything has a name.
+    /// Columns that make a smooth curve of the declared model, whatever bends it: what single
+    /// readings are judged by before anything has a name.
     fn smooth_columns(&self) -> Vec<Vec<f64>> {
         Vec::new()
     }
-    /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
-    /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
-    /// readings that do not count are zero; empty where there is no second witness, none where the model has no solution.
+    /// What a second witness leaves under `terms`: measured less predicted of observations whose
+    /// covariance is known and that have no free coefficients (what cameras saw, beside the
+    /// wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of readings that do
+    /// not count are zero; empty where there is no second witness, none where the model has no
+    /// solution.
     fn auxiliary_residual(
         &self,
         _terms: &[EffectTerm],
@@ -83,26 +91,31 @@ pub trait MeasurementModel: Sync {
     fn auxiliary_readings(&self) -> Arc<Vec<usize>> {
         Arc::default()
     }
-    /// Variance of the second witness's whitened values: that of a typical reading, so that both are weighed alike.
+    /// Variance of the second witness's whitened values: that of a typical reading, so that both
+    /// are weighed alike.
     fn auxiliary_variance(&self) -> f64 {
         1.0
     }
-    /// Its groups are repetitions of one task, so that what is omitted in turn judges each effect and what remains.
+    /// Its groups are repetitions of one task, so that what is omitted in turn judges each effect
+    /// and what remains.
     fn cross_validates_terms(&self) -> bool {
         false
     }
-    /// Standard deviation of what all readings share of a parameter and none of them shows (how two clocks are aligned), in its unit.
+    /// Standard deviation of what all readings share of a parameter and none of them shows (how two
+    /// clocks are aligned), in its unit.
     fn systematic_sd(&self, _effect: usize, _parameter: &str) -> f64 {
         0.0
     }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;
-    /// An effect of an explanation that cannot be distinguished from the design of the experiment itself: where readings repeat with the protocol,
-    /// what repeats with them is no law of the clock, and a few places, or a single one, are no law of the stimulus.
+    /// An effect of an explanation that cannot be distinguished from the design of the experiment
+    /// itself: where readings repeat with the protocol, what repeats with them is no law of the
+    /// clock, and a few places, or a single one, are no law of the stimulus.
     fn not_identified(&self, _h: &Hypothesis) -> Option<NotIdentified> {
         None
     }
-    /// What the design of the experiment asks of a name beside the search: one of these tests of its `signature`, off what `h` takes up, must reject.
+    /// What the design of the experiment asks of a name beside the search: one of these tests of
+    /// its `signature`, off what `h` takes up, must reject.
     fn design_tests(
         &self,
         _h: &Hypothesis,
@@ -111,7 +124,8 @@ pub trait MeasurementModel: Sync {
     ) -> Vec<DesignTest> {
         Vec::new()
     }
-    /// Names among [`MeasurementModel::covariates`] of which nothing is known: they are tried in every shape.
+    /// Names among [`MeasurementModel::covariates`] of which nothing is known: they are tried in
+    /// every shape.
     fn further_columns(&self) -> &[String] {
         &[]
     }

@@ -1,5 +1,5 @@
-//! `verify`: the residual loop, one procedure for every kind of session. One function a stage, in the order of the work; the numbers are the rows of
-//! docs/src/method.md.
+//! `verify`: the residual loop, one procedure for every kind of session. One function a stage, in
+//! the order of the work; the numbers are the rows of docs/src/method.md.
 
 mod acceptance;
 pub mod assessment;
@@ -41,47 +41,60 @@ use wcal_core::verify_document::VerifyDocument;
 pub use witness::Witness;
 use witness::test_witnesses;
 
-/// Runs the stages on a model of the open readings; the sealed ones come out once, against a decision that is complete.
+/// Runs the stages on a model of the open readings; the sealed ones come out once, against a
+/// decision that is complete.
 ///
 /// # Errors
-/// Where the declared model has no solution at the readings, a witness cannot use its data, the explanation to be accepted is not open, or the ledger
-/// cannot be written.
+/// Where the declared model has no solution at the readings, a witness cannot use its data, the
+/// explanation to be accepted is not open, or the ledger cannot be written.
 pub fn verify<M: SessionModel>(
     model: M,
     sealed: Sealed<M::Row>,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,
 ) -> Result<Verified<M>, TraceError> {
+    // 1 data validation
     if let Some(why) = model.refusal(&sealed) {
-        return Ok(Verified::Refused(why)); //                                       1 data validation
+        return Ok(Verified::Refused(why));
     }
-    let mut e = fit_baseline(model, request)?; //                                   2 variable projection, gross readings set apart
+    // 2 variable projection, gross readings set apart
+    let mut e = fit_baseline(model, request)?;
     let found = loop {
+        // 4 omnibus test
         while test_adequacy(&e.model, &e.search) {
-            //                                                                      4 omnibus test
-            let signatures = project_signatures(&e.model, &e.search); //            5 off the nuisances
-            let candidates = screen_subsets(&e.model, signatures); //               6 on the projected Gram matrix
-            let refitted = refit(&e.model, &e.search, &candidates); //              7 full forward model
+            // 5 off the nuisances
+            let signatures = project_signatures(&e.model, &e.search);
+            // 6 on the projected Gram matrix
+            let candidates = screen_subsets(&e.model, signatures);
+            // 7 full forward model
+            let refitted = refit(&e.model, &e.search, &candidates);
+            // 8 Akaike, F test of the step, ranges, design
             if !select_model(&e.model, &mut e.search, refitted) {
-                break; //                                                           8 Akaike, F test of the step, ranges, design
+                break;
             }
         }
+        // 3 restricted likelihood; channels, clock, pictures
         e.rounds += 1;
         if e.rounds < MAX_ROUNDS && estimate_noise(&mut e) {
-            continue; //                                                            3 restricted likelihood; channels, clock, pictures
+            continue;
         }
-        let found = compare_rivals(&e.model, &e.search); //                         10 Cox's test by parametric bootstrap
+        // 10 Cox's test by parametric bootstrap
+        let found = compare_rivals(&e.model, &e.search);
+        // 9 a sweep over a known object
         match test_witnesses(&mut e, found, witnesses, request)? {
-            Some(found) => break found, //                                          9 a sweep over a known object
+            Some(found) => break found,
             None => continue,
         }
     };
-    let validated = cross_validate(e, found, request)?; //                          11 keeps what predicts readings left out in turn
-    let decision = decide(validated, witnesses, request)?; //                       12 verdict, calibration, claims: complete
+    // 11 keeps what predicts readings left out in turn
+    let validated = cross_validate(e, found, request)?;
+    // 12 verdict, calibration, claims: complete
+    let decision = decide(validated, witnesses, request)?;
     let opened = sealed
         .unseal(decision, &request.ledger)
         .map_err(TraceError::NoLedger)?;
-    let (decision, assessment) = opened.assess(assess); //                          13 once; nothing can be chosen after it
+    // 13 once; nothing can be chosen after it
+    let (decision, assessment) = opened.assess(assess);
     Ok(Verified::Done(Box::new(Verification {
         decision,
         assessment: assessment?,

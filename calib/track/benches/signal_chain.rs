@@ -1,7 +1,9 @@
-//! Everything before the network at the interrogator's rate: peaks to gratings, temperature, filter, map, for 16 whiskers.
+//! Everything before the network at the interrogator's rate: peaks to gratings, temperature,
+//! filter, map, for 16 whiskers.
 //!
-//! 2 kHz leave 500 us a scan, all whiskers together. Beside criterion's mean, quantiles of single scans are printed, scans that complete
-//! rows included, with the multiple of real time. SIMULATED peaks.
+//! 2 kHz leave 500 us a scan, all whiskers together. Beside criterion's mean, quantiles of single
+//! scans are printed, scans that complete rows included, with the multiple of real time. SIMULATED
+//! peaks.
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,

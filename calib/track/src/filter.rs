@@ -1,8 +1,10 @@
-//! Bayes filter on a grid of arc lengths (a point-mass filter), the physical baseline of the network.
+//! Bayes filter on a grid of arc lengths (a point-mass filter), the physical baseline of the
+//! network.
 //!
-//! State at sample t: node k of the inverse's curve (arc length `s_k`, at the tip the tilt of the force), offset x in [-1/2, 1/2] within the
-//! node, velocity `v = ds/dz` (path along the curve by travel of the base), and where they are not known the coefficient of friction mu and
-//! the speed u of the base, which travels along its +z:
+//! State at sample t: node k of the inverse's curve (arc length `s_k`, at the tip the tilt of the
+//! force), offset x in [-1/2, 1/2] within the node, velocity `v = ds/dz` (path along the curve by
+//! travel of the base), and where they are not known the coefficient of friction mu and the speed u
+//! of the base, which travels along its +z:
 //!
 //! ```text
 //! predict and update   w_t(k, mu, u)  ~  sum_j  w_{t-1}(j, mu, u)  p(k | j, mu, u)  p(m_t | k, j, mu, u)
@@ -13,13 +15,16 @@
 //! evidence             log p(m_t | m_1 .. m_{t-1}) = log sum w_t   (before normalisation)
 //! ```
 //!
-//! `p_k`, `n_k`: point and direction of the force that explain the moments m at node k (`StaticInverse`). Along its normal the touched point
-//! moves as the object does, and Coulomb friction leans the force against the slip across the wire by `d = mu / sqrt(1 + mu^2)`. At first
-//! contact the deflection is at most the base's travel. Friction along the wire, a bending object and several contacts are outside
-//! the model. Offsets and velocities within a node are Gaussian and merged by their moments (`GridCell`).
+//! `p_k`, `n_k`: point and direction of the force that explain the moments m at node k
+//! (`StaticInverse`). Along its normal the touched point moves as the object does, and Coulomb
+//! friction leans the force against the slip across the wire by `d = mu / sqrt(1 + mu^2)`. At first
+//! contact the deflection is at most the base's travel. Friction along the wire, a bending object
+//! and several contacts are outside the model. Offsets and velocities within a node are Gaussian
+//! and merged by their moments (`GridCell`).
 //!
-//! Sources: R. S. Bucy, K. D. Senne, "Digital synthesis of non-linear filters", Automatica 7 (1971) 287; D. Alspach, H. Sorenson, "Nonlinear
-//! Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic Control 17 (1972) 439.
+//! Sources: R. S. Bucy, K. D. Senne, "Digital synthesis of non-linear filters", Automatica 7 (1971)
+//! 287; D. Alspach, H. Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations",
+//! IEEE Trans. Automatic Control 17 (1972) 439.
 
 mod exp;
 mod grid_cell;
@@ -53,7 +58,8 @@ pub struct BayesFilter<'a> {
     weights: Vec<Vec<GridCell>>,
     before: Vec<InverseSolution>,
     now: Vec<InverseSolution>,
-    /// Logarithm of the predictive density of the last sample, 1/(N mm)^2; 0 where there was no prediction.
+    /// Logarithm of the predictive density of the last sample, 1/(N mm)^2; 0 where there was no
+    /// prediction.
     log_evidence: f64,
 }
 
@@ -80,7 +86,8 @@ impl<'a> BayesFilter<'a> {
         let nodes = self.inverse.nodes.len();
         let mut sum = vec![0.0; if self.weights.is_empty() { 0 } else { nodes }];
         for (k, cell) in self.weights.iter().flat_map(|row| row.iter().enumerate()) {
-            // A place between two nodes is split between them by linear interpolation, which conserves the mean.
+            // A place between two nodes is split between them by linear interpolation, which
+            // conserves the mean.
             let neighbour = if cell.offset < 0.0 {
                 k.checked_sub(1)
             } else {
@@ -98,7 +105,8 @@ impl<'a> BayesFilter<'a> {
         sum
     }
 
-    /// Mean velocity at each node: path of the contact along the curve by the base's travel; empty without contact.
+    /// Mean velocity at each node: path of the contact along the curve by the base's travel; empty
+    /// without contact.
     pub fn velocities(&self) -> Vec<f64> {
         let nodes = if self.weights.is_empty() {
             0
@@ -133,13 +141,15 @@ impl<'a> BayesFilter<'a> {
         (total > 0.0).then(|| sum / total)
     }
 
-    /// Logarithm of the predictive density of the last sample given those before, 1/(N mm)^2: low where one contact on a rigid body explains
-    /// the change of the moments badly. 0 without contact and at a first contact.
+    /// Logarithm of the predictive density of the last sample given those before, 1/(N mm)^2: low
+    /// where one contact on a rigid body explains the change of the moments badly. 0 without
+    /// contact and at a first contact.
     pub fn log_evidence(&self) -> f64 {
         self.log_evidence
     }
 
-    /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
+    /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where
+    /// it is known.
     pub fn step(
         &mut self,
         dt_s: f64,
@@ -152,8 +162,8 @@ impl<'a> BayesFilter<'a> {
         })
     }
 
-    /// Travel of the base at its known speed, or at each of the grid, which stands for an interval: the standard deviation of a uniform
-    /// distribution is its width / sqrt(12).
+    /// Travel of the base at its known speed, or at each of the grid, which stands for an interval:
+    /// the standard deviation of a uniform distribution is its width / sqrt(12).
     fn sweep_steps(&self, dt_s: f64, base_mm_s: Option<f64>) -> Vec<KnownStep> {
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         let travel_sd_mm = if speeds.len() > 1 {
@@ -170,7 +180,8 @@ impl<'a> BayesFilter<'a> {
             .collect()
     }
 
-    /// The same with the inverse solutions of a filter of the same onset that has taken the sample already.
+    /// The same with the inverse solutions of a filter of the same onset that has taken the sample
+    /// already.
     pub fn step_sharing_solutions(
         &mut self,
         dt_s: f64,
@@ -194,7 +205,8 @@ impl<'a> BayesFilter<'a> {
         std::mem::swap(&mut self.before, &mut self.now);
         let size = moment_nmm[0].hypot(moment_nmm[1]);
         if size < self.settings.onset_nmm {
-            // A free wire's moments are noise without a direction: the solutions must not depend on it.
+            // A free wire's moments are noise without a direction: the solutions must not depend on
+            // it.
             solutions(FREE_NMM, &mut self.now);
             self.weights.clear();
             self.log_evidence = 0.0;
@@ -205,7 +217,8 @@ impl<'a> BayesFilter<'a> {
         let frictions = self.settings.frictions().len();
         let predicted = self.weights.len() == frictions * steps.len() && self.predict(dt_s, steps);
         if !predicted {
-            // First contact, or no transition explains the sample: the posterior is reset to the prior.
+            // First contact, or no transition explains the sample: the posterior is reset to the
+            // prior.
             let loaded_before = !self.weights.is_empty() || self.before.is_empty();
             if !loaded_before {
                 // The wire at rest: the limit of small moments in the present direction.
@@ -302,7 +315,8 @@ fn weight(row: &[GridCell]) -> f64 {
     row.iter().map(|c| c.weight).sum()
 }
 
-/// Random walk of the base's speed on its grid: a share of each row's weight goes to each neighbour.
+/// Random walk of the base's speed on its grid: a share of each row's weight goes to each
+/// neighbour.
 fn diffuse_speeds(rows: &mut [Vec<GridCell>], share: f64) {
     let n = rows.len();
     if n < 2 {

@@ -1,4 +1,5 @@
-//! Where a single contact can be, given the two transverse moments: a curve in space, one point for each arc length.
+//! Where a single contact can be, given the two transverse moments: a curve in space, one point for
+//! each arc length.
 //!
 //! A force F across the wire at arc length s bends it; the rod gives the moments at the root:
 //!
@@ -10,8 +11,9 @@
 //! dp/dm, dn/dm                                      forward differences of the interpolated table
 //! ```
 //!
-//! Two force components and s are three unknowns for two moments: the rod gives the curve; time, the base's travel and what is known of
-//! objects choose the point on it. What points at the root makes no moment there. Source of the rod: `wcal_rod`.
+//! Two force components and s are three unknowns for two moments: the rod gives the curve; time,
+//! the base's travel and what is known of objects choose the point on it. What points at the root
+//! makes no moment there. Source of the rod: `wcal_rod`.
 
 use crate::error::TrackError;
 use force::{moment, solve_ray, solve_tilts};
@@ -37,7 +39,8 @@ pub struct InverseSolution {
     pub compliance_mm_per_nmm: f64,
     /// Derivative of the force's direction by the moments (norm over both), rad/(N mm).
     pub turn_rad_per_nmm: f64,
-    /// Whether a force at this arc length can give the moments; where not, the solution is that of the largest moments that it can give.
+    /// Whether a force at this arc length can give the moments; where not, the solution is that of
+    /// the largest moments that it can give.
     pub reachable: bool,
 }
 
@@ -46,7 +49,8 @@ pub struct InverseSolution {
 pub struct Node {
     /// Arc length, mm.
     pub arclength_mm: f64,
-    /// Tilt of the force: 0 perpendicular to the wire, toward 1 straight at the root; nonzero at the tip only.
+    /// Tilt of the force: 0 perpendicular to the wire, toward 1 straight at the root; nonzero at
+    /// the tip only.
     pub tilt: f64,
 }
 
@@ -184,8 +188,8 @@ impl StaticInverse {
         }));
     }
 
-    /// Cells around a moment, as offsets within a node, with their weights: cubic through four in each direction; at the ends of the
-    /// moments' range the parabola through three.
+    /// Cells around a moment, as offsets within a node, with their weights: cubic through four in
+    /// each direction; at the ends of the moments' range the parabola through three.
     fn stencil(&self, moment_nmm: [f64; 2]) -> Stencil {
         let g = &self.grid;
         let (size, angle) = (
@@ -235,7 +239,8 @@ impl StaticInverse {
         Stencil { cells, inner }
     }
 
-    /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none next to unreachable ones.
+    /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none
+    /// next to unreachable ones.
     fn interpolate_together(
         &self,
         node: usize,
@@ -324,7 +329,8 @@ fn refine(
             arclength_mm: mix(a.arclength_mm, b.arclength_mm, u),
             tilt: mix(a.tilt, b.tilt, u),
         });
-        // Cubic along the wire and along the tilts, linear next to the tip, where the curve has a corner.
+        // Cubic along the wire and along the tilts, linear next to the tip, where the curve has a
+        // corner.
         let whole = from > 0
             && to + 1 < nodes.len()
             && (from < first_tip) == (from - 1 < first_tip)
@@ -366,7 +372,8 @@ mod tests {
     use super::{InverseGrid, MOMENT_STEP_NMM, StaticInverse};
     use wcal_core::observation::WhiskerSpec;
 
-    /// Three stencils of one cell give together what each gives alone, and nothing next to unreachable cells.
+    /// Three stencils of one cell give together what each gives alone, and nothing next to
+    /// unreachable cells.
     #[test]
     fn stencils_of_one_cell_are_interpolated_together() {
         let grid = InverseGrid {

@@ -1,5 +1,6 @@
-//! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is. `wcal-lab train` writes both; the
-//! card tells more than what is read here: how the network was trained, on what, and at which cost.
+//! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that
+//! says what it is. `wcal-lab train` writes both; the card tells more than what is read here: how
+//! the network was trained, on what, and at which cost.
 
 use crate::error::TrackError;
 use crate::filter::{BayesSettings, FILTER_RANGES, FilterBank};
@@ -47,8 +48,9 @@ pub struct Card {
     pub inverse: InverseGrid,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// Factors on the stated standard deviations, base's speed not known, and known: from held-out objects under wires that are not quite the
-    /// declared one, with friction, weight, noise, drift and errors of the gains, by the network's own spread.
+    /// Factors on the stated standard deviations, base's speed not known, and known: from held-out
+    /// objects under wires that are not quite the declared one, with friction, weight, noise, drift
+    /// and errors of the gains, by the network's own spread.
     pub sd_on_bench: [SdFactors; 2],
     /// What of its training says where it may be used.
     pub training: TrainedOn,
@@ -57,7 +59,8 @@ pub struct Card {
 /// The motion that a network was trained on, and the filters below it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainedOn {
-    /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in less time).
+    /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in
+    /// less time).
     pub time_factor: [f64; 2],
     /// What the filter below the network assumes.
     pub filter: BayesSettings,
@@ -134,7 +137,8 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     Ok((card, bytes))
 }
 
-/// Reads a model; its card is checked against the weights. Regions are stated with the factors of a bench.
+/// Reads a model; its card is checked against the weights. Regions are stated with the factors of a
+/// bench.
 ///
 /// # Errors
 /// Where a file is missing, truncated, of another version, or differs from the card.

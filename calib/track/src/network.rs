@@ -1,7 +1,8 @@
 //! WhiskerNet: a causal transformer over the whisker's signals.
 //!
-//! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
-//! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on the Bayes filter's posterior.
+//! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or
+//! weights over the nodes of the static inverse's curve, which keep the answer on what the moments
+//! allow: factors, at knots, on the Bayes filter's posterior.
 
 mod config;
 pub mod features;

@@ -1,23 +1,27 @@
-//! Calibration of the stated covariance: factors on the network's own standard deviation with which its 90 % regions cover held-out data.
+//! Calibration of the stated covariance: factors on the network's own standard deviation with which
+//! its 90 % regions cover held-out data.
 //!
-//! Estimates are sorted by the stated spread `t = sqrt(trace C)` into groups of equal number; each has its split-conformal factor f_g at its
-//! median t_g (`wcal-lab train` finds them). Between medians the factor is linear in log t, beyond them constant:
+//! Estimates are sorted by the stated spread `t = sqrt(trace C)` into groups of equal number; each
+//! has its split-conformal factor f_g at its median t_g (`wcal-lab train` finds them). Between
+//! medians the factor is linear in log t, beyond them constant:
 //!
 //! ```text
 //! f(t) = (1 - u) f_g + u f_{g+1},   u = log(t / t_g) / log(t_{g+1} / t_g);   stated covariance = f(t)^2 C
 //! ```
 //!
-//! Source: conformal prediction by groups (Mondrian), V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random World", 2005, 4.5.
+//! Source: conformal prediction by groups (Mondrian), V. Vovk, A. Gammerman, G. Shafer,
+//! "Algorithmic Learning in a Random World", 2005, 4.5.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Factors on stated standard deviations by how wide the network itself states them: where it is sure it may be too modest, where it is lost too
-/// bold, and how often it is lost differs from bench to bench (conformal by groups: V. Vovk et al., "Algorithmic Learning in a Random World").
+/// Factors on stated standard deviations by how wide the network itself states them: where it is
+/// sure it may be too modest, where it is lost too bold, and how often it is lost differs from
+/// bench to bench (conformal by groups: V. Vovk et al., "Algorithmic Learning in a Random World").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SdFactors {
-    /// Spreads (root of the covariance's trace) at which the factors hold, mm, rising; between them factors go with the spread's logarithm,
-    /// beyond them they stay.
+    /// Spreads (root of the covariance's trace) at which the factors hold, mm, rising; between them
+    /// factors go with the spread's logarithm, beyond them they stay.
     pub at_mm: Vec<f64>,
     /// Factors.
     pub factors: Vec<f64>,

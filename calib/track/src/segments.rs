@@ -5,8 +5,8 @@
 //! jump    |p_t - p_{t-1} + z e_z| > |z| + 3 mm  and  > 3 sqrt(tr C_t + tr C_{t-1})
 //! ```
 //!
-//! p, C: contact with covariance in the base frame; z: travel of the base along its +z since the row before. On one rigid body at rest a
-//! contact slides about as far as the base travels.
+//! p, C: contact with covariance in the base frame; z: travel of the base along its +z since the
+//! row before. On one rigid body at rest a contact slides about as far as the base travels.
 
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
@@ -15,7 +15,8 @@ use serde::Serialize;
 /// Probability at which a segment begins, and below which it ends.
 const START_PROBABILITY: f64 = 0.6;
 const END_PROBABILITY: f64 = 0.4;
-/// A contact that moved this much farther than the base's travel, mm, and by this many standard deviations of both ends, is another one.
+/// A contact that moved this much farther than the base's travel, mm, and by this many standard
+/// deviations of both ends, is another one.
 const JUMP_MM: f64 = 3.0;
 const JUMP_SDS: f64 = 3.0;
 
@@ -75,8 +76,9 @@ impl SegmentFinder {
         }
     }
 
-    /// Takes a row: time (s), probability of contact, contact (base frame, mm) with covariance, and the base's travel along its +z since the row
-    /// before, mm. Returns the number of the row's segment.
+    /// Takes a row: time (s), probability of contact, contact (base frame, mm) with covariance, and
+    /// the base's travel along its +z since the row before, mm. Returns the number of the row's
+    /// segment.
     pub fn push(
         &mut self,
         t_s: f64,
@@ -90,7 +92,8 @@ impl SegmentFinder {
                 self.close(SegmentBoundary::Touch);
                 return None;
             }
-            // In the base frame the object moves by -z: the path on the object is the difference plus z e_z.
+            // In the base frame the object moves by -z: the path on the object is the difference
+            // plus z e_z.
             let moved = (point_mm - last + Vector3::z() * base_way_mm).norm();
             let sd = (covariance_mm2.trace() + spread.trace()).sqrt();
             if moved > base_way_mm.abs() + JUMP_MM && moved > JUMP_SDS * sd {

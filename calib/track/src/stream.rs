@@ -1,6 +1,8 @@
-//! From a stream of readings to what the tracker takes: filter with a stated lag, noise of the no-contact prefix.
+//! From a stream of readings to what the tracker takes: filter with a stated lag, noise of the
+//! no-contact prefix.
 //!
-//! Nothing here touches the network; readings come in order of time, and a gap is reported, never interpolated.
+//! Nothing here touches the network; readings come in order of time, and a gap is reported, never
+//! interpolated.
 
 pub mod base_pose;
 pub mod low_pass;

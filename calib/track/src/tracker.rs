@@ -1,6 +1,7 @@
 //! Tracks sample by sample.
 //!
-//! With outputs f_k (interpolated from the knots), o (3 numbers), floor e and mixture g of the network, and posteriors b, b' of the two filters:
+//! With outputs f_k (interpolated from the knots), o (3 numbers), floor e and mixture g of the
+//! network, and posteriors b, b' of the two filters:
 //!
 //! ```text
 //! w_k ~ exp(f_k) (b_k + sigmoid(g) (b'_k - b_k) + exp(e - 4) / K),   sum w = 1
@@ -34,7 +35,8 @@ pub struct Tracker {
     pub sd_factors: [SdFactors; 2],
 }
 
-/// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known (mm/s).
+/// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known
+/// (mm/s).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Time, s.
@@ -98,7 +100,8 @@ impl Tracker {
                 normal: [0.0; 3],
             };
         }
-        // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over the K nodes.
+        // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over
+        // the K nodes.
         let floor = (out[k + 5] + INITIAL_LOG_FLOOR).exp() / token.posterior.len() as f32;
         let factors = knot_weights(token.posterior.len())
             .into_iter()
@@ -133,7 +136,8 @@ impl Tracker {
         }
         let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
         let normal = normal.map(|x| x / size);
-        // Second moment of the posterior on the curve, widened by the calibrated factor of its spread.
+        // Second moment of the posterior on the curve, widened by the calibrated factor of its
+        // spread.
         let mut covariance = [[0.0; 3]; 3];
         for (w, p) in weights.iter().zip(&token.points_mm) {
             for i in 0..3 {
@@ -196,7 +200,8 @@ impl TrackerStream<'_> {
 /// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
 pub const SWEEP_STEP_S: f64 = 0.1;
 
-/// Shortest and longest time between samples that a network was trained with, s, from the factors of its training.
+/// Shortest and longest time between samples that a network was trained with, s, from the factors
+/// of its training.
 pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
     time_factor.map(|f| f * SWEEP_STEP_S)
 }

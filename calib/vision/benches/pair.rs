@@ -1,4 +1,5 @@
-//! A pair of pictures of the bench (ray-traced, simulated) on one core: reading apart from everything else, at 1280x960 and halved.
+//! A pair of pictures of the bench (ray-traced, simulated) on one core: reading apart from
+//! everything else, at 1280x960 and halved.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement")]
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;

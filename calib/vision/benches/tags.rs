@@ -1,4 +1,5 @@
-//! Tags of the three photographs (measured), corners refined, against AprilTag's own search at half size, in one run on one core.
+//! Tags of the three photographs (measured), corners refined, against AprilTag's own search at half
+//! size, in one run on one core.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement")]
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;

@@ -1,6 +1,7 @@
 //! Solves two cameras from corners given as JSON on stdin, for side-by-side measurements:
 //! `{"columns", "rows", "square", "image_size": [w, h], "repeat", "views": [{"left": [[x, y], ..], "right": [..]}]}`.
-//! Prints RMS and baseline without and with board warp, and the median time of a solve from scratch.
+//! Prints RMS and baseline without and with board warp, and the median time of a solve from
+//! scratch.
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use nalgebra::Vector2;

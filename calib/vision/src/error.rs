@@ -2,7 +2,8 @@
 
 use wcal_core::text::brief;
 
-/// Errors of wcal-vision. A rejected view or pair is no error: it is listed with its reason in the result.
+/// Errors of wcal-vision. A rejected view or pair is no error: it is listed with its reason in the
+/// result.
 #[derive(Debug, thiserror::Error)]
 pub enum VisionError {
     /// A file cannot be read or written.

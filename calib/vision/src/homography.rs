@@ -7,7 +7,8 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector2};
 
-/// Homography that takes `from` (numbers of order 1 to 10, as grid indices) to `to` (px); none for fewer than four points.
+/// Homography that takes `from` (numbers of order 1 to 10, as grid indices) to `to` (px); none for
+/// fewer than four points.
 pub(crate) fn homography(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let n = from.len();
     if n < 4 || to.len() != n {

@@ -1,4 +1,5 @@
-//! Pairs the pictures of two folders (or `*` patterns) by the number in their names that varies, or by the whole name where it is the same.
+//! Pairs the pictures of two folders (or `*` patterns) by the number in their names that varies, or
+//! by the whole name where it is the same.
 
 use crate::error::VisionError;
 use crate::picture::Picture;
@@ -21,7 +22,8 @@ pub struct PairFiles {
 }
 
 impl PairFiles {
-    /// Both pictures, of these sizes where cameras are calibrated; the reason where they cannot be used.
+    /// Both pictures, of these sizes where cameras are calibrated; the reason where they cannot be
+    /// used.
     ///
     /// # Errors
     /// A sentence.
@@ -119,8 +121,8 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
     Ok(files)
 }
 
-/// `*` stands for any run of characters, `?` for one. A mismatch goes back to the latest `*` alone, which takes one character more: the time
-/// is that of pattern times name at most.
+/// `*` stands for any run of characters, `?` for one. A mismatch goes back to the latest `*` alone,
+/// which takes one character more: the time is that of pattern times name at most.
 pub fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
     let (mut p, mut n) = (0, 0);
     // Places in pattern and name after the latest star and what it stands for.
@@ -157,8 +159,9 @@ fn numbers(name: &str) -> Vec<u64> {
         .collect()
 }
 
-/// Place of the number that tells the pairs, counted from a name's end: of those in which no two files of a side agree (a camera's own number
-/// does not vary) the one with the most pairs; the last one of these. None where there is no such place.
+/// Place of the number that tells the pairs, counted from a name's end: of those in which no two
+/// files of a side agree (a camera's own number does not vary) the one with the most pairs; the
+/// last one of these. None where there is no such place.
 fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
     let all = sides.map(|side| side.iter().map(|f| numbers(&stem(f))).collect::<Vec<_>>());
     let places = all.iter().flatten().map(Vec::len).max().unwrap_or(0);
@@ -180,7 +183,8 @@ fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
         .map(|f| f.1)
 }
 
-/// Pairs two lists of files: equal names first, then equal numbers. Files without partner are kept, with `None`.
+/// Pairs two lists of files: equal names first, then equal numbers. Files without partner are kept,
+/// with `None`.
 ///
 /// # Errors
 /// Where two files of one side carry the same number and no partner of the same name.

@@ -1,5 +1,5 @@
-//! Grey pictures of 8 bits: reading, also of 16 bits, with checks that the decoder does not make, and sub-pixel sampling.
-//! Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
+//! Grey pictures of 8 bits: reading, also of 16 bits, with checks that the decoder does not make,
+//! and sub-pixel sampling. Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
 
 use crate::error::{OpenCvContext, VisionError};
 use image::codecs::jpeg::JpegEncoder;
@@ -42,8 +42,9 @@ impl Picture {
         })
     }
 
-    /// Reads a PNG, JPEG, TIFF, BMP or PNM as it is stored, whatever way up its EXIF orientation says; colours become grey (0.299 R + 0.587 G +
-    /// 0.114 B, ITU-R BT.601), and of 16 bits the upper eight that are in use.
+    /// Reads a PNG, JPEG, TIFF, BMP or PNM as it is stored, whatever way up its EXIF orientation
+    /// says; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601), and of 16 bits the
+    /// upper eight that are in use.
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture or of floating-point values.
@@ -182,8 +183,9 @@ impl Picture {
 
 const KINDS: &str = "a PNG, JPEG, TIFF, BMP or PNM picture";
 
-/// Of values of 16 bits the eight that are in use: cameras of 10, 12 and 14 bits store them at the lower end or at the upper one. 255 is their largest
-/// value and no other: saturation is what it was.
+/// Of values of 16 bits the eight that are in use: cameras of 10, 12 and 14 bits store them at the
+/// lower end or at the upper one. 255 is their largest value and no other: saturation is what it
+/// was.
 fn upper_bits(values: &[u16]) -> Vec<u8> {
     let used = values.iter().fold(0, |all, v| all | v);
     let unused = if used == 0 {
@@ -202,7 +204,8 @@ fn upper_bits(values: &[u16]) -> Vec<u8> {
         .collect()
 }
 
-/// The EXIF orientation of a picture file, 2 to 8 (CIPA DC-008, tag 274), where it asks that the picture be turned or mirrored.
+/// The EXIF orientation of a picture file, 2 to 8 (CIPA DC-008, tag 274), where it asks that the
+/// picture be turned or mirrored.
 pub fn exif_orientation(path: &Path) -> Option<u8> {
     let bytes = wcal_core::files::read(path).ok()?;
     let reader = ImageReader::new(Cursor::new(&bytes))

@@ -1,5 +1,6 @@
-//! The profile of a blurred edge: `S(x) = (1 + erf(x / (s sqrt 2))) / 2`, the convolution of a step with a Gaussian of sd s; `erf` from a
-//! table with Hermite cubics. Source: Abramowitz and Stegun, 7.1 (error function) and 25.2 (interpolation).
+//! The profile of a blurred edge: `S(x) = (1 + erf(x / (s sqrt 2))) / 2`, the convolution of a step
+//! with a Gaussian of sd s; `erf` from a table with Hermite cubics. Source: Abramowitz and Stegun,
+//! 7.1 (error function) and 25.2 (interpolation).
 
 use std::sync::LazyLock;
 
@@ -8,7 +9,8 @@ const PER_UNIT: f64 = 32.0;
 /// Beyond this erf differs from 1 by less than 2e-12.
 const LIMIT: f64 = 5.0;
 
-/// Cubics through erf and its slope at the ends of every interval: value = c0 + t (c1 + t (c2 + t c3)), t from 0 to 1.
+/// Cubics through erf and its slope at the ends of every interval: value = c0 + t (c1 + t (c2 + t
+/// c3)), t from 0 to 1.
 static TABLE: LazyLock<Vec<[f64; 4]>> = LazyLock::new(|| {
     let node = |k: usize| {
         let x = k as f64 / PER_UNIT;
@@ -28,8 +30,8 @@ static TABLE: LazyLock<Vec<[f64; 4]>> = LazyLock::new(|| {
         .collect()
 });
 
-/// The error function and its derivative at `x`; absolute errors below 2e-8 and 1e-5. A table with cubics between: this is
-/// the innermost loop of every fit to pixels.
+/// The error function and its derivative at `x`; absolute errors below 2e-8 and 1e-5. A table with
+/// cubics between: this is the innermost loop of every fit to pixels.
 #[inline]
 pub fn erf_with_slope(x: f64) -> (f64, f64) {
     let a = x.abs();
@@ -46,7 +48,8 @@ pub fn erf_with_slope(x: f64) -> (f64, f64) {
     (value.copysign(x), slope)
 }
 
-/// A step from 0 to 1 at 0, blurred by a Gaussian of standard deviation `sd`, and its derivative by `x`.
+/// A step from 0 to 1 at 0, blurred by a Gaussian of standard deviation `sd`, and its derivative by
+/// `x`.
 #[inline]
 pub fn blurred_step(x: f64, sd: f64) -> (f64, f64) {
     let scale = 1.0 / (sd * std::f64::consts::SQRT_2);

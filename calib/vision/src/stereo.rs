@@ -11,7 +11,8 @@ pub struct StereoCameras {
     pub cameras: [Camera; 2],
     /// Takes left coordinates to right ones, mm.
     pub right_from_left: Isometry3<f64>,
-    /// Covariance of the parameters (left, right, rotation about the right camera's axes, translation); none where the file states none.
+    /// Covariance of the parameters (left, right, rotation about the right camera's axes,
+    /// translation); none where the file states none.
     pub covariance: Option<DMatrix<f64>>,
 }
 

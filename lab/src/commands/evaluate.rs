@@ -110,7 +110,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The sweeps of the dataset: those over objects of the training that were kept back, and those over objects that it did not see.
+/// The sweeps of the dataset: those over objects of the training that were kept back, and those
+/// over objects that it did not see.
 fn sets(args: &EvaluateArgs, card: &Card) -> anyhow::Result<Sets> {
     let there: BTreeSet<String> = manifests(&args.sweeps)?
         .into_iter()

@@ -1,4 +1,5 @@
-//! `wcal-lab exam`: draws sessions from an independent plant, has `wcal verify` judge them, scores the verdicts, prints the goals. SIMULATED.
+//! `wcal-lab exam`: draws sessions from an independent plant, has `wcal verify` judge them, scores
+//! the verdicts, prints the goals. SIMULATED.
 
 use anyhow::Context;
 use clap::Args;
@@ -64,8 +65,9 @@ pub struct ExamArgs {
     pub keep: Option<PathBuf>,
     /// Count how often each number that a user reads holds, in place of the mixes
     ///
-    /// `scalars`: `--draws` clean sessions of each noise and layout, and as many with an effect; `whiskers`: as many whiskers
-    /// without and with an effect; `tracks`: as many records of each regime; `all`.
+    /// `scalars`: `--draws` clean sessions of each noise and layout, and as many with an effect;
+    /// `whiskers`: as many whiskers without and with an effect; `tracks`: as many records of each
+    /// regime; `all`.
     #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks"],
         conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
     pub statements: Option<String>,

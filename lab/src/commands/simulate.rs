@@ -28,7 +28,8 @@ const RESULT: ResultKind<'_> = ResultKind {
     made_of: unsaid,
 };
 
-/// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds shards missing.
+/// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds
+/// shards missing.
 ///
 /// # Errors
 /// Where nothing can be simulated, or the folder cannot be written.

@@ -46,7 +46,8 @@ pub struct Block {
 
 /// Runs sweeps for a [`super::Dataset`].
 pub trait SweepEngine: Debug + Send + Sync {
-    /// What tables follow from besides wire, plan, object and seed; it goes into the dataset's identity.
+    /// What tables follow from besides wire, plan, object and seed; it goes into the dataset's
+    /// identity.
     fn identity(&self) -> Value;
 
     /// Whether it can run a plan here; asked before anything is written.
@@ -62,7 +63,8 @@ pub trait SweepEngine: Debug + Send + Sync {
     fn run_block(&self, task: &BlockTask<'_>) -> Result<Block, LabError>;
 }
 
-/// How the rod is solved: its centre line between the links, and its contacts. Tables made otherwise are not the same.
+/// How the rod is solved: its centre line between the links, and its contacts. Tables made
+/// otherwise are not the same.
 const METHOD: &str = "spline of third order, facets kept";
 
 /// Sweeps by the quasi-static rod.

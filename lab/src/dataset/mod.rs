@@ -1,4 +1,5 @@
-//! The sweep dataset: blocks of sweeps over objects on all cores, written shard by shard, taken up again where it stopped.
+//! The sweep dataset: blocks of sweeps over objects on all cores, written shard by shard, taken up
+//! again where it stopped.
 
 pub mod columns;
 pub mod engine;
@@ -138,7 +139,8 @@ impl Dataset {
             .collect()
     }
 
-    /// SHA-256 of what an object's tables follow from, as canonical JSON: engine, whisker, plan, seed and the mesh's own hash.
+    /// SHA-256 of what an object's tables follow from, as canonical JSON: engine, whisker, plan,
+    /// seed and the mesh's own hash.
     ///
     /// # Errors
     /// Where a value cannot be written as JSON.
@@ -232,7 +234,8 @@ impl Dataset {
                 let mesh = &self.objects[object];
                 let (name, size) = (self.name((object, first)), self.size(first));
                 let there = shard::done(folder, &name, &made_from[object], [first, size]);
-                // A shard that is there and cannot be used is reported; one that was never made is no news.
+                // A shard that is there and cannot be used is reported; one that was never made is
+                // no news.
                 let was_there = folder.join(format!("{name}.json")).exists();
                 let again = there
                     .as_ref()
@@ -322,8 +325,8 @@ mod tests {
         }
     }
 
-    /// The identity follows from values alone, so a plan that was read in another order or by its newer names is the same; any
-    /// other value is another identity.
+    /// The identity follows from values alone, so a plan that was read in another order or by its
+    /// newer names is the same; any other value is another identity.
     #[test]
     fn the_identity_is_of_values_not_of_their_order() {
         let dataset = |plan: &str, engine: Arc<dyn SweepEngine>| Dataset {

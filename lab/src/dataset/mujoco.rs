@@ -43,7 +43,8 @@ impl MujocoSweeps {
         }
     }
 
-    /// An object's parts: made once a run, whichever block asks first, also where CoACD dies or hangs over them.
+    /// An object's parts: made once a run, whichever block asks first, also where CoACD dies or
+    /// hangs over them.
     fn parts(&self, mesh: &Mesh, folder: &Path) -> Result<Result<Corners, String>, TwinError> {
         let own = {
             let mut all = self.parts.lock().unwrap_or_else(PoisonError::into_inner);
@@ -119,7 +120,8 @@ impl SweepEngine for MujocoSweeps {
     }
 }
 
-/// The convex parts that MuJoCo's sweeps in `folder` were made with, by object; those that are there.
+/// The convex parts that MuJoCo's sweeps in `folder` were made with, by object; those that are
+/// there.
 pub fn convex_parts(dataset: &Dataset, folder: &Path) -> BTreeMap<String, Convex> {
     let there = |mesh: &Mesh| {
         Some((

@@ -1,4 +1,5 @@
-//! `recipe.json`: what the shards of a folder follow from, written before the first of them, so that a folder holds one dataset and no mixture.
+//! `recipe.json`: what the shards of a folder follow from, written before the first of them, so
+//! that a folder holds one dataset and no mixture.
 
 use super::{Dataset, shard};
 use crate::LabError;
@@ -22,8 +23,8 @@ pub struct Recipe {
     /// Format and version.
     #[schemars(extend("const" = FORMAT))]
     format: String,
-    /// Engine and its settings: `name` (`rod` or `mujoco`), and what else its tables follow from: `links` and `method` of the rod, `options` and
-    /// `rod` of MuJoCo.
+    /// Engine and its settings: `name` (`rod` or `mujoco`), and what else its tables follow from:
+    /// `links` and `method` of the rod, `options` and `rod` of MuJoCo.
     engine: Value,
     /// Seed of every random draw.
     seed: u64,
@@ -179,7 +180,8 @@ fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), LabError> {
 }
 
 impl Dataset {
-    /// Refuses a folder that holds another dataset, naming what differs: seed, plan, whisker, engine or objects. Nothing is written.
+    /// Refuses a folder that holds another dataset, naming what differs: seed, plan, whisker,
+    /// engine or objects. Nothing is written.
     ///
     /// # Errors
     /// [`LabError::Mixture`], or where the folder cannot be read.
@@ -221,7 +223,8 @@ impl Dataset {
     }
 }
 
-/// Refuses a folder whose shards are not of one dataset; those from before there was a recipe are compared object by object.
+/// Refuses a folder whose shards are not of one dataset; those from before there was a recipe are
+/// compared object by object.
 ///
 /// # Errors
 /// [`LabError::Mixture`] with the shards, or where the folder cannot be read.

@@ -1,18 +1,24 @@
-//! Shards: what a block of sweeps over one object gave, in three tables and a manifest that is written last.
+//! Shards: what a block of sweeps over one object gave, in three tables and a manifest that is
+//! written last.
 //!
-//! `OBJECT-FIRST.sweeps.parquet`, a row a sweep: `sweep`, `kept` (0 or 1), `verdict` (kept, no-section, no-contact, starts-inside,
-//! torque-too-high, contact-jump, no-equilibrium), `speed_mm_s` at the start, `gap_mm`, and the object's pose in the base frame at the start:
-//! `base_from_object_q{w,x,y,z}`, `base_from_object_{x,y,z}_mm`; in time it moves along -z by `travel_mm`. Then the drawn physics:
-//! `friction_coefficient`, `softening_onset_per_m` (absent: linear), `medium` (none, air, water), `current_{x,y,z}_mm_s` (of the medium,
-//! base directions), `gravity_{x,y,z}` (unit vector, base directions; absent: weightless).
+//! `OBJECT-FIRST.sweeps.parquet`, a row a sweep: `sweep`, `kept` (0 or 1), `verdict` (kept,
+//! no-section, no-contact, starts-inside, torque-too-high, contact-jump, no-equilibrium),
+//! `speed_mm_s` at the start, `gap_mm`, and the object's pose in the base frame at the start:
+//! `base_from_object_q{w,x,y,z}`, `base_from_object_{x,y,z}_mm`; in time it moves along -z by
+//! `travel_mm`. Then the drawn physics: `friction_coefficient`, `softening_onset_per_m` (absent:
+//! linear), `medium` (none, air, water), `current_{x,y,z}_mm_s` (of the medium, base directions),
+//! `gravity_{x,y,z}` (unit vector, base directions; absent: weightless).
 //!
-//! `.samples.parquet`, a row a sample: `sweep`, `sample`, `t_s`, `travel_mm`, `speed_mm_s`, `moment_{x,y,z}_nmm` at the root (the
-//! gratings see y and z), `contacts` (their number), `contact_{x,y,z}_mm`, `contact_arclength_mm` and `contact_force_n` of the one
-//! nearest to the base (absent without contact), `settled` (0 or 1), `event` (none, onset, release, jump, slip).
+//! `.samples.parquet`, a row a sample: `sweep`, `sample`, `t_s`, `travel_mm`, `speed_mm_s`,
+//! `moment_{x,y,z}_nmm` at the root (the gratings see y and z), `contacts` (their number),
+//! `contact_{x,y,z}_mm`, `contact_arclength_mm` and `contact_force_n` of the one nearest to the
+//! base (absent without contact), `settled` (0 or 1), `event` (none, onset, release, jump, slip).
 //!
-//! `.contacts.parquet`, a row a contact: `sweep`, `sample`, `contact` (from the base on), `x_mm`, `y_mm`, `z_mm` (a point of the mesh),
-//! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap),
-//! `friction_{x,y,z}_n` (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has no friction).
+//! `.contacts.parquet`, a row a contact: `sweep`, `sample`, `contact` (from the base on), `x_mm`,
+//! `y_mm`, `z_mm` (a point of the mesh), `normal_{x,y,z}` (direction of the force on the wire),
+//! `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap), `friction_{x,y,z}_n`
+//! (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has
+//! no friction).
 //!
 //! Manifests of shards by MuJoCo sum up how far the rod is on the same sweeps.
 

@@ -1,5 +1,5 @@
-//! `evaluation.json`: errors with their intervals, mean over objects and object by object. Numbers that do not exist (a mean over nothing) are
-//! NaN here and null there.
+//! `evaluation.json`: errors with their intervals, mean over objects and object by object. Numbers
+//! that do not exist (a mean over nothing) are NaN here and null there.
 
 use crate::bootstrap::{ErrorOf, mean_interval95, object_interval95};
 use crate::evaluate::ObjectScores;
@@ -198,7 +198,8 @@ impl ObjectRow {
     }
 }
 
-/// The tracker on the groove of a session, whose motion is known, by `verify`'s own calibration, beside the bound on its error.
+/// The tracker on the groove of a session, whose motion is known, by `verify`'s own calibration,
+/// beside the bound on its error.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct KnownMotion {
     /// Always true: SIMULATED.

@@ -1,8 +1,9 @@
 //! A trained tracker beside the baselines, on sweeps that it did not see. All of it is SIMULATED.
 //!
-//! [`evaluate`] scores every method on the sweeps of a dataset, and on sweeps that are drawn on the spot: on the virtual bench
-//! (`virtual_bench`, `on_bench`) and over the objects set aside for tests (`test_objects`). The caller reads model and
-//! sweeps, calibrates the bench's session as a user would ([`Surroundings::calibrate`]) and writes the [`EvaluationDocument`].
+//! [`evaluate`] scores every method on the sweeps of a dataset, and on sweeps that are drawn on the
+//! spot: on the virtual bench (`virtual_bench`, `on_bench`) and over the objects set aside for
+//! tests (`test_objects`). The caller reads model and sweeps, calibrates the bench's session as a
+//! user would ([`Surroundings::calibrate`]) and writes the [`EvaluationDocument`].
 
 pub mod document;
 mod on_bench;

@@ -11,10 +11,12 @@ use crate::sweep_series::SweepSeries;
 use std::collections::BTreeMap;
 use wcal_track::Tracker;
 
-/// Sweeps that were trained on have small seeds: the same number must not draw the same sweeps here.
+/// Sweeps that were trained on have small seeds: the same number must not draw the same sweeps
+/// here.
 const ON_THE_SPOT: u64 = 0x6576_616c_7561_7465;
 
-/// Known motion: the tracker on the groove of the bench's session by `verify`'s own calibration, beside the posterior Cramer-Rao bound.
+/// Known motion: the tracker on the groove of the bench's session by `verify`'s own calibration,
+/// beside the posterior Cramer-Rao bound.
 fn known_motion(bench: &VirtualBench) -> Option<KnownMotion> {
     bench.calibration.groove.as_ref().map(|g| KnownMotion {
         is_virtual: true,
@@ -28,7 +30,8 @@ fn known_motion(bench: &VirtualBench) -> Option<KnownMotion> {
     })
 }
 
-/// The network with the base's speed known, on sweeps over seen and unseen objects as the bench's own calibration measures them.
+/// The network with the base's speed known, on sweeps over seen and unseen objects as the bench's
+/// own calibration measures them.
 pub fn on_bench(
     model: &Model<'_>,
     order: &Order<'_>,
@@ -47,7 +50,8 @@ pub fn on_bench(
         calibration.accepted
     ));
     let by = calibration.best();
-    // Measurement noise of the calibration and the standard deviations of a stream, as `wcal track` has them.
+    // Measurement noise of the calibration and the standard deviations of a stream, as `wcal track`
+    // has them.
     let tracker = Tracker {
         filters: (around.filters_for)(tracker.filters, by),
         sd_factors: card.sd_on_bench.clone(),

@@ -23,7 +23,8 @@ pub struct Model<'a> {
     pub card: &'a Card,
 }
 
-/// Series of the objects that were trained on (sweeps that were kept back) and of those that were not.
+/// Series of the objects that were trained on (sweeps that were kept back) and of those that were
+/// not.
 #[derive(Debug, Clone)]
 pub struct Sets {
     /// Seen objects.

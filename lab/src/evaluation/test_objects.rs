@@ -1,4 +1,5 @@
-//! The objects that are set aside for tests: network and Bayes filter side by side on sweeps drawn on the spot. All of it is SIMULATED.
+//! The objects that are set aside for tests: network and Bayes filter side by side on sweeps drawn
+//! on the spot. All of it is SIMULATED.
 //!
 //! No setting may be chosen by looking at this table (fixtures/test_objects/README.md).
 
@@ -18,7 +19,8 @@ use wcal_track::filter::BayesSettings;
 
 /// Seeds of these sweeps are no training's.
 const SEED: u64 = 0x7465_7374_6f62_6a73;
-/// Readings a second, and steps of the base in which jumps are distinguished from slides, mm, as in the paper's table.
+/// Readings a second, and steps of the base in which jumps are distinguished from slides, mm, as in
+/// the paper's table.
 const RATE_HZ: f64 = 10.0;
 const STEP_MM: f64 = 0.1;
 /// Faces of an upright object, in turn.

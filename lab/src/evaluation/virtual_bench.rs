@@ -1,7 +1,9 @@
-//! A virtual bench for the tracker: another wire, another physics, and gratings with effects that nobody declared. All of it is SIMULATED.
+//! A virtual bench for the tracker: another wire, another physics, and gratings with effects that
+//! nobody declared. All of it is SIMULATED.
 //!
-//! The wire differs a little from the one that the tracker was trained on, the groove of its calibration sat elsewhere than declared, and
-//! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
+//! The wire differs a little from the one that the tracker was trained on, the groove of its
+//! calibration sat elsewhere than declared, and the gratings answer with squares of the moments.
+//! The bench is calibrated as a real one would be, on a session of its own.
 
 use crate::LabError;
 use crate::evaluation::request::{BenchCalibration, Calibrate};
@@ -35,7 +37,8 @@ pub struct VirtualBench {
     pub acting: Vec<String>,
 }
 
-/// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
+/// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus,
+/// share.
 const STRAIGHT_MM: f64 = -0.1;
 const RADIUS_MM: f64 = 0.15;
 const YOUNGS: f64 = -0.015;
@@ -43,13 +46,15 @@ const YOUNGS: f64 = -0.015;
 const SIZE_SIGMA: f64 = 20.0;
 /// Samples of a 2 kHz stream in one reading at 10 Hz.
 const AVERAGED: f64 = 200.0;
-/// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
+/// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its
+/// memory, s.
 const SLOW_S: f64 = 60.0;
 /// Time at the start of a series that sets its zero, without contact (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
 
 impl VirtualBench {
-    /// Draws the bench around the wire of the twin, records its calibration session, and calibrates it twice.
+    /// Draws the bench around the wire of the twin, records its calibration session, and calibrates
+    /// it twice.
     ///
     /// # Errors
     /// Where the wire has no arc, or the session cannot be drawn or calibrated.
@@ -134,8 +139,8 @@ impl VirtualBench {
         }
     }
 
-    /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user
-    /// would get, the zero taken at the start.
+    /// The series as the calibration sees it: true moments become wavelengths, and those the
+    /// moments that a user would get, the zero taken at the start.
     ///
     /// # Errors
     /// Where the calibration is no whisker's, or the readings cannot be written or put through it.
@@ -161,7 +166,8 @@ impl VirtualBench {
         Ok(seen)
     }
 
-    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.
+    /// Table of readings with noise: white over the samples, and slow as that from point to point
+    /// in the session.
     fn readings(&self, series: &SweepSeries, seed: u64) -> String {
         let b = &self.bench;
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ series.sweep.wrapping_mul(0x9e37_79b9));

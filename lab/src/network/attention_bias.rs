@@ -1,13 +1,14 @@
 //! Bias of the attention: relative positions by time.
 //!
-//! `b_ij = a_h (t_j - t_i)` for the last `context` tokens j <= i, minus infinity for all others, with the slope
-//! a_h of [`time_bias_slope`].
-//! Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with Linear Biases", ICLR 2022.
+//! `b_ij = a_h (t_j - t_i)` for the last `context` tokens j <= i, minus infinity for all others,
+//! with the slope a_h of [`time_bias_slope`]. Source: O. Press, N. A. Smith, M. Lewis, "Train
+//! Short, Test Long: Attention with Linear Biases", ICLR 2022.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use wcal_track::network::time_bias_slope;
 
-/// Bias of attention for series with these times (s): later tokens and those beyond the context are masked.
+/// Bias of attention for series with these times (s): later tokens and those beyond the context are
+/// masked.
 pub fn attention_bias(
     times_s: &[Vec<f64>],
     heads: usize,

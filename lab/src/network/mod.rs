@@ -1,4 +1,5 @@
-//! The network as it is trained: the layers of `wcal_track::network::model` as tensors with gradients.
+//! The network as it is trained: the layers of `wcal_track::network::model` as tensors with
+//! gradients.
 
 mod attention_bias;
 mod model;

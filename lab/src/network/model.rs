@@ -72,7 +72,8 @@ impl TrainableNet {
         })
     }
 
-    /// A batch of series: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
+    /// A batch of series: inputs `[batch, time, inputs]`, bias of attention
+    /// `[batch, heads, time, time]` (`attention_bias`).
     pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
         let mut x = self.encoded(inputs);
         for block in &self.blocks {

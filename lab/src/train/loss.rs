@@ -5,9 +5,10 @@
 //! H(e^2; a) = sqrt(1 + e^2 / a^2) - 1                                                            pseudo-Huber
 //! ```
 //!
-//! over the samples with contact: w the weights of the nodes, w* those of the true place between its two neighbours, c the true contact, q the
-//! point of the object's surface nearest to the answer p (held fixed: the gradient of the distance is the same), CE the cross entropy.
-//! Source of H: P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298.
+//! over the samples with contact: w the weights of the nodes, w* those of the true place between
+//! its two neighbours, c the true contact, q the point of the object's surface nearest to the
+//! answer p (held fixed: the gradient of the distance is the same), CE the cross entropy. Source of
+//! H: P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298.
 
 use super::window::Window;
 use crate::network::{TrainableNet, attention_bias};
@@ -17,7 +18,8 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use wcal_track::network::{INITIAL_LOG_FLOOR, NetworkConfig, PLACE_SCALE_MM, knot_weights};
 
-/// Errors above which the loss is linear instead of quadratic, mm: to the true contact, and to the surface.
+/// Errors above which the loss is linear instead of quadratic, mm: to the true contact, and to the
+/// surface.
 const PSEUDO_HUBER_MM: [f64; 2] = [2.0, 2.0];
 /// Weight of the distance to the surface.
 const SURFACE_WEIGHT: f64 = 16.0;
@@ -89,7 +91,8 @@ pub(super) fn loss(
     };
     let squared =
         |to: Tensor<2>| (mean.clone() - to).square().sum_dim(1).reshape([n]) * held.clone();
-    // Quadratic near the truth, linear far from it: a contact that jumped does not dominate the mean.
+    // Quadratic near the truth, linear far from it: a contact that jumped does not dominate the
+    // mean.
     let robust = |off: &Tensor<1>, straight_mm: f64| {
         ((off.clone() / straight_mm.powi(2) + 1.0).sqrt() - 1.0).sum() / many.clone()
     };
@@ -112,8 +115,8 @@ pub(super) fn loss(
     }
 }
 
-/// The surface's points nearest to the answers, `[batch * time, 3]`; the answer itself where there is no contact. None where a mesh is not
-/// known.
+/// The surface's points nearest to the answers, `[batch * time, 3]`; the answer itself where there
+/// is no contact. None where a mesh is not known.
 fn nearest_on_surfaces(
     windows: &[&Window<'_>],
     answers: &Tensor<2>,
@@ -174,7 +177,8 @@ mod tests {
     use wcal_track::sd_factors::SdFactors;
     use wcal_track::tracker::{Sample, Tracker};
 
-    /// What a training makes small is the error of what a stream answers, with one filter below the network and with two.
+    /// What a training makes small is the error of what a stream answers, with one filter below the
+    /// network and with two.
     #[test]
     fn training_and_answers_agree() {
         let (inverse, all_series) = swept("can");

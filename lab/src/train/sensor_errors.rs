@@ -1,7 +1,8 @@
-//! What a sensor adds to the moments of a simulated series: white noise, an error of each gain, a drift of each zero.
+//! What a sensor adds to the moments of a simulated series: white noise, an error of each gain, a
+//! drift of each zero.
 //!
-//! `m'_i = (1 + g_i) m_i + d_i t + e`, g and d uniform within their bounds, e uniform with standard deviation s, `s = s_max u^2`, u uniform;
-//! a fraction of the series has neither noise nor drift.
+//! `m'_i = (1 + g_i) m_i + d_i t + e`, g and d uniform within their bounds, e uniform with standard
+//! deviation s, `s = s_max u^2`, u uniform; a fraction of the series has neither noise nor drift.
 
 use super::settings::TrainSettings;
 use crate::sweep_series::SweepSeries;
@@ -28,7 +29,8 @@ pub(crate) struct SensorErrors {
 }
 
 impl SensorErrors {
-    /// Draws one: some change the gains of a simulated series only; of the others small noise is drawn more often.
+    /// Draws one: some change the gains of a simulated series only; of the others small noise is
+    /// drawn more often.
     pub fn draw(settings: &TrainSettings, rng: &mut ChaCha8Rng) -> Self {
         let clean = uniform(rng, 0.0, 1.0) < CLEAN_FRACTION;
         let noise_nmm = if clean {

@@ -31,26 +31,32 @@ pub struct TrainSettings {
     pub batch: usize,
     /// Tokens of each.
     pub window: usize,
-    /// Largest learning rate; it rises over the first part and falls to nothing along a half cosine.
+    /// Largest learning rate; it rises over the first part and falls to nothing along a half
+    /// cosine.
     pub rate: f64,
     /// Passes without progress on the held-out objects after which training stops.
     pub patience: usize,
-    /// Passes for which windows are windows once: what the bench adds is costly to make (the filter runs over it), not to learn from.
+    /// Passes for which windows are windows once: what the bench adds is costly to make (the filter
+    /// runs over it), not to learn from.
     pub passes_per_draw: usize,
     /// Share of the series for which the base's speed is given.
     pub speed_known: f64,
-    /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in less time).
+    /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in
+    /// less time).
     pub time_factor: [f64; 2],
-    /// Largest noise of a moment, N mm (small ones are windows more often), gain error, and drift, N mm/s.
+    /// Largest noise of a moment, N mm (small ones are windows more often), gain error, and drift,
+    /// N mm/s.
     pub noise_nmm: f64,
     /// Gain error.
     pub gain: f64,
     /// Drift, N mm/s.
     pub drift_nmm_s: f64,
-    /// Whether half of the series, others in each pass, are taken as their mirror images, where the free wire lies in a plane.
+    /// Whether half of the series, others in each pass, are taken as their mirror images, where the
+    /// free wire lies in a plane.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub mirror: bool,
-    /// What the filter below the network assumes; models of before it was written down had the default one.
+    /// What the filter below the network assumes; models of before it was written down had the
+    /// default one.
     #[serde(default)]
     pub filter: BayesSettings,
     /// A second one, which the network weighs against it.
@@ -119,7 +125,8 @@ pub struct Pass {
     pub held_out_surface_mm: Option<f64>,
     /// Seconds since the beginning.
     pub seconds: f64,
-    /// Processor time since the beginning, all threads together, s; models of before 2026-11-25 do not have it.
+    /// Processor time since the beginning, all threads together, s; models of before 2026-11-25 do
+    /// not have it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu_s: Option<f64>,
 }

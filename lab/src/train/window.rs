@@ -40,7 +40,8 @@ pub(super) struct Window<'a> {
 }
 
 impl Window<'_> {
-    /// Mirrors it at the plane y = 0: the moments of the mirrored object, where the free wire lies in that plane.
+    /// Mirrors it at the plane y = 0: the moments of the mirrored object, where the free wire lies
+    /// in that plane.
     pub fn mirror(&mut self) {
         let tokens = self.times_s.len();
         let (width, nodes) = (self.inputs.len() / tokens, self.points.len() / (3 * tokens));
@@ -240,7 +241,8 @@ pub(super) mod tests {
         assert!(!StaticInverse::new(&whisker, grid).unwrap().flat);
     }
 
-    /// The moments of a mirrored object give a mirrored window, also in the features of filters and rod.
+    /// The moments of a mirrored object give a mirrored window, also in the features of filters and
+    /// rod.
     #[test]
     fn the_window_of_a_mirrored_course_is_the_mirrored_window() {
         let (inverse, all_series) = swept("vase");
@@ -283,7 +285,8 @@ pub(super) mod tests {
         let before: Vec<f32> = off(window, image);
         window.mirror();
         let after: Vec<f32> = off(window, image);
-        // The table's leans at the tip are not quite their own mirror images (points by up to 0.3 mm); the filters take it from there.
+        // The table's leans at the tip are not quite their own mirror images (points by up to 0.3
+        // mm); the filters take it from there.
         let same = |k: usize, share: f32| after[k] < share * before[k];
         assert!(
             same(0, 0.1) && same(1, 0.02) && after[4] == 0.0,

@@ -30,7 +30,8 @@ impl Add for Seconds {
 /// What a model took to make.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrainingCost {
-    /// The sweeps, where the same command made them: processor time of all shards, wall time of the run that made the last of them.
+    /// The sweeps, where the same command made them: processor time of all shards, wall time of the
+    /// run that made the last of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sweeps: Option<Seconds>,
     /// The training with the calibration of its regions; passes of earlier runs included.

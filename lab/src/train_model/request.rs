@@ -12,7 +12,8 @@ use wcal_sim::Mesh;
 pub struct TrainingRequest<'a> {
     /// Folder of shards.
     pub sweeps: &'a Path,
-    /// Other folders: sweeps with other physics or seeds over the same objects, which are trained on only.
+    /// Other folders: sweeps with other physics or seeds over the same objects, which are trained
+    /// on only.
     pub additional: &'a [PathBuf],
     /// The objects' meshes, where they are known.
     pub meshes: &'a BTreeMap<String, Mesh>,

@@ -1,4 +1,5 @@
-//! Sweep series that calibrate the stated regions: held-out objects on whiskers that differ from the one trained on. All of them are SIMULATED.
+//! Sweep series that calibrate the stated regions: held-out objects on whiskers that differ from
+//! the one trained on. All of them are SIMULATED.
 
 use super::request::TrainingRequest;
 use crate::LabError;
@@ -13,12 +14,14 @@ use std::collections::BTreeSet;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_track::filter::FilterBank;
 
-/// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a split by sweeps).
+/// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a
+/// split by sweeps).
 const WIRES: u64 = 8;
 const SWEEPS: usize = 5;
 const SWEEPS_OF_WIRE: usize = 60;
-/// How far a wire may be from the declared one: straight part and radius of the tip, mm, Young's modulus, share. Assumed, not measured: twice what
-/// the virtual bench of `wcal-lab evaluate` is off.
+/// How far a wire may be from the declared one: straight part and radius of the tip, mm, Young's
+/// modulus, share. Assumed, not measured: twice what the virtual bench of `wcal-lab evaluate` is
+/// off.
 const STRAIGHT_MM: f64 = 0.2;
 const RADIUS_MM: f64 = 0.3;
 const YOUNGS: f64 = 0.03;
@@ -50,8 +53,9 @@ fn perturbed_whisker(declared: &WhiskerSpec, rng: &mut ChaCha8Rng) -> WhiskerSpe
     }
 }
 
-/// Held-out objects under other wires than the declared one, with friction, weight and the drag of air; where an object's mesh is not known, its
-/// sweeps as they are, of every kind that was trained on. Each on a bench of its own.
+/// Held-out objects under other wires than the declared one, with friction, weight and the drag of
+/// air; where an object's mesh is not known, its sweeps as they are, of every kind that was trained
+/// on. Each on a bench of its own.
 pub(super) fn on_shifted_sensors(
     request: &TrainingRequest<'_>,
     objects: &[String],

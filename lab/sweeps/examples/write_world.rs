@@ -1,4 +1,5 @@
-//! One sweep's MuJoCo model: `write_world FOLDER OUT.xml`; FOLDER keeps the convex parts. Used by tests/peers/mujoco_rate.py.
+//! One sweep's MuJoCo model: `write_world FOLDER OUT.xml`; FOLDER keeps the convex parts. Used by
+//! tests/peers/mujoco_rate.py.
 
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::CableEngine;

@@ -1,12 +1,16 @@
-//! Sweeps by MuJoCo: the base on a slide whose speed the solver sees, the object as convex parts, labels on the exact mesh.
+//! Sweeps by MuJoCo: the base on a slide whose speed the solver sees, the object as convex parts,
+//! labels on the exact mesh.
 //!
-//! M q'' + c = J^T f - K q - D q', forces f of the soft contacts by MuJoCo's convex problem (E. Todorov, ICRA 2014); the base's slide has
-//! l'' prescribed. Base moment: what the springs and dampers of the first joint carry. Contact of a group of touching places:
-//! s = sum s_i |f_i| / sum |f_i|, its normal part f . n with n of the exact mesh at r(s), the rest is friction.
+//! M q'' + c = J^T f - K q - D q', forces f of the soft contacts by MuJoCo's convex problem (E.
+//! Todorov, ICRA 2014); the base's slide has l'' prescribed. Base moment: what the springs and
+//! dampers of the first joint carry. Contact of a group of touching places: s = sum s_i |f_i| /
+//! sum |f_i|, its normal part f . n with n of the exact mesh at r(s), the rest is friction.
 //!
-//! The wire has inertia, damping and soft contacts: what they cost is compared with the quasi-static rod (tests/peers and
-//! `compare_engines`). Steps that go wrong are named: `unstable` (a number that is none), `penetration` (deeper than the wire's
-//! radius), `chatter` (the contact opens and closes from step to step), `engine-died`, `model-refused` (a part that MuJoCo cannot take).
+//! The wire has inertia, damping and soft contacts: what they cost is compared with the
+//! quasi-static rod (tests/peers and `compare_engines`). Steps that go wrong are named: `unstable`
+//! (a number that is none), `penetration` (deeper than the wire's radius), `chatter` (the contact
+//! opens and closes from step to step), `engine-died`, `model-refused` (a part that MuJoCo cannot
+//! take).
 
 use crate::RodEngine;
 use crate::contact::{Contact, Surface};
@@ -20,7 +24,8 @@ use wcal_mujoco::mjcf::{MjcfOptions, WorldParts, convex_parts, mjcf_among};
 use wcal_mujoco::{MujocoEngine, TwinError};
 use wcal_sim::Mesh;
 
-/// Share of steps with a change between touching and free past which a sample chatters, and of such samples past which a sweep does.
+/// Share of steps with a change between touching and free past which a sample chatters, and of such
+/// samples past which a sweep does.
 const CHATTER: f64 = 0.1;
 const MAX_CHATTER: f64 = 0.2;
 /// Touching places nearer than this along the wire are one contact, mm.
@@ -88,7 +93,8 @@ impl CableEngine {
     /// Runs a sweep to its end; an engine that dies on the way is started again for the next one.
     ///
     /// # Errors
-    /// Where the engine cannot be started again, or the sweep asks for physics that it does not have.
+    /// Where the engine cannot be started again, or the sweep asks for physics that it does not
+    /// have.
     pub fn run(
         &mut self,
         mesh: &Mesh,
@@ -144,7 +150,8 @@ impl CableEngine {
         mjcf_among(&self.whisker, &options, &around)
     }
 
-    /// Leads the base along legs of constant acceleration; `steps` counts those of all legs, `frame` is the last one's.
+    /// Leads the base along legs of constant acceleration; `steps` counts those of all legs,
+    /// `frame` is the last one's.
     fn lead(
         &mut self,
         legs: &[(f64, f64, f64)],
@@ -303,7 +310,8 @@ struct Led {
     deepest_m: f64,
 }
 
-/// Legs of constant acceleration between two times: end (s), speed at the start (mm/s), acceleration (mm/s^2).
+/// Legs of constant acceleration between two times: end (s), speed at the start (mm/s),
+/// acceleration (mm/s^2).
 fn legs(sweep: &Sweep, from_s: f64, to_s: f64) -> Vec<(f64, f64, f64)> {
     let mut legs = Vec::new();
     let mut t = from_s.max(0.0);
@@ -325,7 +333,8 @@ fn nodes_mm(frame: &Frame, travel_mm: f64) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-/// Places where the wire is pushed, from the root on; the label is the mesh's nearest point to the wire's centre there.
+/// Places where the wire is pushed, from the root on; the label is the mesh's nearest point to the
+/// wire's centre there.
 fn contacts(
     frame: &Frame,
     nodes: &[Vector3<f64>],

@@ -1,8 +1,10 @@
-//! An object as convex parts for MuJoCo: decomposed by CoACD, kept by the mesh's hash, with how far the parts are from the mesh.
+//! An object as convex parts for MuJoCo: decomposed by CoACD, kept by the mesh's hash, with how far
+//! the parts are from the mesh.
 //!
-//! Hausdorff distance max(sup_(p in parts) d(p, mesh), sup_(p in mesh) min_k d(p, part_k)), taken at points u a + v b + w c of every triangle;
-//! inside counts as 0 or less. Source: X. Wei et al., "Approximate convex decomposition for 3D meshes with collision-aware concavity and tree
-//! search", ACM TOG 41 (2022).
+//! Hausdorff distance max(sup_(p in parts) d(p, mesh), sup_(p in mesh) min_k d(p, part_k)), taken
+//! at points u a + v b + w c of every triangle; inside counts as 0 or less. Source: X. Wei et al.,
+//! "Approximate convex decomposition for 3D meshes with collision-aware concavity and tree search",
+//! ACM TOG 41 (2022).
 
 use nalgebra::Vector3;
 use parry3d_f64::math::Vector as Place;

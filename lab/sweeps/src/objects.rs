@@ -1,4 +1,5 @@
-//! Built-in objects: primitives and look-alikes of everyday things, closed and oriented ([`crate::solids`]).
+//! Built-in objects: primitives and look-alikes of everyday things, closed and oriented
+//! ([`crate::solids`]).
 
 use crate::solids::{half_circle, polygon, prism, revolved, ring, rock, smooth};
 use std::path::Path;

@@ -1,6 +1,9 @@
-//! What a sweep's physics adds to the ideal rod: friction, softening, and the medium's drag, weight and buoyancy.
+//! What a sweep's physics adds to the ideal rod: friction, softening, and the medium's drag, weight
+//! and buoyancy.
 //!
-//! Per length: weight less buoyancy (rho_w - rho) pi/4 D^2 g, and drag ([`wcal_mujoco::engine::fluid`]). Directions are uniform on the sphere: z uniform in [-1, 1] and an angle (Archimedes).
+//! Per length: weight less buoyancy (rho_w - rho) pi/4 D^2 g, and drag
+//! ([`wcal_mujoco::engine::fluid`]). Directions are uniform on the sphere: z uniform in [-1, 1] and
+//! an angle (Archimedes).
 
 use crate::contact::{Configuration, ContactRod};
 use nalgebra::Vector3;
@@ -55,7 +58,8 @@ impl Medium {
 pub struct PhysicsPlan {
     /// Coefficient of friction between wire and object.
     pub friction: [f64; 2],
-    /// Change of curvature past which the wire softens, 1/m; none: it stays linear. Loading and unloading are the same.
+    /// Change of curvature past which the wire softens, 1/m; none: it stays linear. Loading and
+    /// unloading are the same.
     pub softening_onset_per_m: Option<[f64; 2]>,
     /// Share of the bending stiffness that does not soften.
     pub softening_hardening: f64,
@@ -289,9 +293,11 @@ mod tests {
             (up.y - exact).abs() < 1e-3 * exact && up.x.abs() + up.z.abs() < 1e-9,
             "{up} {exact}"
         );
-        // docs/src/system.md: some 0.005 N mm at 0.1 m/s, with a drag coefficient of one; White's is larger at this Reynolds number.
+        // docs/src/system.md: some 0.005 N mm at 0.1 m/s, with a drag coefficient of one; White's
+        // is larger at this Reynolds number.
         assert!((0.004..0.012).contains(&exact), "{exact}");
-        // A current of the base's own velocity leaves no drag; along the wire there is none either (negative controls).
+        // A current of the base's own velocity leaves no drag; along the wire there is none either
+        // (negative controls).
         let with = Physics {
             current_mm_s: Vector3::z() * 100.0,
             ..water.clone()

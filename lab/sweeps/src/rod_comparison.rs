@@ -1,7 +1,8 @@
-//! Sweeps by MuJoCo against the same sweeps by the quasi-static rod, by the base's speed: what inertia, damping, soft contacts and
-//! convex parts do to moments and contacts (SIMULATED).
+//! Sweeps by MuJoCo against the same sweeps by the quasi-static rod, by the base's speed: what
+//! inertia, damping, soft contacts and convex parts do to moments and contacts (SIMULATED).
 //!
-//! With moments m_i by MuJoCo and q_i by the rod where both touch at one place: RMS of |m_i - q_i|, bias sum |m_i| / sum |q_i| - 1.
+//! With moments m_i by MuJoCo and q_i by the rod where both touch at one place: RMS of |m_i - q_i|,
+//! bias sum |m_i| / sum |q_i| - 1.
 
 use crate::rod_engine::Run;
 use crate::{SweepPlan, Verdict};
@@ -9,7 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt::{Display, Formatter};
 
-/// Contacts farther apart than this are of different equilibria: the wire sprang in one engine and not yet in the other, mm.
+/// Contacts farther apart than this are of different equilibria: the wire sprang in one engine and
+/// not yet in the other, mm.
 const ELSEWHERE_MM: f64 = 3.0;
 /// Width of a bin of speeds, mm/s, and most bins.
 const BIN_MM_S: f64 = 1.0;
@@ -22,11 +24,13 @@ pub struct SpeedRow {
     pub speed_mm_s: [f64; 2],
     /// Samples at which both touch.
     pub samples: usize,
-    /// Share of them whose contacts are so far apart that the wire is in another equilibrium; the following three leave them out.
+    /// Share of them whose contacts are so far apart that the wire is in another equilibrium; the
+    /// following three leave them out.
     pub elsewhere: f64,
     /// RMS of the difference of the base moments, N mm, and the rod's own RMS.
     pub moment_rms_nmm: [f64; 2],
-    /// Mean of |moment| by MuJoCo over that by the rod, less 1: the speed's bias where it grows with it.
+    /// Mean of |moment| by MuJoCo over that by the rod, less 1: the speed's bias where it grows
+    /// with it.
     pub bias: f64,
     /// RMS of the distance between the contacts nearest to the base, mm.
     pub contact_rms_mm: f64,

@@ -1,12 +1,13 @@
-//! Sweeps by the quasi-static rod: no inertia, no damping, the exact mesh as contact surface; friction, softening, drag and weight as
-//! the sweep says.
+//! Sweeps by the quasi-static rod: no inertia, no damping, the exact mesh as contact surface;
+//! friction, softening, drag and weight as the sweep says.
 //!
-//! At each way l of the base: min E(phi) subject to g(r(s); l) >= 0, by continuation in l from the equilibrium before (equations and
-//! sources: [`crate::contact`]). A step is halved where Newton's method fails or a node moves by more than
-//! 1.5 mm + 3 dl: then the branch ended at a fold, and the wire sprang. Strain of the skin: |du| D / 2.
+//! At each way l of the base: min E(phi) subject to g(r(s); l) >= 0, by continuation in l from the
+//! equilibrium before (equations and sources: [`crate::contact`]). A step is halved where Newton's
+//! method fails or a node moves by more than 1.5 mm + 3 dl: then the branch ended at a fold, and
+//! the wire sprang. Strain of the skin: |du| D / 2.
 //!
-//! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
-//! which neither came to rest are marked.
+//! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some
+//! hundredths of a millimetre). Samples at which neither came to rest are marked.
 
 use crate::contact::{Configuration, Contact, ContactRod, ContactState, FrictionStep, Surface};
 use crate::physics::{fluid_loads, loads_n_per_mm, node_velocities, with_physics};
@@ -17,20 +18,23 @@ use wcal_mujoco::engine::fluid::FluidLoads;
 use wcal_rod::{Section, Shape};
 use wcal_sim::{ClosestPoint, Mesh, SimError};
 
-/// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/sim/physics.rs).
+/// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's
+/// (tests/sim/physics.rs).
 pub const LINKS: usize = 40;
-/// How often a step of the base is halved where Newton's method does not get there, or the wire springs.
+/// How often a step of the base is halved where Newton's method does not get there, or the wire
+/// springs.
 const HALVINGS: u32 = 2;
-/// A free wire is touched in a step no longer than this, mm: less than its radius, or its centre line is inside a thin body before that is
-/// noticed, and comes out on the other side.
+/// A free wire is touched in a step no longer than this, mm: less than its radius, or its centre
+/// line is inside a thin body before that is noticed, and comes out on the other side.
 const TOUCH_MM: f64 = 0.1;
-/// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
+/// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs
+/// far away.
 const NEWTON_STEPS: usize = 60;
 const PENALTY_STEPS: usize = 400;
 /// How often a soft contact that did not come to rest goes on.
 const MORE_ROUNDS: usize = 5;
-/// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled, and the share of such samples
-/// with which a sweep is kept.
+/// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled,
+/// and the share of such samples with which a sweep is kept.
 const UNSETTLED_MM: f64 = 0.05;
 const MAX_UNSETTLED: f64 = 0.2;
 /// A node that moves by more than this (mm) beyond three times the base's step has snapped.
@@ -217,7 +221,8 @@ struct SweepState<'a> {
     /// The wire with the sweep's softening and, from step to step, its loads.
     rod: ContactRod,
     fluid: Option<FluidLoads>,
-    /// Velocities of the links' ends in the base frame, mm/s, in the step before, and speed of the base.
+    /// Velocities of the links' ends in the base frame, mm/s, in the step before, and speed of the
+    /// base.
     nodes_mm_s: Vec<Vector3<f64>>,
     speed_mm_s: f64,
     mesh: &'a Mesh,
@@ -252,7 +257,8 @@ impl SweepState<'_> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Loads of the medium, with the velocities of the step before: drag bends the wire far too little to move it on in between.
+    /// Loads of the medium, with the velocities of the step before: drag bends the wire far too
+    /// little to move it on in between.
     fn update_loads(&mut self) {
         if let Some(fluid) = &self.fluid {
             let base_mm_s = Vector3::z() * self.speed_mm_s;
@@ -314,7 +320,8 @@ impl SweepState<'_> {
             let penalty = !next.converged && !halvable;
             if penalty {
                 next = self.solve_step(next_mm, &moved, true);
-                // What slips off an edge has a long way down the energy: it goes on from where it got.
+                // What slips off an edge has a long way down the energy: it goes on from where it
+                // got.
                 for _ in 0..MORE_ROUNDS {
                     if next.converged {
                         break;
@@ -329,9 +336,11 @@ impl SweepState<'_> {
             let largest = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let springs = largest > SPRING_MM + 3.0 * step_mm;
             let touched = self.contact.contacts.is_empty() && !next.contacts.is_empty();
-            // Smaller steps tell a spring from a step that was too long, and on which side a body is met.
+            // Smaller steps tell a spring from a step that was too long, and on which side a body
+            // is met.
             if (!next.converged || springs) && halvable || touched && step_mm > TOUCH_MM {
-                // What is left of the way may be shorter than a halved step: the same again would fail again.
+                // What is left of the way may be shorter than a halved step: the same again would
+                // fail again.
                 while longest_mm / f64::from(1 << halvings) >= step_mm {
                     halvings += 1;
                 }
@@ -360,7 +369,8 @@ impl SweepState<'_> {
     }
 }
 
-/// What happened between two samples; `snapped`: whether the wire jumped, `step_mm`: way of the base.
+/// What happened between two samples; `snapped`: whether the wire jumped, `step_mm`: way of the
+/// base.
 pub fn event(before: &[Contact], after: &[Contact], snapped: bool, step_mm: f64) -> Event {
     match (before.first(), after.first()) {
         (None, Some(_)) => Event::Onset,

@@ -1,8 +1,9 @@
 //! Closed and oriented solids that the built-in objects are made of.
 //!
-//! Bodies of revolution (r cos a, r sin a, z) about z, profiles smoothed by Catmull-Rom splines:
-//! 2 p(t) = 2 p1 + (p2 - p0) t + (2 p0 - 5 p1 + 4 p2 - p3) t^2 + (3 p1 - p0 - 3 p2 + p3) t^3 (E. Catmull & R. Rom, 1974); prisms over polygons that their centre sees
-//! whole; a torus. Normals point outward: triangles run counter-clockwise as seen from outside.
+//! Bodies of revolution (r cos a, r sin a, z) about z, profiles smoothed by Catmull-Rom splines: 2
+//! p(t) = 2 p1 + (p2 - p0) t + (2 p0 - 5 p1 + 4 p2 - p3) t^2 + (3 p1 - p0 - 3 p2 + p3) t^3 (E.
+//! Catmull & R. Rom, 1974); prisms over polygons that their centre sees whole; a torus. Normals
+//! point outward: triangles run counter-clockwise as seen from outside.
 
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};

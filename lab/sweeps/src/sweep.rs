@@ -1,8 +1,9 @@
 //! A sweep: where the object lies, how fast the base passes it, and what happens on the way.
 //!
-//! Way of the base: l(t) = v_0 t + 1/2 a t^2, one second after the other with a drawn in [-a_max, a_max] and turned where v would leave its
-//! range. Object to base: p = R q + x_0 - l(t) e_z, with R uniform on SO(3) (Haar measure; K. Shoemake, Graphics Gems III, 1992, p. 124) and
-//! x_0 by the drawn plane y, the gap along x and the way before the object can be touched along z.
+//! Way of the base: l(t) = v_0 t + 1/2 a t^2, one second after the other with a drawn in [-a_max,
+//! a_max] and turned where v would leave its range. Object to base: p = R q + x_0 - l(t) e_z, with
+//! R uniform on SO(3) (Haar measure; K. Shoemake, Graphics Gems III, 1992, p. 124) and x_0 by the
+//! drawn plane y, the gap along x and the way before the object can be touched along z.
 
 use crate::contact::{Contact, Surface};
 use crate::physics::{Physics, PhysicsPlan};
@@ -23,11 +24,13 @@ use wcal_sim::{ClosestPoint, Mesh, SimError};
 pub struct SweepPlan {
     /// Speeds, mm/s.
     pub speed_mm_s: [f64; 2],
-    /// Bound of the acceleration, drawn anew every second and turned round at the speeds' ends, mm/s^2.
+    /// Bound of the acceleration, drawn anew every second and turned round at the speeds' ends,
+    /// mm/s^2.
     pub acceleration_mm_s2: f64,
     /// Samples a second.
     pub rate_hz: f64,
-    /// Distance from the base to the object's nearest point in the sweep's plane, along the straight wire, mm.
+    /// Distance from the base to the object's nearest point in the sweep's plane, along the
+    /// straight wire, mm.
     pub gap_mm: [f64; 2],
     /// Way of the base before the object can be touched, mm.
     pub lead_mm: [f64; 2],
@@ -36,15 +39,16 @@ pub struct SweepPlan {
     pub max_travel_mm: f64,
     /// Way after the wire is free again, mm.
     pub tail_mm: f64,
-    /// Longest step of the base between two equilibria of the rod, mm: shorter ones tell springs that are small from a fast slide, and take
-    /// that much longer.
+    /// Longest step of the base between two equilibria of the rod, mm: shorter ones tell springs
+    /// that are small from a fast slide, and take that much longer.
     pub step_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
     #[serde(rename = "most_strain", alias = "max_strain")]
     pub max_strain: f64,
     /// How the object lies.
     pub turn: Turn,
-    /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper rejects contact jumps.
+    /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper
+    /// rejects contact jumps.
     pub keep_jumps: bool,
     /// Friction, softening and medium.
     pub physics: PhysicsPlan,
@@ -56,7 +60,8 @@ pub struct SweepPlan {
 pub enum Turn {
     /// At random, uniform over rotations.
     Haar,
-    /// Upright as its mesh is (+z up, along the base's +y): four faces in turn, a quarter turn apart (docs/src/system.md, Evaluation).
+    /// Upright as its mesh is (+z up, along the base's +y): four faces in turn, a quarter turn
+    /// apart (docs/src/system.md, Evaluation).
     Faces,
 }
 
@@ -222,7 +227,8 @@ impl Sweep {
                 section.push([a, b]);
             }
         }
-        // Gap along x at the object's nearest point; along z the lowest point within reach is touched first.
+        // Gap along x at the object's nearest point; along z the lowest point within reach is
+        // touched first.
         let nearest = section
             .iter()
             .flatten()
@@ -287,7 +293,8 @@ pub struct MovingObject<'a> {
     mesh: &'a Mesh,
     sweep: &'a Sweep,
     travel_mm: f64,
-    /// Place (object frame) and signed distance of the last answer: the next question is mostly asked close by.
+    /// Place (object frame) and signed distance of the last answer: the next question is mostly
+    /// asked close by.
     last: Cell<Option<(Vector3<f64>, f64)>>,
 }
 

@@ -1,5 +1,6 @@
-//! Built-in objects set aside for tests (2026-11-25): no setting, network or threshold may be chosen by looking at results on them, and `wcal
-//! train` refuses them (fixtures/test_objects/README.md). Other kinds of shape than those of [`crate::objects::NAMES`].
+//! Built-in objects set aside for tests (2026-11-25): no setting, network or threshold may be
+//! chosen by looking at results on them, and `wcal train` refuses them
+//! (fixtures/test_objects/README.md). Other kinds of shape than those of [`crate::objects::NAMES`].
 
 use crate::solids::{Parts, half_circle, prism_from, revolved, smooth};
 use nalgebra::Vector3;

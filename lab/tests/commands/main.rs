@@ -1,4 +1,5 @@
-//! Each command of `wcal-lab` as a user runs it (SIMULATED): what it prints and writes, its exit codes, and what it refuses.
+//! Each command of `wcal-lab` as a user runs it (SIMULATED): what it prints and writes, its exit
+//! codes, and what it refuses.
 
 #![allow(
     clippy::unwrap_used,

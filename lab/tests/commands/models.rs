@@ -4,7 +4,8 @@ use crate::support::{run as wcal, text};
 use std::path::Path;
 use std::process::Output;
 
-/// A table in which the base holds still in contact: tracked, and said to be in a motion that is not known to be one of training.
+/// A table in which the base holds still in contact: tracked, and said to be in a motion that is
+/// not known to be one of training.
 fn doubted(run: &Output) {
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(3), "{said}");
@@ -123,7 +124,8 @@ impl Place {
     }
 
     fn evaluate(&self) {
-        // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no calibration by effects.
+        // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no
+        // calibration by effects.
         let (sweeps, model, out) = (
             self.path("sweeps"),
             self.path("model"),
@@ -140,7 +142,8 @@ impl Place {
             "2",
         ];
         let scores = good(&[&evaluate[..], &["--out", &out, "--json"]].concat());
-        // The objects set aside: two draws, the network with and without the base's speed, the filter with it.
+        // The objects set aside: two draws, the network with and without the base's speed, the
+        // filter with it.
         assert_eq!(
             scores["test_objects"]["rows"].as_array().unwrap().len(),
             6,
@@ -198,7 +201,8 @@ impl Place {
         }
         std::fs::write(&place, card.to_string()).unwrap();
         let wider = self.track_session("wider.csv", &["--sweep"]);
-        // Rows whose motion is not known to be one of training are not the network's alone: what the moments tell counts as well.
+        // Rows whose motion is not known to be one of training are not the network's alone: what
+        // the moments tell counts as well.
         let trained = rows
             .statuses()
             .enumerate()
@@ -208,7 +212,8 @@ impl Place {
                 Some(wider.number(k, "var_xx_mm2")? / rows.number(k, "var_xx_mm2")?)
             })
             .collect();
-        // The session's wire is not the model's: what the moments alone allow is the other half of the spread.
+        // The session's wire is not the model's: what the moments alone allow is the other half of
+        // the spread.
         let half = |r: &f64| (1.0..4.05).contains(r);
         assert!(ratios.len() > 5 && ratios.iter().all(half), "{ratios:?}");
         assert!(
@@ -217,8 +222,8 @@ impl Place {
         );
     }
 
-    /// `wcal track` of readings with poses of the base, with or without the strain-isolated grating that the calibration needs; one reading
-    /// lacks its value.
+    /// `wcal track` of readings with poses of the base, with or without the strain-isolated grating
+    /// that the calibration needs; one reading lacks its value.
     fn track_carried(&self, reference: bool) -> Output {
         let mut rows = String::from(
             "t_s,fbg_1_nm,fbg_2_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz",

@@ -35,7 +35,8 @@ fn a_dataset_is_made_and_a_second_run_finds_it_there() {
         second.get("sweeps_per_core_s").is_none(),
         "nothing was to be made: {second}"
     );
-    // Another dataset into the same folder is refused by name, also by a check, and nothing is replaced.
+    // Another dataset into the same folder is refused by name, also by a check, and nothing is
+    // replaced.
     let read = |name: &str| std::fs::read(out.join(name)).unwrap();
     let before = [read("can-000000.samples.parquet"), read("dataset.json")];
     for (more, words) in [
@@ -367,7 +368,8 @@ fn a_missing_mujoco_engine_is_named_and_nothing_else_needs_it() {
 const WHISKER: &str = "[whisker]\ndiameter_mm = 0.3\nlength_mm = 60.0\n";
 const ARC: &str = "straight_mm = 30.0\narc_radius_mm = 20.0\n";
 
-/// A whisker of free curvature is read as its points; a shape stated twice or not at all is an error.
+/// A whisker of free curvature is read as its points; a shape stated twice or not at all is an
+/// error.
 #[test]
 fn a_whisker_may_have_any_rest_shape() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! `wcal-lab simulate --engine mujoco` as a user runs it (SIMULATED sweeps); without libmujoco they say so, and fail in CI.
+//! `wcal-lab simulate --engine mujoco` as a user runs it (SIMULATED sweeps); without libmujoco they
+//! say so, and fail in CI.
 
 use crate::not_run::not_run;
 use crate::support::{PROGRAM, program, run as wcal, text};
@@ -21,7 +22,8 @@ fn mujoco() -> Option<std::path::PathBuf> {
     asked.map(|_| path)
 }
 
-/// Both engines on the same sweeps: printed and in JSON; an engine that dies is counted and its sweeps made again.
+/// Both engines on the same sweeps: printed and in JSON; an engine that dies is counted and its
+/// sweeps made again.
 #[test]
 fn mujoco_is_compared_with_the_rod_and_may_die() {
     let Some(engine) = mujoco() else { return };
@@ -73,7 +75,8 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
         "{}",
         text(&dead.stderr)
     );
-    // One that greets and then says nothing more: ended after the wait, named and counted, and the run goes on.
+    // One that greets and then says nothing more: ended after the wait, named and counted, and the
+    // run goes on.
     let hanging = folder.path().join("hanging.sh");
     std::fs::write(
         &hanging,

@@ -1,4 +1,5 @@
-//! `wcal-lab simulate --slurm` against a real Slurm on this machine (SIMULATED sweeps); where Slurm cannot start it says so, and fails in CI.
+//! `wcal-lab simulate --slurm` against a real Slurm on this machine (SIMULATED sweeps); where Slurm
+//! cannot start it says so, and fails in CI.
 
 use crate::not_run::not_run;
 use crate::support::{PROGRAM, program, text};
@@ -249,7 +250,8 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     let alone = slurm.simulate("alone", &[]);
     assert_eq!(alone.status.code(), Some(0), "{}", text(&alone.stderr));
 
-    // A task that cannot write its shard fails, and the check names what is missing (negative control).
+    // A task that cannot write its shard fails, and the check names what is missing (negative
+    // control).
     let obstacle = slurm.place("sweeps/can-000025.samples.parquet");
     std::fs::create_dir_all(obstacle.join("in-the-way")).unwrap();
     let first = submitted(&slurm.simulate("sweeps", &submit));

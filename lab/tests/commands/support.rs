@@ -16,7 +16,8 @@ pub fn program() -> Command {
     Command::new(PROGRAM)
 }
 
-/// The program that has this command, not yet started: `wcal` lies beside `wcal-lab` in a build of the workspace.
+/// The program that has this command, not yet started: `wcal` lies beside `wcal-lab` in a build of
+/// the workspace.
 pub fn program_of(command: &str) -> Command {
     if ["simulate", "train", "evaluate"].contains(&command) {
         return program();

@@ -1,4 +1,5 @@
-//! `wcal-lab train` without sweeps: it makes its own, trains on them, and its card says how (SIMULATED).
+//! `wcal-lab train` without sweeps: it makes its own, trains on them, and its card says how
+//! (SIMULATED).
 
 use crate::support::program;
 use serde_json::{Value, json};
@@ -112,7 +113,8 @@ fn one_command_makes_sweeps_and_model_and_goes_on_where_it_stopped() {
         training[1] >= card["passes"][1]["cpu_s"].as_f64().unwrap(),
         "{card}"
     );
-    // Held out and unseen are whole objects; sweeps of two other kinds were trained on as well, upright ones a quarter as many.
+    // Held out and unseen are whole objects; sweeps of two other kinds were trained on as well,
+    // upright ones a quarter as many.
     assert_eq!(
         card["objects"]["held_out"].as_array().unwrap().len(),
         1,
@@ -152,7 +154,8 @@ fn one_command_makes_sweeps_and_model_and_goes_on_where_it_stopped() {
         "{anew:?}"
     );
 
-    // Negative controls: other sweeps are not mixed with these; a number of sweeps is none of sweeps that are there.
+    // Negative controls: other sweeps are not mixed with these; a number of sweeps is none of
+    // sweeps that are there.
     let other = wcal(folder, &[&command[..], &["--seed", "2"]].concat());
     let said = String::from_utf8_lossy(&other.stderr);
     assert!(

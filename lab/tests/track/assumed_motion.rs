@@ -1,5 +1,5 @@
-//! Contacts in motions that no sweep has, without any record of the motion: never `ok`, and their regions have the stated coverage
-//! (SIMULATED).
+//! Contacts in motions that no sweep has, without any record of the motion: never `ok`, and their
+//! regions have the stated coverage (SIMULATED).
 
 use nalgebra::{Matrix2, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -33,7 +33,8 @@ struct Row {
 /// Motions that no sweep has.
 #[derive(Debug, Clone, Copy)]
 enum Press {
-    /// A groove that presses the wire, holds it, retracts partly and leaves it, as in a calibration.
+    /// A groove that presses the wire, holds it, retracts partly and leaves it, as in a
+    /// calibration.
     HoldAndBack,
     /// In steps of a millimetre with pauses of a second, and back by half of the depth in between.
     StepsAndReversal,
@@ -201,7 +202,8 @@ fn track(
     score.streams += 1;
 }
 
-/// `cargo test --workspace --test track assumed_motion:: -- --nocapture` prints the table of the tracking page.
+/// `cargo test --workspace --test track assumed_motion:: -- --nocapture` prints the table of the
+/// tracking page.
 #[test]
 fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/tracker");
@@ -269,7 +271,8 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
                 (false, along(0.5 * (low + high))),
                 &mut trained,
             );
-            // Standing, back, across, and faster than in training: nobody can vouch for what is known to be another motion.
+            // Standing, back, across, and faster than in training: nobody can vouch for what is
+            // known to be another motion.
             for other in [
                 along(0.0),
                 along(-5.0),

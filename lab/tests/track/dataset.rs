@@ -1,4 +1,5 @@
-//! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again.
+//! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones
+//! made again.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! The network that `wcal` runs is the one that was trained: the same numbers come out of both, on inputs of sweeps (SIMULATED).
+//! The network that `wcal` runs is the one that was trained: the same numbers come out of both, on
+//! inputs of sweeps (SIMULATED).
 
 use crate::tracking::coarse_inverse;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -73,7 +74,8 @@ fn difference(
     .fold(0.0, f32::max)
 }
 
-/// To 1e-5: a sum of some hundred products in single precision, whose order differs, is good to some 1e-6.
+/// To 1e-5: a sum of some hundred products in single precision, whose order differs, is good to
+/// some 1e-6.
 #[test]
 fn what_wcal_runs_is_what_was_trained() {
     let device = Device::flex();

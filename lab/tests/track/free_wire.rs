@@ -1,4 +1,5 @@
-//! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench (SIMULATED).
+//! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench
+//! (SIMULATED).
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +15,8 @@ use wcal_track::{InverseGrid, Sample, StaticInverse, Tracker};
 const ROWS: usize = 600;
 const RATE_HZ: f64 = 10.0;
 
-/// Rows that are called contact under noise (standard deviation of each axis, N mm), `known`: with the base's speed.
+/// Rows that are called contact under noise (standard deviation of each axis, N mm), `known`: with
+/// the base's speed.
 fn called(
     tracker: &Tracker,
     quiet: &[(f64, [f64; 2], f64)],
@@ -60,7 +62,8 @@ fn sweeps() -> Vec<SweepSeries> {
         .collect()
 }
 
-/// At most one free row in fifty; the model without such wires in its training called one in nine at 0.003 N mm.
+/// At most one free row in fifty; the model without such wires in its training called one in nine
+/// at 0.003 N mm.
 #[test]
 fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/tracker");
@@ -110,7 +113,8 @@ fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
     }
 }
 
-/// Rounding gives a free wire's moments some direction: nothing that is seen depends on it, above the onset all of it does.
+/// Rounding gives a free wire's moments some direction: nothing that is seen depends on it, above
+/// the onset all of it does.
 #[test]
 fn moments_below_the_onset_have_no_direction() {
     let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();

@@ -59,7 +59,8 @@ fn followed_mm(all_series: &BTreeMap<String, Vec<SweepSeries>>, settings: &Bayes
         / rows.len() as f64
 }
 
-/// Where the wire slides under friction, a filter that weighs friction finds the contact better than one that knows of none.
+/// Where the wire slides under friction, a filter that weighs friction finds the contact better
+/// than one that knows of none.
 #[test]
 fn the_filter_that_weighs_friction_follows_a_wire_that_is_dragged() {
     let (with, without) = (
@@ -84,7 +85,8 @@ fn the_filter_that_weighs_friction_follows_a_wire_that_is_dragged() {
     );
 }
 
-/// The zero of a series is the free wire: its weight is no push, whether the series is drawn on the spot or read.
+/// The zero of a series is the free wire: its weight is no push, whether the series is drawn on the
+/// spot or read.
 #[test]
 fn a_free_wire_that_hangs_has_no_moment() {
     let plan = plan(0.1, true);

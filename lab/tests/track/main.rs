@@ -1,4 +1,5 @@
-//! What is trained and what tracks with it: sweeps as tables, the network, the filter, contacts that slide (all SIMULATED).
+//! What is trained and what tracks with it: sweeps as tables, the network, the filter, contacts
+//! that slide (all SIMULATED).
 
 #![allow(
     clippy::unwrap_used,

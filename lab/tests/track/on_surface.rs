@@ -74,7 +74,8 @@ fn a_point_above_the_ball_comes_down_to_where_it_was_lifted_from() {
     assert!(touched > 20, "{touched}");
 }
 
-/// The same network on the same series, with the true contacts alone, with the surfaces, and with each other's.
+/// The same network on the same series, with the true contacts alone, with the surfaces, and with
+/// each other's.
 #[test]
 fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let meshes = meshes();

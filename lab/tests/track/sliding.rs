@@ -1,6 +1,8 @@
-//! Contacts that slide over an object whose motion is known in any direction, with a hold and back (SIMULATED).
+//! Contacts that slide over an object whose motion is known in any direction, with a hold and back
+//! (SIMULATED).
 //!
-//! A sweep along the base's +z past a wire that is turned about its own axis is a sweep in another direction past the nominal wire.
+//! A sweep along the base's +z past a wire that is turned about its own axis is a sweep in another
+//! direction past the nominal wire.
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::SeedableRng;
@@ -194,11 +196,13 @@ fn a_sliding_contact_is_followed_in_any_direction() {
         [0.1, 0.5, 0.9].map(|q| quantile(&widths, q))
     );
     assert!(all >= 20, "{all}");
-    // A track that turns back is never sure: some contacts are lost, and the regions say so. How narrow they are where the answer is sure, and how
-    // near the truth, is tested in sliding_sweeps.rs.
+    // A track that turns back is never sure: some contacts are lost, and the regions say so. How
+    // narrow they are where the answer is sure, and how near the truth, is tested in
+    // sliding_sweeps.rs.
     assert!(sure == 0, "{sure}");
-    // In three of the four directions (the fourth meets edges from behind) a contact is followed as well as in sweeps. With hypotheses of friction that
-    // go on to another surface where the motion turns back, 0 deg had 0.81 mm.
+    // In three of the four directions (the fourth meets edges from behind) a contact is followed as
+    // well as in sweeps. With hypotheses of friction that go on to another surface where the motion
+    // turns back, 0 deg had 0.81 mm.
     medians.sort_by(f64::total_cmp);
     assert!(medians[2] < 0.6, "{medians:?}");
     // A wrong motion is supported in three of 22, the true one in 18.
@@ -206,7 +210,8 @@ fn a_sliding_contact_is_followed_in_any_direction() {
         supported * 10 >= all * 6 && reversed_supported * 7 <= all,
         "{supported} {reversed_supported}"
     );
-    // Readings of a track share their errors: some 20 tracks determine the coverage to a few per cent.
+    // Readings of a track share their errors: some 20 tracks determine the coverage to a few per
+    // cent.
     let coverage = pooled_held as f64 / pooled as f64;
     assert!((0.9..=1.0).contains(&coverage), "{coverage}");
 }

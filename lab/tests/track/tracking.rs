@@ -148,7 +148,8 @@ fn the_curve_of_candidates_passes_through_the_contact() {
     assert!(right < 0.1 && half > 3.0 * right, "{right} {half}");
 }
 
-/// Where the tip is dragged along, its force leans toward the root: the curve's end holds it, and the wire's own part does not.
+/// Where the tip is dragged along, its force leans toward the root: the curve's end holds it, and
+/// the wire's own part does not.
 #[test]
 fn the_curve_holds_a_tip_whose_force_leans() {
     let (mut off, mut square, mut solutions) = (Vec::new(), Vec::new(), Vec::new());
@@ -202,7 +203,8 @@ fn drawn_courses_are_those_of_a_dataset() {
     assert!(other[0].samples != kept[0].samples);
 }
 
-/// With the base's speed known the filter finds the contact; with another speed stated, it does not.
+/// With the base's speed known the filter finds the contact; with another speed stated, it does
+/// not.
 #[test]
 fn the_bayes_filter_follows_with_the_right_speed_only() {
     let meshes = ["ball", "can"]
@@ -227,7 +229,8 @@ fn the_bayes_filter_follows_with_the_right_speed_only() {
     assert!(right < 1.0 && wrong > 2.0 * right, "{right} {wrong}");
 }
 
-/// A base that stands or goes back, however fast, leaves beliefs and answers numbers; one that keeps its way gives others.
+/// A base that stands or goes back, however fast, leaves beliefs and answers numbers; one that
+/// keeps its way gives others.
 #[test]
 fn a_base_that_goes_back_leaves_answers_finite() {
     let tracker = tracker(tiny());
@@ -301,7 +304,8 @@ fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
     assert!(answers[middle] != change(middle - 5)[middle]);
 }
 
-/// A filter that is handed the solutions believes what it does by itself; it is another one than the first.
+/// A filter that is handed the solutions believes what it does by itself; it is another one than
+/// the first.
 #[test]
 fn a_filter_beside_another_believes_what_it_does_alone() {
     let both = TrainSettings::default().filters();
@@ -348,7 +352,8 @@ fn a_network_that_weighs_two_filters_needs_both() {
         };
         track_series(&both, filters, &all)
     };
-    // The frictional filter in both places: another answer than with the one for objects without friction.
+    // The frictional filter in both places: another answer than with the one for objects without
+    // friction.
     let (alone, apart) = (
         with_frictionless(both.filters.frictional),
         track_series(&both, both.filters, &all),
@@ -445,7 +450,8 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     assert!(error.contains("model.safetensors"), "{error}");
 }
 
-/// All passes in one go, and the rest of them after a stop, give the same network; and it has learned something.
+/// All passes in one go, and the rest of them after a stop, give the same network; and it has
+/// learned something.
 #[test]
 fn training_learns_and_goes_on_where_it_stopped() {
     let all: Vec<SweepSeries> = all_series().values().flatten().cloned().collect();
@@ -467,7 +473,8 @@ fn training_learns_and_goes_on_where_it_stopped() {
     };
     let device = Device::flex();
     let (_, whole) = train(&tiny(), &settings, &material, None, &device, |_| {}).unwrap();
-    // It begins with what the filter believes: twenty steps add to that, and do not replace it. The best pass is what is kept.
+    // It begins with what the filter believes: twenty steps add to that, and do not replace it. The
+    // best pass is what is kept.
     let kept = best(&whole).unwrap();
     println!(
         "held-out loss: first {:.4}, kept {:.4} (pass {})",
@@ -534,7 +541,8 @@ fn training_learns_and_goes_on_where_it_stopped() {
     assert!(error.to_string().contains("another folder"), "{error}");
 }
 
-/// The models that come with the program, on built-in objects: they have seen scans of other things only.
+/// The models that come with the program, on built-in objects: they have seen scans of other things
+/// only.
 #[test]
 fn the_shipped_models_beat_the_static_inverse_by_far() {
     let meshes = ["ball", "can"]

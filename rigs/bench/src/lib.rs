@@ -1,7 +1,9 @@
-//! What the virtual bench simulates: the wire in the groove and what cameras see of it. All of it is SIMULATED.
+//! What the virtual bench simulates: the wire in the groove and what cameras see of it. All of it
+//! is SIMULATED.
 //!
-//! Nothing here is shared with the fitter: the wire is a discrete-energy rod ([`rod`]), tabulated along a trajectory ([`table`]), and rendered
-//! with the board and the tags of the rig ([`cameras`]).
+//! Nothing here is shared with the fitter: the wire is a discrete-energy rod ([`rod`]), tabulated
+//! along a trajectory ([`table`]), and rendered with the board and the tags of the rig
+//! ([`cameras`]).
 
 pub mod cameras;
 pub mod rod;

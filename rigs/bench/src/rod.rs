@@ -1,11 +1,12 @@
 //! The wire as a discrete-energy Kirchhoff rod.
 //!
 //! The wire is cut into elements of constant curvature (helices). The elastic energy
-//! `sum h/2 (u_i - u0_i)' B (u_i - u0_i)` is made stationary under `r(contact) = P`; the multiplier of that
-//! constraint is the contact force `F`. The variation of the contact point with the curvature of element `i` is
-//! the integral of `R (du) x (P - r)` over it, so stationarity reads: the elastic moment of every element equals
-//! the mean of `R' ((P - r) x F)` over it. The scheme is second order; two meshes and Richardson's
-//! extrapolation make it fourth. The residual are four unknowns (`F` and the contact's arc length).
+//! `sum h/2 (u_i - u0_i)' B (u_i - u0_i)` is made stationary under `r(contact) = P`; the multiplier
+//! of that constraint is the contact force `F`. The variation of the contact point with the
+//! curvature of element `i` is the integral of `R (du) x (P - r)` over it, so stationarity reads:
+//! the elastic moment of every element equals the mean of `R' ((P - r) x F)` over it. The scheme is
+//! second order; two meshes and Richardson's extrapolation make it fourth. The residual are four
+//! unknowns (`F` and the contact's arc length).
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
@@ -27,7 +28,8 @@ pub enum MomentLaw {
         /// Tangent stiffness past the onset, relative.
         ratio: f64,
     },
-    /// Round section whose stress stays on its plateau past the onset: the moment tends to 1.70 x its onset value.
+    /// Round section whose stress stays on its plateau past the onset: the moment tends to 1.70 x
+    /// its onset value.
     Plateau {
         /// Onset in 1/mm.
         onset_per_mm: f64,
@@ -35,7 +37,8 @@ pub enum MomentLaw {
 }
 
 impl MomentLaw {
-    /// Change of curvature (1/mm) that a linear wire's change of curvature `linear` (moment / EI) becomes.
+    /// Change of curvature (1/mm) that a linear wire's change of curvature `linear` (moment / EI)
+    /// becomes.
     fn curvature(self, linear: f64) -> f64 {
         match self {
             Self::Linear => linear,
@@ -54,7 +57,8 @@ impl MomentLaw {
                 if want <= 1.0 {
                     return linear;
                 }
-                // Newton in curvature / onset; the slope is the share of EI that the elastic core keeps.
+                // Newton in curvature / onset; the slope is the share of EI that the elastic core
+                // keeps.
                 let limit = 16.0 / (3.0 * std::f64::consts::PI);
                 let mut bent = ((limit - 1.0) / (limit - want).max(1e-4)).sqrt();
                 for _ in 0..40 {
@@ -100,7 +104,8 @@ pub struct Wire {
     pub ei_nmm2: f64,
     /// Torsion stiffness at the root in N mm^2.
     pub gj_nmm2: f64,
-    /// Relative change of EI from root to tip (linear in the diameter's fourth power); 0 for a uniform wire.
+    /// Relative change of EI from root to tip (linear in the diameter's fourth power); 0 for a
+    /// uniform wire.
     pub taper: Taper,
     /// Moment-curvature law.
     pub law: MomentLaw,
@@ -207,7 +212,8 @@ impl Wire {
         (V3::new(x, 0.0, z), V3::new(turn.cos(), 0.0, -turn.sin()))
     }
 
-    /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns position and tangent.
+    /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns
+    /// position and tangent.
     pub fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
         let base = point.cross(force);
         let root = V3::new(
@@ -244,8 +250,8 @@ impl Wire {
         (r, frame.column(0).into_owned())
     }
 
-    /// Centre line from root to tip in pieces of at most `step_mm`, loaded by `contact` (`None`: at rest) at `point`; what lies past
-    /// the contact carries no moment and keeps its rest curvature.
+    /// Centre line from root to tip in pieces of at most `step_mm`, loaded by `contact` (`None`: at
+    /// rest) at `point`; what lies past the contact carries no moment and keeps its rest curvature.
     pub fn centre_line(&self, contact: Option<(&V3, &Equilibrium)>, step_mm: f64) -> Vec<V3> {
         let (point, force, contact_mm) = contact
             .map_or((V3::zeros(), V3::zeros(), 0.0), |(p, e)| {
@@ -296,7 +302,8 @@ impl Wire {
             .collect()
     }
 
-    /// Stretches between contact, the end of the straight part and the ends, each with its number of elements.
+    /// Stretches between contact, the end of the straight part and the ends, each with its number
+    /// of elements.
     fn pieces(&self, contact_mm: f64, step_mm: f64) -> Vec<([f64; 2], usize)> {
         let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
         cuts.sort_by(f64::total_cmp);
@@ -344,14 +351,16 @@ impl Wire {
         u
     }
 
-    /// What must vanish: position mismatch in mm, and the tangential force less `drag` times the normal one.
+    /// What must vanish: position mismatch in mm, and the tangential force less `drag` times the
+    /// normal one.
     fn residual(&self, point: &V3, drag: f64, x: &Vector4<f64>, refine: usize) -> Vector4<f64> {
         let force = x.xyz();
         let (r, t) = self.march(point, &force, x.w, refine);
         let along = force.dot(&t);
         let across = (force - t * along).norm();
         let gap = r - point;
-        // Measured by the force of 1 mm of deflection, so that the row stays regular where the force vanishes.
+        // Measured by the force of 1 mm of deflection, so that the row stays regular where the
+        // force vanishes.
         Vector4::new(
             gap.x,
             gap.y,
@@ -360,9 +369,11 @@ impl Wire {
         )
     }
 
-    /// Equilibrium with the contact at `point` and tangential over normal force `drag` (0: frictionless).
+    /// Equilibrium with the contact at `point` and tangential over normal force `drag` (0:
+    /// frictionless).
     ///
-    /// `start` is a nearby equilibrium; `slope` a Jacobian to try first, replaced by the last one used.
+    /// `start` is a nearby equilibrium; `slope` a Jacobian to try first, replaced by the last one
+    /// used.
     ///
     /// # Errors
     /// [`WireError::NoEquilibrium`] when Newton's iteration does not settle.

@@ -1,7 +1,9 @@
-//! Base moment along one trajectory, tabulated in stage position and in the drag (tangential over normal force).
+//! Base moment along one trajectory, tabulated in stage position and in the drag (tangential over
+//! normal force).
 //!
-//! Chebyshev series in the stage position, Lagrange interpolation over the drags. Where the contact crosses from
-//! the straight part to the arc the moment has a kink, so the table is cut there (a different cut for every drag).
+//! Chebyshev series in the stage position, Lagrange interpolation over the drags. Where the contact
+//! crosses from the straight part to the arc the moment has a kink, so the table is cut there (a
+//! different cut for every drag).
 
 use nalgebra::{Matrix4, Vector3};
 
@@ -334,7 +336,8 @@ fn crossing(
     Ok(None)
 }
 
-/// Chebyshev coefficients of `f` on `(low, high)`, sampled in ascending order at `n` first-kind points.
+/// Chebyshev coefficients of `f` on `(low, high)`, sampled in ascending order at `n` first-kind
+/// points.
 fn chebyshev(
     low: f64,
     high: f64,
@@ -392,8 +395,8 @@ pub struct Grip {
 impl Grip {
     /// Moves the groove to `stage_mm` and returns the moment (N mm) and the drag.
     ///
-    /// The wire sticks while the drag lies inside the cone `mu` and else slides at its edge, so the contact's arc
-    /// length is its old value clamped between those of the two slides.
+    /// The wire sticks while the drag lies inside the cone `mu` and else slides at its edge, so the
+    /// contact's arc length is its old value clamped between those of the two slides.
     pub fn step(&mut self, table: &Table, stage_mm: f64, mu: f64) -> ([f64; 2], f64) {
         if stage_mm <= table.touch_mm() {
             self.arclength_mm = None;

@@ -117,7 +117,8 @@ fn a_lens_inverts_its_distortion_and_a_straight_line_bends() {
     );
 }
 
-/// What the wire takes from an even ground is its width times its length in the picture, wherever it lies between the pixels.
+/// What the wire takes from an even ground is its width times its length in the picture, wherever
+/// it lies between the pixels.
 #[test]
 fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
     let look = Appearance {
@@ -150,7 +151,8 @@ fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
                 .map(|w| (w[1].0 - w[0].0).norm() * 0.3 * focal / (0.5 * (w[0].1 + w[1].1)))
                 .sum();
             assert!((taken / area - 1.0).abs() < 2e-3, "{taken} of {area} px");
-            // Centre of darkness in the row through the middle of the line, against the projected line there.
+            // Centre of darkness in the row through the middle of the line, against the projected
+            // line there.
             let middle = seen[80].0;
             let row = middle.y.round();
             let dark = |x: usize| f64::from(ground - picture[row as usize * SIZE[0] + x]);
@@ -160,7 +162,8 @@ fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
             let slope = (seen[81].0 - seen[79].0).x / (seen[81].0 - seen[79].0).y;
             let expected = middle.x + slope * (row - middle.y);
             if slope.abs() < 1.5 {
-                // The shade falls by a fifth across: the centre of darkness lies a little off the geometric one.
+                // The shade falls by a fifth across: the centre of darkness lies a little off the
+                // geometric one.
                 assert!((found - expected).abs() < 0.06, "{found} {expected}");
             }
         }

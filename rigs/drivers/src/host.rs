@@ -2,7 +2,8 @@
 
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 
-/// Whether an I/O error is a read that ran out of time (`TimedOut` on serial ports, `WouldBlock` on TCP).
+/// Whether an I/O error is a read that ran out of time (`TimedOut` on serial ports, `WouldBlock` on
+/// TCP).
 pub(crate) fn is_timeout(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),

@@ -9,12 +9,14 @@ use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::DeviceError;
 
-/// Longest wait for a connection: an address that nobody answers at would take the system two minutes.
+/// Longest wait for a connection: an address that nobody answers at would take the system two
+/// minutes.
 pub(crate) const CONNECT: Duration = Duration::from_secs(3);
 /// Longest wait until the other end takes what is sent.
 const SEND: Duration = Duration::from_secs(3);
 
-/// Connects to `host:port`. Names are resolved and the handshake is made in its own thread, since neither can be interrupted.
+/// Connects to `host:port`. Names are resolved and the handshake is made in its own thread, since
+/// neither can be interrupted.
 ///
 /// # Errors
 /// What the system says, or `TimedOut` when the deadline is over.
@@ -49,10 +51,12 @@ pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStrea
     }
 }
 
-/// Reads or sends within the deadline. The last attempt begins after its end: what came while this program did not get to run is no silence.
+/// Reads or sends within the deadline. The last attempt begins after its end: what came while this
+/// program did not get to run is no silence.
 ///
 /// # Errors
-/// `TimedOut` when nothing came or went, `BrokenPipe` when the other end closed, else what the system says.
+/// `TimedOut` when nothing came or went, `BrokenPipe` when the other end closed, else what the
+/// system says.
 pub(crate) fn attempts(
     deadline: &Deadline,
     mut attempt: impl FnMut(Duration) -> io::Result<usize>,

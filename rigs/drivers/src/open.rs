@@ -23,7 +23,8 @@ use wcal_core::rig_devices::{
 const ASCII_BAUD: u32 = 115_200;
 const BINARY_BAUD: u32 = 9600;
 
-/// The drivers of this crate by their names. Dropped, they leave the units with the speeds that they found.
+/// The drivers of this crate by their names. Dropped, they leave the units with the speeds that
+/// they found.
 pub struct Drivers {
     /// The line of an ASCII stage; a mount may be connected to it, too.
     chain: Option<Rc<RefCell<Chain>>>,

@@ -139,7 +139,8 @@ fn busy(path: &str, processes: &Path) -> String {
     }
 }
 
-/// The first process with an open file of this path: its number and name (Linux: the links in `/proc/N/fd`, proc(5)).
+/// The first process with an open file of this path: its number and name (Linux: the links in
+/// `/proc/N/fd`, proc(5)).
 fn holder(path: &str, processes: &Path) -> Option<(u32, String)> {
     let port = std::fs::canonicalize(path).ok()?;
     let has = |folder: &Path| {

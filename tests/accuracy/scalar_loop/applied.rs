@@ -149,7 +149,8 @@ fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
     assert!(String::from_utf8_lossy(&run.stdout).starts_with("measured (SIMULATED): "));
 }
 
-/// The place of a step between two readings has no derivative: it gets the interval in which the readings cannot tell, and no NaN travels.
+/// The place of a step between two readings has no derivative: it gets the interval in which the
+/// readings cannot tell, and no NaN travels.
 #[test]
 fn a_step_goes_from_import_to_predict_and_a_file_is_not_fitted_and_held_out() {
     let place = tempfile::tempdir().unwrap();
@@ -234,7 +235,8 @@ fn a_step_goes_from_import_to_predict_and_a_file_is_not_fitted_and_held_out() {
     assert!(!place.path().join("s/unsealed.json").exists());
 }
 
-/// A calibration is judged on a later session: it holds where the instrument is the same and does not where its zero has moved.
+/// A calibration is judged on a later session: it holds where the instrument is the same and does
+/// not where its zero has moved.
 #[test]
 fn a_calibration_is_judged_on_readings_that_it_was_not_fitted_to() {
     let place = tempfile::tempdir().unwrap();

@@ -19,7 +19,8 @@ const CERTIFIED_ERRORS: [f64; 3] = [
     0.486652849992036e-16,
 ];
 
-/// Least digits by which a run agrees with the certified values; 0 where the model is not a quadratic.
+/// Least digits by which a run agrees with the certified values; 0 where the model is not a
+/// quadratic.
 fn agreement(run: &Run) -> f64 {
     let Some(model) = &run.calibration else {
         return 0.0;
@@ -203,7 +204,8 @@ fn berger_spread_grows_with_the_stimulus() {
         spread["parameters"][0]["interval95"][0].as_f64()
     };
     assert!(named(&run).unwrap() > 0.0, "it grows");
-    // Negative control: the scatter dealt out anew, without regard to the stimulus (row k takes the residual of row 53 k + 7 mod 107).
+    // Negative control: the scatter dealt out anew, without regard to the stimulus (row k takes the
+    // residual of row 53 k + 7 mod 107).
     let text = fs::read_to_string(nist("berger1").join("points.csv")).unwrap();
     let rows: Vec<Vec<f64>> = text
         .lines()

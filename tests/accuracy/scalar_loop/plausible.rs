@@ -1,5 +1,5 @@
-//! Tables as people hand them over: stuck channels, overflow values, copies, decimal points, columns of something else. What is wrong is named,
-//! and what only looks like it is taken.
+//! Tables as people hand them over: stuck channels, overflow values, copies, decimal points,
+//! columns of something else. What is wrong is named, and what only looks like it is taken.
 
 use super::*;
 
@@ -178,7 +178,8 @@ fn copies_are_counted_once_and_a_coarse_gauge_keeps_its_repeats() {
     );
     assert_eq!(run.verify["after"]["points"], 11);
     assert_ne!(run.verify["noise_floor"]["source"], "replicates");
-    // A gauge whose noise hides below its last digit, five times over, and a finer one whose repeats differ.
+    // A gauge whose noise hides below its last digit, five times over, and a finer one whose
+    // repeats differ.
     let coarse = cell(5, |k, x| format!("{:.2}", honest(k, x)));
     assert_eq!(imported(&coarse, CELL).import, 0);
     assert_eq!(
@@ -189,7 +190,8 @@ fn copies_are_counted_once_and_a_coarse_gauge_keeps_its_repeats() {
 
 #[test]
 fn a_reading_that_is_one_in_the_last_digit_off_is_no_outlier() {
-    // Every load is a whole number of digits, so that all readings but a few are exact; the control is thirteen digits off.
+    // Every load is a whole number of digits, so that all readings but a few are exact; the control
+    // is thirteen digits off.
     let coarse = |off: f64| {
         cell(3, |k, x| {
             format!("{:.2}", 4e-4 * x + if k % 17 == 3 { off } else { 0.0 })
@@ -320,7 +322,8 @@ fn thousands_and_columns_of_one_name_are_read_or_named() {
     );
 }
 
-/// Eleven positions up and down in five cycles; error in um with a backlash of 3.5 um and a scale of 20 um/m.
+/// Eleven positions up and down in five cycles; error in um with a backlash of 3.5 um and a scale
+/// of 20 um/m.
 fn stage(row: impl Fn(f64, f64, f64, usize) -> String) -> String {
     let rows = (0..110).map(|k| {
         let place = k % 22;
@@ -410,7 +413,8 @@ fn errors_and_directions_of_an_axis_are_told_from_positions() {
 
 #[test]
 fn errors_that_belong_to_places_are_a_table_and_no_law_of_the_order() {
-    // Five places with errors of their own, five cycles to and fro, the direction in no column that is imported.
+    // Five places with errors of their own, five cycles to and fro, the direction in no column that
+    // is imported.
     let places = [4.8, 8.5, 3.9, -13.5, 8.9];
     let rows = (0..50).map(|k| {
         let step = if k % 10 < 5 { k % 10 } else { 9 - k % 10 };

@@ -149,7 +149,8 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
     }
 }
 
-/// Under a clock a row that is in the fit is no holdout; repeats of a gauge that reads the same again are one.
+/// Under a clock a row that is in the fit is no holdout; repeats of a gauge that reads the same
+/// again are one.
 #[test]
 fn a_holdout_of_a_coarse_gauge_is_told_from_a_copied_one() {
     let sealed = TRANSDUCER.replace(
@@ -252,7 +253,8 @@ fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
     fs::write(folder.path().join("points.csv"), few.join("\n")).unwrap();
     assert_eq!(run(&[]).status.code(), Some(1));
     assert_eq!(names(), ["report.html", "verify.json"]);
-    // A whole result again: the same decision is the same look. Another one on the same sealed rows is a second look, and says so.
+    // A whole result again: the same decision is the same look. Another one on the same sealed rows
+    // is a second look, and says so.
     fs::write(folder.path().join("points.csv"), &good).unwrap();
     let verified = || -> serde_json::Value {
         assert_eq!(run(&[]).status.code(), Some(0));

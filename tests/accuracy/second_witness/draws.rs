@@ -1,4 +1,5 @@
-//! Paper-like sessions (27 approach-only poses) with effects of a given size and pictures of every pose (SIMULATED).
+//! Paper-like sessions (27 approach-only poses) with effects of a given size and pictures of every
+//! pose (SIMULATED).
 
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;

@@ -1,5 +1,5 @@
-//! Every column of every table that a command reads, with numbers that no bench writes: taken as they are, or refused by file and column. One such
-//! cell ended four commands by an abort.
+//! Every column of every table that a command reads, with numbers that no bench writes: taken as
+//! they are, or refused by file and column. One such cell ended four commands by an abort.
 
 use super::limits::{in_parallel, limited, sound};
 use super::*;
@@ -29,7 +29,8 @@ struct Table {
     file: &'static str,
     text: String,
     arguments: &'static str,
-    /// The commands hold it against the whole session, too: what is refused may be so under another column's name.
+    /// The commands hold it against the whole session, too: what is refused may be so under another
+    /// column's name.
     beside: &'static [&'static str],
 }
 
@@ -55,7 +56,8 @@ impl Table {
     }
 }
 
-/// Runs the command on the table with every cell of its last row replaced in turn; what a user may not meet.
+/// Runs the command on the table with every cell of its last row replaced in turn; what a user may
+/// not meet.
 fn walk(place: &Path, table: &Table) -> Vec<String> {
     let columns = table.columns();
     let cases: Vec<(usize, &str)> = (0..columns.len())
@@ -271,7 +273,8 @@ fn no_cell_of_a_table_to_predict_or_to_track_ends_a_command_otherwise_than_by_it
     );
 }
 
-/// A table that was cut inside its last number reads as one with another number: the missing line end is what tells.
+/// A table that was cut inside its last number reads as one with another number: the missing line
+/// end is what tells.
 #[test]
 fn a_table_that_ends_within_its_last_row_is_named_in_one_line() {
     let cut = |place: &Path, file: &str| {

@@ -1,11 +1,13 @@
-//! Documents, tables and meshes that are larger than their kind can be: refused before they are read, with little memory.
+//! Documents, tables and meshes that are larger than their kind can be: refused before they are
+//! read, with little memory.
 
 use super::limits::sound;
 use super::*;
 use crate::support::{fixture, repository};
 use std::io::Write;
 
-/// `wcal ARGUMENTS` with a quarter of a gigabyte of memory beside the program itself: what reads first and judges later does not end in it.
+/// `wcal ARGUMENTS` with a quarter of a gigabyte of memory beside the program itself: what reads
+/// first and judges later does not end in it.
 fn small(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 1500000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
     let program = program_of(arguments[0]).get_program().to_owned();

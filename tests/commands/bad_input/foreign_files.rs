@@ -78,7 +78,8 @@ fn a_table_in_another_form_is_read_and_the_option_named() {
             "{name}"
         );
     }
-    // Control: what is stated is not looked for, and a comma that may stand between thousands is no decimal one.
+    // Control: what is stated is not looked for, and a comma that may stand between thousands is no
+    // decimal one.
     for (text, options, says) in [
         (
             TEXT.replace(',', ";"),

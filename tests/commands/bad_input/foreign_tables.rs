@@ -1,4 +1,5 @@
-//! Tables as other programs write them: found, read and said, or refused with the way out. Each holds the same eight readings.
+//! Tables as other programs write them: found, read and said, or refused with the way out. Each
+//! holds the same eight readings.
 
 use super::*;
 
@@ -654,7 +655,8 @@ fn a_unit_in_a_name_is_compared_in_every_form() {
     assert!(!said.contains("though"), "{said}");
 }
 
-/// Runs `verify` of a session made of the readings, with a later table held out, and `predict` of that table.
+/// Runs `verify` of a session made of the readings, with a later table held out, and `predict` of
+/// that table.
 fn held_out(header: &str, later: &str, import: &[&str]) -> (i32, String, i32, String) {
     let place = tempfile::tempdir().unwrap();
     let wobble = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;

@@ -1,5 +1,5 @@
-//! Gratings that are dead, stuck or alike are named by every command and carry no calibration; overflow values and pasted rows are
-//! left out and counted.
+//! Gratings that are dead, stuck or alike are named by every command and carry no calibration;
+//! overflow values and pasted rows are left out and counted.
 
 use super::{judge, wcal};
 use crate::support::fixture;
@@ -93,7 +93,8 @@ fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
             "{name}"
         );
     }
-    // One that stands still for a part of the session is an effect that the catalogue does not have.
+    // One that stands still for a part of the session is an effect that the catalogue does not
+    // have.
     let place = tempfile::tempdir().unwrap();
     session(place.path(), |r| {
         set(r, "fbg_2_nm", |k, _| {
@@ -105,7 +106,8 @@ fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
     assert!(!place.path().join("v/calibration.json").exists());
 }
 
-/// What looks alike and is none of these: values in whole picometres, one gross reading, a grating at rest for a while.
+/// What looks alike and is none of these: values in whole picometres, one gross reading, a grating
+/// at rest for a while.
 #[test]
 fn coarse_readings_and_a_gross_one_are_taken() {
     let place = tempfile::tempdir().unwrap();

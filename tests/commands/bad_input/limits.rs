@@ -1,11 +1,12 @@
-//! Runs of the program under limits: a minute of processor time, ten by the clock, and 8 GB of address space. What goes past them would stop
-//! a bench or a machine.
+//! Runs of the program under limits: a minute of processor time, ten by the clock, and 8 GB of
+//! address space. What goes past them would stop a bench or a machine.
 
 use super::*;
 use std::ffi::OsStr;
 
-/// `wcal ARGUMENTS` under the limits, nothing on its input. Exit code 124: by the clock; a signal: by the processor's time. The clock's limit is
-/// wide: what waits takes no time of a processor, and a busy machine makes everything long.
+/// `wcal ARGUMENTS` under the limits, nothing on its input. Exit code 124: by the clock; a signal:
+/// by the processor's time. The clock's limit is wide: what waits takes no time of a processor, and
+/// a busy machine makes everything long.
 pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 8000000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
     let program = program_of(arguments[0]);
@@ -18,7 +19,8 @@ pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
         .unwrap()
 }
 
-/// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no memory.
+/// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no
+/// memory.
 pub fn sound(output: &Output) -> Result<String, String> {
     let text = format!(
         "{}{}",

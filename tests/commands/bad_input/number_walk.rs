@@ -1,5 +1,6 @@
-//! Every number of a document in turn as -1, 0, 1e9, 1e308 and NaN: an error that names the key, or a good run where a bench can have the number. A
-//! key sees two or three of the values, its neighbour the others; all of them where WCAL_ALL_NUMBERS is set.
+//! Every number of a document in turn as -1, 0, 1e9, 1e308 and NaN: an error that names the key, or
+//! a good run where a bench can have the number. A key sees two or three of the values, its
+//! neighbour the others; all of them where WCAL_ALL_NUMBERS is set.
 //!
 //! Of an array the first entry stands for all: they have one range.
 
@@ -9,7 +10,8 @@ use crate::support::copy::copy_folder;
 use crate::support::repository;
 use serde_json::Value;
 
-/// What is put in place of a number. A whole number where one is wanted: otherwise the type alone would be refused.
+/// What is put in place of a number. A whole number where one is wanted: otherwise the type alone
+/// would be refused.
 const VALUES: [&str; 5] = ["-1", "0", "1000000000", "1e308", "NaN"];
 /// Stands for it until the document is text.
 const HERE: &str = "number under test";
@@ -85,7 +87,8 @@ const NOT_NEGATIVE: [&str; 20] = [
     "creep_s",
 ];
 
-/// Whether no bench has this number under this key. A document that takes it is read without its ranges: the exit code alone said nothing.
+/// Whether no bench has this number under this key. A document that takes it is read without its
+/// ranges: the exit code alone said nothing.
 pub(super) fn impossible(way: &str, value: &str) -> bool {
     let key: Vec<&str> = way
         .split('/')

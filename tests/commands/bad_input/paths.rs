@@ -1,4 +1,5 @@
-//! Every path of every command as a pipe that nobody writes to, as a folder, and as a device without end.
+//! Every path of every command as a pipe that nobody writes to, as a folder, and as a device
+//! without end.
 
 use super::limits::{in_parallel, limited, sound};
 use super::*;
@@ -14,7 +15,8 @@ const TRANSDUCER: &[&str] = &[
     "linear",
 ];
 
-/// Command lines with the path under test as `@`; the other files are there and good as far as the command reads them first.
+/// Command lines with the path under test as `@`; the other files are there and good as far as the
+/// command reads them first.
 fn lines() -> Vec<Vec<&'static str>> {
     let mut all: Vec<Vec<&str>> = [
         "verify @ --check",

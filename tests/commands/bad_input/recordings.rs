@@ -1,4 +1,5 @@
-//! Numbers in a recording that no bench sends: `reduce` takes them or names topic and field, and one message more costs no memory.
+//! Numbers in a recording that no bench sends: `reduce` takes them or names topic and field, and
+//! one message more costs no memory.
 
 use super::limits::{in_parallel, limited, sound};
 use super::*;
@@ -12,7 +13,8 @@ const RATE_HZ: f64 = 500.0;
 /// Host time of the first scan, s.
 const START_S: f64 = 1.7e9;
 
-/// A session folder of four seconds: one settled reading, one move with ten rows a second, and `more`.
+/// A session folder of four seconds: one settled reading, one move with ten rows a second, and
+/// `more`.
 fn record(folder: &Path, more: &[SweepEvent]) {
     for name in ["rig.toml", "run.json"] {
         fs::copy(fixture("pictured").join(name), folder.join(name)).unwrap();
@@ -151,7 +153,8 @@ fn one_message_more_does_not_fill_the_memory() {
         record(place.path(), &more);
         let output = limited(place.path(), &["reduce", "."]);
         let text = sound(&output).unwrap_or_else(|why| panic!("{name}: {why}"));
-        // Without noise of the instrument and with a stage of our own a warning may come with the rows.
+        // Without noise of the instrument and with a stage of our own a warning may come with the
+        // rows.
         let good = if code == 0 {
             output.status.code() != Some(1)
         } else {

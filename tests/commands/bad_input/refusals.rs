@@ -1,4 +1,5 @@
-//! Small damage to every kind of file: a refusal names its own file, is one line, and repeats no more of the file than a person reads.
+//! Small damage to every kind of file: a refusal names its own file, is one line, and repeats no
+//! more of the file than a person reads.
 
 use super::limits::{in_parallel, limited, sound};
 use super::*;
@@ -154,7 +155,8 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
     (place, all)
 }
 
-/// What is wrong with a refusal, if anything. What is the same with the good file is no matter of the damage.
+/// What is wrong with a refusal, if anything. What is the same with the good file is no matter of
+/// the damage.
 fn judge_refusal(read: &Read, output: &Output, usual: &str) -> Result<(), String> {
     let text = sound(output)?;
     if output.status.code() != Some(1) || text == usual {

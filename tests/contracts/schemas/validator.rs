@@ -1,5 +1,6 @@
-//! The part of JSON Schema (draft 2020-12) that `docs/schemas` uses. A keyword that is not among these is an error of the schema, so that
-//! nothing a schema says goes unchecked. A crate for all of JSON Schema would bring 25 more and build the numerics anew with other features.
+//! The part of JSON Schema (draft 2020-12) that `docs/schemas` uses. A keyword that is not among
+//! these is an error of the schema, so that nothing a schema says goes unchecked. A crate for all
+//! of JSON Schema would bring 25 more and build the numerics anew with other features.
 
 use serde_json::Value;
 
@@ -8,7 +9,8 @@ const REMARKS: [&str; 6] = ["$schema", "$id", "$defs", "title", "description", "
 /// The one pattern that is used: a SHA-256.
 const SHA256: &str = "^[0-9a-f]{64}$";
 
-/// What of a schema is none: keywords, types and patterns that are not known here, references that lead nowhere.
+/// What of a schema is none: keywords, types and patterns that are not known here, references that
+/// lead nowhere.
 pub fn faults(schema: &Value) -> Vec<String> {
     let mut out = Vec::new();
     in_schema(schema, schema, "", &mut out);

@@ -13,11 +13,13 @@ pub struct Goal {
     pub goal: String,
     /// Measured value.
     pub value: f64,
-    /// 95 % bounds: of shares by Clopper and Pearson, of quantiles by order statistics (infinite where too few values bound them).
+    /// 95 % bounds: of shares by Clopper and Pearson, of quantiles by order statistics (infinite
+    /// where too few values bound them).
     pub bounds: Option<(f64, f64)>,
     /// Hits and trials, for shares; else the number of values.
     pub counts: (usize, usize),
-    /// Whether the goal is met by the bounds; none where there is no goal or no data, or where the bounds leave it open.
+    /// Whether the goal is met by the bounds; none where there is no goal or no data, or where the
+    /// bounds leave it open.
     pub met: Option<bool>,
 }
 
@@ -99,8 +101,9 @@ fn decided(met: bool, missed: bool) -> Option<bool> {
     }
 }
 
-/// Bounds of a quantile that hold for any distribution: the order statistics whose ranks a binomial count of values below it has at 2.5 and 97.5 %
-/// (Conover, Practical Nonparametric Statistics, sec. 3.2). The largest value is what it is.
+/// Bounds of a quantile that hold for any distribution: the order statistics whose ranks a binomial
+/// count of values below it has at 2.5 and 97.5 % (Conover, Practical Nonparametric Statistics,
+/// sec. 3.2). The largest value is what it is.
 fn quantile_bounds(sorted: &[f64], quantile: f64) -> (f64, f64) {
     let n = sorted.len();
     if quantile >= 1.0 {

@@ -1,4 +1,5 @@
-//! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was put in.
+//! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was
+//! put in.
 
 mod goal;
 pub mod orders;

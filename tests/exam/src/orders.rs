@@ -98,10 +98,12 @@ pub const MIXES: [&str; 16] = [
     "all",
 ];
 
-/// A varied order book. `mix` is one of [`MIXES`]: `confounded` are pairs on approach-only sessions, `noise-*` go through
-/// all kinds of noise, layouts and both wires, `scalar-*` through transducers and axes. `pictures` are nulls, singles, pairs and faults of
-/// the cameras on approach-only sessions that cameras look at, `pictures-null` nulls alone, `without-pictures` the same ones without
-/// their pictures, `nominals` such sessions with pictures whose wire is not as long straight as declared.
+/// A varied order book. `mix` is one of [`MIXES`]: `confounded` are pairs on approach-only
+/// sessions, `noise-*` go through all kinds of noise, layouts and both wires, `scalar-*` through
+/// transducers and axes. `pictures` are nulls, singles, pairs and faults of the cameras on
+/// approach-only sessions that cameras look at, `pictures-null` nulls alone, `without-pictures` the
+/// same ones without their pictures, `nominals` such sessions with pictures whose wire is not as
+/// long straight as declared.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
 pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Order> {
@@ -139,7 +141,8 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                     &mut rng,
                 ));
             }
-            // Walk through the laws by turns (a stride prime to their number), so that few draws see many of them.
+            // Walk through the laws by turns (a stride prime to their number), so that few draws
+            // see many of them.
             let mut turn = |of: &[Kind]| -> Option<Kind> {
                 walked += 1;
                 of.get((walked * 7 + offset) % of.len().max(1)).copied()
@@ -220,7 +223,8 @@ const LOOKED_PARTS: [&str; 8] = [
     "single", "camera", "single", "null", "single", "pair", "camera", "single",
 ];
 
-/// One approach-only session. Its content hangs on its place and seed alone, so that it is the same with and without pictures.
+/// One approach-only session. Its content hangs on its place and seed alone, so that it is the same
+/// with and without pictures.
 fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x100c);
     let part = match mix {
@@ -293,7 +297,8 @@ fn seed_of(seed: u64, order: usize) -> u64 {
     seed.wrapping_mul(1_000_003).wrapping_add(order as u64)
 }
 
-/// A layout on which a kind of noise can be drawn: scatter of poses is asked for where poses are read more than once.
+/// A layout on which a kind of noise can be drawn: scatter of poses is asked for where poses are
+/// read more than once.
 fn noisy_layout(noise: Noise, null: bool, rng: &mut impl Rng) -> Design {
     let of: &[Design] = match (noise, null) {
         (Noise::Pose, _) => &[Design::Repeats, Design::Shuffled],

@@ -15,7 +15,8 @@ const SEEN: [&str; 6] = [
     "stage-periodic",
 ];
 
-/// Goals of the sessions that cameras look at; those without their pictures have rows without a goal.
+/// Goals of the sessions that cameras look at; those without their pictures have rows without a
+/// goal.
 pub(super) fn picture_goals(looked: &[&Outcome]) -> Vec<Goal> {
     let with: Vec<&Outcome> = looked
         .iter()

@@ -86,7 +86,8 @@ impl Examiner {
         Ok(outcome)
     }
 
-    /// Makes the measurement that the answer in `session` asks for, and asks again with it; none where it asks for no poses.
+    /// Makes the measurement that the answer in `session` asks for, and asks again with it; none
+    /// where it asks for no poses.
     fn follow_up(
         &self,
         paper: &Paper,

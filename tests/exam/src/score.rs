@@ -56,7 +56,8 @@ pub struct Outcome {
     pub delta_each: f64,
     /// Distance in noises to the nearest rival of a single effect, where it was computed.
     pub rival_sigma: Option<f64>,
-    /// Explanations that the data allow: the effect and its rivals within three noises, where they were computed.
+    /// Explanations that the data allow: the effect and its rivals within three noises, where they
+    /// were computed.
     pub allowed: Option<usize>,
     /// Verdict as written.
     pub verdict: String,
@@ -72,7 +73,8 @@ pub struct Outcome {
     pub extra: usize,
     /// What the answer states of the noise's parts.
     pub parts: Vec<Part>,
-    /// Stated floor over the true noise of a loaded reading at a new pose; none where the answer says it is not known.
+    /// Stated floor over the true noise of a loaded reading at a new pose; none where the answer
+    /// says it is not known.
     pub floor_ratio: Option<f64>,
     /// The readings said to be off are those that are (whiskers, unless slips were put in).
     pub flags_right: Option<bool>,
@@ -465,7 +467,8 @@ fn compared(name: &str, truth: f64, said: Option<(f64, Option<[f64; 2]>)>) -> Pa
     }
 }
 
-/// Parts that were put in beside what the answer says of them. All are standard deviations, rounding too.
+/// Parts that were put in beside what the answer says of them. All are standard deviations,
+/// rounding too.
 fn parts(t: &Truth, verify: &Value) -> Vec<Part> {
     let said = &verify["noise"];
     let n = &t.noise;
@@ -544,7 +547,8 @@ fn blank(name: &str, case: &Case) -> Outcome {
     }
 }
 
-/// Moment noise floor in N mm: noise of a loaded reading at a new pose over the geometric mean of K's singular values.
+/// Moment noise floor in N mm: noise of a loaded reading at a new pose over the geometric mean of
+/// K's singular values.
 fn floor_nmm(t: &Truth) -> f64 {
     let det = t.k[0][0] * t.k[1][1] - t.k[0][1] * t.k[1][0];
     t.new_pose_noise_pm / det.abs().sqrt()
@@ -563,7 +567,8 @@ fn driver_right(t: &Truth, verify: &Value) -> bool {
     t.driver.iter().any(|d| d == said)
 }
 
-/// Held-out moment errors against the true moments, over the loaded rows; none where the table lacks a row.
+/// Held-out moment errors against the true moments, over the loaded rows; none where the table
+/// lacks a row.
 fn held_out(case: &Case, predictions: &str) -> Option<HeldOut> {
     let mut reader = csv::Reader::from_reader(predictions.as_bytes());
     let header = reader.headers().ok()?.clone();

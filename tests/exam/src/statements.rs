@@ -1,4 +1,5 @@
-//! The audit of statements: sessions whose truth is known, and how often each kind of number that a user reads holds. SIMULATED.
+//! The audit of statements: sessions whose truth is known, and how often each kind of number that a
+//! user reads holds. SIMULATED.
 //!
 //! ```text
 //! interval, prediction: the truth lies inside;   p value: it lies below the level where nothing acts;
@@ -43,7 +44,8 @@ pub struct Auditor {
     pub folder: PathBuf,
     /// Sessions at a time.
     pub jobs: usize,
-    /// Stated half widths of predictions are multiplied by it before they are counted: 1, and another number for a control.
+    /// Stated half widths of predictions are multiplied by it before they are counted: 1, and
+    /// another number for a control.
     pub widened: f64,
 }
 
@@ -203,7 +205,8 @@ impl Auditor {
             .with_context(|| format!("starting {}", self.program.display()))
     }
 
-    /// Readings of another sweep inside their stated half widths, and the error that the first page states.
+    /// Readings of another sweep inside their stated half widths, and the error that the first page
+    /// states.
     fn predictions(
         &self,
         draw: &Draw,
@@ -416,7 +419,8 @@ fn of_noise(case: &ScalarCase, verify: &Value) -> Vec<Counted> {
         .collect()
 }
 
-/// Where nothing acts: p values, the verdict, and the error that is expected beside the one that is stated.
+/// Where nothing acts: p values, the verdict, and the error that is expected beside the one that is
+/// stated.
 pub(crate) fn of_null(verify: &Value) -> Vec<Counted> {
     let omnibus = verify["reason"].as_str().and_then(|r| {
         r.split_once("omnibus p = ")?
@@ -527,7 +531,8 @@ fn orders(noises: &[ScalarNoise], layouts: &[Layout], draws: usize, seed: u64) -
     out
 }
 
-/// Rows of the same statement and noise over all layouts, and over everything, before the rows themselves.
+/// Rows of the same statement and noise over all layouts, and over everything, before the rows
+/// themselves.
 pub fn pooled(rows: &[StatementRow]) -> Vec<StatementRow> {
     let mut of: BTreeMap<&str, StatementRow> = BTreeMap::new();
     for row in rows {

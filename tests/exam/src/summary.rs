@@ -1,5 +1,6 @@
-//! The scores beside their goals, with Clopper-Pearson bounds. A goal is met where the whole 95 % interval lies on its side, missed where none of it
-//! does, and open else: one session of one meets nothing.
+//! The scores beside their goals, with Clopper-Pearson bounds. A goal is met where the whole 95 %
+//! interval lies on its side, missed where none of it does, and open else: one session of one meets
+//! nothing.
 
 use serde::Serialize;
 
@@ -12,7 +13,8 @@ use wcal_plant::case::Make;
 use wcal_plant::noise::Noise;
 use wcal_plant::scalar::ScalarNoise;
 
-/// Alternatives of all ambiguous answers together over those that the data allow; nothing where no rivals were computed.
+/// Alternatives of all ambiguous answers together over those that the data allow; nothing where no
+/// rivals were computed.
 fn set_over_allowed(ambiguous: &[&Outcome]) -> Vec<f64> {
     let counted: Vec<(usize, usize)> = ambiguous
         .iter()
@@ -33,8 +35,8 @@ fn practice_like(o: &Outcome) -> bool {
         && matches!(o.design, Some(Design::Rich | Design::Paper))
 }
 
-/// The table of goals for a set of outcomes: first those of sessions like the practice sessions, then those of every kind
-/// of noise, then what holds for all.
+/// The table of goals for a set of outcomes: first those of sessions like the practice sessions,
+/// then those of every kind of noise, then what holds for all.
 pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     let (looked, outcomes): (Vec<&Outcome>, Vec<&Outcome>) =
         outcomes.iter().partition(|o| o.pictures.is_some());
@@ -85,7 +87,8 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     out
 }
 
-/// An effect that was not put in is among those named, also beside "unknown effect", or several are offered.
+/// An effect that was not put in is among those named, also beside "unknown effect", or several are
+/// offered.
 fn names_something(o: &Outcome) -> bool {
     o.kind != Kind::Right && (o.extra > 0 || o.verdict == "ambiguous")
 }
@@ -296,7 +299,8 @@ pub struct NoiseRow {
     pub parts: Vec<(String, Count, Count)>,
 }
 
-/// One row a kind of noise that occurs, whiskers first; pairs, tampered sessions and effects outside the catalogue are left out.
+/// One row a kind of noise that occurs, whiskers first; pairs, tampered sessions and effects
+/// outside the catalogue are left out.
 pub fn by_noise(outcomes: &[Outcome]) -> Vec<NoiseRow> {
     let names = Noise::ALL
         .iter()

@@ -1,4 +1,5 @@
-//! How often the 95 % regions of tracked contacts hold the true one, by how the contact moves and what is stated of wire and friction. SIMULATED.
+//! How often the 95 % regions of tracked contacts hold the true one, by how the contact moves and
+//! what is stated of wire and friction. SIMULATED.
 //!
 //! ```text
 //! in space          d' C^-1 d <= 7.815     d: stated place less the true one of the wire's axis, C: stated covariance
@@ -33,7 +34,8 @@ pub struct TrackRegime {
     pub kind: SweepKind,
     /// Relative standard deviation of the diameter that is stated.
     pub diameter_sd: Option<f64>,
-    /// Mean and standard deviation from which the friction is drawn, and whether they are stated; else it is that of the sweep, 0 to 0.3.
+    /// Mean and standard deviation from which the friction is drawn, and whether they are stated;
+    /// else it is that of the sweep, 0 to 0.3.
     pub friction: Option<([f64; 2], bool)>,
 }
 
@@ -102,7 +104,8 @@ impl TrackRegime {
 }
 
 impl Auditor {
-    /// Draws so many benches, verifies each, and tracks a record of each regime with its calibration.
+    /// Draws so many benches, verifies each, and tracks a record of each regime with its
+    /// calibration.
     ///
     /// # Errors
     /// Where a record cannot be written or the program cannot be started.
@@ -215,7 +218,8 @@ impl Auditor {
         Ok(counted)
     }
 
-    /// Whether the regions of a row hold the contact; none where the wire is free or nothing is located.
+    /// Whether the regions of a row hold the contact; none where the wire is free or nothing is
+    /// located.
     fn held(&self, row: &BTreeMap<String, String>, reading: &SweepReading) -> Option<Held> {
         let (touch, number) = (reading.touch.as_ref()?, |name: &str| {
             row.get(name)?.parse::<f64>().ok()
@@ -257,7 +261,8 @@ impl Auditor {
     }
 }
 
-/// Whether the regions of a row hold the contact, in space (and whether the row is `ok`) and along the wire.
+/// Whether the regions of a row hold the contact, in space (and whether the row is `ok`) and along
+/// the wire.
 struct Held {
     in_space: (bool, bool),
     along: bool,

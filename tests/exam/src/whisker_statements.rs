@@ -1,7 +1,8 @@
-//! How often what `verify` states of whiskers holds: intervals of parameters, of the noise and of moments that were held out, sizes that would show, p
-//! values. SIMULATED.
+//! How often what `verify` states of whiskers holds: intervals of parameters, of the noise and of
+//! moments that were held out, sizes that would show, p values. SIMULATED.
 //!
-//! A detectable size is put into the very session that stated it, its noise included; a law of two channels acts on the first.
+//! A detectable size is put into the very session that stated it, its noise included; a law of two
+//! channels acts on the first.
 
 use crate::orders::{Drawn, Order, orders};
 use crate::run::{Paper, answer};
@@ -16,7 +17,8 @@ use wcal_plant::{Effect, Kind, Noise};
 /// Longest time of one judgement, s.
 const TIMEOUT_S: f64 = 240.0;
 
-/// Laws of one number that plant and program share: identifier, law of verify.json, the plant's, and its further numbers.
+/// Laws of one number that plant and program share: identifier, law of verify.json, the plant's,
+/// and its further numbers.
 const LAWS: [(&str, &str, Kind, &[f64]); 7] = [
     ("groove-friction", "coulomb", Kind::FrictionCoulomb, &[]),
     (
@@ -43,7 +45,8 @@ const LAWS: [(&str, &str, Kind, &[f64]); 7] = [
 ];
 
 impl Auditor {
-    /// Draws so many whiskers without an effect and as many with one, over all kinds of noise and layouts.
+    /// Draws so many whiskers without an effect and as many with one, over all kinds of noise and
+    /// layouts.
     ///
     /// # Errors
     /// Where a session cannot be drawn or written, or its answer cannot be read.
@@ -149,7 +152,8 @@ impl Auditor {
 /// Draws of the noise by which the expected error of contacts is known.
 const NOISE_DRAWS: usize = 100;
 
-/// The interval of the contacts' error, where the noise is white, beside the expected one by the plant's own rod.
+/// The interval of the contacts' error, where the noise is white, beside the expected one by the
+/// plant's own rod.
 fn contacts(case: &Case, verify: &Value) -> anyhow::Result<Option<Counted>> {
     if case.truth.noise.kind != Noise::Gaussian {
         return Ok(None);

@@ -1,4 +1,5 @@
-//! An interrogator whose clock is set or stands still, or whose peak has no value: named for what it is.
+//! An interrogator whose clock is set or stands still, or whose peak has no value: named for what
+//! it is.
 
 use super::safety::{cause, ended, finished};
 use super::*;

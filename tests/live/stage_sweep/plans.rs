@@ -35,7 +35,8 @@ fn a_dry_run_says_what_the_plan_reads_and_checks_the_limits() {
         (&listed["format"], &listed["readings"]),
         (&"wcal-path/1".into(), &36.into())
     );
-    // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and usage.
+    // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and
+    // usage.
     let folder = tempfile::tempdir().expect("temporary folder");
     let broken = |name: &str, from: &str, to: &str| {
         let path = folder.path().join(name);

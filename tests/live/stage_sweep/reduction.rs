@@ -5,8 +5,8 @@ use wcal_acquisition::message::SweepEvent;
 use wcal_acquisition::recorder::Recorder;
 use wcal_core::device::{Clocks, FbgReading, StageReading};
 
-/// A folder with a recording of 60 s: scans are missing around 20 s and for an instant at 40 s, and come 20 s late around 30 s; a settled
-/// window of one second each at 10, 20, 30 and 40 s.
+/// A folder with a recording of 60 s: scans are missing around 20 s and for an instant at 40 s, and
+/// come 20 s late around 30 s; a settled window of one second each at 10, 20, 30 and 40 s.
 fn recorded_with_gaps(folder: &Path) {
     folder_of_a_sweep(folder);
     let recorder =
@@ -73,7 +73,8 @@ fn record(recorder: &Recorder, serial: u64, host_s: f64, device_s: f64) {
     }
 }
 
-/// A settled window of one second each at 10, 20, 30 and 40 s; `step_s`: of the device's clock between the second and the third.
+/// A settled window of one second each at 10, 20, 30 and 40 s; `step_s`: of the device's clock
+/// between the second and the third.
 fn record_windows(recorder: &Recorder, step_s: f64) {
     for (step, begin_s) in [10.0, 20.0, 30.0, 40.0].into_iter().enumerate() {
         let own_s = begin_s + if step > 1 { step_s } else { 0.0 };
@@ -264,7 +265,8 @@ fn a_damaged_recording_is_reduced_as_far_as_it_can_be_read() {
     assert!(!text(&whole.stderr).contains("damaged") && !text(&whole.stderr).contains("cut off"));
 }
 
-/// Scans of 60 s whose clock is set at 25 s, and the windows; the events come where they came in time.
+/// Scans of 60 s whose clock is set at 25 s, and the windows; the events come where they came in
+/// time.
 fn recorded_with_a_step(folder: &Path, step_s: f64) {
     folder_of_a_sweep(folder);
     let recorder =
@@ -353,7 +355,8 @@ fn a_recording_without_content_or_without_events_is_refused_and_the_tables_stay(
     std::fs::write(&second, "").expect("written");
     refused("recording-2.mcap", "0 bytes");
     std::fs::remove_file(&second).expect("removed");
-    // A recording of another program, or of `track`: scans, and nothing that says what they belong to.
+    // A recording of another program, or of `track`: scans, and nothing that says what they belong
+    // to.
     std::fs::remove_file(&first).expect("removed");
     let recorder = Recorder::create(&first, Default::default()).expect("recorder");
     (0..1000).for_each(|serial| {

@@ -1,4 +1,5 @@
-//! A stage that does not end its move, a line that carries everything but the reply, signals, and two masters: named, safe, nothing lost.
+//! A stage that does not end its move, a line that carries everything but the reply, signals, and
+//! two masters: named, safe, nothing lost.
 
 use super::*;
 use std::net::TcpListener;
@@ -139,7 +140,8 @@ fn a_stage_that_stays_busy_is_stopped_named_and_the_sweep_goes_on_later() {
     finished(&bench.run_short("--resume"), 6);
 }
 
-/// Stopped for longer than it waits for any device, as a laptop that sleeps is: what comes of it is no fault of the interrogator.
+/// Stopped for longer than it waits for any device, as a laptop that sleeps is: what comes of it is
+/// no fault of the interrogator.
 #[test]
 fn a_sweep_that_was_itself_paused_does_not_blame_the_interrogator() {
     let bench = Bench::start("");
@@ -162,7 +164,8 @@ fn a_sweep_that_was_itself_paused_does_not_blame_the_interrogator() {
     finished(&bench.run_short("--resume"), 6);
 }
 
-/// The bench itself does not get to run, as on a busy computer: the time stands for all, and the sweep ends.
+/// The bench itself does not get to run, as on a busy computer: the time stands for all, and the
+/// sweep ends.
 #[test]
 fn a_bench_that_does_not_run_is_waited_for() {
     let bench = Bench::start("");
@@ -173,8 +176,9 @@ fn a_bench_that_does_not_run_is_waited_for() {
         ended(child)
     };
     finished(&stopped_for_a_while(bench.begun_short()), 6);
-    // Whether rows are marked as late is not asked: one in four such sweeps takes 50 ms of the computer for a drift of the unit's clock.
-    // Control: who is not told the bench's time names the device that is silent, as with a real one.
+    // Whether rows are marked as late is not asked: one in four such sweeps takes 50 ms of the
+    // computer for a drift of the unit's clock. Control: who is not told the bench's time names the
+    // device that is silent, as with a real one.
     let mut addresses = document_of(&bench.served.addresses);
     addresses
         .as_object_mut()
@@ -240,7 +244,8 @@ fn late_and_foreign_replies_and_info_lines_cost_nothing() {
     finished(&ended(child), 6);
 }
 
-/// An address at which nobody answers, and one that refuses: named, and nothing is left that would refuse the same `--out`.
+/// An address at which nobody answers, and one that refuses: named, and nothing is left that would
+/// refuse the same `--out`.
 #[test]
 fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     let mut bench = Bench::start("");
@@ -346,7 +351,8 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
     finished(&ended(child), 6);
 }
 
-/// An interrogator that takes the connection and never says a word: a signal is heard while its reply is waited for.
+/// An interrogator that takes the connection and never says a word: a signal is heard while its
+/// reply is waited for.
 #[test]
 fn a_signal_is_heard_while_a_device_hangs() {
     let bench = Bench::start("");
@@ -428,7 +434,8 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
     finished(&ended(run), 6);
 }
 
-/// What a user of the virtual bench meets first: it has ended, its addresses were never filled in, or its input was closed from the start.
+/// What a user of the virtual bench meets first: it has ended, its addresses were never filled in,
+/// or its input was closed from the start.
 #[test]
 fn a_bench_that_is_not_there_says_what_to_do() {
     let refused = |mut command: Command| {
@@ -497,7 +504,8 @@ fn a_bench_that_is_not_there_says_what_to_do() {
     assert!(!said.contains("input closed"), "{said}");
 }
 
-/// A bench in the sweep's own process ends with it: what is said goes on with another one, later by its clock.
+/// A bench in the sweep's own process ends with it: what is said goes on with another one, later by
+/// its clock.
 #[test]
 fn ctrl_c_ends_a_sweep_in_this_process_and_what_is_said_goes_on() {
     let folder = tempfile::tempdir().expect("temporary folder");

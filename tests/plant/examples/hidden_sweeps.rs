@@ -1,5 +1,6 @@
-//! Writes hidden sweeps of foreign wires over ellipses and rounded boxes, one folder a seed, with their truth (SIMULATED):
-//! `cargo run --example hidden_sweeps -- FIRST COUNT FOLDER`. The program sees `session/`, `readings.csv`, `base.csv` and `object.stl`:
+//! Writes hidden sweeps of foreign wires over ellipses and rounded boxes, one folder a seed, with
+//! their truth (SIMULATED): `cargo run --example hidden_sweeps -- FIRST COUNT FOLDER`. The program
+//! sees `session/`, `readings.csv`, `base.csv` and `object.stl`:
 //!
 //! ```text
 //! wcal import readings.csv --kind sweep --motion base.csv --object object.stl --object-pose 0,0,0,1,0,0,0 --out sweep

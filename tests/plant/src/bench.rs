@@ -6,7 +6,8 @@ use rand::{Rng, RngExt};
 use crate::rod::Wire;
 use crate::table::Path;
 
-/// Microstep of the stage in mm; positions are read back in whole microsteps (as in the practice sessions).
+/// Microstep of the stage in mm; positions are read back in whole microsteps (as in the practice
+/// sessions).
 pub const MICROSTEP_MM: f64 = 4.7625e-5;
 /// Diameter of the usual wire in mm.
 pub const DIAMETER_MM: f64 = 0.3;
@@ -48,9 +49,11 @@ impl Thermal {
             .sum()
     }
 
-    /// The same of a part that lags behind with a time constant, deg C: z' = (T - z) / lag, z(0) = 0.
+    /// The same of a part that lags behind with a time constant, deg C: z' = (T - z) / lag, z(0) =
+    /// 0.
     pub fn behind(&self, t_s: f64, lag_s: f64) -> f64 {
-        // Each wave passes with gain cos(e) and phase -e, tan(e) = w lag; what its start left decays.
+        // Each wave passes with gain cos(e) and phase -e, tan(e) = w lag; what its start left
+        // decays.
         let (tau, decay) = (std::f64::consts::TAU, (-t_s / lag_s).exp());
         let one = |[a, p, f]: &[f64; 3]| {
             let e = (tau * lag_s / p).atan();
@@ -132,7 +135,8 @@ impl Bench {
         }
     }
 
-    /// Draws a bench with a wire of another make: thinner, shorter, of other steps and of a gain that fits its moments.
+    /// Draws a bench with a wire of another make: thinner, shorter, of other steps and of a gain
+    /// that fits its moments.
     pub fn draw_thin(rng: &mut impl Rng) -> Self {
         let bench = Self::draw(rng);
         // Moments go with d^4 / L; gratings see the strain, which goes with the moment over d^3.

@@ -1,4 +1,5 @@
-//! What is ordered of a session, its truth, and the session as files in the form of the practice sessions.
+//! What is ordered of a session, its truth, and the session as files in the form of the practice
+//! sessions.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -65,7 +66,8 @@ impl Tampering {
         }
     }
 
-    /// Verdicts that are no confident wrong name. `effect:NAME` stands for a verdict that names just that.
+    /// Verdicts that are no confident wrong name. `effect:NAME` stands for a verdict that names
+    /// just that.
     pub fn expected(self) -> &'static [&'static str] {
         match self {
             Self::FakeReplicates => &["refused", "adequate"],
@@ -90,7 +92,8 @@ pub struct Rival {
     pub id: String,
     /// What it leaves unexplained, in noises (linearised, every parameter free).
     pub sigma: f64,
-    /// Effects of the catalogue, this one among them, that leave less than three noises: the data cannot tell them from the truth.
+    /// Effects of the catalogue, this one among them, that leave less than three noises: the data
+    /// cannot tell them from the truth.
     pub within_three: usize,
 }
 
@@ -116,7 +119,8 @@ pub enum Make {
     Thin,
 }
 
-/// What a paper-like session is beside its effects: whether cameras look on, and what is wrong with them and with the declared wire.
+/// What a paper-like session is beside its effects: whether cameras look on, and what is wrong with
+/// them and with the declared wire.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PictureSetup {
     /// The session has pictures; else the same session without.
@@ -185,7 +189,8 @@ pub struct Truth {
     pub noise_pm: f64,
     /// How the noise is made.
     pub noise: Law,
-    /// Noise of a loaded reading at a pose not visited before, compensated for temperature, over the rows of holdout.csv, pm.
+    /// Noise of a loaded reading at a pose not visited before, compensated for temperature, over
+    /// the rows of holdout.csv, pm.
     pub new_pose_noise_pm: f64,
     /// Noise of repeated readings at rest, pm.
     pub repeat_noise_pm: f64,
@@ -216,7 +221,8 @@ pub struct Truth {
     pub target_sigma: f64,
     /// False where the physical range ended before the target.
     pub target_reached: bool,
-    /// Each effect has 8 noises in the wavelengths or 5 in the contacts that cameras see; none where nobody looks.
+    /// Each effect has 8 noises in the wavelengths or 5 in the contacts that cameras see; none
+    /// where nobody looks.
     pub clear: Option<bool>,
     /// Covariates any of which is the right driver (outside the catalogue).
     pub driver: Vec<String>,
@@ -262,7 +268,8 @@ pub(crate) fn put(path: &Path, text: &str) -> Result<(), PlantError> {
 }
 
 impl Case {
-    /// Writes `session.toml`, `points.csv` and `holdout.csv` into `folder` (made if missing); its name is the id.
+    /// Writes `session.toml`, `points.csv` and `holdout.csv` into `folder` (made if missing); its
+    /// name is the id.
     ///
     /// # Errors
     /// [`PlantError::Write`] with the file that could not be written.

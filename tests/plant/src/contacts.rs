@@ -1,12 +1,14 @@
-//! Contacts of a session by the plant's own rod: an examiner's check of what a program says of its tracker. SIMULATED.
+//! Contacts of a session by the plant's own rod: an examiner's check of what a program says of its
+//! tracker. SIMULATED.
 //!
 //! ```text
 //! fit          y_i = z + A s_i(0) + D_i a                 readings of the other trajectories; s: noise-free shifts with the groove where it is stated
 //! locate       min over d of  sum |R_i (y_i - z - A s_i(d) - D_i a)|^2 + (d . n)^2 / s_g^2        readings of the trajectory left out
 //! ```
 //!
-//! d moves the groove off its stated place, n is across wire and push, D are the slopes of the shifts by the parameters of the effects. Without effects it
-//! is the declared model. Gauss-Newton by differences; the program's rod and tracker have no part in it.
+//! d moves the groove off its stated place, n is across wire and push, D are the slopes of the
+//! shifts by the parameters of the effects. Without effects it is the declared model. Gauss-Newton
+//! by differences; the program's rod and tracker have no part in it.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 use rand::SeedableRng;
@@ -56,7 +58,8 @@ struct Examined<'a> {
     effects: &'a [Effect],
     rows: Vec<PlannedRow>,
     trajectories: Vec<Trajectory>,
-    /// R with R' R the inverse covariance of a reading's channels, which share the noise of the reference.
+    /// R with R' R the inverse covariance of a reading's channels, which share the noise of the
+    /// reference.
     roots: Vec<Matrix2<f64>>,
     /// Shifts with the groove where it is stated, pm.
     stated: Vec<Pair>,
@@ -300,8 +303,8 @@ fn neighbours(effects: &[Effect]) -> Vec<(Vec<Effect>, f64)> {
     all
 }
 
-/// Contacts of the open trajectories, each left out of the fit, under `effects` (none: the declared model); the groove is where it is stated, or off by
-/// `stated_off_mm`.
+/// Contacts of the open trajectories, each left out of the fit, under `effects` (none: the declared
+/// model); the groove is where it is stated, or off by `stated_off_mm`.
 ///
 /// # Errors
 /// [`PlantError::Wire`] when the rod does not settle.
@@ -337,7 +340,8 @@ pub fn left_out_contacts(
         .collect())
 }
 
-/// Root mean square error over trajectories that is expected over the noise of the readings (white), mm: `draws` of it, to first order.
+/// Root mean square error over trajectories that is expected over the noise of the readings
+/// (white), mm: `draws` of it, to first order.
 ///
 /// # Errors
 /// As [`left_out_contacts`].

@@ -171,7 +171,8 @@ impl Kind {
         self.name().0 == "unknown"
     }
 
-    /// Driver covariates (any of them is a right answer) and shape of an effect outside the catalogue.
+    /// Driver covariates (any of them is a right answer) and shape of an effect outside the
+    /// catalogue.
     pub fn driver(self) -> Option<(&'static [&'static str], &'static str)> {
         Some(match self {
             UnknownSineTime => (&["t_s", "time", "order", "point"], "sinusoid"),
@@ -189,7 +190,8 @@ impl Kind {
         })
     }
 
-    /// Amplitude's range (docs/src/method.md's table; the unit is that of the amplitude in [`Effect::parameters`]).
+    /// Amplitude's range (docs/src/method.md's table; the unit is that of the amplitude in
+    /// [`Effect::parameters`]).
     pub fn range(self) -> Range {
         let (low, high) = match self {
             FrictionCoulomb | FrictionPresliding => (0.05, 0.40),
@@ -265,7 +267,8 @@ fn log_uniform(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
 }
 
 impl Effect {
-    /// Draws everything but the amplitude (which starts at the middle of its range). `end_s` is the session's end.
+    /// Draws everything but the amplitude (which starts at the middle of its range). `end_s` is the
+    /// session's end.
     pub fn draw(kind: Kind, end_s: f64, rng: &mut impl Rng) -> Self {
         let tau = std::f64::consts::TAU;
         let shape = match kind {

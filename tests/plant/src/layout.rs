@@ -1,4 +1,5 @@
-//! Order and timing of the readings, in the structure of the practice sessions, and the stage's motion between them.
+//! Order and timing of the readings, in the structure of the practice sessions, and the stage's
+//! motion between them.
 
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
@@ -15,7 +16,8 @@ pub enum Design {
     Rich,
     /// About 360 rows: every loaded pose read two or three times without moving.
     Repeats,
-    /// About 340 rows: two rounds through the trajectories in random order, poses read once to three times.
+    /// About 340 rows: two rounds through the trajectories in random order, poses read once to
+    /// three times.
     Shuffled,
     /// 369 rows: staircases up and down that come back to the same positions in the same way.
     Staircase,
@@ -131,7 +133,8 @@ impl Planner {
     }
 }
 
-/// Plans points and holdout rows; `trajectories` are those of [`crate::bench::Bench::trajectories`].
+/// Plans points and holdout rows; `trajectories` are those of
+/// [`crate::bench::Bench::trajectories`].
 pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<PlannedRow> {
     let mut p = Planner {
         rows: Vec::new(),
@@ -261,7 +264,8 @@ fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
     p.settled(0.0, 3.0, 3, "rest");
 }
 
-/// Up and down with every pose read `times` times; four poses more on the way up where two readings suffice.
+/// Up and down with every pose read `times` times; four poses more on the way up where two readings
+/// suffice.
 fn repeats(p: &mut Planner, index: usize, reach_mm: f64, times: usize, rng: &mut impl Rng) {
     let shares = [0.2, 0.35, 0.5, 0.7, 0.85, 1.0];
     p.settled(0.0, 3.0, 1, "rest");
@@ -293,7 +297,8 @@ fn repeats(p: &mut Planner, index: usize, reach_mm: f64, times: usize, rng: &mut
     p.settled(0.0, 3.0, 3, "rest");
 }
 
-/// Two rounds through the trajectories, each in an order of its own: four poses up, three down, once to three times each.
+/// Two rounds through the trajectories, each in an order of its own: four poses up, three down,
+/// once to three times each.
 fn shuffled(p: &mut Planner, trajectories: &[(usize, f64)], rng: &mut impl Rng) {
     for round in 0..2 {
         let mut order = trajectories.to_vec();
@@ -330,7 +335,8 @@ fn shuffled(p: &mut Planner, trajectories: &[(usize, f64)], rng: &mut impl Rng) 
     }
 }
 
-/// Three steps up and one down, then all the way down, twice with the same positions, dwells and directions.
+/// Three steps up and one down, then all the way down, twice with the same positions, dwells and
+/// directions.
 fn staircase(p: &mut Planner, reach_mm: f64) {
     const STEPS: [f64; 15] = [1., 2., 3., 2., 3., 4., 5., 4., 5., 6., 5., 4., 3., 2., 1.];
     p.settled(0.0, 3.0, 1, "rest");

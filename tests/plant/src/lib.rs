@@ -1,8 +1,9 @@
-//! Random whisker-bench sessions with effects that the session does not declare: the examiner's own physics.
+//! Random whisker-bench sessions with effects that the session does not declare: the examiner's own
+//! physics.
 //!
-//! Nothing here is shared with the fitter: the wire is the virtual bench's discrete-energy rod ([`rod`]), the readings follow the
-//! session's true sequence and times ([`simulate`]), the noise is as instruments
-//! make it ([`noise`]), and several laws stand behind every effect ([`effects`]).
+//! Nothing here is shared with the fitter: the wire is the virtual bench's discrete-energy rod
+//! ([`rod`]), the readings follow the session's true sequence and times ([`simulate`]), the noise
+//! is as instruments make it ([`noise`]), and several laws stand behind every effect ([`effects`]).
 //! All data made here are simulated.
 
 pub mod adversarial;

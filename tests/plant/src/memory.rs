@@ -1,4 +1,5 @@
-//! Effects between the rod's moment and the sensor that remember: lag, hysteresis, dead zone, creep, permanent set.
+//! Effects between the rod's moment and the sensor that remember: lag, hysteresis, dead zone,
+//! creep, permanent set.
 
 use crate::effects::{Effect, Kind};
 use crate::layout::Instant;
@@ -86,7 +87,8 @@ fn vector_play(m: &[M], radius: f64) -> Vec<M> {
         .collect()
 }
 
-/// Plastic bending with full hardening: past the onset each new largest moment leaves its rise behind, in its own direction.
+/// Plastic bending with full hardening: past the onset each new largest moment leaves its rise
+/// behind, in its own direction.
 fn set(m: &[M], onset: f64) -> Vec<M> {
     let (mut left, mut largest) = ([0.0; 2], onset);
     m.iter()
@@ -101,7 +103,8 @@ fn set(m: &[M], onset: f64) -> Vec<M> {
         .collect()
 }
 
-/// Bouc-Wen state per component, saturating at +-1: dz = dm/width (1 - |z| (beta sign(dm z) + 1 - beta)).
+/// Bouc-Wen state per component, saturating at +-1: dz = dm/width (1 - |z| (beta sign(dm z) + 1 -
+/// beta)).
 fn bouc_wen(m: &[M], width: f64, beta: f64) -> Vec<M> {
     let (mut z, mut before) = ([0.0_f64; 2], [0.0; 2]);
     m.iter()
@@ -120,7 +123,8 @@ fn bouc_wen(m: &[M], width: f64, beta: f64) -> Vec<M> {
         .collect()
 }
 
-/// Sensed moment at every instant under one effect (unchanged for effects without memory or threshold).
+/// Sensed moment at every instant under one effect (unchanged for effects without memory or
+/// threshold).
 pub fn apply(effect: &Effect, motion: &[Instant], mut m: Vec<M>) -> Vec<M> {
     let (a, s) = (effect.amplitude, &effect.shape);
     let range = m.iter().map(|m| m[0].hypot(m[1])).fold(0.0, f64::max);

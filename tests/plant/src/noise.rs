@@ -1,6 +1,8 @@
-//! Noise as instruments make it: its kinds, the numbers of one session, and the true covariance that an examiner knows.
+//! Noise as instruments make it: its kinds, the numbers of one session, and the true covariance
+//! that an examiner knows.
 //!
-//! Every part has a stream of its own, so that the white noise of a seed is the same under every kind.
+//! Every part has a stream of its own, so that the white noise of a seed is the same under every
+//! kind.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::{Rng, RngExt, SeedableRng};
@@ -180,7 +182,8 @@ impl Law {
             });
         }
         if matches!(kind, Noise::Rounding | Noise::RoundedT) {
-            // Whole pm, tenths written short or padded, and steps of a converter that are no decimals.
+            // Whole pm, tenths written short or padded, and steps of a converter that are no
+            // decimals.
             law.rounding = Some(match rng.random_range(0..4_usize) {
                 0 => Rounding {
                     step_pm: 1.0,
@@ -218,7 +221,8 @@ impl Law {
         self.repeat_pm * loaded * (1.0 + (self.full_depth - 1.0) * depth)
     }
 
-    /// What a channel and the reference each add to a temperature-compensated reading, pm: samples and rounding.
+    /// What a channel and the reference each add to a temperature-compensated reading, pm: samples
+    /// and rounding.
     fn reading_pm(&self, bench: &Bench, row: &PlannedRow) -> f64 {
         let rounding = self.rounding.map_or(0.0, |r| r.step_pm * r.step_pm / 12.0);
         (bench.sample_sd_pm.powi(2) / samples(row) as f64 + rounding).sqrt()
@@ -320,7 +324,8 @@ fn gross(count: usize, rows: &[PlannedRow], rng: &mut impl Rng) -> Vec<Outlier> 
     out
 }
 
-/// Number of the visit that each row belongs to: settled readings in turn at one stage position are one visit.
+/// Number of the visit that each row belongs to: settled readings in turn at one stage position are
+/// one visit.
 pub fn visits(rows: &[PlannedRow]) -> Vec<usize> {
     let mut visit = 0;
     (0..rows.len())
@@ -355,7 +360,8 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// Of the compensated readings under `law`. What the reference adds is counted in each channel by itself.
+    /// Of the compensated readings under `law`. What the reference adds is counted in each channel
+    /// by itself.
     pub fn new(law: &Law, bench: &Bench, rows: &[PlannedRow], trajectories: &[Trajectory]) -> Self {
         let points: Vec<usize> = (0..rows.len()).filter(|&i| !rows[i].holdout).collect();
         let visits = visits(rows);

@@ -1,4 +1,5 @@
-//! What an examiner who knows the physics can say beforehand: the oracle's error, and the nearest rival effect.
+//! What an examiner who knows the physics can say beforehand: the oracle's error, and the nearest
+//! rival effect.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use std::collections::BTreeSet;
@@ -12,8 +13,9 @@ use crate::simulate::{NoiseFree, Plant, moments};
 /// Distance (noises) within which data do not decide.
 const UNDECIDED: f64 = 3.0;
 
-/// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings, the noise's
-/// covariance and the gross readings, and fits only K and the zero on the points.
+/// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's
+/// readings, the noise's covariance and the gross readings, and fits only K and the zero on the
+/// points.
 pub fn oracle_error_nmm(
     plant: &Plant,
     clean: &[NoiseFree],
@@ -54,7 +56,8 @@ pub fn oracle_error_nmm(
     (sum / f64::from(count)).sqrt()
 }
 
-/// Signatures of one rival: several sets of columns, each set an alternative (a time constant on a grid, a law).
+/// Signatures of one rival: several sets of columns, each set an alternative (a time constant on a
+/// grid, a law).
 type Alternatives = Vec<Vec<Effect>>;
 
 fn rivals() -> Vec<(&'static str, Alternatives)> {
@@ -151,7 +154,8 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
     ]
 }
 
-/// The nearest rival of a single effect among the catalogue's other effects, linearised, K and zero free.
+/// The nearest rival of a single effect among the catalogue's other effects, linearised, K and zero
+/// free.
 ///
 /// # Errors
 /// [`PlantError::Wire`] when a rival's rod does not settle.

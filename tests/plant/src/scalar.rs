@@ -1,5 +1,5 @@
-//! Random sessions of the scalar kinds: sweeps along a line, with noise that is white, heavy-tailed or correlated from reading
-//! to reading, as nulls and with one effect.
+//! Random sessions of the scalar kinds: sweeps along a line, with noise that is white, heavy-tailed
+//! or correlated from reading to reading, as nulls and with one effect.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -274,7 +274,8 @@ impl Signature {
 }
 
 impl Signature {
-    /// Names of the parameters in verify.json, and their values for an amplitude of one. A place has no size.
+    /// Names of the parameters in verify.json, and their values for an amplitude of one. A place
+    /// has no size.
     fn parameters(&self, amplitude: f64) -> BTreeMap<String, f64> {
         let of = |name: &str, value: f64| BTreeMap::from([(name.to_owned(), value)]);
         match self.effect {
@@ -307,8 +308,8 @@ impl Signature {
     }
 }
 
-/// Size in noises of a signature on the rows of points.csv: white after the correlation is taken out, less what the
-/// declared model (a line; for an axis a constant) takes up.
+/// Size in noises of a signature on the rows of points.csv: white after the correlation is taken
+/// out, less what the declared model (a line; for an axis a constant) takes up.
 fn size(signature: &[f64], rows: &[ScalarReading], axis: bool, rho: f64, noise_sd: f64) -> f64 {
     let n = rows.iter().filter(|r| !r.holdout).count();
     let whiten = |v: &dyn Fn(usize) -> f64| -> DVector<f64> {
@@ -491,7 +492,8 @@ fn read_out(noise: ScalarNoise, value: f64, step: f64) -> f64 {
     }
 }
 
-/// Correlation from reading to reading and degrees of freedom of the tails, and noise of unit variance for `count` readings.
+/// Correlation from reading to reading and degrees of freedom of the tails, and noise of unit
+/// variance for `count` readings.
 fn draw_noise(
     kind: ScalarNoise,
     rng: &mut ChaCha8Rng,
@@ -513,7 +515,8 @@ fn draw_noise(
     (unit_noise(rho, tails_dof, rng, count), rho, tails_dof)
 }
 
-/// A first-order autoregression of unit variance; innovations from Student's t where it has degrees of freedom.
+/// A first-order autoregression of unit variance; innovations from Student's t where it has degrees
+/// of freedom.
 fn unit_noise(rho: f64, tails_dof: Option<f64>, rng: &mut ChaCha8Rng, count: usize) -> Vec<f64> {
     let chi = tails_dof.and_then(|dof| Some((dof, ChiSquared::new(dof).ok()?)));
     let mut state = 0.0;
@@ -535,7 +538,8 @@ fn unit_noise(rho: f64, tails_dof: Option<f64>, rng: &mut ChaCha8Rng, count: usi
 }
 
 impl ScalarCase {
-    /// Standard deviation of a reading, rounding included (uniform within a step), in the unit of the response; um for an axis.
+    /// Standard deviation of a reading, rounding included (uniform within a step), in the unit of
+    /// the response; um for an axis.
     pub fn reading_sd(&self) -> f64 {
         let rounding = if self.truth.noise == ScalarNoise::Rounded {
             1.0 / 12.0
@@ -545,7 +549,8 @@ impl ScalarCase {
         self.truth.noise_sd * f64::sqrt(1.0 + rounding)
     }
 
-    /// Another sweep of the same instrument after the session, at stimuli that are given as parts of the range: clean values, and values as read.
+    /// Another sweep of the same instrument after the session, at stimuli that are given as parts
+    /// of the range: clean values, and values as read.
     pub fn another_sweep(&self, parts: &[f64], seed: u64) -> Vec<ScalarReading> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x00a0_7e12);
         let after_s = self.readings.last().map_or(0.0, |r| r.t_s) + PAUSE_S;

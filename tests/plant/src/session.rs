@@ -200,7 +200,8 @@ fn flag(reading: &Reading) -> Flag {
     }
 }
 
-/// Size of a clear effect in noises of the wavelengths, the share of it that the scaling of effects keeps, and size in the contacts.
+/// Size of a clear effect in noises of the wavelengths, the share of it that the scaling of effects
+/// keeps, and size in the contacts.
 const CLEAR_SIGMA: f64 = 8.0;
 const NEAR_ENOUGH: f64 = 0.97;
 const CLEAR_CONTACT_SIGMA: f64 = 5.0;
@@ -235,7 +236,8 @@ pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
     })
 }
 
-/// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the size.
+/// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the
+/// size.
 fn scale(
     plant: &mut Plant,
     effect: &mut Effect,
@@ -421,8 +423,8 @@ fn truth(
 }
 
 impl Case {
-    /// The same session, its noise included, under effects of a given size; and what its settled poses look like, each with its point
-    /// of points.csv.
+    /// The same session, its noise included, under effects of a given size; and what its settled
+    /// poses look like, each with its point of points.csv.
     ///
     /// # Errors
     /// [`PlantError::Wire`] when the rod does not settle.

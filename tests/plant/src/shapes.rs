@@ -1,5 +1,5 @@
-//! What a pair of cameras makes of the wire, without drawing pictures: `shapes.json` with noise, errors that all pairs share, and faults of
-//! the cameras' setup (SIMULATED).
+//! What a pair of cameras makes of the wire, without drawing pictures: `shapes.json` with noise,
+//! errors that all pairs share, and faults of the cameras' setup (SIMULATED).
 //!
 //! ```text
 //! z = true shape + own noise (each pair) + S q (shared: a shift and turn of the base's frame, the board's scale) + fault
@@ -61,7 +61,8 @@ impl Default for Cameras {
 }
 
 impl Cameras {
-    /// As usual, with a statement of their own noise that is too small, right, or too large, by the session's seed.
+    /// As usual, with a statement of their own noise that is too small, right, or too large, by the
+    /// session's seed.
     pub fn of_session(seed: u64) -> Self {
         const STATED: [f64; 4] = [0.85, 1.0, 1.3, 1.7];
         Self {
@@ -103,7 +104,8 @@ impl Column {
     }
 }
 
-/// Size of a change of the contacts in standard deviations of what the cameras state: groove and arc length, shared errors included.
+/// Size of a change of the contacts in standard deviations of what the cameras state: groove and
+/// arc length, shared errors included.
 pub fn contact_sigma(with: &[WireAtPose], without: &[WireAtPose], cameras: &Cameras) -> f64 {
     let rows = 4 * with.len();
     let mut change = DVector::zeros(rows);
@@ -184,7 +186,8 @@ fn own_errors(s: &WireAtPose, stations: &[usize], own_mm: f64) -> Vec<Column> {
     own
 }
 
-/// Errors that all pairs share, in the order of `shared_parameters`, as `places` of a pair see them.
+/// Errors that all pairs share, in the order of `shared_parameters`, as `places` of a pair see
+/// them.
 fn shared_errors(s: &WireAtPose, places: &[V3]) -> Vec<Column> {
     let zeros = || vec![V3::zeros(); places.len()];
     let axes = [V3::x(), V3::y(), V3::z()];

@@ -1,4 +1,5 @@
-//! Readings of a session under effects: stage, rod, memory and sensor, along the true sequence and times.
+//! Readings of a session under effects: stage, rod, memory and sensor, along the true sequence and
+//! times.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -384,8 +385,8 @@ impl Plant {
         }
     }
 
-    /// Size in noises of what K and the zero cannot absorb, over the rows of points.csv (as truth.json counts it),
-    /// measured against the true covariance of the noise.
+    /// Size in noises of what K and the zero cannot absorb, over the rows of points.csv (as
+    /// truth.json counts it), measured against the true covariance of the noise.
     pub fn size(&self, with: &[NoiseFree], without: &[NoiseFree]) -> f64 {
         let rows = self.covariance.rows();
         let base = self.covariance.whiten(&moments(rows, without));

@@ -5,11 +5,13 @@
 //! J = G^T S^-1 G + diag(12 / L_s^2, 12 / L_x^2, 1 / s_g^2),   G = dm/dtheta
 //! ```
 //!
-//! S is the covariance of the moments at the truth: each reading's own noise, what motion and table add, the part that is correlated in time,
-//! and the columns of what all readings share (module head of [`super`]).
+//! S is the covariance of the moments at the truth: each reading's own noise, what motion and table
+//! add, the part that is correlated in time, and the columns of what all readings share (module
+//! head of [`super`]).
 //!
-//! A uniform prior has no own Fisher information; those of s and x (widths L_s, L_x) count as Gaussians of their variance L^2 / 12.
-//! Source: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 1968, 2.4.3.
+//! A uniform prior has no own Fisher information; those of s and x (widths L_s, L_x) count as
+//! Gaussians of their variance L^2 / 12. Source: H. L. Van Trees, "Detection, Estimation, and
+//! Modulation Theory" I, 1968, 2.4.3.
 
 use super::contact_path::{ContactPath, State};
 use super::{CorrelatedNoise, Episode, MomentField, Settings, TABLE_MM, TABLE_SHARE};
@@ -19,8 +21,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 /// Step of differences, mm.
 const STEP_MM: f64 = 0.02;
 
-/// Bayesian Cramer-Rao bound of the contact point at an episode's true state, mm^2: `T J^-1 T'` of the module's head.
-/// None where the rod has no derivative there.
+/// Bayesian Cramer-Rao bound of the contact point at an episode's true state, mm^2: `T J^-1 T'` of
+/// the module's head. None where the rod has no derivative there.
 ///
 /// # Errors
 /// Where the covariance of the moments is not positive definite.
@@ -82,7 +84,8 @@ fn slopes(path: &ContactPath<'_>, state: &State) -> Option<DMatrix<f64>> {
             all.into_iter().flatten(),
         ))
     };
-    // Central differences err by O(h^2), one-sided ones by O(h): the latter only at the edge of the equilibria.
+    // Central differences err by O(h^2), one-sided ones by O(h): the latter only at the edge of the
+    // equilibria.
     let column = |k: usize| match (moments(k, -STEP_MM), moments(k, STEP_MM)) {
         (Some(a), Some(b)) => Some((b - a) / (2.0 * STEP_MM)),
         (Some(a), None) => Some((moments(k, 0.0)? - a) / STEP_MM),
@@ -126,7 +129,8 @@ fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Opt
         }
         all.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
     }
-    // First-order Gauss-Markov part: its covariance falls as exp(-|dt| / tau); the white part is on the diagonal alone.
+    // First-order Gauss-Markov part: its covariance falls as exp(-|dt| / tau); the white part is on
+    // the diagonal alone.
     if let Some(CorrelatedNoise::InTime {
         variance_share,
         time_constant_s,

@@ -5,7 +5,8 @@
 //! inconsistent where P(chi-squared > chi2) < 1e-4 and chi2 > 1.5 (2 n - 3)
 //! ```
 //!
-//! Source of the test: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 5.4.
+//! Source of the test: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to
+//! Tracking and Navigation", 2001, 5.4.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -65,7 +66,8 @@ impl Innovations {
 
 /// Whether a chi-squared is too large for its degrees of freedom.
 fn too_large(chi2: f64, dof: f64) -> bool {
-    // Innovations of a right model are white with covariance S, so that their sum of squares is chi-squared.
+    // Innovations of a right model are white with covariance S, so that their sum of squares is
+    // chi-squared.
     let chance = ChiSquared::new(dof.max(1.0)).map_or(1.0, |c| c.sf(chi2));
     !chi2.is_finite() || chance < LEVEL && chi2 > RATIO * dof
 }

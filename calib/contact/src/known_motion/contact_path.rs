@@ -7,7 +7,8 @@
 //! friction    s_c(k) = clamp(s_c(k-1), s(P_k, -mu), s(P_k, +mu))               stick, then slip: a play operator
 //! ```
 //!
-//! Source of the play operator: M. A. Krasnosel'skii, A. V. Pokrovskii, "Systems with Hysteresis", 1989.
+//! Source of the play operator: M. A. Krasnosel'skii, A. V. Pokrovskii, "Systems with Hysteresis",
+//! 1989.
 
 use super::field::{ContactMoments, MomentField};
 use super::{Episode, MotionRow};
@@ -39,7 +40,8 @@ pub struct ContactPath<'a> {
     pub(crate) rows: &'a [MotionRow],
     /// Unit vector of the push.
     pub(crate) push: Vector3<f64>,
-    /// Each reading's motion since the reference, the first loaded reading: `P_k = turn P + displacement`, mm.
+    /// Each reading's motion since the reference, the first loaded reading:
+    /// `P_k = turn P + displacement`, mm.
     motions: Vec<(Rotation3<f64>, Vector3<f64>)>,
     /// Range of the onset: displacements along the push, mm.
     pub(crate) onset_mm: [f64; 2],
@@ -61,7 +63,8 @@ pub(crate) fn loaded(row: &MotionRow) -> bool {
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
 }
 
-/// By how much one standard deviation of each of the two shares q moves the touched point of an object that has gone on by `moved_mm`, mm.
+/// By how much one standard deviation of each of the two shares q moves the touched point of an
+/// object that has gone on by `moved_mm`, mm.
 pub(crate) fn creep_mm(
     push: &Vector3<f64>,
     turn: &Rotation3<f64>,
@@ -133,7 +136,8 @@ impl<'a> ContactPath<'a> {
         self.carried(&middle, row) - middle
     }
 
-    /// Direction of motion when the object first loads the wire, over a tenth of its largest displacement so that jitter does not set it.
+    /// Direction of motion when the object first loads the wire, over a tenth of its largest
+    /// displacement so that jitter does not set it.
     fn push_direction(&self, first: usize) -> Option<Vector3<f64>> {
         const SHARE: f64 = 0.1;
         let displacements: Vec<Vector3<f64>> =
@@ -145,7 +149,8 @@ impl<'a> ContactPath<'a> {
         before.or_else(|| displacements[first..].iter().copied().find(enough))
     }
 
-    /// Displacement along the push of a reading from the reference, mm; under rotation that of the wire's middle.
+    /// Displacement along the push of a reading from the reference, mm; under rotation that of the
+    /// wire's middle.
     pub(crate) fn along(&self, row: usize) -> f64 {
         self.displacement(row).dot(&self.push)
     }
@@ -181,7 +186,8 @@ impl<'a> ContactPath<'a> {
         Some((self.place(state, row)? - touch).dot(&self.push))
     }
 
-    /// State of an episode whose point is at `place_mm` at a reading: the inverse of [`Self::place`], near an arc length where it is given.
+    /// State of an episode whose point is at `place_mm` at a reading: the inverse of
+    /// [`Self::place`], near an arc length where it is given.
     pub fn state_of(
         &self,
         place_mm: &Vector3<f64>,
@@ -252,7 +258,8 @@ impl<'a> ContactPath<'a> {
             };
             return (0..self.rows.len()).map(moment).collect();
         }
-        // Friction makes the contact depend on its history: integrated from first touch on, visit by visit.
+        // Friction makes the contact depend on its history: integrated from first touch on, visit
+        // by visit.
         let mut moments = Vec::with_capacity(self.rows.len());
         let mut contact: Option<(f64, Vector3<f64>, u32)> = None;
         for (k, row) in self.rows.iter().enumerate() {
@@ -283,7 +290,8 @@ impl<'a> ContactPath<'a> {
         Some(moments)
     }
 
-    /// Start of a visit whose first reading is at `to`, mm: on the free wire, straight back along the push.
+    /// Start of a visit whose first reading is at `to`, mm: on the free wire, straight back along
+    /// the push.
     fn visit_start(&self, touch: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
         let depth = (to - touch).dot(&self.push);
         // Just past first touch: at touch itself the force vanishes and has no direction.

@@ -5,7 +5,8 @@ use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
 
 /// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
 pub(crate) const TABLE_SHARE: f64 = 3e-4;
-/// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate, mm.
+/// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate,
+/// mm.
 pub(crate) const TABLE_MM: f64 = 0.003;
 
 /// One reading with the motion at its time.
@@ -17,15 +18,17 @@ pub struct MotionRow {
     pub moment_nmm: [f64; 2],
     /// Covariance of this reading's own noise, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
-    /// Errors shared with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
-    /// N mm; the same number in every row.
+    /// Errors shared with the other readings: by how much one standard deviation of each common
+    /// unknown makes the moments too large, N mm; the same number in every row.
     pub shared_nmm: Vec<[f64; 2]>,
-    /// Covariance of the moments of a free wire, where it is less than noise and shared errors make here, (N mm)^2: an error that grows with
-    /// the moment is none there.
+    /// Covariance of the moments of a free wire, where it is less than noise and shared errors make
+    /// here, (N mm)^2: an error that grows with the moment is none there.
     pub free_nmm2: Option<Matrix2<f64>>,
-    /// By how much each changes the displacement, base frame, mm; the same number, or empty where the displacement depends on none.
+    /// By how much each changes the displacement, base frame, mm; the same number, or empty where
+    /// the displacement depends on none.
     pub shared_displacement_mm: Vec<Vector3<f64>>,
-    /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the episode: a point is at `turn p + moved`.
+    /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the
+    /// episode: a point is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
     /// Rotation of the object with respect to the base, up to a constant.
     pub turn: Rotation3<f64>,
@@ -44,34 +47,40 @@ pub struct MotionRow {
 pub struct Episode {
     /// Readings.
     pub rows: Vec<MotionRow>,
-    /// Unit vector along which the object pushes at first touch; taken from the motion where it is not known.
+    /// Unit vector along which the object pushes at first touch; taken from the motion where it is
+    /// not known.
     pub push: Option<Vector3<f64>>,
 }
 
 /// What is assumed where nothing is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Standard deviation of the gap at which the object passes the free wire before it holds it, mm.
+    /// Standard deviation of the gap at which the object passes the free wire before it holds it,
+    /// mm.
     pub gap_sd_mm: f64,
     /// Standard deviation of the clock of the motion against that of the moments, s.
     pub clock_sd_s: f64,
     /// Smallest arc length of a contact, mm.
     pub first_mm: f64,
-    /// Standard deviation of the way of the touched point over the object as a share of the motion's; 0: it stays, as in a groove.
+    /// Standard deviation of the way of the touched point over the object as a share of the
+    /// motion's; 0: it stays, as in a groove.
     pub creep_sd: f64,
-    /// Relative standard deviation of the wire's stiffness, the last of the common unknowns; 0: it has none among them.
+    /// Relative standard deviation of the wire's stiffness, the last of the common unknowns; 0: it
+    /// has none among them.
     pub stiffness_sd: f64,
     /// Prior probability that a reading is an outlier.
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
     pub max_rows: usize,
-    /// Noise of which successive readings share part; none where every reading has its own noise alone.
+    /// Noise of which successive readings share part; none where every reading has its own noise
+    /// alone.
     pub correlated: Option<CorrelatedNoise>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is known.
+        // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is
+        // known.
         Self {
             gap_sd_mm: 0.5,
             clock_sd_s: 0.0,
@@ -88,7 +97,8 @@ impl Default for Settings {
 /// Noise of which successive readings share part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CorrelatedNoise {
-    /// Noise from pose to pose, beside each reading's own: readings at poses near each other share one draw.
+    /// Noise from pose to pose, beside each reading's own: readings at poses near each other share
+    /// one draw.
     ByPose {
         /// Covariance, (N mm)^2.
         covariance_nmm2: Matrix2<f64>,
@@ -105,7 +115,8 @@ pub enum CorrelatedNoise {
 }
 
 impl CorrelatedNoise {
-    /// F_k: what one unit of the draw makes of a reading's moments; none where the noise is no covariance.
+    /// F_k: what one unit of the draw makes of a reading's moments; none where the noise is no
+    /// covariance.
     pub(super) fn factor(&self, row: &MotionRow) -> Option<Matrix2<f64>> {
         match self {
             Self::ByPose { .. } => Some(Matrix2::identity()),
@@ -147,7 +158,8 @@ impl CorrelatedNoise {
 /// Where the wire is held at one reading; by default nowhere.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EpisodeContact {
-    /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable contact.
+    /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable
+    /// contact.
     pub place_mm: Option<Vector3<f64>>,
     /// Covariance, mm^2.
     pub covariance_mm2: Matrix3<f64>,

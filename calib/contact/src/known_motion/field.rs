@@ -1,10 +1,12 @@
 //! Base moments as a function of the contact point, tabulated on demand.
 //!
-//! A point contact at P has one equilibrium near the free wire (wcal-rod): `r(s_c) = P`, `F . t = ratio |F_perp|`, base moment `m = P x F`. With
-//! `q(P) = |P|^2 m(P)`, from which a cantilever's `3 E I delta / |P|^2` has lost its pole at the root, `q` and `s_c` are smooth in P and
-//! interpolated by Lagrange's cubic in each coordinate. In the table the wire is extended beyond its tip, so that `q` and `s_c` stay smooth
-//! there; [`MomentField::held`] refuses `s_c` beyond the true length. Nodes are solved by continuation from the free wire, which keeps to
-//! the branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
+//! A point contact at P has one equilibrium near the free wire (wcal-rod): `r(s_c) = P`,
+//! `F . t = ratio |F_perp|`, base moment `m = P x F`. With `q(P) = |P|^2 m(P)`, from which a
+//! cantilever's `3 E I delta / |P|^2` has lost its pole at the root, `q` and `s_c` are smooth in P
+//! and interpolated by Lagrange's cubic in each coordinate. In the table the wire is extended
+//! beyond its tip, so that `q` and `s_c` stay smooth there; [`MomentField::held`] refuses `s_c`
+//! beyond the true length. Nodes are solved by continuation from the free wire, which keeps to the
+//! branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
 use super::interpolation::{cubic, cubic_rate};
 use nalgebra::{Matrix2x3, Vector3};
@@ -21,7 +23,8 @@ const BEYOND_MM: f64 = 8.0;
 const WIRE_MM: f64 = 0.25;
 /// Nodes closer to the root than this are left out, mm.
 const ROOT_MM: f64 = 1.0;
-/// Largest step of the contact along the wire per displacement of the contact point, plus a constant (mm): more is another equilibrium.
+/// Largest step of the contact along the wire per displacement of the contact point, plus a
+/// constant (mm): more is another equilibrium.
 const JUMP: f64 = 4.0;
 const JUMP_MM: f64 = 0.5;
 /// Halvings of the continuation step from a node to the next before the node counts as unreachable.
@@ -75,7 +78,8 @@ impl InterpolatedField<'_> {
     }
 }
 
-/// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
+/// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no
+/// friction.
 type Values = Vec<[f64; 3]>;
 
 /// Values of the nodes around a cell, one after the other.
@@ -123,7 +127,8 @@ fn key_of(place_mm: &Vector3<f64>) -> Key {
 }
 
 impl MomentField {
-    /// Of a rod with its accepted effects; moments are those of contact, less the moment of the free wire's weight.
+    /// Of a rod with its accepted effects; moments are those of contact, less the moment of the
+    /// free wire's weight.
     pub fn new(rod: &Rod, axes: &MomentAxes, friction: Friction) -> Self {
         // A heavy extension would change the sag of the wire itself.
         let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 {
@@ -152,7 +157,8 @@ impl MomentField {
         }
     }
 
-    /// With the fields of the wire that has each of the readings' first common unknowns one standard deviation higher.
+    /// With the fields of the wire that has each of the readings' first common unknowns one
+    /// standard deviation higher.
     pub fn with_changed(mut self, changed: Vec<Self>) -> Self {
         self.changed = changed;
         self
@@ -183,8 +189,8 @@ impl MomentField {
         )
     }
 
-    /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where no equilibrium is known or the contact
-    /// lies beyond the tip.
+    /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where
+    /// no equilibrium is known or the contact lies beyond the tip.
     pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<ContactMoments> {
         self.at_place(place_mm)?.held(ratio)
     }
@@ -211,7 +217,8 @@ impl MomentField {
         })
     }
 
-    /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
+    /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the
+    /// interpolating polynomial.
     pub fn held_and_rate(
         &self,
         place_mm: &Vector3<f64>,
@@ -248,7 +255,8 @@ impl MomentField {
         Some((self.of_sums(place_mm, &sum)?, Matrix2x3::from_fn(rate)))
     }
 
-    /// Fills the table for places up to `reach_mm` from the free wire, so that no reading of a stream has to wait for the rod.
+    /// Fills the table for places up to `reach_mm` from the free wire, so that no reading of a
+    /// stream has to wait for the rod.
     pub fn fill(&self, reach_mm: f64) {
         let mut cells: Vec<Key> = Vec::new();
         let steps = (reach_mm / PITCH_MM).ceil() as i32;
@@ -332,7 +340,8 @@ impl MomentField {
         if let Some(known) = self.nodes.read().ok()?.get(&key) {
             return known.clone();
         }
-        // Back to a solved node, then outward: a loop, so that the stack does not grow with the distance.
+        // Back to a solved node, then outward: a loop, so that the stack does not grow with the
+        // distance.
         let mut unknown = vec![key];
         while let Some(previous) = unknown.last().and_then(|k| self.continuation(k)?.previous) {
             if self.nodes.read().ok()?.contains_key(&previous) {
@@ -351,7 +360,8 @@ impl MomentField {
     fn continuation(&self, key: &Key) -> Option<Continuation> {
         let target = place(key);
         let (arclength_mm, wire) = self.nearest(&target);
-        // No wire reaches farther than its length; a motion in the wrong unit leads to points metres away.
+        // No wire reaches farther than its length; a motion in the wrong unit leads to points
+        // metres away.
         if arclength_mm < ROOT_MM || target.norm() > self.rod.shape.length_mm {
             return None;
         }
@@ -376,7 +386,8 @@ impl MomentField {
         found.copied().unwrap_or((0.0, Vector3::zeros()))
     }
 
-    /// From the free wire within one spacing of it, else from the previous node: the branch that starts at first touch.
+    /// From the free wire within one spacing of it, else from the previous node: the branch that
+    /// starts at first touch.
     fn solve(&self, key: Key) -> Option<Node> {
         let target = place(&key);
         let step = self.continuation(&key)?;
@@ -415,7 +426,8 @@ impl MomentField {
         })
     }
 
-    /// Continuation of a known equilibrium along the straight line to a point, with the step halved where a solution is refused.
+    /// Continuation of a known equilibrium along the straight line to a point, with the step halved
+    /// where a solution is refused.
     fn continued(&self, from: &Equilibrium, target: &Vector3<f64>) -> Option<Equilibrium> {
         (0..=HALVINGS).find_map(|halvings| {
             let steps = 1 << halvings;
@@ -429,7 +441,8 @@ impl MomentField {
                     .ok()?;
                 let jump = (found.arclength_mm - last.arclength_mm).abs();
                 let step_mm = (at - last.point_mm).norm();
-                // The determinant changes its sign at a fold: the other sign is another branch (wcal-rod, path).
+                // The determinant changes its sign at a fold: the other sign is another branch
+                // (wcal-rod, path).
                 if jump > JUMP * step_mm + JUMP_MM || found.determinant * last.determinant <= 0.0 {
                     return None;
                 }

@@ -1,4 +1,5 @@
-//! Lagrange's cubic through equally spaced nodes: `f(u) = sum_k w_k(u) f_k`, nodes at -1, 0, 1, 2, u between 0 and 1.
+//! Lagrange's cubic through equally spaced nodes: `f(u) = sum_k w_k(u) f_k`, nodes at -1, 0, 1, 2,
+//! u between 0 and 1.
 
 /// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
 pub(super) fn cubic(u: f64) -> [f64; 4] {

@@ -1,4 +1,5 @@
-//! Posterior of an episode's state: a grid along the wire, Gaussian in onset and gap at each of its nodes.
+//! Posterior of an episode's state: a grid along the wire, Gaussian in onset and gap at each of its
+//! nodes.
 
 use super::EpisodeContact;
 use super::contact_path::{ContactPath, State, creep_mm};
@@ -34,7 +35,8 @@ pub struct Creep {
 }
 
 impl Node {
-    /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc length.
+    /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc
+    /// length.
     pub(crate) fn new(state: State, covariance_mm2: Matrix2<f64>, ln: f64) -> Self {
         Self {
             state,
@@ -142,8 +144,9 @@ impl Posterior {
         self.arc().regions()
     }
 
-    /// Mean and covariance of the point's place at a reading, and the density over the arc length at which the wire is held there (of first touch
-    /// where it is free); whether the reading was treated as an outlier is not known here.
+    /// Mean and covariance of the point's place at a reading, and the density over the arc length
+    /// at which the wire is held there (of first touch where it is free); whether the reading was
+    /// treated as an outlier is not known here.
     pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> (EpisodeContact, ArcDensity) {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let (mut total, mut along) = (0.0, Vec::new());
@@ -161,22 +164,27 @@ impl Posterior {
             };
             let mut at = path.carried(&(touch - path.push * n.state.onset_mm), row);
             let axes = Matrix3x2::from_columns(&[-path.push, across]);
-            // The place is linear in onset and gap: its covariance follows from dP/d(x, g), turned as the point is.
+            // The place is linear in onset and gap: its covariance follows from dP/d(x, g), turned
+            // as the point is.
             let turn = path.turned(row).matrix() * axes;
             let mut covariance = turn * n.covariance_mm2 * turn.transpose();
-            // The point has gone on by its share of the way, which the readings tell together with the onset.
+            // The point has gone on by its share of the way, which the readings tell together with
+            // the onset.
             if let Some(creep) = &n.creep {
                 at += way * creep.mean;
                 let both = turn * creep.with_state * way.transpose();
                 covariance += way * creep.covariance * way.transpose() + both + both.transpose();
             }
             mean += at * n.mass;
-            // Mixture over the grid: second moments add; the square of the overall mean comes off below.
+            // Mixture over the grid: second moments add; the square of the overall mean comes off
+            // below.
             square += (covariance + at * at.transpose()) * n.mass;
-            // Held where the point is past first touch: the share of the onset's normal distribution.
+            // Held where the point is past first touch: the share of the onset's normal
+            // distribution.
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
             let past = (at - touch).dot(&path.push) / sd;
-            // The wire's point at the place: along the wire it spreads as the place does, and with the node's share of the wire.
+            // The wire's point at the place: along the wire it spreads as the place does, and with
+            // the node's share of the wire.
             let held = path
                 .field
                 .held_and_rate(&at, 0.0)
@@ -218,7 +226,8 @@ fn peak(n: &Node) -> f64 {
         / (n.length_mm * std::f64::consts::TAU * n.covariance_mm2.determinant().max(1e-300).sqrt())
 }
 
-/// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of its peak is `1 - t`.
+/// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of
+/// its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
     let peaks: Vec<f64> = nodes.iter().map(peak).collect();
     let above = |t: f64| {

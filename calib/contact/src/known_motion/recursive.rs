@@ -1,8 +1,10 @@
 //! The posterior of an episode's contact reading by reading: a Rao-Blackwellised point-mass filter.
 //!
-//! The arc length s of first touch lies on a grid; given s, all else, `z = (x, g, c_1 .. c_n, tau, b)` (onset, gap, the calibration's
-//! common unknowns, clock, noise of the pose), is Gaussian with mean z^ and covariance C. A reading is linearised at the mean (iterated),
-//! with P_k and m(P) as in the parent module, D = dm/dP and B the covariance of the pose's noise:
+//! The arc length s of first touch lies on a grid; given s, all else,
+//! `z = (x, g, c_1 .. c_n, tau, b)` (onset, gap, the calibration's common unknowns, clock, noise of
+//! the pose), is Gaussian with mean z^ and covariance C. A reading is linearised at the mean
+//! (iterated), with P_k and m(P) as in the parent module, D = dm/dP and B the covariance of the
+//! pose's noise:
 //!
 //! ```text
 //! y_k = m(P_k) + sum_j H_kj c_j + D v_k tau + F_k b_k + n_k,    H_kj = h_kj + D w_kj + m_j(P_k) - m(P_k)
@@ -15,19 +17,24 @@
 //! chi2 = sum_k i' S^-1 i ~ chi-squared(2 n - 3)                         at the node of most mass
 //! ```
 //!
-//! First touch is a kink (a step where g is not 0). A loaded reading is held; one that is not and lies within 4 sd of first touch is taken
-//! both ways, `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation, and the two Gaussians are
-//! joined by their moments: so free readings bound the onset.
+//! First touch is a kink (a step where g is not 0). A loaded reading is held; one that is not and
+//! lies within 4 sd of first touch is taken both ways,
+//! `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation,
+//! and the two Gaussians are joined by their moments: so free readings bound the onset.
 //!
-//! Grid: where a reading parts two neighbouring nodes by more than 1 in ln w (in its regular part, where all nodes take it for an outlier), a new
-//! node between them takes all readings so far; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Nothing is interpolated
-//! between nodes: where ln w falls by hundreds from one to the next, no polynomial follows it. Friction: the play operator of the parent module,
-//! carried node by node at the mean; its slope is that without friction.
+//! Grid: where a reading parts two neighbouring nodes by more than 1 in ln w (in its regular part,
+//! where all nodes take it for an outlier), a new node between them takes all readings so far;
+//! nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Nothing is interpolated
+//! between nodes: where ln w falls by hundreds from one to the next, no polynomial follows it.
+//! Friction: the play operator of the parent module, carried node by node at the mean; its slope is
+//! that without friction.
 //!
-//! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
-//! (Rao-Blackwellised filters); B. M. Bell, F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);
-//! decomposition of the likelihood into innovations: F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61; correlated noise as a state: A. E.
-//! Bryson, L. J. Henrikson, J. Spacecr. Rockets 5 (1968) 1327; expected weights of outliers: A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat.
+//! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de
+//! Freitas, K. Murphy, S. Russell, UAI 2000, 176 (Rao-Blackwellised filters); B. M. Bell, F. W.
+//! Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);
+//! decomposition of the likelihood into innovations: F. C. Schweppe, IEEE Trans. Inf. Theory 11
+//! (1965) 61; correlated noise as a state: A. E. Bryson, L. J. Henrikson, J. Spacecr. Rockets 5
+//! (1968) 1327; expected weights of outliers: A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat.
 //! Soc. B 39 (1977) 1, the uniform part: D. W. Hogg, J. Bovy, D. Lang, arXiv:1008.4686, 3.
 
 mod node;
@@ -83,7 +90,8 @@ pub struct RecursivePosterior {
     push: Vector3<f64>,
     /// The first loaded reading, from which displacements count.
     reference: MotionRow,
-    /// All readings, those of a creeping contact with its unknowns: the free ones before the first loaded one, and from that on.
+    /// All readings, those of a creeping contact with its unknowns: the free ones before the first
+    /// loaded one, and from that on.
     lead: Vec<MotionRow>,
     rows: Vec<MotionRow>,
     /// Width of the uniform prior of the onset, mm.
@@ -99,7 +107,8 @@ fn motion_since(reference: &MotionRow, row: &MotionRow) -> (Rotation3<f64>, Vect
     (turn, row.moved_mm - turn * reference.moved_mm)
 }
 
-/// An episode after all of its readings: its state is constant, so that the last posterior is that of all of them.
+/// An episode after all of its readings: its state is constant, so that the last posterior is that
+/// of all of them.
 pub(super) struct Finished {
     pub posterior: Posterior,
     pub innovations: Innovations,
@@ -107,8 +116,8 @@ pub(super) struct Finished {
     pub outliers: Vec<bool>,
 }
 
-/// Takes all readings of an episode. None without a loaded reading, where the push runs along the whole wire, or where no contact explains
-/// the readings.
+/// Takes all readings of an episode. None without a loaded reading, where the push runs along the
+/// whole wire, or where no contact explains the readings.
 pub(super) fn run(
     field: &MomentField,
     push: Vector3<f64>,
@@ -140,7 +149,8 @@ impl RecursivePosterior {
         Some(own)
     }
 
-    /// From the first loaded reading and the free ones before it (`lead`, in order of time); none where the push runs along the whole wire.
+    /// From the first loaded reading and the free ones before it (`lead`, in order of time); none
+    /// where the push runs along the whole wire.
     pub fn start(
         field: &MomentField,
         settings: Settings,
@@ -180,7 +190,8 @@ impl RecursivePosterior {
         let mut node = NodeFilter::new(&first, s_mm, self.range_mm)?;
         node.start(&first);
         let correlated = self.settings.correlated.is_some();
-        // Backwards in time from first touch: the state is constant, and the correlated noise is reversible.
+        // Backwards in time from first touch: the state is constant, and the correlated noise is
+        // reversible.
         if correlated {
             node.keep_correlated();
         }
@@ -258,7 +269,8 @@ impl RecursivePosterior {
 
     /// The posterior over arc length, onset and gap.
     pub fn posterior(&self) -> Posterior {
-        // The interpolated wire is off by as much at every reading: no number of them averages it out.
+        // The interpolated wire is off by as much at every reading: no number of them averages it
+        // out.
         let table_mm2 = Matrix2::identity() * TABLE_MM.powi(2);
         let node = |n: &NodeFilter| {
             let (state, covariance_mm2) = n.state();
@@ -287,7 +299,8 @@ impl RecursivePosterior {
             })
     }
 
-    /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on which s is uniform.
+    /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on
+    /// which s is uniform.
     pub fn ln_evidence(&self, field: &MomentField) -> f64 {
         // Trapezoids over s, on which the prior is uniform.
         let width =
@@ -333,7 +346,8 @@ impl RecursivePosterior {
         }
     }
 
-    /// The best node's logarithm is zero; nodes without mass go, but for one on each side of those that have some.
+    /// The best node's logarithm is zero; nodes without mass go, but for one on each side of those
+    /// that have some.
     fn normalise(&mut self) {
         let best = best_ln(&self.nodes);
         self.nodes.retain(|n| n.ln.is_finite());

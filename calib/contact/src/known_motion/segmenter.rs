@@ -1,4 +1,5 @@
-//! Which readings are of one contact, reading by reading: the one definition of tables, recordings and streams. A session says it itself.
+//! Which readings are of one contact, reading by reading: the one definition of tables, recordings
+//! and streams. A session says it itself.
 //!
 //! ```text
 //! loaded      |m_k| > 4 sqrt(tr R_k + sum_j |h_kj|^2)               R_k: noise, h_kj: shared deviations of the calibration
@@ -10,7 +11,8 @@
 //! dropped     fewer than 3 of its readings were loaded
 //! ```
 //!
-//! An object that retracts past first touch and returns along its known motion touches the wire at the same point again.
+//! An object that retracts past first touch and returns along its known motion touches the wire at
+//! the same point again.
 
 use super::{MomentField, MotionRow};
 use nalgebra::Vector3;
@@ -20,9 +22,11 @@ use std::collections::VecDeque;
 const DIPS: usize = 3;
 /// Fewer loaded readings are no contact.
 const MIN_LOADED: usize = 3;
-/// An object is retracted where it is at most this far past its position at the first load, mm; a longer displacement has a direction.
+/// An object is retracted where it is at most this far past its position at the first load, mm; a
+/// longer displacement has a direction.
 const BACK_MM: f64 = 0.3;
-/// Free readings before a contact that are kept, and their smallest distance, mm: readings of one pose say the same.
+/// Free readings before a contact that are kept, and their smallest distance, mm: readings of one
+/// pose say the same.
 const LEAD: usize = 12;
 const LEAD_STEP_MM: f64 = 0.25;
 /// Readings of a long hold before any motion that are kept.
@@ -58,10 +62,12 @@ pub enum Step {
 struct Running {
     segment: Segment,
     loaded: usize,
-    /// Readings in a row that were not loaded, and those of them at which the object was past its position at the first load.
+    /// Readings in a row that were not loaded, and those of them at which the object was past its
+    /// position at the first load.
     free: usize,
     past: usize,
-    /// The first loaded reading, and the direction of the push where it is known; until then the readings wait.
+    /// The first loaded reading, and the direction of the push where it is known; until then the
+    /// readings wait.
     first: MotionRow,
     push: Option<Vector3<f64>>,
     waiting: Option<Vec<MotionRow>>,
@@ -94,8 +100,8 @@ impl Segmenter {
         }
     }
 
-    /// Takes a reading, whose visit is written to it. `piece` changes where the motion before says nothing about the one after; `push`: direction
-    /// of the push where it is known.
+    /// Takes a reading, whose visit is written to it. `piece` changes where the motion before says
+    /// nothing about the one after; `push`: direction of the push where it is known.
     pub fn push(
         &mut self,
         row: &mut MotionRow,

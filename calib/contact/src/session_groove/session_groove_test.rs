@@ -1,4 +1,5 @@
-//! Coverage with calibrations that were fitted to plant sessions (SIMULATED, physics that shares no code with rod and fitter).
+//! Coverage with calibrations that were fitted to plant sessions (SIMULATED, physics that shares no
+//! code with rod and fitter).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use super::*;
@@ -49,7 +50,8 @@ fn verified_under(seed: u64, design: Design, want: CaseKind, noise: Noise) -> Wh
     }
 }
 
-/// Held-out trajectories through a calibration, one comparison each: their readings have one error. `change` is done to the motion before.
+/// Held-out trajectories through a calibration, one comparison each: their readings have one error.
+/// `change` is done to the motion before.
 fn tracked(
     done: &WhiskerVerification,
     model: &PhysicalModel,
@@ -82,7 +84,8 @@ fn less_certain(model: &PhysicalModel, times: f64, seed: u64) -> PhysicalModel {
         .iter_mut()
         .flatten()
         .for_each(|v| *v *= times * times);
-    // By the Cholesky factor, which moves with the covariance; the signs of eigenvectors jump with its last digits.
+    // By the Cholesky factor, which moves with the covariance; the signs of eigenvectors jump with
+    // its last digits.
     let root = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j])
         .cholesky()
         .unwrap()
@@ -151,7 +154,8 @@ fn regions_hold_with_an_effect_that_the_loop_repaired() {
     );
 }
 
-/// With the map's error as large as the noise it is seen whether the regions know of it; control: without it they hold too little.
+/// With the map's error as large as the noise it is seen whether the regions know of it; control:
+/// without it they hold too little.
 #[test]
 fn the_error_of_the_map_is_in_the_regions() {
     const TIMES: f64 = 5.0;
@@ -176,8 +180,8 @@ fn the_error_of_the_map_is_in_the_regions() {
     );
 }
 
-/// Drift that the session shows is in the regions; control: taken for white noise they hold too little. Readings that it displaces together
-/// move the state where the regions are narrow.
+/// Drift that the session shows is in the regions; control: taken for white noise they hold too
+/// little. Readings that it displaces together move the state where the regions are narrow.
 #[test]
 fn noise_that_is_correlated_in_time_is_in_the_regions() {
     let (mut with, mut without, mut sessions) = (Vec::new(), Vec::new(), 0);
@@ -224,6 +228,7 @@ fn the_groove_is_elsewhere_only_where_regions_and_bound_say_so() {
         })
     };
     assert!(of(6, 5.0), "ten times the bound, and three of nine outside");
-    // Each alone is none: regions a little narrow at an error within the bound; a large error that the regions hold.
+    // Each alone is none: regions a little narrow at an error within the bound; a large error that
+    // the regions hold.
     assert!(!of(6, 0.4) && !of(9, 5.0));
 }

@@ -1,4 +1,5 @@
-//! Normal equations of a chain of unknowns with a few that all share: a band and a border, by Cholesky's factorisation.
+//! Normal equations of a chain of unknowns with a few that all share: a band and a border, by
+//! Cholesky's factorisation.
 //!
 //! ```text
 //! [ A  C ] [x]   [g]         A = L L' (banded),   S = D - C' A^-1 C
@@ -90,9 +91,11 @@ impl Normal {
         }
     }
 
-    /// Adds `weight (r + J dx + K dc)^2` to the sum; J of the unknowns from `first` on, K of the first common ones.
+    /// Adds `weight (r + J dx + K dc)^2` to the sum; J of the unknowns from `first` on, K of the
+    /// first common ones.
     pub fn add(&mut self, weight: f64, r: f64, first: usize, j: &[f64], k: &[f64]) {
-        // Gauss-Newton: J' w J and -J' w r; the chain's matrix is symmetric, so that its lower triangle is enough.
+        // Gauss-Newton: J' w J and -J' w r; the chain's matrix is symmetric, so that its lower
+        // triangle is enough.
         for (a, va) in j.iter().enumerate() {
             self.right[first + a] -= weight * va * r;
             for (b, vb) in j[..=a].iter().enumerate() {
@@ -121,7 +124,8 @@ impl Normal {
         let mut band = self.band.clone();
         let n = band.len();
         for i in 0..n {
-            // Marquardt's scaling: damping relative to the diagonal does not depend on the unknowns' units.
+            // Marquardt's scaling: damping relative to the diagonal does not depend on the
+            // unknowns' units.
             *band.at(i, i) = *band.at(i, i) * (1.0 + damping) + 1e-12;
             // Cholesky's factor of a band has no fill outside the band: O(n width^2).
             for j in band.first(i)..=i {
@@ -187,7 +191,8 @@ impl Factored {
     pub fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(count, count);
         for k in 0..count {
-            // A column of A^-1: its right-hand side is zero before `from`, where forward substitution can start.
+            // A column of A^-1: its right-hand side is zero before `from`, where forward
+            // substitution can start.
             let mut unit = vec![0.0; self.band.len()];
             unit[from + k] = 1.0;
             self.band.solve(&mut unit, from);
@@ -203,7 +208,8 @@ impl Factored {
 mod tests {
     use super::*;
 
-    /// A chain of six unknowns with two that all share: steps and covariances are those of the dense inverse.
+    /// A chain of six unknowns with two that all share: steps and covariances are those of the
+    /// dense inverse.
     #[test]
     fn band_and_border_solve_what_the_dense_matrix_does() {
         let (n, m) = (6, 2);

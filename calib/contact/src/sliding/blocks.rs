@@ -1,6 +1,8 @@
-//! Readings as the means of blocks over which the object goes on by a step: each step says about the same, whatever the rate.
+//! Readings as the means of blocks over which the object goes on by a step: each step says about
+//! the same, whatever the rate.
 //!
-//! The mean of moments over a step is not the moment at its middle: by m'' var(d) / 2, with m'' from the blocks around ([`Means::at_middles`]).
+//! The mean of moments over a step is not the moment at its middle: by m'' var(d) / 2, with m''
+//! from the blocks around ([`Means::at_middles`]).
 
 use crate::known_motion::MotionRow;
 use nalgebra::{Matrix2, Vector3};
@@ -78,7 +80,8 @@ impl Means {
     }
 }
 
-/// Means over blocks, and for each reading where it lies among them: a block and the share of the way to the next.
+/// Means over blocks, and for each reading where it lies among them: a block and the share of the
+/// way to the next.
 pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
     let mut all = Means::default();
     let mut from = 0;
@@ -107,7 +110,8 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
             .saturating_sub(1)
             .min(last);
         let step = means[k + 1].moved_mm - means[k].moved_mm;
-        // A contact goes on with the motion: a hold where it turns lies at the turn, whatever its time.
+        // A contact goes on with the motion: a hold where it turns lies at the turn, whatever its
+        // time.
         let share = match step.norm() > MIN_STEP_MM {
             true => (row.moved_mm - means[k].moved_mm).dot(&step) / step.norm_squared(),
             false => (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s),

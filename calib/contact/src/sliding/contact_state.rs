@@ -7,8 +7,9 @@
 //! F = f (n + a u + c b),        P = r(s; F) - radius n,        m = r(s; F) x F
 //! ```
 //!
-//! t, e2, e3: frame of the wire at the contact. The equilibrium is explicit from the contact inward (`DiscreteRod::under_point_load`). The
-//! links' frames jump at the joints; within a link the frame is turned by the wire's rest curvature, which is all that it has where no moment acts.
+//! t, e2, e3: frame of the wire at the contact. The equilibrium is explicit from the contact inward
+//! (`DiscreteRod::under_point_load`). The links' frames jump at the joints; within a link the frame
+//! is turned by the wire's rest curvature, which is all that it has where no moment acts.
 
 use super::friction::FrictionPrior;
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
@@ -34,7 +35,8 @@ const STEPS: [f64; STATE] = [1e-3, 1e-4, 1e-4, 1e-3, 1e-3];
 /// Newton steps for the force that gives a moment, and its tolerance, N mm.
 const FORCE_STEPS: usize = 12;
 const TOLERANCE_NMM: f64 = 1e-7;
-/// A fold is looked for where the moment grows with less than this power of the force, in steps by this factor.
+/// A fold is looked for where the moment grows with less than this power of the force, in steps by
+/// this factor.
 const FOLD_NEAR: f64 = 0.6;
 const FOLD_STEP: f64 = 1.12;
 const FOLD_STEPS: i32 = 14;
@@ -200,7 +202,8 @@ impl TouchedWire {
         y.point_mm() + y.normal() * self.rod.radius_mm
     }
 
-    /// Normal force and azimuth that give a moment at a place along the wire, from a guess; none where none is found.
+    /// Normal force and azimuth that give a moment at a place along the wire, from a guess; none
+    /// where none is found.
     pub(super) fn frictionless(
         &self,
         q: f64,
@@ -232,8 +235,8 @@ impl TouchedWire {
         None
     }
 
-    /// The second contact with the same moment at the same place, past the fold where more force gives no more moment as the wire turns away;
-    /// none where the fold is far.
+    /// The second contact with the same moment at the same place, past the fold where more force
+    /// gives no more moment as the wire turns away; none where the fold is far.
     pub(super) fn past_fold(&self, low: &State, moment_nmm: &Vector2<f64>) -> Option<State> {
         let size = |x: &State| self.show(x).moment_nmm().norm();
         let scaled = |by: f64| {
@@ -252,8 +255,9 @@ impl TouchedWire {
         (found[1] > 1.02 * low[1]).then_some(found)
     }
 
-    /// The light force of the free wire that gives a moment: with the moments of a force of 1 N along e2, e3 and -t (at the tip), `f (M e(phi) - z) = m`,
-    /// so that `|a + f b| = f`, `a = M^-1 m`, `b = M^-1 z`.
+    /// The light force of the free wire that gives a moment: with the moments of a force of 1 N
+    /// along e2, e3 and -t (at the tip), `f (M e(phi) - z) = m`, so that `|a + f b| = f`,
+    /// `a = M^-1 m`, `b = M^-1 z`.
     fn light(&self, q: f64, moment_nmm: &Vector2<f64>) -> State {
         const LIGHT_N: f64 = 1e-6;
         let by = |phi: f64| {
@@ -299,7 +303,8 @@ mod tests {
         .unwrap()
     }
 
-    /// A point that holds the accepted wire is found again from its moments, and by the declared wire it is not.
+    /// A point that holds the accepted wire is found again from its moments, and by the declared
+    /// wire it is not.
     #[test]
     fn a_wire_that_verify_accepted_is_the_one_that_is_bent() {
         let declared = Rod::new(&WhiskerSpec::nominal(), 0.25).unwrap();
@@ -324,7 +329,8 @@ mod tests {
         assert!(off_mm(&declared) > 0.2, "{}", off_mm(&declared));
     }
 
-    /// A contact that gives its own moments is found again, and the frame does not jump at the joints.
+    /// A contact that gives its own moments is found again, and the frame does not jump at the
+    /// joints.
     #[test]
     fn forces_are_found_again_and_the_wire_is_smooth() {
         let wire = wire();

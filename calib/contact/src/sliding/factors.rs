@@ -1,7 +1,9 @@
-//! What ties the states of a sliding contact together: residuals of moments, motion and friction, each in its standard deviation.
+//! What ties the states of a sliding contact together: residuals of moments, motion and friction,
+//! each in its standard deviation.
 //!
-//! Reading k has the state x_k (`contact_state`); seen from the object it shows the point P_k, the normal n_k, the wire's direction t_k. The
-//! calibration's errors c_j ~ N(0, 1) are common to all readings; the friction coefficient mu is a hypothesis.
+//! Reading k has the state x_k (`contact_state`); seen from the object it shows the point P_k, the
+//! normal n_k, the wire's direction t_k. The calibration's errors c_j ~ N(0, 1) are common to all
+//! readings; the friction coefficient mu is a hypothesis.
 //!
 //! ```text
 //! moments     R_k^-1/2 (m_k - m(x_k) - H_k c)                        R_k: noise of a reading and error of the wire's model
@@ -14,8 +16,9 @@
 //! ```
 //!
 //! What is seen of s: with m known, `surface` is in the limit of small steps
-//! `A ds/dt + (dP/dm . n) dm/dt + v . n = 0`, `A = dP/ds|_m . n`, which vanishes with the load: while the load rises an error of s falls as |m|^-4 (a
-//! straight cantilever), while it falls it grows. So each end of a contact is found from its middle and from how fast the load grows there.
+//! `A ds/dt + (dP/dm . n) dm/dt + v . n = 0`, `A = dP/ds|_m . n`, which vanishes with the load:
+//! while the load rises an error of s falls as |m|^-4 (a straight cantilever), while it falls it
+//! grows. So each end of a contact is found from its middle and from how fast the load grows there.
 
 use super::banded::Normal;
 use super::contact_state::{ContactQuantities, Rates, STATE, State, TouchedWire};
@@ -27,19 +30,23 @@ use std::f64::consts::TAU;
 /// Relative error of the wire's model, and of the links, N mm.
 const MODEL_SHARE: f64 = 0.002;
 const MODEL_NMM: f64 = 3e-4;
-/// Error of a step along the surface: constant (mm), and for each radian and millimetre by which it turns and goes on.
+/// Error of a step along the surface: constant (mm), and for each radian and millimetre by which it
+/// turns and goes on.
 const SURFACE_MM: f64 = 0.004;
 const SURFACE_TURN: f64 = 0.08;
 /// How far a contact leaps along the surface: steps of the motion, and mm.
 const LEAP_STEPS: f64 = 3.0;
 const LEAP_MM: f64 = 0.5;
-/// Slip between two readings at which friction has 0.7 of its size, mm; standard deviation of friction beside its law.
+/// Slip between two readings at which friction has 0.7 of its size, mm; standard deviation of
+/// friction beside its law.
 const STICK_MM: f64 = 0.02;
 const FRICTION_SD: f64 = 0.02;
-/// Changes of the slip rate from reading to reading, as a share of the motion's step, and constant, mm.
+/// Changes of the slip rate from reading to reading, as a share of the motion's step, and constant,
+/// mm.
 const SLIP_SHARE: f64 = 0.15;
 const SLIP_MM: f64 = 0.02;
-/// Steps of the motion in a row are so unequal at most: where the object hardly moved its slip says nothing.
+/// Steps of the motion in a row are so unequal at most: where the object hardly moved its slip says
+/// nothing.
 const MAX_RATIO: f64 = 3.0;
 /// Standard deviation of a force that draws, N.
 const PULL_N: f64 = 1e-3;
@@ -99,7 +106,8 @@ pub(super) struct Chain<'a> {
     whiten: Vec<Matrix2<f64>>,
     /// Derivative of the moments' two residuals by the common unknowns.
     by_common: Vec<[Vec<f64>; 2]>,
-    /// Way of the object from the reading before, mm, and its part along the way before that, over that: -1 where the motion turns back.
+    /// Way of the object from the reading before, mm, and its part along the way before that, over
+    /// that: -1 where the motion turns back.
     pub step_mm: Vec<f64>,
     goes_on: Vec<f64>,
     pub ends: Ends,
@@ -114,9 +122,11 @@ pub(super) struct Chain<'a> {
     pub heavy: bool,
 }
 
-/// What becomes of the errors that all readings share and that change with the load. A surface of which nothing is known takes up any gain of
-/// the moments, so that a fit learns none of it: the path is fitted with these errors at their mean (S. F. Schmidt's considered parameters,
-/// Adv. Control Syst. 3 (1966) 293), and their whole prior is in its covariance. A constant, the zero, shows at first touch and is fitted.
+/// What becomes of the errors that all readings share and that change with the load. A surface of
+/// which nothing is known takes up any gain of the moments, so that a fit learns none of it: the
+/// path is fitted with these errors at their mean (S. F. Schmidt's considered parameters, Adv.
+/// Control Syst. 3 (1966) 293), and their whole prior is in its covariance. A constant, the zero,
+/// shows at first touch and is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Common {
     Held,
@@ -208,7 +218,8 @@ impl<'a> Chain<'a> {
         DVector::zeros(self.shared)
     }
 
-    /// The readings that a residual of reading k ties together; none where there is no such residual.
+    /// The readings that a residual of reading k ties together; none where there is no such
+    /// residual.
     fn readings(&self, kind: Kind, k: usize) -> Option<std::ops::RangeInclusive<usize>> {
         let last = self.rows.len() - 1;
         match kind {
@@ -257,7 +268,8 @@ impl<'a> Chain<'a> {
             }
             Kind::Surface => {
                 let before = &all[0];
-                // A step on a surface lies in its tangent plane: exact for an arc with the mean of both normals.
+                // A step on a surface lies in its tangent plane: exact for an arc with the mean of
+                // both normals.
                 let step = here.y.point_mm() - before.y.point_mm();
                 let turned = (here.y.normal() - before.y.normal()).norm();
                 let off = step.dot(&(here.y.normal() + before.y.normal())) * 0.5;
@@ -303,8 +315,8 @@ impl<'a> Chain<'a> {
         3.0 * self.wire.ei_nmm2 / s.powi(3) * self.step_mm[k] + 8.0 * noise / s
     }
 
-    /// How far the contact lies from the free wire, over how far it may lie there at first touch or at the end: a step of the motion, and what
-    /// the noise hides.
+    /// How far the contact lies from the free wire, over how far it may lie there at first touch or
+    /// at the end: a step of the motion, and what the noise hides.
     pub fn deflection(&self, k: usize, x: &State, y: &ContactQuantities) -> f64 {
         let mut light = *x;
         light[1] = 0.0;
@@ -462,7 +474,8 @@ impl<'a> Chain<'a> {
 mod tests {
     use super::*;
 
-    /// c k(u) of the head of smooth.rs integrates to 1, as the normal density's 1 / sqrt(2 pi) exp(-u^2 / 2) does.
+    /// c k(u) of the head of smooth.rs integrates to 1, as the normal density's 1 / sqrt(2 pi)
+    /// exp(-u^2 / 2) does.
     #[test]
     fn students_density_has_mass_one() {
         for nu in [3.0, 5.0, 30.0] {

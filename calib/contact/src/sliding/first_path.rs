@@ -1,12 +1,15 @@
-//! A first path of the contact along the wire: the most probable one over a grid of places, by dynamic programming (Viterbi).
+//! A first path of the contact along the wire: the most probable one over a grid of places, by
+//! dynamic programming (Viterbi).
 //!
-//! At each node q of the grid the frictionless contact that explains the moments is known (`TouchedWire::frictionless`); from reading to reading
+//! At each node q of the grid the frictionless contact that explains the moments is known
+//! (`TouchedWire::frictionless`); from reading to reading
 //!
 //! ```text
 //! cost = 5 ln(1 + e^2 / 4) + (dq / (2 |d| + 1 mm))^2,     e = dP . (n + n') / 2 / sd,   d: step of the motion
 //! ```
 //!
-//! where the force does not jump (that is another branch of equilibria); e with the noise of the moments, moved along the normal by the compliance s^2 / (3 E I), and half a node.
+//! where the force does not jump (that is another branch of equilibria); e with the noise of the
+//! moments, moved along the normal by the compliance s^2 / (3 E I), and half a node.
 
 use super::contact_state::{ContactQuantities, State, TIP_MM, TouchedWire};
 use super::factors::Chain;
@@ -22,7 +25,8 @@ const FIRST_MM: f64 = 6.0;
 const MAX_TILT: f64 = 1.55;
 /// Tilt at first touch that parts starts at the tip from the side and from ahead, rad.
 const AHEAD: f64 = 0.5;
-/// At first touch the wire lies no farther from its free shape than this many steps; a force that jumps by more than this share.
+/// At first touch the wire lies no farther from its free shape than this many steps; a force that
+/// jumps by more than this share.
 const MAX_DEFLECTION: f64 = 3.0;
 const MAX_JUMP: f64 = 0.2;
 /// Standard deviation of a step along the surface, mm.
@@ -40,8 +44,8 @@ fn places(length_mm: f64) -> Vec<f64> {
     (0..count).map(|k| first + NODE_MM * k as f64).collect()
 }
 
-/// The best paths that begin on the wire, at its tip from the side, and at its tip from ahead; none where some reading is explained by no
-/// contact. `contacts`: of `candidates`.
+/// The best paths that begin on the wire, at its tip from the side, and at its tip from ahead; none
+/// where some reading is explained by no contact. `contacts`: of `candidates`.
 pub(super) fn first_paths(chain: &Chain<'_>, contacts: &[Vec<Candidate>]) -> Vec<Vec<State>> {
     let seen = |(row, contacts): (&MotionRow, &Vec<Candidate>)| -> Vec<Candidate> {
         let of = |(x, y): &(State, ContactQuantities)| (*x, y.on_object(&row.turn, &row.moved_mm));
@@ -98,7 +102,8 @@ fn start_cost(chain: &Chain<'_>, contact: Option<&(State, ContactQuantities)>) -
     }
 }
 
-/// Standard deviation of each node of a reading across the surface: noise by compliance, and half the distance of two nodes along the normal.
+/// Standard deviation of each node of a reading across the surface: noise by compliance, and half
+/// the distance of two nodes along the normal.
 fn spreads(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize) -> Vec<f64> {
     let n = solved[k].len();
     // Compliance of a cantilever, s^2 / (3 E I) of displacement for a moment.
@@ -168,7 +173,8 @@ fn steps(
     steps
 }
 
-/// The best path to each node from a start: its cost so far, and for each reading the node of the one before.
+/// The best path to each node from a start: its cost so far, and for each reading the node of the
+/// one before.
 struct Search {
     costs: Vec<f64>,
     from: Vec<Vec<usize>>,

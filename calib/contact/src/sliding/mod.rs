@@ -1,39 +1,47 @@
-//! A contact that slides over a rigid object whose motion is known in three dimensions; any direction, turns, holds and reversals.
+//! A contact that slides over a rigid object whose motion is known in three dimensions; any
+//! direction, turns, holds and reversals.
 //!
-//! The object stands still in its own frame, so the contacts of all readings lie on one surface: from reading to reading the point goes on
-//! within the tangent plane. With the wire's statics for every reading (`contact_state`: place along the wire, force, its azimuth, friction
-//! along and across) all states theta are found at once from first touch to release (`factors`, `smooth`):
+//! The object stands still in its own frame, so the contacts of all readings lie on one surface:
+//! from reading to reading the point goes on within the tangent plane. With the wire's statics for
+//! every reading (`contact_state`: place along the wire, force, its azimuth, friction along and
+//! across) all states theta are found at once from first touch to release (`factors`, `smooth`):
 //!
 //! ```text
 //! J(theta, c | h) = sum of squares of: moments, surface, friction, slip rate, first touch, slipping off          (factors)
 //! p(theta | m)    = sum_h P(h | m) N(theta_h, H_h^-1),   P(h | m) ~ exp(-d J_h)                                   h: first path, friction
 //! ```
 //!
-//! H is the curvature of J with the common errors c integrated out (`banded`); d < 1/2 for errors of the model that readings share. Hypotheses h:
-//! the best paths that begin on the wire, at its tip from the side and from ahead (`first_path`), each at several friction coefficients. A step says
-//! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
+//! H is the curvature of J with the common errors c integrated out (`banded`); d < 1/2 for errors
+//! of the model that readings share. Hypotheses h: the best paths that begin on the wire, at its
+//! tip from the side and from ahead (`first_path`), each at several friction coefficients. A step
+//! says about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
 //!
-//! A sweep one way says little of the friction: J changes by a few over 0 to 0.3, while the places change by a few mm for one of the coefficient.
-//! So the hypotheses' spread is most of the stated uncertainty. It can be stated (`friction`). Where the motion turns back J tells it: there the
+//! A sweep one way says little of the friction: J changes by a few over 0 to 0.3, while the places
+//! change by a few mm for one of the coefficient. So the hypotheses' spread is most of the stated
+//! uncertainty. It can be stated (`friction`). Where the motion turns back J tells it: there the
 //! hypotheses grow denser around the best (`smooth`).
 //!
-//! Where the contact slips to another place of the object at once, the moments leap (`slips`). The path ends there; the next one begins anywhere.
+//! Where the contact slips to another place of the object at once, the moments leap (`slips`). The
+//! path ends there; the next one begins anywhere.
 //!
-//! The motion has to be this object's: its readings have more evidence than with the motion's sign reversed, both at the least friction, and J is
-//! not more than a few for each of n blocks. J alone does not tell: a surface bends to the reversed motion, too, by more of its prior.
+//! The motion has to be this object's: its readings have more evidence than with the motion's sign
+//! reversed, both at the least friction, and J is not more than a few for each of n blocks. J alone
+//! does not tell: a surface bends to the reversed motion, too, by more of its prior.
 //!
 //! ```text
 //! E = ln p(m | motion) > E_reversed = ln p(m | -motion),     J <= 3 n        (Laplace, smooth)
 //! ```
 //!
-//! An answer is sure where the motion goes one way and its evidence is clearly more, J <= 1.5 n, the surface has no gap, and more than one start
-//! leads to the least J. Else the contact may be lost: in simulated tracks a quarter of such readings lay outside, so that with this probability l nothing is
-//! known, `(1 - l) p + l uniform`.
+//! An answer is sure where the motion goes one way and its evidence is clearly more, J <= 1.5 n,
+//! the surface has no gap, and more than one start leads to the least J. Else the contact may be
+//! lost: in simulated tracks a quarter of such readings lay outside, so that with this probability
+//! l nothing is known, `(1 - l) p + l uniform`.
 //!
-//! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a clock that is wrong in a steady motion; only an
-//! object that is known shows them.
+//! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a
+//! clock that is wrong in a steady motion; only an object that is known shows them.
 //!
-//! Answers are places of the wire's axis: the point of the object and the wire's radius along its normal.
+//! Answers are places of the wire's axis: the point of the object and the wire's radius along its
+//! normal.
 
 mod banded;
 mod blocks;
@@ -69,11 +77,14 @@ const DISCOUNT: f64 = 0.4;
 const MODEL_SD_MM: f64 = 0.05;
 /// Largest sum of squares for each block.
 const MAX_COST: f64 = 3.0;
-/// The same from which on an answer is not sure: simulated sweeps that are followed have 0.3 to 0.9, lost ones 2 and more.
+/// The same from which on an answer is not sure: simulated sweeps that are followed have 0.3 to
+/// 0.9, lost ones 2 and more.
 const SURE_COST: f64 = 1.5;
-/// Largest sum of squares of the surface of an answer that is sure: those that are followed have less than 2, lost ones 10 and more.
+/// Largest sum of squares of the surface of an answer that is sure: those that are followed have
+/// less than 2, lost ones 10 and more.
 const MAX_GAPS: f64 = 6.0;
-/// Evidence by which the motion has to be more probable than the reversed one, natural logarithm: twenty times.
+/// Evidence by which the motion has to be more probable than the reversed one, natural logarithm:
+/// twenty times.
 const CLEARLY: f64 = 3.0;
 /// Probability that a contact is lost where the answer is not sure (`tests/sliding.rs`).
 const LOST: f64 = 0.3;
@@ -81,13 +92,15 @@ const LOST: f64 = 0.3;
 const MIN_BLOCKS: usize = 8;
 /// Fewer blocks have no change of slip.
 const MIN_MEANS: usize = 3;
-/// Fewer blocks of a contact are no evidence of a slide: without two changes of slip its course is that of the priors.
+/// Fewer blocks of a contact are no evidence of a slide: without two changes of slip its course is
+/// that of the priors.
 const MIN_WEIGHED: usize = 4;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
 /// A motion that comes back by more than this has turned, mm: above the noise of an arm's log.
 const TURNED_MM: f64 = 0.5;
-/// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N mm.
+/// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N
+/// mm.
 pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
 
 /// Where a sliding contact is at each reading.
@@ -99,7 +112,8 @@ pub struct SlidingContact {
     pub arcs: Vec<ArcDensity>,
     /// Means of the readings over a step of the motion, by which contacts are weighed.
     pub means: Means,
-    /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a block; none where no path could be made.
+    /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a
+    /// block; none where no path could be made.
     pub ln_evidence: Option<[f64; 2]>,
     /// ln p(m) at the least friction: along the motion.
     pub evidence: f64,
@@ -109,11 +123,13 @@ pub struct SlidingContact {
     pub cost: f64,
     /// Blocks of readings that the motion was held against.
     pub predicted: usize,
-    /// Whether the motion comes back on itself while the wire is loaded: along the wire regions are too narrow then, where the object has edges.
+    /// Whether the motion comes back on itself while the wire is loaded: along the wire regions are
+    /// too narrow then, where the object has edges.
     pub turns_back: bool,
     /// Whether more than one start leads to each part's least sum of squares.
     pub agreed: bool,
-    /// Sum of squares by which the contacts are not on one surface; of the part between slips where it is largest.
+    /// Sum of squares by which the contacts are not on one surface; of the part between slips where
+    /// it is largest.
     pub gaps: f64,
     /// First readings after slips of the contact to another place at once.
     pub slips: Vec<usize>,
@@ -131,7 +147,8 @@ impl SlidingContact {
             && self.cost <= MAX_COST * self.predicted as f64
     }
 
-    /// Whether the stated regions are those of the fit alone: it leaves no more than noise, starts agree, and nothing speaks against the motion.
+    /// Whether the stated regions are those of the fit alone: it leaves no more than noise, starts
+    /// agree, and nothing speaks against the motion.
     pub fn sure(&self) -> bool {
         self.supported()
             && self.whole
@@ -184,7 +201,8 @@ fn turns_back(rows: &[MotionRow]) -> bool {
     })
 }
 
-/// A hypothesis: a smoothed path under a coefficient of friction, its ln p(m), what of its sum of squares is of the surface, and its posterior.
+/// A hypothesis: a smoothed path under a coefficient of friction, its ln p(m), what of its sum of
+/// squares is of the surface, and its posterior.
 struct Hypothesis {
     friction: f64,
     /// Of its friction before the record.
@@ -220,8 +238,9 @@ impl Hypothesis {
     }
 }
 
-/// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that makes the answer sure: each part has a start of
-/// its own, which only moments that are right can find; else one surface from first touch to release tells more.
+/// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that
+/// makes the answer sure: each part has a start of its own, which only moments that are right can
+/// find; else one surface from first touch to release tells more.
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
     let Some([first, last]) = touching(rows) else {
         return SlidingContact::nothing(rows.len());
@@ -338,7 +357,8 @@ impl Part {
                 )
             },
         );
-        // The law of friction is a separate prior at each coefficient: their evidence compares at one alone.
+        // The law of friction is a separate prior at each coefficient: their evidence compares at
+        // one alone.
         let least = hypotheses
             .iter()
             .map(|h| h.friction)
@@ -351,7 +371,8 @@ impl Part {
         };
         let by_motion = [at_least(&hypotheses), at_least(&control)];
         let hypotheses = of_one_surface(hypotheses, means.len());
-        // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
+        // A surface that leaves more than this explains nothing, whatever its evidence beside worse
+        // ones.
         let most = MAX_COST * means.len() as f64;
         let explains = |h: &&Hypothesis| h.cost() <= most;
         let best = |all: &[Hypothesis]| {
@@ -411,8 +432,8 @@ impl Part {
     }
 }
 
-/// Without those that go on to another surface, where one without a gap explains the readings: heavy tails make a gap cheap, and a wrong friction
-/// buys one where the motion turns back.
+/// Without those that go on to another surface, where one without a gap explains the readings:
+/// heavy tails make a gap cheap, and a wrong friction buys one where the motion turns back.
 fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
     let whole = |h: &Hypothesis| h.gaps <= MAX_GAPS;
     if all
@@ -433,7 +454,8 @@ fn touching(rows: &[MotionRow]) -> Option<[usize; 2]> {
     Some([first, last])
 }
 
-/// Whether the load at the last reading is more than its fall would have left in a few readings: then the wire slipped off at its tip.
+/// Whether the load at the last reading is more than its fall would have left in a few readings:
+/// then the wire slipped off at its tip.
 fn lost_at_once(rows: &[MotionRow]) -> bool {
     let size = |k: usize| Vector2::from(rows[k].moment_nmm).norm();
     let last = rows.len() - 1;
@@ -488,14 +510,16 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
     }
 }
 
-/// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may be lost.
+/// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may
+/// be lost.
 fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
     let Some((mean, covariance)) =
         mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
     else {
         return EpisodeContact::default();
     };
-    // Independent of the hypotheses: what the model leaves out, and a uniform share of the wire (variance L^2 / 12).
+    // Independent of the hypotheses: what the model leaves out, and a uniform share of the wire
+    // (variance L^2 / 12).
     let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
     let turn = row.turn.matrix();
     EpisodeContact {

@@ -1,10 +1,12 @@
-//! Where a contact slips from one place of the object to another at once: there the moments leap, and the path after it has its own start.
+//! Where a contact slips from one place of the object to another at once: there the moments leap,
+//! and the path after it has its own start.
 //!
 //! ```text
 //! slip between k - 1 and k:   |m_k - m_(k-1)| > c (median |m_j - m_(j-1)| + sqrt(tr R))      in either moment; median over the 6 steps around
 //! ```
 //!
-//! c = 6 is tried first; c = 2.5 may be the wire that turns at an edge, and is a slip where no path without it explains the readings.
+//! c = 6 is tried first; c = 2.5 may be the wire that turns at an edge, and is a slip where no path
+//! without it explains the readings.
 
 use crate::known_motion::MotionRow;
 use std::ops::Range;

@@ -1,4 +1,5 @@
-//! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first with normal residuals, then with heavy tails.
+//! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first
+//! with normal residuals, then with heavy tails.
 
 use super::contact_state::{ContactQuantities, STATE, State};
 use super::factors::{Chain, Common, KINDS, Kind, ln_norm};
@@ -40,8 +41,9 @@ pub(super) struct BlockPosterior {
     pub sd_mm: f64,
 }
 
-/// From a first path under all friction coefficients, in their order: each begins where its neighbour's descent ended, upward and then back,
-/// since a descent that begins far off ends in another minimum.
+/// From a first path under all friction coefficients, in their order: each begins where its
+/// neighbour's descent ended, upward and then back, since a descent that begins far off ends in
+/// another minimum.
 pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Smoothed> {
     let start = Smoothed {
         x: first,
@@ -79,7 +81,8 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
 const MIN_COST_RISE: f64 = 2.0;
 const HALVINGS: usize = 3;
 
-/// As `smooth`, with further coefficients around the best one while the sum of squares tells it from its neighbours.
+/// As `smooth`, with further coefficients around the best one while the sum of squares tells it
+/// from its neighbours.
 pub(super) fn refined(
     chain: &mut Chain<'_>,
     first: Vec<State>,
@@ -173,28 +176,35 @@ pub(super) fn descend(
     here
 }
 
-/// Turn of the normal about the wire from block to block: scale, rad, and degrees of freedom of Student's distribution; edges turn it at once.
+/// Turn of the normal about the wire from block to block: scale, rad, and degrees of freedom of
+/// Student's distribution; edges turn it at once.
 const TURN_RAD: f64 = 0.15;
 const TURN_TAILS: f64 = 1.0;
 
-/// ln p(m), natural units of 1/(N mm)^2 a block, by Laplace's approximation: the integral over all states and common errors, over that of
-/// their prior, which is a density in its own residuals. What has none there is given one: the first azimuth is uniform and turns from block to
-/// block as the normal of a surface does; the first place is uniform on the wire, the second one as near as a slip goes.
+/// ln p(m), natural units of 1/(N mm)^2 a block, by Laplace's approximation: the integral over all
+/// states and common errors, over that of their prior, which is a density in its own residuals.
+/// What has none there is given one: the first azimuth is uniform and turns from block to block as
+/// the normal of a surface does; the first place is uniform on the wire, the second one as near as
+/// a slip goes.
 ///
-/// The prior at the fit is `|J' J|^1/2 prod_i c_i k(r_i)`, J its residuals' slope, c the norm of each: `1 / sqrt(2 pi)`, or that of Student's t,
-/// `Gamma((nu + 1) / 2) / (sqrt(pi nu) Gamma(nu / 2))`, whatever weight the residual has in the fit.
+/// The prior at the fit is `|J' J|^1/2 prod_i c_i k(r_i)`, J its residuals' slope, c the norm of
+/// each: `1 / sqrt(2 pi)`, or that of Student's t,
+/// `Gamma((nu + 1) / 2) / (sqrt(pi nu) Gamma(nu / 2))`, whatever weight the residual has in the
+/// fit.
 pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let turns = found
         .x
         .windows(2)
         .map(|w| (w[1][2] - w[0][2] + PI).rem_euclid(TAU) - PI);
     let turns: Vec<f64> = turns.map(|turn| (turn / TURN_RAD).powi(2)).collect();
-    // A Gaussian of precision w integrates to sqrt(2 pi / w): w = 1 / (2 pi) stands for a turn, 2 pi / L^2 for L.
+    // A Gaussian of precision w integrates to sqrt(2 pi / w): w = 1 / (2 pi) stands for a turn, 2
+    // pi / L^2 for L.
     let factored = |chain: &Chain<'_>, kinds: &[Kind]| {
         let mut normal = chain.linearise(&found.x, &found.common, Common::Free, kinds);
         normal.add(1.0 / TAU, 0.0, 2, &[1.0], &[]);
         for (k, turn2) in turns.iter().enumerate() {
-            // Student's t as a reweighted square, weight (nu + 1) / (nu + u^2), as in iteratively reweighted least squares.
+            // Student's t as a reweighted square, weight (nu + 1) / (nu + u^2), as in iteratively
+            // reweighted least squares.
             let weight = if chain.heavy {
                 (TURN_TAILS + 1.0) / (TURN_TAILS + turn2)
             } else {
@@ -216,7 +226,8 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     };
     let mut light = chain.clone();
     light.heavy = false;
-    // A path that is so far off its own course that the weights of its tails leave the prior no curvature is none.
+    // A path that is so far off its own course that the weights of its tails leave the prior no
+    // curvature is none.
     factored(chain, &KINDS[1..])?;
     let ((with, normal), (prior, _)) = (factored(chain, &KINDS)?, factored(&light, &KINDS[1..])?);
     // Laplace: the posterior's volume over the prior's, by their curvatures.
@@ -265,7 +276,8 @@ fn axis_by_state(chain: &Chain<'_>, x: &State) -> (ContactQuantities, SMatrix<f6
     )
 }
 
-/// How far moments that are larger by 1 % move the contact, median over the blocks, mm; none where the sum has no curvature.
+/// How far moments that are larger by 1 % move the contact, median over the blocks, mm; none where
+/// the sum has no curvature.
 pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let larger = |r: &MotionRow| MotionRow {
         moment_nmm: r.moment_nmm.map(|m| m * PERCENT),
@@ -276,7 +288,8 @@ pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let here = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
     chain.rows = &larger;
     let there = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
-    // At the least sum its gradient stays zero: the states move by the step that undoes what the gain adds to it.
+    // At the least sum its gradient stays zero: the states move by the step that undoes what the
+    // gain adds to it.
     let factored = here.factor(0.0)?;
     let moved = there.step(&factored).0 - here.step(&factored).0;
     let of = |(k, x): (usize, &State)| {

@@ -1,4 +1,5 @@
-//! A sliding contact reading by reading: the smoother's paths, each drawn on by a block of readings at a time.
+//! A sliding contact reading by reading: the smoother's paths, each drawn on by a block of readings
+//! at a time.
 //!
 //! ```text
 //! each block        the states of all blocks so far, from the last ones on (a few steps: only the newest is new)
@@ -6,7 +7,8 @@
 //! dropped           weights below 1e-3 of the best, and all but eight
 //! ```
 //!
-//! A reading within a block that is not complete goes on from the last two. What comes later mends a contact's beginning; a filter cannot.
+//! A reading within a block that is not complete goes on from the last two. What comes later mends
+//! a contact's beginning; a filter cannot.
 
 use super::blocks::Means;
 use super::first_path::{candidates, first_paths};
@@ -51,8 +53,8 @@ impl SlidingStream {
         }
     }
 
-    /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the density along the wire, where some path
-    /// explains the readings so far.
+    /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the
+    /// density along the wire, where some path explains the readings so far.
     pub fn push(&mut self, row: &MotionRow, means: &Means) -> Option<(EpisodeContact, ArcDensity)> {
         if means.len() > MAX_BLOCKS {
             return None;

@@ -1,4 +1,5 @@
-//! What of a sweep is not known beside the calibration, and the gap between wire and object under it.
+//! What of a sweep is not known beside the calibration, and the gap between wire and object under
+//! it.
 //!
 //! ```text
 //! eta = (clock tau, place x, turn w, size s, friction mu - mu_0) / standard deviations       ~ N(0, 1) each, before the sweep
@@ -8,8 +9,8 @@
 //! s* = argmin_s  d^2 + (L angle(n', grad D))^2  along the curve that the moments allow
 //! ```
 //!
-//! A contact presses along the surface's normal: with n' = grad D a point that is rho farther out lies rho farther from the surface, and there
-//! normals turn evenly about edges.
+//! A contact presses along the surface's normal: with n' = grad D a point that is rho farther out
+//! lies rho farther from the surface, and there normals turn evenly about edges.
 
 use crate::sweep_record::SweepRow;
 use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
@@ -81,7 +82,8 @@ pub(super) struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// The gap of the contacts that a reading's moments allow; near a node where one is given. None where the object is out of reach.
+    /// The gap of the contacts that a reading's moments allow; near a node where one is given. None
+    /// where the object is out of reach.
     pub fn gap(
         &self,
         curve: &[InverseSolution],

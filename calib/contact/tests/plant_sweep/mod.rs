@@ -1,4 +1,5 @@
-//! Sweeps of the independent plant as readings under its true map, with a zero, its drift and errors of the map.
+//! Sweeps of the independent plant as readings under its true map, with a zero, its drift and
+//! errors of the map.
 
 use nalgebra::{Matrix2, Rotation3, Vector2};
 use wcal_contact::calibrated_wire::CalibratedWire;
@@ -7,7 +8,8 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_plant::sweep::SweepCase;
 use wcal_rod::Rod;
 
-/// Free readings that the zero is the mean of, standard deviation of its drift (N mm), and error of the map, relative.
+/// Free readings that the zero is the mean of, standard deviation of its drift (N mm), and error of
+/// the map, relative.
 const ZERO_READINGS: usize = 5;
 const DRIFT_NMM: f64 = 0.003;
 const MAP_SHARE: f64 = 0.003;

@@ -1,12 +1,15 @@
-//! The errors of verify.json on readings that no fit saw, and what each accepted effect, a given calibration or the tracker does to them.
+//! The errors of verify.json on readings that no fit saw, and what each accepted effect, a given
+//! calibration or the tracker does to them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Held-out errors of one model. The root mean squares stand under their names: `wavelength_rmse_pm` (wavelengths, pm) and `moment_rmse_nmm` (both
-/// moments pooled, N mm) of a whisker, `contact_rmse_mm` (distance of the seen contact from the predicted one, mm) of one with pictures,
-/// `response_rmse` of a transducer (unit of the response), `error_rmse_um` of an axis (position error, um).
+/// Held-out errors of one model. The root mean squares stand under their names:
+/// `wavelength_rmse_pm` (wavelengths, pm) and `moment_rmse_nmm` (both moments pooled, N mm) of a
+/// whisker, `contact_rmse_mm` (distance of the seen contact from the predicted one, mm) of one with
+/// pictures, `response_rmse` of a transducer (unit of the response), `error_rmse_um` of an axis
+/// (position error, um).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HeldOutError {
     /// `holdout`, `loto` or `loo`.
@@ -18,10 +21,11 @@ pub struct HeldOutError {
     /// The two moments separately (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rmse_nmm_each: Option<[f64; 2]>,
-    /// 95 % intervals by the names of the errors: of the root mean square over further groups (cycles, trajectories, folds) like those that counted.
+    /// 95 % intervals by the names of the errors: of the root mean square over further groups
+    /// (cycles, trajectories, folds) like those that counted.
     pub interval95: BTreeMap<String, [f64; 2]>,
-    /// What the model says of these very rows: root mean square of the standard deviations that noise and the uncertainty of what was fitted
-    /// give their errors, by the names of the errors.
+    /// What the model says of these very rows: root mean square of the standard deviations that
+    /// noise and the uncertainty of what was fitted give their errors, by the names of the errors.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub expected: BTreeMap<String, f64>,
     /// Rows that counted.
@@ -38,7 +42,8 @@ pub struct EffectAblation {
     /// Chance of that gain without the effect, adjusted for the whole catalogue.
     #[schemars(range(min = 0, max = 1))]
     pub p_value: f64,
-    /// Error with it on open readings that are left out in turn, in the unit of the first error of `after`.
+    /// Error with it on open readings that are left out in turn, in the unit of the first error of
+    /// `after`.
     pub left_out: Option<f64>,
     /// The same without it.
     pub left_out_without: Option<f64>,
@@ -51,7 +56,8 @@ pub enum HoldoutOutcome {
     /// Nothing that counts was sealed.
     #[default]
     Absent,
-    /// They agree with the accepted model, and contradict the declared one where effects were accepted.
+    /// They agree with the accepted model, and contradict the declared one where effects were
+    /// accepted.
     Confirmed,
     /// They do not contradict the accepted model, and do not tell it from the declared one.
     NotContradicted,
@@ -59,15 +65,18 @@ pub enum HoldoutOutcome {
     Contradicted,
 }
 
-/// `holdout` of verify.json: one look at the sealed readings, after everything was decided. It never changes the verdict.
+/// `holdout` of verify.json: one look at the sealed readings, after everything was decided. It
+/// never changes the verdict.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HoldoutJudgement {
     /// What they say.
     pub outcome: HoldoutOutcome,
-    /// Chance of residuals as large where the accepted model is right (prediction F test); null where none was sealed, or the noise is not known.
+    /// Chance of residuals as large where the accepted model is right (prediction F test); null
+    /// where none was sealed, or the noise is not known.
     #[schemars(range(min = 0, max = 1))]
     pub p: Option<f64>,
-    /// Number of different decisions that these files have met, this one included; 0 where nothing was sealed.
+    /// Number of different decisions that these files have met, this one included; 0 where nothing
+    /// was sealed.
     pub look: usize,
     /// Level that this look may spend, a part of 0.0002 that gets smaller with each look.
     #[schemars(range(min = 0, max = 1))]
@@ -103,7 +112,8 @@ pub struct CalibrationJudgement {
 pub struct ContactError {
     /// Distance in space from where the contact is known to be, root mean square, mm.
     pub rms_mm: f64,
-    /// Its 95 % interval, mm (jackknife over trajectories, of the logarithm); null where fewer than two were compared.
+    /// Its 95 % interval, mm (jackknife over trajectories, of the logarithm); null where fewer than
+    /// two were compared.
     #[serde(default)]
     pub interval95: Option<[f64; 2]>,
 }
@@ -121,8 +131,8 @@ pub struct TrajectoryContact {
     pub after_mm: f64,
 }
 
-/// Contacts in the groove, whose place is stated, tracked through the declared and through the accepted model: every trajectory by the calibrations that
-/// were fitted without it.
+/// Contacts in the groove, whose place is stated, tracked through the declared and through the
+/// accepted model: every trajectory by the calibrations that were fitted without it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactComparison {
     /// Declared model.
@@ -132,11 +142,12 @@ pub struct ContactComparison {
     /// After less before, mm.
     #[serde(default)]
     pub difference_mm: f64,
-    /// Its 95 % interval, mm (jackknife over trajectories): where it holds 0 there is no difference. Null where fewer than two were compared.
+    /// Its 95 % interval, mm (jackknife over trajectories): where it holds 0 there is no
+    /// difference. Null where fewer than two were compared.
     #[serde(default)]
     pub difference_interval95: Option<[f64; 2]>,
-    /// The error of the accepted model that is expected, mm: what the noise of these readings and the calibration's own uncertainty allow (Cramer-Rao
-    /// bound).
+    /// The error of the accepted model that is expected, mm: what the noise of these readings and
+    /// the calibration's own uncertainty allow (Cramer-Rao bound).
     pub bound_mm: f64,
     /// Readings compared: loaded ones, settled and on the move, that both models locate.
     pub readings: usize,
@@ -145,31 +156,35 @@ pub struct ContactComparison {
     pub not_located: usize,
     /// Those whose place lies in the accepted model's 95 % region.
     pub inside95: usize,
-    /// How far from the stated place the accepted effects put the groove, root mean square, mm; after is the distance from there. 0 where they leave it
-    /// where it is stated.
+    /// How far from the stated place the accepted effects put the groove, root mean square, mm;
+    /// after is the distance from there. 0 where they leave it where it is stated.
     #[serde(default)]
     pub groove_moved_mm: f64,
     /// The same by trajectory, whose readings share one error.
     pub trajectories: Vec<TrajectoryContact>,
-    /// The same on sealed trajectories, through the calibrations of all the others; null where none was sealed.
+    /// The same on sealed trajectories, through the calibrations of all the others; null where none
+    /// was sealed.
     #[serde(default)]
     pub sealed: Option<Box<ContactComparison>>,
 }
 
 impl ContactComparison {
-    /// Nothing tells the accepted model's error from the declared one's; false where there is no interval to say so.
+    /// Nothing tells the accepted model's error from the declared one's; false where there is no
+    /// interval to say so.
     pub fn is_same(&self) -> bool {
         self.difference_interval95
             .is_some_and(|[low, high]| low <= 0.0 && high >= 0.0)
     }
 }
 
-/// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.
+/// The tracker on the groove: its place from the moments and the stage's way alone, compared with
+/// where it is known to be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GrooveTracking {
     /// Error in space, root mean square, mm.
     pub rmse_mm: f64,
-    /// Cramer-Rao bound of that error under the calibration's covariance and the noise, root mean square, mm.
+    /// Cramer-Rao bound of that error under the calibration's covariance and the noise, root mean
+    /// square, mm.
     pub bound_mm: f64,
     /// Share of the readings whose groove lies in the stated 95 % region.
     pub coverage95: f64,
@@ -177,7 +192,8 @@ pub struct GrooveTracking {
     pub points: usize,
     /// Trajectories; the error is one and the same at all readings of a trajectory.
     pub trajectories: usize,
-    /// Trajectories whose groove lies in the stated 95 % region at half of their readings and more: what may be counted.
+    /// Trajectories whose groove lies in the stated 95 % region at half of their readings and more:
+    /// what may be counted.
     pub trajectories_held: usize,
     /// Trajectories on which moments and motion do not belong together.
     pub doubted: usize,
@@ -188,8 +204,8 @@ pub struct GrooveTracking {
     pub uncertainty: Vec<ContactUncertainty>,
 }
 
-/// Expanded uncertainties (twice the standard deviation) of a moment and of the contact that follows from it, on the trajectories of one arc
-/// length: root mean squares.
+/// Expanded uncertainties (twice the standard deviation) of a moment and of the contact that
+/// follows from it, on the trajectories of one arc length: root mean squares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactUncertainty {
     /// Arc length of first touch, whole mm.
@@ -200,13 +216,15 @@ pub struct ContactUncertainty {
     pub moment_nmm: f64,
     /// Its expanded uncertainty (k = 2) by the calibration alone, N mm.
     pub moment_u_nmm: f64,
-    /// Uncertainty of the contact by the calibration and by where the object passes the free wire, mm.
+    /// Uncertainty of the contact by the calibration and by where the object passes the free wire,
+    /// mm.
     pub contact_u_by_map_mm: f64,
     /// The same with the noise of the readings, mm.
     pub contact_u_mm: f64,
 }
 
-/// What a calibration makes of a contact whose motion is known: `contact_uncertainty` of calibration.json.
+/// What a calibration makes of a contact whose motion is known: `contact_uncertainty` of
+/// calibration.json.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationContact {
     /// k: expanded uncertainties are k standard deviations.

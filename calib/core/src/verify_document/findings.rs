@@ -101,16 +101,18 @@ pub struct NextMeasurement {
 pub struct Detectable {
     /// Effect identifier.
     pub id: String,
-    /// Smallest size with which a session like this one is not called adequate, with 90 % probability; absent where not testable. To name the effect may
-    /// take more.
+    /// Smallest size with which a session like this one is not called adequate, with 90 %
+    /// probability; absent where not testable. To name the effect may take more.
     pub smallest: Option<f64>,
     /// Law of the effect that has this size. May be absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub law: Option<String>,
-    /// Values of the law's shape for this size (a period, a place, a time constant), in the session's units. May be absent.
+    /// Values of the law's shape for this size (a period, a place, a time constant), in the
+    /// session's units. May be absent.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub shape: BTreeMap<String, f64>,
-    /// The same without the pictures; absent where there are none, or where the wavelengths alone do not show it.
+    /// The same without the pictures; absent where there are none, or where the wavelengths alone
+    /// do not show it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub smallest_without_pictures: Option<f64>,
     /// Unit of both.

@@ -9,7 +9,8 @@ pub struct NoiseFloor {
     /// pm (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wavelength_pm: Option<f64>,
-    /// The same of readings in motion, averaged over far fewer samples, pm (whisker); absent where all readings are averaged alike.
+    /// The same of readings in motion, averaged over far fewer samples, pm (whisker); absent where
+    /// all readings are averaged alike.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moving_wavelength_pm: Option<f64>,
     /// N mm (kind whisker).
@@ -21,7 +22,8 @@ pub struct NoiseFloor {
     /// um (kind axis).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error_um: Option<f64>,
-    /// Distance of a contact from where it is seen that the shapes' stated covariance gives, root mean square, mm (with pictures).
+    /// Distance of a contact from where it is seen that the shapes' stated covariance gives, root
+    /// mean square, mm (with pictures).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_mm: Option<f64>,
     /// `replicates`, `difference`, `declared`, `none`.

@@ -1,4 +1,5 @@
-//! The stored map: same numbers after a round trip, refusal of what is unsound, refusal outside the region.
+//! The stored map: same numbers after a round trip, refusal of what is unsound, refusal outside the
+//! region.
 #![allow(
     clippy::needless_range_loop,
     reason = "one index for both moments, as in the formulas"
@@ -36,7 +37,8 @@ fn predictor_of_a_stored_map_equals_the_fit() {
             for m in 0..2 {
                 let (expected, map, noisy) = fit.candidates[0].fits[m].predict(z);
                 let wider = fit.candidates[0].inflation[m];
-                // The artefact solves in double precision what the fit solved in another order: kernel plus affine part cancel.
+                // The artefact solves in double precision what the fit solved in another order:
+                // kernel plus affine part cancel.
                 assert!((p.moment_nmm[m] - expected).abs() < 1e-7, "{candidate:?}");
                 assert!((mean[m] - expected).abs() < 1e-7, "{candidate:?}");
                 assert!(

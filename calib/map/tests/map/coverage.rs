@@ -12,7 +12,8 @@ use wcal_map::{
 
 const DRAWS: u64 = 120;
 
-/// Draws whose new label at one fresh reading lies in its stated 95 % interval, per moment (one a draw: independent).
+/// Draws whose new label at one fresh reading lies in its stated 95 % interval, per moment (one a
+/// draw: independent).
 fn hits(plant: &Plant, candidates: &[MapKind], inflate: bool) -> [usize; 2] {
     let mut hits = [0, 0];
     for seed in 0..DRAWS {

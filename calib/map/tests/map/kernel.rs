@@ -35,7 +35,8 @@ proptest! {
 
 #[test]
 fn a_filled_disk_shows_that_a_small_radius_is_not_positive_definite() {
-    // 29 grid points in a disk of diameter 1. numpy: smallest eigenvalue -0.0920 at R = 0.8, 6.45e-4 at R = 1.34.
+    // 29 grid points in a disk of diameter 1. numpy: smallest eigenvalue -0.0920 at R = 0.8,
+    // 6.45e-4 at R = 1.34.
     let steps = || (-3..=3).map(|i| f64::from(i) / 6.0);
     let disk: Vec<[f64; 2]> = steps()
         .flat_map(|x| steps().map(move |y| [x, y]))
@@ -81,7 +82,8 @@ fn with_an_affine_mean_the_radius_cancels() {
         )
     };
     let ((a, ea), (b, eb)) = (fit(8.0), fit(24.0));
-    // The noise ratio is searched to about 1e-4 of a decade, so agreement is to that, not to rounding.
+    // The noise ratio is searched to about 1e-4 of a decade, so agreement is to that, not to
+    // rounding.
     assert!((ea - eb).abs() < 1e-5, "{ea} {eb}");
     for z in [[0.0, 0.0], [0.7, -0.4], [-1.0, 1.2]] {
         let ((ma, sa, _), (mb, sb, _)) = (a.predict(z), b.predict(z));

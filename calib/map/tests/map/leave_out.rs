@@ -1,4 +1,5 @@
-//! Closed-form leave-out errors against refits, and the restricted likelihood against its definition.
+//! Closed-form leave-out errors against refits, and the restricted likelihood against its
+//! definition.
 
 use crate::support::Plant;
 use nalgebra::{Cholesky, DMatrix, DVector};

@@ -3,7 +3,8 @@
 use crate::support::{Plant, whiskerfbg};
 use wcal_map::{FitOptions, test_rest};
 
-/// Draws of a plant whose readings at rest are off by a zero of their own, pm; how many were left out.
+/// Draws of a plant whose readings at rest are off by a zero of their own, pm; how many were left
+/// out.
 fn left_out(bend: f64, zero_pm: [f64; 2], draws: u64) -> usize {
     let one = |seed: u64| {
         let plant = Plant {
@@ -27,7 +28,8 @@ fn left_out(bend: f64, zero_pm: [f64; 2], draws: u64) -> usize {
     (0..draws).filter(|seed| one(*seed)).count()
 }
 
-/// Control first: readings of one zero stay (at most 3 of 40 at a level of 1 % has a probability of 0.9993), of a straight law and of a bent one.
+/// Control first: readings of one zero stay (at most 3 of 40 at a level of 1 % has a probability of
+/// 0.9993), of a straight law and of a bent one.
 #[test]
 fn another_zero_is_left_out_and_the_common_one_stays() {
     let kept = [left_out(0.0, [0.0; 2], 40), left_out(0.2, [0.0; 2], 40)];
@@ -39,7 +41,8 @@ fn another_zero_is_left_out_and_the_common_one_stays() {
     assert!(other.iter().all(|n| *n >= 19), "{other:?}");
 }
 
-/// The measured set: the loaded poses put the free wire at -0.1 and -0.66 N mm (least squares of 27 rows by hand: -0.118, -0.661).
+/// The measured set: the loaded poses put the free wire at -0.1 and -0.66 N mm (least squares of 27
+/// rows by hand: -0.118, -0.661).
 #[test]
 fn the_measured_rest_reading_has_another_zero() {
     let training = whiskerfbg();

@@ -1,4 +1,5 @@
-//! The measured set: reference numbers of the released labels, the released map, the choice and its warnings.
+//! The measured set: reference numbers of the released labels, the released map, the choice and its
+//! warnings.
 
 use crate::support::whiskerfbg;
 use wcal_map::{FitOptions, MapPredictor, document, fit_map};
@@ -13,7 +14,8 @@ fn affine_map_leaves_the_reference_errors() {
     let training = whiskerfbg();
     assert_eq!(training.len(), 28);
     let fit = fit_map(&training, &FitOptions::default()).unwrap();
-    // Computed independently of this code (numpy least squares and hat matrix): 0.497299, 0.242948 N mm.
+    // Computed independently of this code (numpy least squares and hat matrix): 0.497299, 0.242948
+    // N mm.
     let affine = rmse(&fit, "affine");
     assert!(
         (affine[0] - 0.497_299).abs() < 1e-6 && (affine[1] - 0.242_948).abs() < 1e-6,
@@ -43,15 +45,16 @@ fn released_preset_reproduces_the_released_map() {
         ..FitOptions::default()
     };
     let fit = fit_map(&training, &options).unwrap();
-    // Computed independently of this code (numpy, inverse of the covariance): 0.071802, 0.034524 of scale. The covariance's
-    // condition number is 2e8, so six digits are what both sides can agree on.
+    // Computed independently of this code (numpy, inverse of the covariance): 0.071802, 0.034524 of
+    // scale. The covariance's condition number is 2e8, so six digits are what both sides can agree
+    // on.
     let loo = rmse(&fit, "released").map(|e| e / 7.0);
     assert!(
         (loo[0] - 0.071_802).abs() < 2e-6 && (loo[1] - 0.034_524).abs() < 2e-6,
         "{loo:?}"
     );
-    // It is affine in all but name, with slopes shrunk by the kernel's prior: numpy finds 0.17037 and 0.07740 N mm as the
-    // largest departures from least squares.
+    // It is affine in all but name, with slopes shrunk by the kernel's prior: numpy finds 0.17037
+    // and 0.07740 N mm as the largest departures from least squares.
     let affine = fit_map(&training, &FitOptions::default()).unwrap();
     let (released, affine) = (
         MapPredictor::new(&fit.artefact).unwrap(),

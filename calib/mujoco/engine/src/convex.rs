@@ -1,4 +1,5 @@
-//! CoACD (X. Wei, M. Liu, Z. Ling, H. Su, ACM Trans. Graph. 41, 2022) through its C interface, loaded when it is first needed.
+//! CoACD (X. Wei, M. Liu, Z. Ling, H. Su, ACM Trans. Graph. 41, 2022) through its C interface,
+//! loaded when it is first needed.
 #![allow(unsafe_code)]
 
 use crate::native;
@@ -23,8 +24,9 @@ struct MeshArray {
     count: u64,
 }
 
-/// Mesh, threshold, most parts, preprocessing (0 auto, 2 off) and its resolution, resolution, search (nodes, iterations, depth), PCA,
-/// merging, decimation, most corners of a hull, extrusion and its margin, kind of hull (0 convex), seed, real metric.
+/// Mesh, threshold, most parts, preprocessing (0 auto, 2 off) and its resolution, resolution,
+/// search (nodes, iterations, depth), PCA, merging, decimation, most corners of a hull, extrusion
+/// and its margin, kind of hull (0 convex), seed, real metric.
 type Run = unsafe extern "C" fn(
     *const Mesh,
     f64,
@@ -117,7 +119,8 @@ fn run(surface: &Decompose) -> Result<Vec<Part>, String> {
 /// The parts that CoACD hands over.
 ///
 /// # Safety
-/// `found` is as CoACD made it: where pointers are not null and counts are believable, they belong together.
+/// `found` is as CoACD made it: where pointers are not null and counts are believable, they belong
+/// together.
 unsafe fn copied(found: MeshArray) -> Result<Vec<Part>, String> {
     let wrong = |what: &str, count: u64| {
         format!("CoACD: expected {what}, found {count} at a null pointer or too many")

@@ -1,4 +1,5 @@
-//! `wcal-mujoco`: MuJoCo and CoACD behind lines of JSON on stdin and stdout (wcal_mujoco::engine::protocol).
+//! `wcal-mujoco`: MuJoCo and CoACD behind lines of JSON on stdin and stdout
+//! (wcal_mujoco::engine::protocol).
 
 mod convex;
 mod native;

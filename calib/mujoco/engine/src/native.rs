@@ -60,8 +60,8 @@ fn compare(path: &Path, name: &str) -> Result<(), String> {
     ))
 }
 
-/// Compares the libmujoco that the system has loaded with this program. That happens before the program's first line: what is compared is
-/// whether it is used.
+/// Compares the libmujoco that the system has loaded with this program. That happens before the
+/// program's first line: what is compared is whether it is used.
 ///
 /// # Errors
 /// Where it is another one, or cannot be determined.

@@ -150,7 +150,8 @@ impl Model {
                 let start = self.data.qpos()[position];
                 for k in 0..*steps {
                     let t = k as f64 * dt;
-                    // Both are set: the solver sees the speed, and what the contact does to the slide is undone.
+                    // Both are set: the solver sees the speed, and what the contact does to the
+                    // slide is undone.
                     self.data.qpos_mut()[position] =
                         start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
                     self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
@@ -340,7 +341,8 @@ impl Model {
         })
     }
 
-    /// Moment that the first joint's springs and dampers carry: its components along the hinges' axes are their torques.
+    /// Moment that the first joint's springs and dampers carry: its components along the hinges'
+    /// axes are their torques.
     fn base_moment(&self) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let joints = self.root?;
         let dof = joints.map(|j| self.data.model().jnt_dofadr()[j] as usize);
@@ -385,7 +387,8 @@ impl Model {
         let mut all = Vec::new();
         for (k, contact) in self.data.contact().iter().enumerate() {
             let [a, b] = contact.geom.map(|g| g as usize);
-            // MuJoCo's normal points from the first geom to the second, its force acts on the second.
+            // MuJoCo's normal points from the first geom to the second, its force acts on the
+            // second.
             let (wire, other, sign) = match (self.geoms[a].0, self.geoms[b].0) {
                 (None, Some(link)) => (link, a, 1.0),
                 (Some(link), None) => (link, b, -1.0),

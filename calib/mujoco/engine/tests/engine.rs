@@ -1,4 +1,5 @@
-//! MuJoCo itself, through the program (SIMULATED). Without libmujoco (`make setup`) only what is then said is tested, and CI fails.
+//! MuJoCo itself, through the program (SIMULATED). Without libmujoco (`make setup`) only what is
+//! then said is tested, and CI fails.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stderr,
@@ -231,7 +232,8 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
     );
 }
 
-/// What is recorded of a wire tells its damping (SIMULATED record): ring-down and speed bias grow with it.
+/// What is recorded of a wire tells its damping (SIMULATED record): ring-down and speed bias grow
+/// with it.
 #[test]
 fn ring_down_and_speed_bias_grow_with_the_damping() {
     if !ready() {
@@ -258,8 +260,9 @@ fn ring_down_and_speed_bias_grow_with_the_damping() {
     assert_eq!(of(0.005), slack);
 }
 
-/// A known wire is fitted to its own record, its damping between two of the grid's steps and its contact far from the one that the search
-/// starts from: what the fit says is determined comes back to a step of the grid, the rest is named.
+/// A known wire is fitted to its own record, its damping between two of the grid's steps and its
+/// contact far from the one that the search starts from: what the fit says is determined comes back
+/// to a step of the grid, the rest is named.
 fn the_fit_finds(damping_nms_rad: f64) {
     if !ready() {
         return;
@@ -437,7 +440,8 @@ fn copy(from: &std::path::Path, to: &std::path::Path) {
     }
 }
 
-/// The folder of WCAL_NATIVE may be anybody's: a library with one other byte is named and not loaded.
+/// The folder of WCAL_NATIVE may be anybody's: a library with one other byte is named and not
+/// loaded.
 #[test]
 fn a_library_that_is_not_the_expected_one_is_not_loaded() {
     if !ready() {

@@ -1,4 +1,5 @@
-//! `fetch.sh` keeps libraries whose SHA-256 it knows and no others. Wheels are made here: no network is asked.
+//! `fetch.sh` keeps libraries whose SHA-256 it knows and no others. Wheels are made here: no
+//! network is asked.
 
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
@@ -6,10 +7,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// A repository of nothing but the script, and a `python3` that "downloads" what the test put into `wheels/`.
+/// A repository of nothing but the script, and a `python3` that "downloads" what the test put into
+/// `wheels/`.
 struct Place(tempfile::TempDir);
 
-/// In the place of the script's python3: `-m pip download ... --dest FOLDER` copies, the rest runs as it is.
+/// In the place of the script's python3: `-m pip download ... --dest FOLDER` copies, the rest runs
+/// as it is.
 const PYTHON: &str = r#"#!/bin/sh
 if [ "$1" = -m ]; then
   : >> asked

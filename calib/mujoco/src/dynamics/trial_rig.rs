@@ -1,9 +1,10 @@
-//! What trials of damping and contact run on: a wire that is let go, one that falls on a plate, and one that is led
-//! past a ball at two speeds.
+//! What trials of damping and contact run on: a wire that is let go, one that falls on a plate, and
+//! one that is led past a ball at two speeds.
 //!
-//! Let go: the wire bent by F = 3 EI delta / l^3 (small deflection delta of a straight cantilever of length l). Bounce: greatest speed of the
-//! tip between first and second touch over that before, divided by the undamped wire's. Damping per joint c = zeta k, from the paper's joints
-//! of length L / 39: zeta = c L / (39 EI). Source of the cantilever: S. Timoshenko, "Strength of Materials".
+//! Let go: the wire bent by F = 3 EI delta / l^3 (small deflection delta of a straight cantilever
+//! of length l). Bounce: greatest speed of the tip between first and second touch over that before,
+//! divided by the undamped wire's. Damping per joint c = zeta k, from the paper's joints of length
+//! L / 39: zeta = c L / (39 EI). Source of the cantilever: S. Timoshenko, "Strength of Materials".
 
 use crate::engine::protocol::{Request, Series};
 use crate::mjcf::{MjcfOptions, Touch, WorldParts, mjcf_among};
@@ -28,9 +29,11 @@ pub struct Parameters {
 /// What is wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Targets {
-    /// Time in which the released wire's base moment falls to 1/e for good, s; not judged without a record.
+    /// Time in which the released wire's base moment falls to 1/e for good, s; not judged without a
+    /// record.
     pub ring_down_s: Option<f64>,
-    /// Speed of the bounce over that of the undamped wire; not judged where the recorded wire crept to the plate without a bounce.
+    /// Speed of the bounce over that of the undamped wire; not judged where the recorded wire crept
+    /// to the plate without a bounce.
     pub bounce_ratio: Option<f64>,
     /// Ripple of the sweep's moments, N mm; 0 without a record: as little as can be.
     pub ripple_nmm: f64,
@@ -55,7 +58,8 @@ pub struct Score {
     pub total: f64,
 }
 
-/// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s. The end's mean is taken off.
+/// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s.
+/// The end's mean is taken off.
 pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
     let tail = moment.len() / 10;
     if time_s.len() != moment.len() || tail == 0 {
@@ -75,7 +79,8 @@ const IMPEDANCES: [f64; 2] = [0.0001, 0.9999];
 /// Links of the paper's cable, and of the one that is tried: damping scales with their number.
 const PAPER_LINKS: f64 = 39.0;
 const TRIED_LINKS: usize = 20;
-/// What counts as a unit of each demand: relative ring-down, bounce ratio, ripple (N mm), speed bias; overlap in wire radii.
+/// What counts as a unit of each demand: relative ring-down, bounce ratio, ripple (N mm), speed
+/// bias; overlap in wire radii.
 const UNITS: [f64; 4] = [0.2, 0.1, 0.01, 0.01];
 /// What a demand counts that a trial does not answer (unstable, or through the object).
 const BROKEN: f64 = 1e3;
@@ -86,7 +91,8 @@ const SPEEDS_MM_S: [f64; 2] = [3.2, 7.7];
 const SWEEP_MM: f64 = 28.0;
 /// Way between two samples of the sweep, mm: at the same places at both speeds.
 const SAMPLE_MM: f64 = 0.5;
-/// The ball: radius, middle beside the wire's plane, gap between the base and the part of it in that plane, and way before it is touched, mm.
+/// The ball: radius, middle beside the wire's plane, gap between the base and the part of it in
+/// that plane, and way before it is touched, mm.
 const BALL_MM: f64 = 30.0;
 const ASIDE_MM: f64 = -10.0;
 const GAP_MM: f64 = 30.0;
@@ -95,11 +101,13 @@ const LEAD_MM: f64 = 1.0;
 const REACH_POINTS: u32 = 200;
 /// Weight of the body that leads the wire, kg: contacts do not move it.
 const BASE_KG: f64 = 1e3;
-/// Share of steps between touching and free past which a sample chatters, and of such samples past which the sweep is no answer.
+/// Share of steps between touching and free past which a sample chatters, and of such samples past
+/// which the sweep is no answer.
 const CHATTER: f64 = 0.1;
 const MAX_CHATTER: f64 = 0.2;
-/// Plate: how far the wire at rest is pressed by it, and half its side, mm. Steps that bend the wire, and those watched of one that falls on
-/// the plate and of a free one: a strongly damped wire takes seconds to come back.
+/// Plate: how far the wire at rest is pressed by it, and half its side, mm. Steps that bend the
+/// wire, and those watched of one that falls on the plate and of a free one: a strongly damped wire
+/// takes seconds to come back.
 const PRESSED_MM: f64 = 0.5;
 const PLATE_MM: f64 = 5.0;
 const BEND_STEPS: u64 = 1500;
@@ -233,11 +241,13 @@ impl TrialRig {
         demands
     }
 
-    /// The wire led past the ball at a speed; none where a step went wrong, the contact chatters, or the wire went through the ball.
+    /// The wire led past the ball at a speed; none where a step went wrong, the contact chatters,
+    /// or the wire went through the ball.
     fn swept(&mut self, p: &Parameters, speed_mm_s: f64) -> Result<Option<Swept>, TwinError> {
         let mut options = self.options(p);
         options.touch.friction = 0.0;
-        // In the wire's plane the ball is a circle; along the way of the base its lowest point within the wire's reach is touched first.
+        // In the wire's plane the ball is a circle; along the way of the base its lowest point
+        // within the wire's reach is touched first.
         let circle_mm = leg(BALL_MM, ASIDE_MM);
         let beyond_mm = (GAP_MM + circle_mm - self.reach_mm).max(0.0);
         let middle = Vector3::new(
@@ -353,7 +363,8 @@ fn leg(long: f64, short: f64) -> f64 {
 
 /// Ripple (N mm), bias by the speed, and overlap (mm) of two sweeps.
 ///
-/// Ripple: RMS of m_i - (m_(i-1) + m_i + m_(i+1)) / 3; bias: sum |m_i| of the fast sweep over that of the slow one where both touch, less 1.
+/// Ripple: RMS of m_i - (m_(i-1) + m_i + m_(i+1)) / 3; bias: sum |m_i| of the fast sweep over that
+/// of the slow one where both touch, less 1.
 fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
     let ripple = |s: &Swept| {
         let off = |w: &[Option<Vector3<f64>>]| {
@@ -375,8 +386,8 @@ fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
     ]
 }
 
-/// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on the plate, none where a step went
-/// wrong or the plate was not reached.
+/// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on
+/// the plate, none where a step went wrong or the plate was not reached.
 fn bounce(series: &Series) -> Option<f64> {
     if series.bad {
         return None;

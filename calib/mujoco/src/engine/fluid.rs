@@ -1,7 +1,8 @@
 //! What a medium at rest or in flow does to a wire: weight less buoyancy, and drag, per length.
 //!
-//! Drag across the wire -1/2 rho C D |v| v, v the velocity past the medium less its part along the wire, C = 1 + 10 Re^(-2/3),
-//! Re = |v| D / nu (cylinder, 1 < Re < 2e5: F. M. White, "Viscous Fluid Flow", 1991). Added mass, and drag along the wire, are left out.
+//! Drag across the wire -1/2 rho C D |v| v, v the velocity past the medium less its part along the
+//! wire, C = 1 + 10 Re^(-2/3), Re = |v| D / nu (cylinder, 1 < Re < 2e5: F. M. White, "Viscous Fluid
+//! Flow", 1991). Added mass, and drag along the wire, are left out.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -22,9 +23,11 @@ pub struct FluidLoads {
 }
 
 impl FluidLoads {
-    /// Drag across a wire along `tangent` that moves at `velocity_mm_s`, N/mm. That along the wire and the added mass are left out.
+    /// Drag across a wire along `tangent` that moves at `velocity_mm_s`, N/mm. That along the wire
+    /// and the added mass are left out.
     ///
-    /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous Fluid Flow, 1991).
+    /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous
+    /// Fluid Flow, 1991).
     pub fn drag_n_per_mm(
         &self,
         tangent: &Vector3<f64>,

@@ -1,4 +1,5 @@
-//! What `wcal` and `wcal-mujoco` say to each other: one request a line, one reply a line. SI units, world frame.
+//! What `wcal` and `wcal-mujoco` say to each other: one request a line, one reply a line. SI units,
+//! world frame.
 
 use super::fluid::FluidLoads;
 use serde::{Deserialize, Serialize};
@@ -16,7 +17,8 @@ pub enum Request {
         /// Whether the elasticity plugin is to be loaded first.
         cable_plugin: bool,
     },
-    /// Steps with the slide `base` led: constant acceleration from `speed_m_s`; the solver sees its speed.
+    /// Steps with the slide `base` led: constant acceleration from `speed_m_s`; the solver sees its
+    /// speed.
     Lead {
         /// Speed at the start, m/s.
         speed_m_s: f64,
@@ -25,7 +27,8 @@ pub enum Request {
         /// Steps.
         steps: u64,
     },
-    /// Steps under new control values until the body has moved by less than `moved_m` over the last ten of them.
+    /// Steps under new control values until the body has moved by less than `moved_m` over the last
+    /// ten of them.
     Control {
         /// One an actuator.
         control: Vec<f64>,
@@ -45,7 +48,8 @@ pub enum Request {
         /// How many.
         steps: u64,
     },
-    /// Steps with a force on the wire; it grows over the first half of them. The force stays until the next request.
+    /// Steps with a force on the wire; it grows over the first half of them. The force stays until
+    /// the next request.
     Push {
         /// Link.
         body: String,
@@ -63,8 +67,8 @@ pub enum Request {
         /// Every so many.
         every: u64,
     },
-    /// Weight, buoyancy and drag on the wire from now on, as forces on its links: MuJoCo's own fluid forces do not reach a joint's
-    /// springs as a load does.
+    /// Weight, buoyancy and drag on the wire from now on, as forces on its links: MuJoCo's own
+    /// fluid forces do not reach a joint's springs as a load does.
     Medium {
         /// In the library's own units (mm): the library computes the forces.
         medium: FluidLoads,
@@ -136,7 +140,8 @@ pub struct Frame {
     pub time_s: f64,
     /// Steps taken.
     pub steps: u64,
-    /// Moment about the root that the first joint's springs and dampers carry, N m: it sees all forces. None in a model without them.
+    /// Moment about the root that the first joint's springs and dampers carry, N m: it sees all
+    /// forces. None in a model without them.
     pub base_moment_nm: Option<[f64; 3]>,
     /// The springs' share.
     pub base_elastic_nm: Option<[f64; 3]>,

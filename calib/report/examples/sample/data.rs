@@ -94,7 +94,8 @@ pub fn transducer() -> ReportInput {
     input
 }
 
-/// Pneumatic strokes with something periodic in temperature that nothing explains; many readings, no noise floor.
+/// Pneumatic strokes with something periodic in temperature that nothing explains; many readings,
+/// no noise floor.
 pub fn axis() -> ReportInput {
     let mut verify = document("sample-axis", "axis", Verdict::UnknownEffect);
     verify.reason =

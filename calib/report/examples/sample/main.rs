@@ -1,4 +1,5 @@
-//! Writes sample pages from invented data, to look at: `cargo run -p wcal-report --example sample -- FOLDER`.
+//! Writes sample pages from invented data, to look at:
+//! `cargo run -p wcal-report --example sample -- FOLDER`.
 
 #![allow(clippy::print_stdout)]
 

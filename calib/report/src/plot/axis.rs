@@ -85,7 +85,8 @@ impl Axis {
         self
     }
 
-    /// Position along the axis, 0 at the lower end and 1 at the upper; `None` outside or not finite.
+    /// Position along the axis, 0 at the lower end and 1 at the upper; `None` outside or not
+    /// finite.
     pub fn position(&self, value: f64) -> Option<f64> {
         let share = match self.scale {
             Scale::Linear => (value - self.low) / (self.high - self.low),
@@ -103,7 +104,8 @@ impl Axis {
         }
     }
 
-    /// Ticks with their texts, about `wanted` of them, and the label, which carries a common power of ten.
+    /// Ticks with their texts, about `wanted` of them, and the label, which carries a common power
+    /// of ten.
     pub fn ticks(&self, wanted: usize) -> (Vec<(f64, String)>, String) {
         if let Some(ticks) = &self.ticks {
             return (ticks.clone(), self.label.clone());
@@ -171,7 +173,8 @@ impl Axis {
     }
 }
 
-/// Smallest and largest finite value; (0, 1) where there is none. Sizes near the end of the number range cannot be drawn.
+/// Smallest and largest finite value; (0, 1) where there is none. Sizes near the end of the number
+/// range cannot be drawn.
 fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     let finite = values.into_iter().filter(|v| v.abs() < 1e290);
     let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {

@@ -1,4 +1,5 @@
-//! Small charts as inline SVG. Colours come from the page's style sheet by class, so one drawing serves light, dark and print.
+//! Small charts as inline SVG. Colours come from the page's style sheet by class, so one drawing
+//! serves light, dark and print.
 
 mod axis;
 mod draw;
@@ -23,7 +24,8 @@ pub enum Marker {
     Ring,
 }
 
-/// One thing drawn in a chart; `class` names its colour in the style sheet (`s1` to `s4`, `bad`, `quiet`).
+/// One thing drawn in a chart; `class` names its colour in the style sheet (`s1` to `s4`, `bad`,
+/// `quiet`).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Layer {
     /// Points; `titles` is empty or one hover text a point.

@@ -523,7 +523,8 @@ fn capitalised(name: &str) -> String {
 /// Characters of a session's name that leave the picture its room; the table has all.
 const NAME: usize = 32;
 
-/// Every session's error after over its error before, in one picture: sessions of any unit side by side.
+/// Every session's error after over its error before, in one picture: sessions of any unit side by
+/// side.
 pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
     let row = |entry: &IndexEntry| {
         let key = summary_key(&entry.verify)?;

@@ -12,7 +12,8 @@ pub(crate) fn badge(simulated: bool) -> &'static str {
     }
 }
 
-/// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
+/// A chart or several under one caption; simulated data is labelled at the picture itself, since
+/// pictures travel alone.
 pub(crate) fn figure(simulated: bool, class: &str, charts: &str, caption: &str) -> String {
     let tag = badge(simulated);
     format!(

@@ -263,7 +263,8 @@ impl<'a> View<'a> {
                 .iter()
                 .filter(|r| r.channel == *channel)
                 .collect();
-            // Readings of one class would lie on one another: spread them by a golden-ratio sequence.
+            // Readings of one class would lie on one another: spread them by a golden-ratio
+            // sequence.
             let spread = |i: usize| match classes {
                 true => {
                     0.36 * ((i as f64 * 0.618_034).fract() - 0.5)

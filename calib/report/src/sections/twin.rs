@@ -1,4 +1,5 @@
-//! Twin check: moments along each trajectory, the rod's branches as lines and the outside labels as markers.
+//! Twin check: moments along each trajectory, the rod's branches as lines and the outside labels as
+//! markers.
 
 use super::parts::{absent, figure, legend, series};
 use crate::input::{MOMENT_NAMES, ReportInput, TwinMark, TwinTrajectory};

@@ -40,7 +40,8 @@ pub fn browser() -> Option<PathBuf> {
     found
 }
 
-/// Loads a page `width` CSS pixels wide. A browser that never starts gets two more chances with a fresh profile.
+/// Loads a page `width` CSS pixels wide. A browser that never starts gets two more chances with a
+/// fresh profile.
 pub fn visit(browser: &Path, page: &Path, width: u32) -> Visit {
     let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let mut log = String::new();
@@ -113,9 +114,11 @@ fn try_visit(browser: &Path, page: &Path, width: u32) -> Result<Visit, String> {
     Ok(Visit { dom, console })
 }
 
-/// Writes a copy of `page` that measures its own layout and loads it in a frame `width` CSS pixels wide.
+/// Writes a copy of `page` that measures its own layout and loads it in a frame `width` CSS pixels
+/// wide.
 ///
-/// The result is how far the content reaches, CSS pixels. A frame is used since the browser's window has a least width.
+/// The result is how far the content reaches, CSS pixels. A frame is used since the browser's
+/// window has a least width.
 pub fn content_width(browser: &Path, page: &str, width: u32) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let measure =

@@ -1,8 +1,10 @@
 //! The rod under a shape's load, and how far a measured line is from it.
 //!
-//! Base frame: r(s) = A r_w(s) + b with the clamp's turn A and offset b; the groove point in the wire's frame is A^T (P - b). Distance of a
-//! measured p: s <- s + (p - r(s)) . t(s) twice from the measured arc length, then the parts of p - r(s) along the two transverse axes.
-//! Between nodes r is the cubic Hermite interpolant of places and tangents (C. de Boor, "A Practical Guide to Splines", 2001, ch. IV).
+//! Base frame: r(s) = A r_w(s) + b with the clamp's turn A and offset b; the groove point in the
+//! wire's frame is A^T (P - b). Distance of a measured p: s <- s + (p - r(s)) . t(s) twice from the
+//! measured arc length, then the parts of p - r(s) along the two transverse axes. Between nodes r
+//! is the cubic Hermite interpolant of places and tangents (C. de Boor, "A Practical Guide to
+//! Splines", 2001, ch. IV).
 
 use super::model::RestModel;
 use crate::{Guess, Rod, Tangential, WORKING_STEP_MM};
@@ -20,7 +22,8 @@ pub struct MeasuredShape {
     pub sd_mm: Vec<f64>,
     /// Length and its standard deviation, mm.
     pub length_mm: [f64; 2],
-    /// The wire's centre in the groove, base frame, mm, and its arc length, mm; none for a free wire.
+    /// The wire's centre in the groove, base frame, mm, and its arc length, mm; none for a free
+    /// wire.
     pub groove: Option<(Vector3<f64>, f64)>,
 }
 
@@ -119,7 +122,8 @@ pub(super) fn distances(
     Ok(out)
 }
 
-/// Place and frame at an arc length: a cubic through two nodes and their tangents, straight on beyond the ends.
+/// Place and frame at an arc length: a cubic through two nodes and their tangents, straight on
+/// beyond the ends.
 fn on_curve(
     nodes: &[(f64, Vector3<f64>, Matrix3<f64>)],
     s_mm: f64,

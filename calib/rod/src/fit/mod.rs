@@ -1,13 +1,17 @@
-//! Rest geometry of the whisker from measured centre lines: the rod, held where the groove held the wire, laid through all of them.
+//! Rest geometry of the whisker from measured centre lines: the rod, held where the groove held the
+//! wire, laid through all of them.
 //!
-//! min over x of sum_k sum_i |d_ki(x)|^2 / sd_ki^2 + sum_k (L_k - L(x))^2 / sd_Lk^2, d_ki the distance of point i of shape k from the rod
-//! across it; BIC = n ln(S / n) + p ln n with n the independent observations; jackknife covariance (n - 1)/n sum (x_(-k) - mean)^2.
+//! min over x of sum_k sum_i |d_ki(x)|^2 / sd_ki^2 + sum_k (L_k - L(x))^2 / sd_Lk^2, d_ki the
+//! distance of point i of shape k from the rod across it; BIC = n ln(S / n) + p ln n with n the
+//! independent observations; jackknife covariance (n - 1)/n sum (x_(-k) - mean)^2.
 //!
-//! A held wire's shape depends on the rest shape, the clamp and the groove point alone: stiffness only scales the force. Unknown are
-//! the rest shape ([`RestModel`]) and the clamp (small turns, offsets across the wire). Which model the lines ask for is decided by BIC
-//! (G. Schwarz, Ann. Statist. 6, 1978). The sd of each unknown is a jackknife over the shapes (Efron & Stein, Ann. Statist. 9, 1981):
-//! neighbouring points of one centre line share their errors. Errors that all shapes share (the cameras' scale) are not in it:
-//! [`RestFit::add_common_errors`] fits shapes that were moved by each.
+//! A held wire's shape depends on the rest shape, the clamp and the groove point alone: stiffness
+//! only scales the force. Unknown are the rest shape ([`RestModel`]) and the clamp (small turns,
+//! offsets across the wire). Which model the lines ask for is decided by BIC (G. Schwarz, Ann.
+//! Statist. 6, 1978). The sd of each unknown is a jackknife over the shapes (Efron & Stein, Ann.
+//! Statist. 9, 1981): neighbouring points of one centre line share their errors. Errors that all
+//! shapes share (the cameras' scale) are not in it: [`RestFit::add_common_errors`] fits shapes that
+//! were moved by each.
 
 mod lines;
 mod model;
@@ -54,7 +58,8 @@ pub struct ShapeResidual {
 pub struct ModelScore {
     /// Model.
     pub model: RestModel,
-    /// Bayesian information criterion: the least is chosen; infinite where the fit did not converge.
+    /// Bayesian information criterion: the least is chosen; infinite where the fit did not
+    /// converge.
     pub bic: f64,
 }
 
@@ -63,13 +68,15 @@ pub struct ModelScore {
 pub struct RestFit {
     /// Model of the rest shape.
     pub model: RestModel,
-    /// All models tried, and the independent observations that BIC counts with; none where the model was asked for.
+    /// All models tried, and the independent observations that BIC counts with; none where the
+    /// model was asked for.
     pub candidates: Vec<ModelScore>,
     /// See `candidates`.
     pub independent: f64,
     /// Values in the order of [`RestModel::names`].
     pub values: DVector<f64>,
-    /// Their covariance by the jackknife over shapes, and by common errors once added; none for fewer than three shapes.
+    /// Their covariance by the jackknife over shapes, and by common errors once added; none for
+    /// fewer than three shapes.
     pub covariance: Option<DMatrix<f64>>,
     /// The part of it that comes from errors common to all shapes.
     pub common: Option<DMatrix<f64>>,
@@ -79,7 +86,8 @@ pub struct RestFit {
     pub excluded: Vec<(String, String)>,
     /// Root mean square distance over all points, mm.
     pub rms_mm: f64,
-    /// The same of the distances along either transverse axis over their stated standard deviation; some 1 where the model holds.
+    /// The same of the distances along either transverse axis over their stated standard deviation;
+    /// some 1 where the model holds.
     pub rms_over_sd: f64,
 }
 
@@ -89,7 +97,8 @@ impl RestFit {
         self.covariance.as_ref().map(|c| c[(index, index)].sqrt())
     }
 
-    /// Adds errors common to all shapes. `moved`: for each independent one the shapes as they would be with one standard deviation more.
+    /// Adds errors common to all shapes. `moved`: for each independent one the shapes as they would
+    /// be with one standard deviation more.
     ///
     /// # Errors
     /// Where a fit does not converge.
@@ -114,7 +123,8 @@ impl RestFit {
                     Ok(GuessedShape { shape, guess })
                 })
                 .collect::<Result<_, RodError>>()?;
-            // One standard deviation of each error moves all unknowns together: independent ones add as outer products.
+            // One standard deviation of each error moves all unknowns together: independent ones
+            // add as outer products.
             let off = solve(nominal, self.model, &self.values, &held)?.0 - &self.values;
             sum += &off * off.transpose();
         }
@@ -129,7 +139,8 @@ impl RestFit {
 /// Fits the rest geometry, starting at the nominal one.
 ///
 /// # Errors
-/// Where the nominal shape is not a straight part with an arc, no shape can be followed, or the fit does not converge.
+/// Where the nominal shape is not a straight part with an arc, no shape can be followed, or the fit
+/// does not converge.
 pub fn fit_rest(
     nominal: &WhiskerSpec,
     shapes: &[MeasuredShape],
@@ -243,7 +254,8 @@ fn select_model(
             independent: 0.0,
         });
     }
-    // A wire that is far from any arc may have no best one: the free curvature then starts from the nominal one.
+    // A wire that is far from any arc may have no best one: the free curvature then starts from the
+    // nominal one.
     let from = first
         .as_ref()
         .map_or_else(|_| start.clone(), |(values, _)| values.clone());
@@ -252,7 +264,8 @@ fn select_model(
         let model = RestModel::FreeCurvature(places);
         tried.push((model, solve(nominal, model, &model.from_arc(&from), used)));
     }
-    // The most flexible model leaves the noise: how long it is correlated tells how much was observed.
+    // The most flexible model leaves the noise: how long it is correlated tells how much was
+    // observed.
     let found: Vec<(RestModel, &DVector<f64>, f64)> = tried
         .iter()
         .filter_map(|(m, r)| r.as_ref().ok().map(|(v, squares)| (*m, v, *squares)))
@@ -293,7 +306,8 @@ fn select_model(
     })
 }
 
-/// Independent observations in all lines: points over the length, in points, within which residuals are correlated.
+/// Independent observations in all lines: points over the length, in points, within which residuals
+/// are correlated.
 fn independent(
     nominal: &WhiskerSpec,
     model: RestModel,
@@ -325,7 +339,8 @@ fn independent(
     };
     let all = product(0);
     let longest = lines.iter().map(Vec::len).max().unwrap_or(0);
-    // Cut at the first lag of little correlation: estimates at long lags are noise that would add up.
+    // Cut at the first lag of little correlation: estimates at long lags are noise that would add
+    // up.
     let correlations = (1..longest)
         .map(|lag| product(lag) / all)
         .take_while(|c| *c > UNCORRELATED);

@@ -1,16 +1,19 @@
-//! What the rest shape may be: a straight part with an arc, or a curvature that is free along the wire.
+//! What the rest shape may be: a straight part with an arc, or a curvature that is free along the
+//! wire.
 //!
-//! Straight and arc: v = (straight a, radius R, length L); free: both transverse curvatures at n places s_k = k L / (n - 1), linear between
-//! them. The clamp follows: turn exp([w]x) and offset across the wire. A free curvature leaves out w_x, which turns all curvatures alike.
+//! Straight and arc: v = (straight a, radius R, length L); free: both transverse curvatures at n
+//! places s_k = k L / (n - 1), linear between them. The clamp follows: turn exp([w]x) and offset
+//! across the wire. A free curvature leaves out w_x, which turns all curvatures alike.
 
 use crate::{RodError, Shape};
 use nalgebra::{DVector, Rotation3, Vector3};
 use wcal_core::observation::RestShape;
 
-/// Differences for the Jacobian, far above Newton's tolerance and far below what is measured: lengths (mm), curvatures (1/mm), turns of
-/// the clamp (rad), its offsets (mm).
+/// Differences for the Jacobian, far above Newton's tolerance and far below what is measured:
+/// lengths (mm), curvatures (1/mm), turns of the clamp (rad), its offsets (mm).
 const DIFFERENCE_STEPS: [f64; 4] = [1e-3, 1e-6, 1e-5, 1e-4];
-/// First point of a free wire's polyline, and distance of the others, mm: its first edge is the clamp's tangent.
+/// First point of a free wire's polyline, and distance of the others, mm: its first edge is the
+/// clamp's tangent.
 const FIRST_MM: f64 = 0.01;
 const POINTS_MM: f64 = 0.5;
 
@@ -19,8 +22,8 @@ const POINTS_MM: f64 = 0.5;
 pub enum RestModel {
     /// Straight part and arc in one plane.
     StraightArc,
-    /// Both curvatures piecewise linear between so many places, evenly spread from root to tip. The clamp does not turn about the wire:
-    /// the curvatures' direction says the same.
+    /// Both curvatures piecewise linear between so many places, evenly spread from root to tip. The
+    /// clamp does not turn about the wire: the curvatures' direction says the same.
     FreeCurvature(usize),
 }
 

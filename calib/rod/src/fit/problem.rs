@@ -1,7 +1,9 @@
-//! The rest geometry as a least-squares problem; a place where the rod has no solution has no residuals.
+//! The rest geometry as a least-squares problem; a place where the rod has no solution has no
+//! residuals.
 //!
-//! Residuals d_ki / sd_ki of each point's two transverse distances, (L_k - L) / sd_Lk of each length; Jacobian by central differences
-//! (f(x + h) - f(x - h)) / 2 h, error O(h^2): an exact one would have to go through each wire's equilibrium.
+//! Residuals d_ki / sd_ki of each point's two transverse distances, (L_k - L) / sd_Lk of each
+//! length; Jacobian by central differences (f(x + h) - f(x - h)) / 2 h, error O(h^2): an exact one
+//! would have to go through each wire's equilibrium.
 
 use super::lines::{GuessedShape, distances};
 use super::model::RestModel;
@@ -13,7 +15,8 @@ use wcal_core::observation::WhiskerSpec;
 
 /// Standard deviation of the length that a pair states, where it states none, mm.
 const LENGTH_SD_MM: f64 = 0.05;
-/// Share of the sum of squares below which a further step is not worth a Jacobian: far below the standard deviations.
+/// Share of the sum of squares below which a further step is not worth a Jacobian: far below the
+/// standard deviations.
 const LEAST_DECREASE: f64 = 1e-9;
 
 #[derive(Clone, Copy)]
@@ -77,7 +80,8 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Residuals at a place; the Jacobian, which costs two solutions an unknown, only where a step starts from it.
+/// Residuals at a place; the Jacobian, which costs two solutions an unknown, only where a step
+/// starts from it.
 struct FitPoint<'a> {
     problem: Problem<'a>,
     values: DVector<f64>,

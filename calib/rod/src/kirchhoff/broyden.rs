@@ -1,10 +1,13 @@
-//! The same groove point on a wire that differs a little: Broyden's method from the Jacobian of a known equilibrium.
+//! The same groove point on a wire that differs a little: Broyden's method from the Jacobian of a
+//! known equilibrium.
 //!
-//! x_(k+1) = x_k - B_k g_k with B_0 the inverse Jacobian of the known equilibrium, g the equations of [`super::solve`], and with
-//! dx = x_(k+1) - x_k, dg = g_(k+1) - g_k: B_(k+1) = B_k + (dx - B_k dg) dx^T B_k / (dx . B_k dg)  (C. G. Broyden, Math. Comp. 19, 1965).
+//! x_(k+1) = x_k - B_k g_k with B_0 the inverse Jacobian of the known equilibrium, g the equations
+//! of [`super::solve`], and with dx = x_(k+1) - x_k, dg = g_(k+1) - g_k: B_(k+1) = B_k + (dx - B_k
+//! dg) dx^T B_k / (dx . B_k dg)  (C. G. Broyden, Math. Comp. 19, 1965).
 //!
-//! A fit asks for hundreds of wires whose stiffness, offset or softening differ by a few per cent. Their equilibria lie next to known
-//! ones, so that plain evaluations with the updated Jacobian reach them; where they contract too slowly, [`Rod::follow`] is to be used.
+//! A fit asks for hundreds of wires whose stiffness, offset or softening differ by a few per cent.
+//! Their equilibria lie next to known ones, so that plain evaluations with the updated Jacobian
+//! reach them; where they contract too slowly, [`Rod::follow`] is to be used.
 
 use crate::kirchhoff::integrate::{Load, to_arclength};
 use crate::kirchhoff::solve::{Equilibrium, Rod, Tangential};
@@ -26,12 +29,14 @@ const CONTRACTION: f64 = 0.3;
 const MAX_ITERATIONS: usize = 10;
 
 impl Rod {
-    /// Keeps the Jacobian at `equilibrium`; none where it is singular or where the wire's weight acts (solved by other means).
+    /// Keeps the Jacobian at `equilibrium`; none where it is singular or where the wire's weight
+    /// acts (solved by other means).
     pub fn anchor(&self, equilibrium: &Equilibrium) -> Option<Anchor> {
         if self.weight_n_per_mm.norm() > 0.0 {
             return None;
         }
-        // EI / s^2 is the scale of forces that bend a rod of length s strongly: unknowns and equations of one order.
+        // EI / s^2 is the scale of forces that bend a rod of length s strongly: unknowns and
+        // equations of one order.
         let force_scale_n = self.section.ei_nmm2 / equilibrium.arclength_mm.max(1.0).powi(2);
         let (_, jacobian, _) = self.equations(
             &equilibrium.point_mm,
@@ -48,9 +53,11 @@ impl Rod {
         })
     }
 
-    /// Frictionless equilibrium at `point_mm` next to `anchor`, which may belong to a slightly different wire or point.
+    /// Frictionless equilibrium at `point_mm` next to `anchor`, which may belong to a slightly
+    /// different wire or point.
     ///
-    /// None where the iteration does not contract well: the equilibrium is then not safely on the anchor's branch.
+    /// None where the iteration does not contract well: the equilibrium is then not safely on the
+    /// anchor's branch.
     pub fn solve_near(&self, point_mm: &Vector3<f64>, anchor: &Anchor) -> Option<Equilibrium> {
         let known = &anchor.equilibrium;
         let (mut force, mut s) = (known.force_n, known.arclength_mm);

@@ -1,9 +1,11 @@
-//! Natural continuation of the equilibrium along a straight path of the groove, from first touch, in adaptive steps.
+//! Natural continuation of the equilibrium along a straight path of the groove, from first touch,
+//! in adaptive steps.
 //!
-//! Predictor: secant through the last two equilibria, x(l + dl) = x(l) + (x(l) - x(l')) dl / (l - l'); corrector: Newton
-//! ([`super::solve`]). The step grows by 1.5 where Newton is quick and is halved where it fails; a branch ends at a fold where the step
-//! falls below 1e-4 mm or the determinant would change its sign. Source: E. Allgower & K. Georg, "Numerical Continuation Methods"
-//! (1990), ch. 2 and 6.
+//! Predictor: secant through the last two equilibria, x(l + dl) = x(l) + (x(l) - x(l')) dl / (l -
+//! l'); corrector: Newton ([`super::solve`]). The step grows by 1.5 where Newton is quick and is
+//! halved where it fails; a branch ends at a fold where the step falls below 1e-4 mm or the
+//! determinant would change its sign. Source: E. Allgower & K. Georg, "Numerical Continuation
+//! Methods" (1990), ch. 2 and 6.
 
 use crate::kirchhoff::solve::{Equilibrium, Failure, Guess, Rod, Tangential};
 use nalgebra::Vector3;
@@ -66,7 +68,8 @@ pub struct Touch {
 
 /// Spacing of the samples of the wire in the search for first touch, mm.
 const TOUCH_GRID_MM: f64 = 0.05;
-/// Approaches within this of the closest one are caught by the groove's mouth, mm: wider than the contact offsets of a bench (0.1-1.5 mm).
+/// Approaches within this of the closest one are caught by the groove's mouth, mm: wider than the
+/// contact offsets of a bench (0.1-1.5 mm).
 const MOUTH_MM: f64 = 2.0;
 
 /// Golden-section search for the smallest gap around a sample.
@@ -97,16 +100,19 @@ const LONGEST_STEP_MM: f64 = 4.0;
 const SHORTEST_STEP_MM: f64 = 1e-4;
 
 impl Rod {
-    /// First approach of `line` to the unloaded wire along the travel, at a stage position in [-`back_mm`, `reach_mm`].
+    /// First approach of `line` to the unloaded wire along the travel, at a stage position in
+    /// [-`back_mm`, `reach_mm`].
     ///
-    /// A bent wire can be met twice: of the local minima of the gap that the groove's mouth would catch, the earliest counts.
-    /// Where the travel ends before the wire, the closest point stands in.
+    /// A bent wire can be met twice: of the local minima of the gap that the groove's mouth would
+    /// catch, the earliest counts. Where the travel ends before the wire, the closest point stands
+    /// in.
     pub fn first_touch(&self, line: &Line, back_mm: f64, reach_mm: f64) -> Touch {
         let samples = (self.shape.length_mm / TOUCH_GRID_MM).ceil() as usize;
         let grid_mm = self.shape.length_mm / samples as f64;
         let at = |s: f64| {
             let wire = self.shape.rest_point(s);
-            // The groove is nearest to a place of the wire at the foot of the perpendicular on its path.
+            // The groove is nearest to a place of the wire at the foot of the perpendicular on its
+            // path.
             let x_mm = (wire - line.origin_mm)
                 .dot(&line.direction)
                 .clamp(-back_mm, reach_mm);
@@ -138,7 +144,8 @@ impl Rod {
             .unwrap_or_else(|| at(self.shape.length_mm))
     }
 
-    /// Frictionless branch at the stage positions `xs_mm` (any order); positions before first touch are `NotTouched`.
+    /// Frictionless branch at the stage positions `xs_mm` (any order); positions before first touch
+    /// are `NotTouched`.
     pub fn follow(&self, line: &Line, xs_mm: &[f64]) -> Vec<Outcome> {
         let far = xs_mm.iter().copied().fold(0.0, f64::max);
         let near = xs_mm.iter().copied().fold(0.0, f64::min);

@@ -1,4 +1,5 @@
-//! The loaded wire from the clamp outwards: g' = g (u, e1) ([`se3`](crate::se3)) with u(s) = u0(s) + D^-1 R^T ((P - r) x F + M_w(s)).
+//! The loaded wire from the clamp outwards: g' = g (u, e1) ([`se3`](crate::se3)) with u(s) =
+//! u0(s) + D^-1 R^T ((P - r) x F + M_w(s)).
 
 use crate::dual::{Scalar, V3, cross, mat_t_vec, sub};
 use crate::material::Section;
@@ -62,7 +63,8 @@ fn twist_at<T: Scalar>(
     (u, [T::constant(1.0), T::constant(0.0), T::constant(0.0)])
 }
 
-/// Pose at arc length `end_mm` of the loaded wire, starting from `root`; `visit` sees every mesh node passed, root included.
+/// Pose at arc length `end_mm` of the loaded wire, starting from `root`; `visit` sees every mesh
+/// node passed, root included.
 pub fn to_arclength<T: Scalar>(
     section: &Section,
     shape: &Shape,
@@ -79,7 +81,8 @@ pub fn to_arclength<T: Scalar>(
         if room <= 0.0 {
             break;
         }
-        // Past the tip the last interval goes on with its curvature law, so that Newton sees a smooth function there.
+        // Past the tip the last interval goes on with its curvature law, so that Newton sees a
+        // smooth function there.
         let h = if last {
             room
         } else {

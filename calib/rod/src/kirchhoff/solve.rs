@@ -1,11 +1,12 @@
 //! One equilibrium: the wire held at a point by the V-groove, by Newton's method on shooting.
 //!
-//! Unknown are the contact force F and its arc length s_c; r(s; F) and t(s; F) follow by integration from the clamp:
-//! r(s_c; F) - P = 0, and one tangential condition: F . t = 0 (frictionless), s_c given (stick), or F . t = rho |F_perp| (slip).
-//! The Jacobian is exact: derivatives by F through the integrator (forward mode), dr/ds = t, dt/ds = R (u x e1).
-//! Weight w per length enters by its moment M_w(s) = int_s^L (r(a) - r(s)) x w da, frozen, and taken anew on the solved shape.
-//! Source: S. S. Antman, "Nonlinear Problems of Elasticity" (2005), ch. VIII; shooting: J. Stoer & R. Bulirsch, "Introduction to
-//! Numerical Analysis" (2002), sec. 7.3.
+//! Unknown are the contact force F and its arc length s_c; r(s; F) and t(s; F) follow by
+//! integration from the clamp: r(s_c; F) - P = 0, and one tangential condition: F . t = 0
+//! (frictionless), s_c given (stick), or F . t = rho |F_perp| (slip). The Jacobian is exact:
+//! derivatives by F through the integrator (forward mode), dr/ds = t, dt/ds = R (u x e1). Weight w
+//! per length enters by its moment M_w(s) = int_s^L (r(a) - r(s)) x w da, frozen, and taken anew on
+//! the solved shape. Source: S. S. Antman, "Nonlinear Problems of Elasticity" (2005), ch. VIII;
+//! shooting: J. Stoer & R. Bulirsch, "Introduction to Numerical Analysis" (2002), sec. 7.3.
 
 use crate::RodError;
 use crate::dual::{Dual3, Scalar, V3, cross};
@@ -16,13 +17,15 @@ use crate::shape::Shape;
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
 use wcal_core::observation::WhiskerSpec;
 
-/// Default mesh interval, mm: base moments are right to about 1e-7 of their size there (tests/acceptance/).
+/// Default mesh interval, mm: base moments are right to about 1e-7 of their size there
+/// (tests/acceptance/).
 pub const WORKING_STEP_MM: f64 = 2.0;
 
-/// Point of the loaded wire at arc length `s_mm` (mm) between its nodes (arc length, position, frame; two at least), whose tangents are
-/// known.
+/// Point of the loaded wire at arc length `s_mm` (mm) between its nodes (arc length, position,
+/// frame; two at least), whose tangents are known.
 ///
-/// Between nodes j and j + 1 with x = (s - s_j) / h, positions p and unit tangents t (cubic Hermite interpolation):
+/// Between nodes j and j + 1 with x = (s - s_j) / h, positions p and unit tangents t (cubic Hermite
+/// interpolation):
 ///
 /// ```text
 /// p(s) = p_j (2x^3 - 3x^2 + 1) + h t_j (x^3 - 2x^2 + x) + p_j+1 (3x^2 - 2x^3) + h t_j+1 (x^3 - x^2)
@@ -51,7 +54,8 @@ pub struct Rod {
     pub shape: Shape,
     /// Section stiffness.
     pub section: Section,
-    /// Rotation of the root per base moment, rad/(N mm); [`Self::compliance_axes`] weights the base axes.
+    /// Rotation of the root per base moment, rad/(N mm); [`Self::compliance_axes`] weights the base
+    /// axes.
     pub compliance_rad_per_nmm: f64,
     /// Relative compliance about the base axes x, y, z.
     pub compliance_axes: Vector3<f64>,
@@ -83,7 +87,8 @@ pub struct Equilibrium {
     pub tangent: Vector3<f64>,
     /// Base moment r x F, N mm, weight included.
     pub moment_nmm: Vector3<f64>,
-    /// Determinant of the scaled equations; it changes sign where the equilibrium loses or regains stability.
+    /// Determinant of the scaled equations; it changes sign where the equilibrium loses or regains
+    /// stability.
     pub determinant: f64,
     /// Newton iterations spent.
     pub iterations: usize,
@@ -148,7 +153,8 @@ impl Rod {
         self
     }
 
-    /// The same rod with its weight, turned about its root; none where its clamp yields, which is given about the axes of the base.
+    /// The same rod with its weight, turned about its root; none where its clamp yields, which is
+    /// given about the axes of the base.
     pub fn turned(&self, turn: &Rotation3<f64>) -> Option<Self> {
         let shape = self.shape.turned(turn);
         let weight_n_per_mm = turn * self.weight_n_per_mm;
@@ -159,7 +165,8 @@ impl Rod {
         })
     }
 
-    /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on as it is.
+    /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on
+    /// as it is.
     pub fn extended(&self, by_mm: f64) -> Self {
         let mut rod = self.clone();
         rod.shape = self.shape.extended(by_mm);
@@ -204,7 +211,8 @@ impl Rod {
         if self.weight_n_per_mm.norm() == 0.0 {
             return self.newton(point_mm, guess, tangential, None);
         }
-        // The weight bends the wire by little: its moment is frozen, the wire solved, and the moment taken anew.
+        // The weight bends the wire by little: its moment is frozen, the wire solved, and the
+        // moment taken anew.
         let mut table = self.weight_moments(
             point_mm,
             &Guess {
@@ -239,7 +247,8 @@ impl Rod {
         if let Tangential::Stick(fixed) = tangential {
             s = fixed;
         }
-        // Forces are compared as moments at the contact so that all four unknowns have the size of millimetres.
+        // Forces are compared as moments at the contact so that all four unknowns have the size of
+        // millimetres.
         let force_scale = self.section.ei_nmm2 / s.max(1.0).powi(2);
         for iteration in 1..=MAX_ITERATIONS {
             let (residual, jacobian, tangent) =
@@ -273,7 +282,8 @@ impl Rod {
         Err(Failure::NotConverged)
     }
 
-    /// Residual (mm; the fourth scaled to mm), its derivatives by (force / scale, s), and the tangent at the contact.
+    /// Residual (mm; the fourth scaled to mm), its derivatives by (force / scale, s), and the
+    /// tangent at the contact.
     pub(crate) fn equations(
         &self,
         point_mm: &Vector3<f64>,
@@ -317,7 +327,8 @@ impl Rod {
             Tangential::Frictionless => (along, d_along_force, d_along_s),
             Tangential::Stick(_) => (0.0, Vector3::zeros(), force_scale),
             Tangential::Ratio(ratio) => {
-                // F.t = ratio |F_perp| is F.t = ratio/sqrt(1 + ratio^2) |F|, smooth away from F = 0.
+                // F.t = ratio |F_perp| is F.t = ratio/sqrt(1 + ratio^2) |F|, smooth away from F =
+                // 0.
                 let c = ratio / (1.0 + ratio * ratio).sqrt();
                 let norm = force.norm().max(1e-300);
                 (
@@ -377,7 +388,8 @@ impl Rod {
         self.nodes(&equilibrium.point_mm, &guess, table.as_ref())
     }
 
-    /// Moments of the weight on the shape that it and the contact give the wire; none without weight.
+    /// Moments of the weight on the shape that it and the contact give the wire; none without
+    /// weight.
     pub(crate) fn settled_weight(&self, point: &Vector3<f64>, held: &Guess) -> Option<MomentTable> {
         if self.weight_n_per_mm.norm() == 0.0 {
             return None;
@@ -412,7 +424,8 @@ impl Rod {
             held.arclength_mm,
             &mut push,
         );
-        // Past the contact the wire carries only its own weight: its rest curvature goes on from there.
+        // Past the contact the wire carries only its own weight: its rest curvature goes on from
+        // there.
         let free = Load {
             point: [0.0; 3],
             force: [0.0; 3],

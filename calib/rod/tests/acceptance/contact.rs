@@ -91,7 +91,8 @@ fn ratio(e: &Equilibrium) -> f64 {
 fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     let rod = bent(2.0);
     let up = stations();
-    // The groove drags the wire along its sliding: with ds_c/dx > 0 wire runs rootward through the groove, so friction points to the tip.
+    // The groove drags the wire along its sliding: with ds_c/dx > 0 wire runs rootward through the
+    // groove, so friction points to the tip.
     let free = walk(&rod, &up, &first_guess(), |_| Tangential::Frictionless);
     let sign = (free[1].arclength_mm - free[0].arclength_mm).signum();
     let loading = walk(&rod, &up, &first_guess(), |_| Tangential::Ratio(sign * MU));
@@ -105,7 +106,8 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
         ratio(&free[10]).abs() < 1e-10,
         "frictionless contact carried a tangential force"
     );
-    // The stick zone of this wire is about 0.01 mm of travel. A small way back the wire sticks: inside the cone, the contact where it was, the moment not the loading one.
+    // The stick zone of this wire is about 0.01 mm of travel. A small way back the wire sticks:
+    // inside the cone, the contact where it was, the moment not the loading one.
     let top = loading.last().unwrap();
     let back_mm = up[up.len() - 1] - 0.005;
     let stuck = rod
@@ -131,7 +133,8 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     let split = (stuck.moment_nmm - same_place.moment_nmm).norm();
     println!("0.005 mm back from the top: stick and slip differ by {split:.1e} N mm");
     assert!(split > 1e-5);
-    // Unloading with the friction reversed: the loop takes work, and none is taken without friction.
+    // Unloading with the friction reversed: the loop takes work, and none is taken without
+    // friction.
     let down: Vec<f64> = up.iter().rev().copied().collect();
     let unloading = walk(&rod, &down, &Guess::from(top), |_| {
         Tangential::Ratio(-sign * MU)

@@ -7,8 +7,8 @@ use wcal_rod::integrate::{Load, MomentTable, to_arclength};
 use wcal_rod::se3::{Pose, rows_of};
 use wcal_rod::{Guess, Rod, Tangential, WORKING_STEP_MM};
 
-/// Cantilever under a dead transverse end load: tip (along, across) over L, and F L^2/EI, for a tip slope `angle`.
-/// Bisshopp & Drucker, Quart. Appl. Math. 3 (1945) 272, eqs. 9-13.
+/// Cantilever under a dead transverse end load: tip (along, across) over L, and F L^2/EI, for a tip
+/// slope `angle`. Bisshopp & Drucker, Quart. Appl. Math. 3 (1945) 272, eqs. 9-13.
 pub fn end_loaded(angle: f64) -> (f64, f64, f64) {
     let p = (0.5 * (1.0 + angle.sin())).sqrt();
     let phi = (1.0 / (p * 2.0_f64.sqrt())).asin();
@@ -59,7 +59,8 @@ fn end_loaded_cantilever_to_1e_8_under_refinement_and_1e_5_at_the_working_mesh()
             println!(
                 "tip slope {degrees} deg, step {step_mm} mm: force {force:.1e}, moment {moment:.1e}"
             );
-            // An inextensible wire at 5 deg is 0.3 % shorter along its chord: the force follows that small difference.
+            // An inextensible wire at 5 deg is 0.3 % shorter along its chord: the force follows
+            // that small difference.
             let force_bound = if degrees < 10.0 { 10.0 * bound } else { bound };
             assert!(
                 force < force_bound && moment < bound,

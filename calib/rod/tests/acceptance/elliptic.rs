@@ -1,4 +1,5 @@
-//! Elliptic integrals after Carlson (Numer. Algorithms 10, 1995) and the complete one by the arithmetic-geometric mean.
+//! Elliptic integrals after Carlson (Numer. Algorithms 10, 1995) and the complete one by the
+//! arithmetic-geometric mean.
 
 /// Carlson's R_F(x, y, z).
 pub fn carlson_rf(x: f64, y: f64, z: f64) -> f64 {

@@ -5,7 +5,8 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use wcal_rod::{Equilibrium, Guess, Rod, Softening, Tangential};
 
-/// Tip deflection (mm) under the tip force `force_n` by Simpson's rule of the integral of kappa(s) (L - s).
+/// Tip deflection (mm) under the tip force `force_n` by Simpson's rule of the integral of kappa(s)
+/// (L - s).
 fn deflection_mm(force_n: f64, curvature: impl Fn(f64, f64) -> f64) -> f64 {
     let n = 3000;
     let h = LENGTH_MM / f64::from(n);
@@ -56,7 +57,8 @@ fn taper_follows_the_fourth_power_of_the_diameter() {
     }
 }
 
-/// Moment over EI times onset of a round section whose stress is flat past the onset strain: sum over strips.
+/// Moment over EI times onset of a round section whose stress is flat past the onset strain: sum
+/// over strips.
 fn plateau_moment(x: f64) -> f64 {
     let n = 20_000;
     let h = 1.0 / f64::from(n);
@@ -168,7 +170,8 @@ fn own_weight_bends_the_cantilever_as_known() {
         moment.y
     );
     assert!(m < 1e-5 && d.abs() < 1e-4);
-    // The sag shortens the lever by 6.6e-6, and with the weight squared: the ratio is linear only to that.
+    // The sag shortens the lever by 6.6e-6, and with the weight squared: the ratio is linear only
+    // to that.
     let in_water = Rod::new(&spec, 1.0)
         .unwrap()
         .with_weight(&spec, 998.0)
@@ -191,7 +194,8 @@ fn weight_and_contact_balance_at_the_base() {
         arclength_mm: 35.0,
     };
     let held = rod.solve(&point, &guess, Tangential::Frictionless).unwrap();
-    // Base moment = P x F + integral of r x w over the whole wire, by the trapezoid on the loaded nodes.
+    // Base moment = P x F + integral of r x w over the whole wire, by the trapezoid on the loaded
+    // nodes.
     let nodes = rod.loaded_shape(&held);
     let weight: Vector3<f64> = nodes
         .windows(2)

@@ -1,4 +1,5 @@
-//! Acceptance of the rod: exact solutions, order, contact laws, and a negative control for each check.
+//! Acceptance of the rod: exact solutions, order, contact laws, and a negative control for each
+//! check.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod contact;

@@ -31,7 +31,8 @@ fn fourth_order_on_the_elastica() {
     }
 }
 
-/// Base moment of a bent wire held out of its plane at a fixed arc length: exercises torsion and the mesh break.
+/// Base moment of a bent wire held out of its plane at a fixed arc length: exercises torsion and
+/// the mesh break.
 fn held_out_of_plane(rod: &Rod) -> Vector3<f64> {
     let s = 54.0;
     let rest = rod.shape.rest_point(s);
@@ -48,7 +49,8 @@ fn held_out_of_plane(rod: &Rod) -> Vector3<f64> {
 
 #[test]
 fn fourth_order_in_space_by_richardson() {
-    // rest_point interpolates between nodes: s = 54 mm is a node of every mesh here, so the rest wire is exact there.
+    // rest_point interpolates between nodes: s = 54 mm is a node of every mesh here, so the rest
+    // wire is exact there.
     let moments: Vec<_> = STEPS_MM
         .iter()
         .map(|&h| held_out_of_plane(&bent(h)))

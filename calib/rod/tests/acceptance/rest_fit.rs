@@ -1,4 +1,5 @@
-//! Rest geometry from centre lines (SIMULATED by the rod, with noise of the size that the cameras have).
+//! Rest geometry from centre lines (SIMULATED by the rod, with noise of the size that the cameras
+//! have).
 
 use super::spec;
 use nalgebra::{Rotation3, Vector3};
@@ -33,7 +34,8 @@ fn shapes(noise_mm: f64, rng: &mut ChaCha8Rng) -> Vec<MeasuredShape> {
     shapes_of(&Rod::new(&spec(arc(TRUE_MM)), 0.5).unwrap(), noise_mm, rng)
 }
 
-/// A free wire and eight held ones; errors go with the whole line (a bow and a tilt) and with each point.
+/// A free wire and eight held ones; errors go with the whole line (a bow and a tilt) and with each
+/// point.
 fn shapes_of(rod: &Rod, noise_mm: f64, rng: &mut ChaCha8Rng) -> Vec<MeasuredShape> {
     let mut made = Vec::new();
     for k in 0..9 {
@@ -162,7 +164,8 @@ fn a_wrong_groove_and_a_wrong_model_show_in_the_residual() {
     );
 }
 
-/// A scale error of all shapes is not in the jackknife; as a common error it is, and the lengths' share is their own size times it.
+/// A scale error of all shapes is not in the jackknife; as a common error it is, and the lengths'
+/// share is their own size times it.
 #[test]
 fn an_error_common_to_all_shapes_enters_by_its_own_way() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -196,7 +199,8 @@ fn an_error_common_to_all_shapes_enters_by_its_own_way() {
     assert!(worst > 6.0, "{worst}");
 }
 
-/// Curvatures of a wire that no straight part with an arc describes, 1/mm, at a share of its length.
+/// Curvatures of a wire that no straight part with an arc describes, 1/mm, at a share of its
+/// length.
 fn bends(x: f64) -> [f64; 2] {
     [
         0.01 + 0.045 * x * x,
@@ -204,7 +208,8 @@ fn bends(x: f64) -> [f64; 2] {
     ]
 }
 
-/// A wire that bends all the way and out of its plane: BIC asks for a free curvature, which is the true one; of an arc it asks for none.
+/// A wire that bends all the way and out of its plane: BIC asks for a free curvature, which is the
+/// true one; of an arc it asks for none.
 #[test]
 fn a_free_curvature_is_found_where_there_is_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);

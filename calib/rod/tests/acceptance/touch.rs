@@ -1,4 +1,5 @@
-//! First touch: the first approach along the travel, on the measured bent wire whose paths cross it twice.
+//! First touch: the first approach along the travel, on the measured bent wire whose paths cross it
+//! twice.
 
 use crate::{bent, spec};
 use nalgebra::Vector3;
@@ -87,7 +88,8 @@ fn the_first_of_two_crossings_counts() {
         );
         assert!(touch.arclength_mm < 16.0);
         crossed_twice += usize::from(later < 0.1);
-        // A groove that starts behind the first crossing meets the second one: the search does not prefer the root.
+        // A groove that starts behind the first crossing meets the second one: the search does not
+        // prefer the root.
         let behind = Line {
             origin_mm: line.point(touch.x_mm + 6.0),
             ..*line

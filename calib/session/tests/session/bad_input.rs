@@ -113,7 +113,8 @@ fn values_are_in_the_units_of_their_names() {
     );
 }
 
-/// Readings are in the order of their times, whatever the order of the lines; a clock that runs back while the numbers rise is none of that.
+/// Readings are in the order of their times, whatever the order of the lines; a clock that runs
+/// back while the numbers rise is none of that.
 #[test]
 fn the_order_of_the_lines_changes_nothing() {
     let reversed = |points: &str| {
@@ -325,7 +326,8 @@ fn copied_replicates_count_once() {
                 .any(|f| f.message.contains("6 of 9 rows are copies of others")),
         "{findings:?}"
     );
-    // Control: the same values at times of their own were read again; a coarse instrument does that.
+    // Control: the same values at times of their own were read again; a coarse instrument does
+    // that.
     let later = |i: usize, row: &str| {
         let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
         cells[3] = format!("{}", 100 + i);

@@ -1,5 +1,5 @@
-//! Broken session folders, each with what the one error must say. Used here against the library and, in the root
-//! package, against the program.
+//! Broken session folders, each with what the one error must say. Used here against the library
+//! and, in the root package, against the program.
 
 use std::fs;
 use std::path::Path;

@@ -22,7 +22,8 @@ fn mismatches(folder: &Path) -> Vec<String> {
     let mut present = BTreeSet::new();
     files(folder, &mut present);
     present.remove(&folder.join("SHA256SUMS"));
-    // The record that a holdout was opened stays with its session; it is no part of the fixture and git ignores it.
+    // The record that a holdout was opened stays with its session; it is no part of the fixture and
+    // git ignores it.
     present.retain(|path| path.file_name().is_none_or(|name| name != "unsealed.json"));
     let mut wrong = Vec::new();
     for line in list.lines() {

@@ -158,7 +158,8 @@ fn together(name: &str, slabs: &[(Vec<Vector3<f64>>, Vec<[u32; 3]>)]) -> Mesh {
     Mesh::new(name, &points, &triangles).unwrap()
 }
 
-/// Two bars cross without a corner in each other: the faces of one that lie within the other are no surface.
+/// Two bars cross without a corner in each other: the faces of one that lie within the other are no
+/// surface.
 #[test]
 fn bodies_that_overlap_are_one_body() {
     let [long, across] = [[30.0, 4.0, 4.0], [5.0, 30.0, 3.0]];
@@ -184,7 +185,8 @@ fn bodies_that_overlap_are_one_body() {
                 "{p} {near:?} {known}"
             );
         }
-        // Nearer to a face of the other bar than to the bar's own: there the nearest face alone says "outside".
+        // Nearer to a face of the other bar than to the bar's own: there the nearest face alone
+        // says "outside".
         let [a, b] = [outside(long, &p), outside(across, &p)];
         hidden += usize::from((a < 0.0) != (b < 0.0) && a.max(b) < -a.min(b));
         checked += 1;

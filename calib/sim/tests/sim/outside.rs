@@ -5,7 +5,8 @@ use std::path::Path;
 use wcal_lab_sweeps::objects::built_in;
 use wcal_sim::Mesh;
 
-/// The bottle of the measured sweep is a shell: points a little within its inner wall are near that, and far from the outer one.
+/// The bottle of the measured sweep is a shell: points a little within its inner wall are near
+/// that, and far from the outer one.
 #[test]
 fn a_shell_has_its_outer_wall_alone() {
     let bottle =

@@ -1,4 +1,5 @@
-//! Whether an explanation may stand: inside what physics allows, with nothing in it that is none, and its fit at an end.
+//! Whether an explanation may stand: inside what physics allows, with nothing in it that is none,
+//! and its fit at an end.
 
 use super::fit::{Fit, Status, Weights, fit};
 use super::hypothesis::Hypothesis;
@@ -9,12 +10,14 @@ use crate::measurement_model::MeasurementModel;
 
 /// Steps of a refit from an optimum beside it.
 pub const REFIT_STEPS: usize = 15;
-/// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
-/// compliance, 2 um of backlash), and estimates scatter about them.
+/// One-sided amplitudes below this share of their usual size are no explanation. The least usual
+/// sizes lie at 0.2 of it (1e-3 of base compliance, 2 um of backlash), and estimates scatter about
+/// them.
 const MIN_SHARE: f64 = 0.1;
 
 impl Hypothesis {
-    /// What its terms stand for, ascending, and the outliers where readings are flagged: explanations of one key are one.
+    /// What its terms stand for, ascending, and the outliers where readings are flagged:
+    /// explanations of one key are one.
     pub fn key(&self, system: &dyn MeasurementModel, outliers: Option<usize>) -> Vec<TermKey> {
         let mut key = keys(&self.fit.terms, system.catalogue());
         if let (Some(effect), false) = (outliers, self.flagged.is_empty()) {
@@ -28,7 +31,8 @@ impl Hypothesis {
         key
     }
 
-    /// Every parameter lies inside its physical range, every amplitude is there, and no two terms stand for the same.
+    /// Every parameter lies inside its physical range, every amplitude is there, and no two terms
+    /// stand for the same.
     pub fn is_physical(&self, system: &dyn MeasurementModel) -> bool {
         let mut slot = 0;
         for t in &self.fit.terms {
@@ -39,7 +43,8 @@ impl Hypothesis {
                 // A share of one is complete, not out of range.
                 let complete =
                     matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
-                // Far below the usual size the effect is a correction to something else, not an explanation.
+                // Far below the usual size the effect is a correction to something else, not an
+                // explanation.
                 let negligible = match p.role {
                     Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
                     Role::Shape { .. } => false,
@@ -76,7 +81,8 @@ impl Hypothesis {
         })
     }
 
-    /// The same without the terms that `leaves`, everything else refitted; none where that has no fit.
+    /// The same without the terms that `leaves`, everything else refitted; none where that has no
+    /// fit.
     pub fn without(
         &self,
         system: &dyn MeasurementModel,
@@ -95,7 +101,8 @@ impl Hypothesis {
         })
     }
 
-    /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where nothing remains to test it by.
+    /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where
+    /// nothing remains to test it by.
     pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
         let extra = (self.fit.dof - with.dof).max(1.0) as usize;
         let p = f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra);
@@ -113,7 +120,8 @@ impl Hypothesis {
         (0..self.fit.terms.len()).filter_map(without).collect()
     }
 
-    /// Backward elimination: `weakest` picks the term that goes from those dropped in turn, until none has to. The remaining hypothesis, and effects that went.
+    /// Backward elimination: `weakest` picks the term that goes from those dropped in turn, until
+    /// none has to. The remaining hypothesis, and effects that went.
     pub fn eliminate(
         &self,
         system: &dyn MeasurementModel,

@@ -1,8 +1,10 @@
-//! Competing explanations: which of them the likelihood ratio to the best one does not reject, by parametric bootstrap on the tangent models.
+//! Competing explanations: which of them the likelihood ratio to the best one does not reject, by
+//! parametric bootstrap on the tangent models.
 //!
-//! Cox's test of separate families (Cox 1962; Davidson & MacKinnon 1981): were the rival true, how often would it fall this far behind the
-//! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw
-//! costs a few dozen products instead of a refit.
+//! Cox's test of separate families (Cox 1962; Davidson & MacKinnon 1981): were the rival true, how
+//! often would it fall this far behind the best? In tangent models the answer depends on the noise
+//! only through the span of both models and of what separates them, so a draw costs a few dozen
+//! products instead of a refit.
 
 use super::hypothesis::Hypothesis;
 use super::linear::Basis;
@@ -39,7 +41,8 @@ fn project_onto(part: &Basis, whole: &Basis) -> DMatrix<f64> {
     }
 }
 
-/// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is the best one's.
+/// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is
+/// the best one's.
 pub fn cox_test(
     best: &Hypothesis,
     rival: &Hypothesis,
@@ -51,7 +54,8 @@ pub fn cox_test(
         return 1.0;
     }
     let (of_best, of_rival) = (tangent_space(best), tangent_space(rival));
-    // Prediction of the rival less that of the best, in noises: what the best would still see were the rival true.
+    // Prediction of the rival less that of the best, in noises: what the best would still see were
+    // the rival true.
     let gap = (best.fit.stacked() - rival.fit.stacked()) / variance.sqrt();
     let seen = of_best.project_off(&gap);
     let mut whole = of_best.clone();
@@ -88,8 +92,8 @@ pub fn cox_test(
 /// Rivals that were rejected and are refitted once more, the best first.
 const REFITTED: usize = 7;
 
-/// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it true; what fits better from the best one's values
-/// takes its own place.
+/// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it
+/// true; what fits better from the best one's values takes its own place.
 pub fn cox_p_values(
     system: &dyn MeasurementModel,
     best: &Hypothesis,
@@ -118,8 +122,9 @@ pub fn cox_p_values(
     level.iter_mut().enumerate().map(one).collect()
 }
 
-/// A rival refitted from the best explanation's values of the terms that both have, where it then fits better: a period has many minima, and a
-/// rival that stays in another one is rejected for that alone.
+/// A rival refitted from the best explanation's values of the terms that both have, where it then
+/// fits better: a period has many minima, and a rival that stays in another one is rejected for
+/// that alone.
 fn from_shared_values(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
@@ -142,14 +147,16 @@ fn from_shared_values(
         .filter(|nearer| nearer.is_admissible(system) && nearer.fit.ssr < h.fit.ssr)
 }
 
-/// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject the wrong one, the other true.
+/// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject
+/// the wrong one, the other true.
 pub fn power(lambda: f64) -> f64 {
     use statrs::distribution::{ContinuousCDF, Normal};
     if lambda <= 0.0 {
         return 0.0;
     }
     let normal = Normal::standard();
-    // The lag of the wrong one is about N(lambda, 4 lambda); it is rejected beyond the level's quantile of N(-lambda, 4 lambda).
+    // The lag of the wrong one is about N(lambda, 4 lambda); it is rejected beyond the level's
+    // quantile of N(-lambda, 4 lambda).
     let limit = (2.0 * lambda.sqrt() * normal.inverse_cdf(1.0 - RIVAL) - lambda).max(0.0);
     normal.cdf((lambda - limit) / (2.0 * lambda.sqrt()))
 }
@@ -203,8 +210,9 @@ mod tests {
         })
     }
 
-    /// Share of draws in which a true rival with `of_rival` parameters, at `distance` noises from the other model with `of_best`, loses and
-    /// is rejected; `true_is_rival` false: the share in which the false one is.
+    /// Share of draws in which a true rival with `of_rival` parameters, at `distance` noises from
+    /// the other model with `of_best`, loses and is rejected; `true_is_rival` false: the share in
+    /// which the false one is.
     fn rejected(distance: f64, [of_best, of_rival]: [usize; 2], true_is_rival: bool) -> f64 {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7 + distance as u64);
         let (wrong, right) = (columns(of_best, 0.0), columns(of_rival, 0.6));
@@ -234,7 +242,8 @@ mod tests {
 
     #[test]
     fn a_true_explanation_is_rejected_no_more_often_than_the_level() {
-        // A model with more parameters follows more of the noise: the rate must hold whichever of the two has them.
+        // A model with more parameters follows more of the noise: the rate must hold whichever of
+        // the two has them.
         for parameters in [[1, 1], [1, 8], [2, 4], [4, 2], [8, 1], [8, 8]] {
             for distance in [0.5, 2.0, 4.0] {
                 let rate = rejected(distance, parameters, true);

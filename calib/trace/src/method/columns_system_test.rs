@@ -1,4 +1,5 @@
-//! A small system for the method's own tests (SIMULATED): a constant, and effects that add one column each.
+//! A small system for the method's own tests (SIMULATED): a constant, and effects that add one
+//! column each.
 
 use crate::effect::{Effect, EffectTerm, law};
 use crate::measurement_model::MeasurementModel;

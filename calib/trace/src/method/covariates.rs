@@ -1,4 +1,5 @@
-//! Generic signatures: what a residual looks like if something outside the catalogue drives it by a covariate.
+//! Generic signatures: what a residual looks like if something outside the catalogue drives it by a
+//! covariate.
 
 use super::fit::{Fit, Weights};
 use super::linear::Basis;
@@ -8,7 +9,8 @@ use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 
-/// A generic signature: the residual varies with a covariate in a certain shape (`unknown` of verify.json).
+/// A generic signature: the residual varies with a covariate in a certain shape (`unknown` of
+/// verify.json).
 #[derive(Debug, Clone)]
 pub struct CovariateSignature {
     /// Covariate.
@@ -35,7 +37,8 @@ struct CovariateBuilder<'a> {
 }
 
 impl CovariateBuilder<'_> {
-    /// Shapes over a clock, or over a column of which nothing is known; `unit`: its values from 0 to 1, `span`: their range.
+    /// Shapes over a clock, or over a column of which nothing is known; `unit`: its values from 0
+    /// to 1, `span`: their range.
     fn add_clock_shapes(&mut self, name: &str, unit: &[f64], span: f64) {
         let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
         self.add(name, "linear", None, &[map(&|u| u)]);
@@ -75,8 +78,8 @@ impl CovariateBuilder<'_> {
         self.add_raw(covariate, shape, period, columns, &raw);
     }
 
-    /// Waves of one period over each wavelength, each in its own alone: an interferometer's error repeats with what it reads. `to_channels` makes
-    /// channels of the fit of wavelengths.
+    /// Waves of one period over each wavelength, each in its own alone: an interferometer's error
+    /// repeats with what it reads. `to_channels` makes channels of the fit of wavelengths.
     fn add_ripple(
         &mut self,
         wavelengths_pm: &[Vec<f64>],
@@ -161,7 +164,8 @@ fn quantiles(values: &[f64], count: usize) -> Vec<f64> {
     out
 }
 
-/// Covariates whose plain dependence a clock or a thermometer shows: additive shapes are tried on them.
+/// Covariates whose plain dependence a clock or a thermometer shows: additive shapes are tried on
+/// them.
 fn is_clock(name: &str) -> bool {
     matches!(
         name,
@@ -178,8 +182,9 @@ const MAX_CYCLES: f64 = 30.0;
 /// Fewer places than this do not show a wave: amplitude, phase and period are chosen on them.
 const MIN_PLACES: usize = 12;
 
-/// Cycles over the range of a column (values from 0 to 1) at which waves are tried: half cycles, so that neighbouring frequencies are still half
-/// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is recognised
+/// Cycles over the range of a column (values from 0 to 1) at which waves are tried: half cycles, so
+/// that neighbouring frequencies are still half in step, up to the Nyquist limit of its places. Of
+/// uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is recognised
 /// from its aliases by the unevenness alone.
 fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
     let last = settings(unit).into_iter().max().unwrap_or(0);

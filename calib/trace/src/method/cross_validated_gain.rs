@@ -1,12 +1,14 @@
-//! Does an effect earn its name on readings that were left out? With thousands of rows every small misfit of the model of the recording itself
-//! is significant: what lowers the left-out error by less than that gain scatters from group to group is within the model's error.
+//! Does an effect earn its name on readings that were left out? With thousands of rows every small
+//! misfit of the model of the recording itself is significant: what lowers the left-out error by
+//! less than that gain scatters from group to group is within the model's error.
 //!
 //! ```text
 //! e_g = r_g + J_g (J'J - J_g'J_g)^-1 J_g' r_g                residuals of group g from a fit without it (tangent model)
 //! G = sum_g (|e_g without|^2 - |e_g with|^2) / s^2,          an effect is kept where G >= sd(G), from the spread over the groups
 //! ```
 //!
-//! R. D. Cook, S. Weisberg, "Residuals and Influence in Regression" (1982), 2.2: deletion of several cases.
+//! R. D. Cook, S. Weisberg, "Residuals and Influence in Regression" (1982), 2.2: deletion of
+//! several cases.
 
 use super::fit::Fit;
 use super::hypothesis::Hypothesis;
@@ -62,7 +64,8 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
     members.iter().map(of_group).collect()
 }
 
-/// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation; none where it cannot be determined.
+/// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation;
+/// none where it cannot be determined.
 fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64, f64)> {
     let (a, b) = (
         left_out_squares(system, without)?,
@@ -77,7 +80,8 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
         .map(|(x, y)| (x.1 - y.1) / with.variance())
         .collect();
     let (count, sum) = (each.len() as f64, each.iter().sum::<f64>());
-    // Groups count as independent: the variance of their sum is their number times the sample variance.
+    // Groups count as independent: the variance of their sum is their number times the sample
+    // variance.
     let spread = each.iter().map(|g| (g - sum / count).powi(2)).sum::<f64>() / (count - 1.0);
     Some((sum, (count * spread).sqrt()))
 }
@@ -107,7 +111,8 @@ mod tests {
     use super::super::fit::Weights;
     use super::*;
 
-    /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten readings.
+    /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten
+    /// readings.
     fn judged(seed: u64, slope: impl Fn(usize) -> f64) -> (usize, Vec<usize>) {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
         let clean: Vec<f64> = x

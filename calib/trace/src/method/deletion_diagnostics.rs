@@ -1,12 +1,14 @@
-//! Does a name rest on one level (one stimulus, one cycle, one trajectory) alone? With a set L of readings deleted a least squares fit leaves
+//! Does a name rest on one level (one stimulus, one cycle, one trajectory) alone? With a set L of
+//! readings deleted a least squares fit leaves
 //!
 //! ```text
 //! S_(-L) = S - e_L' (I - H_LL)^-1 e_L,     H = Q Q',    (I - Q_L Q_L')^-1 = I + Q_L (I - Q_L' Q_L)^-1 Q_L'
 //! ```
 //!
-//! with e the residual and Q an orthonormal basis of the model's tangent space (Cook & Weisberg, "Residuals and Influence in Regression"
-//! (1982), 2.2). Directions that L alone determines (eigenvalue 1 of Q_L' Q_L) go with it. A name survives where the F test of its term
-//! on what remains still speaks for it.
+//! with e the residual and Q an orthonormal basis of the model's tangent space (Cook & Weisberg,
+//! "Residuals and Influence in Regression" (1982), 2.2). Directions that L alone determines
+//! (eigenvalue 1 of Q_L' Q_L) go with it. A name survives where the F test of its term on what
+//! remains still speaks for it.
 
 use super::fit::Fit;
 use super::min_p::f_test;
@@ -50,7 +52,8 @@ impl DeletionDiagnostics {
             self.basis.vectors()[j][own[k]]
         });
         let e = DVector::from_iterator(own.len(), own.iter().map(|&k| self.residual[k]));
-        // In the eigenbasis of Q_L' Q_L the inverse of the module's head is diagonal, and its singular directions show.
+        // In the eigenbasis of Q_L' Q_L the inverse of the module's head is diagonal, and its
+        // singular directions show.
         let eigen = (q.transpose() * &q).symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * (q.transpose() * &e);
         let (mut fall, mut rank) = (e.norm_squared(), 0.0);
@@ -67,7 +70,8 @@ impl DeletionDiagnostics {
     }
 }
 
-/// The first of `sets` without which a term is no longer supported: `with` it and `without` it fitted on all readings.
+/// The first of `sets` without which a term is no longer supported: `with` it and `without` it
+/// fitted on all readings.
 pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
     let (rich, plain) = (
         DeletionDiagnostics::of(with),

@@ -1,4 +1,5 @@
-//! Tails of the distributions that tests are judged by. Degrees of freedom that are none have no tail: what rests on them cannot be judged.
+//! Tails of the distributions that tests are judged by. Degrees of freedom that are none have no
+//! tail: what rests on them cannot be judged.
 //!
 //! ```text
 //! s sqrt(nu / chi2_(0.975, nu)) .. s sqrt(nu / chi2_(0.025, nu))          95 % interval of a standard deviation s with nu degrees of freedom
@@ -19,7 +20,8 @@ pub fn chi_squared_tail(statistic: f64, dof: f64) -> Option<f64> {
     (!statistic.is_nan()).then(|| law.sf(statistic.max(0.0)))
 }
 
-/// Chi-squared with `dof` degrees of freedom that is undercut with probability `level`; none where they are none.
+/// Chi-squared with `dof` degrees of freedom that is undercut with probability `level`; none where
+/// they are none.
 pub fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
     Some(
         ChiSquared::new(dof)
@@ -29,7 +31,8 @@ pub fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
     )
 }
 
-/// 95 % interval of a standard deviation that is `sd` by `dof` degrees of freedom, in its unit; none where they are none.
+/// 95 % interval of a standard deviation that is `sd` by `dof` degrees of freedom, in its unit;
+/// none where they are none.
 pub fn sd_interval95(sd: f64, dof: f64) -> Option<[f64; 2]> {
     let end = |level: f64| Some(sd * (dof / chi_squared_quantile(level, dof)?).sqrt());
     Some([end(0.975)?, end(0.025)?])

@@ -1,12 +1,13 @@
-//! Variable projection: the coefficients are solved for exactly, the few nonlinear parameters by bounded Levenberg-Marquardt.
+//! Variable projection: the coefficients are solved for exactly, the few nonlinear parameters by
+//! bounded Levenberg-Marquardt.
 //!
 //! ```text
 //! min over a within bounds of  |y - X(a) b(a)|^2 + |w(a)|^2,   b(a) = X(a)^+ y
 //! ```
 //!
-//! with y the whitened readings, X the design, b its coefficients, w what the second witness leaves. Golub & Pereyra, SIAM J. Numer. Anal.
-//! 10 (1973), with Kaufman's Jacobian: the tangents' part that b cannot take up. Bounds carry the physics (friction and creep do not go
-//! below zero).
+//! with y the whitened readings, X the design, b its coefficients, w what the second witness
+//! leaves. Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), with Kaufman's Jacobian: the tangents'
+//! part that b cannot take up. Bounds carry the physics (friction and creep do not go below zero).
 
 pub use super::fitted::{Fit, Status};
 use super::linear::stack_with;
@@ -24,7 +25,8 @@ pub(crate) fn linear(
     design: &DMatrix<f64>,
     y: &DMatrix<f64>,
 ) -> (DMatrix<f64>, DMatrix<f64>, bool) {
-    // Columns in units of their norm: one threshold on R's diagonal then judges rank, whatever the parameters' units.
+    // Columns in units of their norm: one threshold on R's diagonal then judges rank, whatever the
+    // parameters' units.
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     let scaled = DMatrix::from_fn(design.nrows(), design.ncols(), |i, j| {
         if scale[j] > 0.0 {
@@ -119,7 +121,8 @@ fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 
     }
 }
 
-/// Tangent of the prediction by one nonlinear parameter: of the readings as they are, and of the second witness, whitened.
+/// Tangent of the prediction by one nonlinear parameter: of the readings as they are, and of the
+/// second witness, whitened.
 type Tangent = (DMatrix<f64>, DVector<f64>);
 
 fn tangents(
@@ -140,7 +143,8 @@ fn tangents(
             let p = system.catalogue()[terms[t].effect]
                 .law(terms[t].law)
                 .parameters[k];
-            // One-sided difference, backwards at the upper bound: a law holds only within its bounds.
+            // One-sided difference, backwards at the upper bound: a law holds only within its
+            // bounds.
             let mut h = step_size(system, &terms[t], k);
             if terms[t].values[k] + h > p.range[1] {
                 h = -h;
@@ -233,8 +237,8 @@ impl Linearised for FitPoint<'_> {
 /// Halvings of the grid's spacing at which a place is looked for.
 const HALVINGS: i32 = 7;
 
-/// `point` with a change at the place beside it that leaves least: it moves no reading until it passes one, and has no tangent. None where no
-/// place within its grid's spacing leaves less.
+/// `point` with a change at the place beside it that leaves least: it moves no reading until it
+/// passes one, and has no tangent. None where no place within its grid's spacing leaves less.
 fn nearer_place(point: &FitPoint<'_>, y: &DMatrix<f64>) -> Option<Vec<EffectTerm>> {
     let tangents = &point.linearised()?.0;
     let still = slots(&point.terms)
@@ -272,7 +276,8 @@ fn nearer_place(point: &FitPoint<'_>, y: &DMatrix<f64>) -> Option<Vec<EffectTerm
 
 /// Share of the sum of squares below which a fall is none.
 const SETTLED: f64 = 1e-5;
-/// Damping past which no shorter step is tried: steps are then a ten-thousandth of steepest descent's.
+/// Damping past which no shorter step is tried: steps are then a ten-thousandth of steepest
+/// descent's.
 const MAX_DAMPING: f64 = 1e4;
 /// Lengths tried for a step.
 const TRIES: usize = 8;
@@ -305,7 +310,8 @@ pub fn fit(
         }
         moved
     };
-    // Steps that were taken are counted: from a near optimum a few are enough, however many shorter ones were refused on the way.
+    // Steps that were taken are counted: from a near optimum a few are enough, however many shorter
+    // ones were refused on the way.
     let (taken, settled) = (Cell::new(0), Cell::new(false));
     let enough = |_: &DVector<f64>, [before, after]: [f64; 2]| {
         taken.set(taken.get() + 1);
@@ -352,7 +358,8 @@ pub fn fit(
     let channels = y.ncols() as f64;
     let seen = system.auxiliary_readings();
     let witness_count = seen.iter().filter(|i| weights.counts(**i)).count();
-    // Each channel's coefficients and each nonlinear parameter take one degree of freedom (linearised model).
+    // Each channel's coefficients and each nonlinear parameter take one degree of freedom
+    // (linearised model).
     let used = here.design.ncols() as f64 * channels + index.len() as f64;
     Some(Fit {
         dof: weights.active() as f64 * channels + witness_count as f64 - used,

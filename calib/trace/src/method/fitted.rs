@@ -1,4 +1,5 @@
-//! A fitted model: coefficients, what remains of readings and second witness, and the derivatives there.
+//! A fitted model: coefficients, what remains of readings and second witness, and the derivatives
+//! there.
 
 use super::linear::stack_with;
 use crate::effect::{Catalogue, EffectModel, EffectTerm};
@@ -36,7 +37,8 @@ pub struct Fit {
     pub ssr: f64,
     /// Readings x channels less coefficients and parameters.
     pub dof: f64,
-    /// Tangent of the whole whitened prediction by each nonlinear parameter: readings channel by channel, then the second witness.
+    /// Tangent of the whole whitened prediction by each nonlinear parameter: readings channel by
+    /// channel, then the second witness.
     pub tangents: Vec<DVector<f64>>,
     /// Those of the readings as they are, not whitened, readings x channels each.
     pub raw_tangents: Vec<DMatrix<f64>>,
@@ -61,7 +63,8 @@ pub struct TermSlots {
 }
 
 impl Fit {
-    /// Where each term stands: columns follow the declared model's, values each other, both in the order of the terms.
+    /// Where each term stands: columns follow the declared model's, values each other, both in the
+    /// order of the terms.
     pub fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
         let laws: Vec<&EffectModel> = self
             .terms
@@ -101,7 +104,8 @@ impl Fit {
         stack_with(&self.residual, &self.auxiliary_residual)
     }
 
-    /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
+    /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then
+    /// by the nonlinear values.
     pub fn jacobian(&self) -> DMatrix<f64> {
         let ((n, q), channels, m) = (
             self.design.shape(),

@@ -4,7 +4,8 @@
 //! C = ssr / s^2 + 2 k + flags (2 c + 2 ln n)          (Akaike; k parameters, c channels, n readings)
 //! ```
 //!
-//! H. Akaike, IEEE Trans. Automat. Contr. 19 (1974), 716-723; a flagged reading is a free shift in every channel, chosen among n.
+//! H. Akaike, IEEE Trans. Automat. Contr. 19 (1974), 716-723; a flagged reading is a free shift in
+//! every channel, chosen among n.
 
 use super::fitted::Fit;
 use super::noise::Weights;
@@ -20,7 +21,8 @@ pub struct Hypothesis {
     pub weights: Weights,
     /// Readings flagged as outliers.
     pub flagged: Vec<usize>,
-    /// Chance that noise with tails as heavy as the data allow gives the flagged readings; 1 where none is.
+    /// Chance that noise with tails as heavy as the data allow gives the flagged readings; 1 where
+    /// none is.
     pub flag_p: f64,
 }
 

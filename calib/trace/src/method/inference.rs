@@ -1,4 +1,5 @@
-//! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
+//! Covariance of everything that was fitted, intervals, and which explanations are one class on
+//! this data.
 
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::Hypothesis;
@@ -27,7 +28,8 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let inverse = gram
         .pseudo_inverse(1e-12)
         .unwrap_or_else(|_| DMatrix::zeros(size, size));
-    // What moves no prediction (the place of a step between two readings) has no covariance: 0, never an infinity.
+    // What moves no prediction (the place of a step between two readings) has no covariance: 0,
+    // never an infinity.
     let dead: Vec<bool> = jacobian.column_iter().map(|v| v.norm() < 1e-150).collect();
     DMatrix::from_fn(size, size, |i, j| {
         if dead[i] || dead[j] {
@@ -38,14 +40,15 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     })
 }
 
-/// Standard deviations of measured less predicted values, in the sensor's channels (readings x channels):
+/// Standard deviations of measured less predicted values, in the sensor's channels (readings x
+/// channels):
 ///
 /// ```text
 /// sd_ic^2 = noise_i^2 sum_a P_ac^2 + G V G',     G = sum_a P_ac J_ia        P: channels_pm, J: tangents at the fitted values, V: their covariance
 /// ```
 ///
-/// of `h`, fitted on readings of `system` or part of them; `noise_sd` of each reading, in the engine's channels. None where the model has no
-/// solution there.
+/// of `h`, fitted on readings of `system` or part of them; `noise_sd` of each reading, in the
+/// engine's channels. None where the model has no solution there.
 pub fn prediction_sd(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
@@ -153,8 +156,9 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
 }
 
-/// Cosine between what two explanations explain by themselves, without sign; 1 where neither has a part that the other lacks. What both share (effects in
-/// common, whatever both leave unexplained) is projected off first: a large common effect makes any two look alike.
+/// Cosine between what two explanations explain by themselves, without sign; 1 where neither has a
+/// part that the other lacks. What both share (effects in common, whatever both leave unexplained)
+/// is projected off first: a large common effect makes any two look alike.
 pub fn signature_cosine(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
@@ -185,12 +189,14 @@ pub fn equivalence_class(system: &dyn MeasurementModel, found: &SearchResult) ->
         .collect()
 }
 
-/// Cosine and lag in the criterion up to which a law of a measured column and one of another are not distinguished by their misfit.
+/// Cosine and lag in the criterion up to which a law of a measured column and one of another are
+/// not distinguished by their misfit.
 const MEASURED_COSINE: f64 = 0.97;
 const MEASURED_BEHIND: f64 = 2.0 * LEAD;
 
-/// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from it because one of them follows a temperature: that is
-/// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.
+/// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from
+/// it because one of them follows a temperature: that is measured itself, and the comparison takes
+/// columns for exact. Over minutes a room that warms steadily is as good as a clock.
 pub fn indistinguishable(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
@@ -210,8 +216,8 @@ pub fn indistinguishable(
         && signature_cosine(system, base, best, h) > MEASURED_COSINE
 }
 
-/// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s
-/// terms that `b` has, too.
+/// Directions in which the effects that two explanations share move the prediction, off the
+/// declared model: columns and tangents of `a`'s terms that `b` has, too.
 fn common_effects(
     system: &dyn MeasurementModel,
     base: &Hypothesis,

@@ -1,4 +1,5 @@
-//! Pure error from readings that agree in every setting, and the lack of fit of a model against it. Readings that agree make a cell.
+//! Pure error from readings that agree in every setting, and the lack of fit of a model against it.
+//! Readings that agree make a cell.
 //!
 //! ```text
 //! S = S_between + S_within,   S_within = |(I - P_[M, D]) W r|^2        M: model's columns and tangents, D: one column a cell, W: whitening
@@ -6,7 +7,8 @@
 //! F = (S_between / d_between) / (S_within / d_within)
 //! ```
 //!
-//! What a parameter says within cells (a zero of each series) costs the repeats a degree of freedom, and the places none.
+//! What a parameter says within cells (a zero of each series) costs the repeats a degree of
+//! freedom, and the places none.
 
 use super::distributions::f_tail;
 use super::fit::{Fit, Weights};
@@ -100,11 +102,13 @@ fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool)
     out
 }
 
-/// Share within cells, in that of the stimulus, below which a column is one of the cell alone: thirty waves over the range change 54 times as much.
+/// Share within cells, in that of the stimulus, below which a column is one of the cell alone:
+/// thirty waves over the range change 54 times as much.
 const OF_STIMULUS: f64 = 100.0;
 
-/// Splits what `fit` leaves by `cells`, a key a reading; columns weighted by the readings' relative spread. Of a stimulus `x` that is read with scatter within cells, what
-/// follows it says nothing there.
+/// Splits what `fit` leaves by `cells`, a key a reading; columns weighted by the readings' relative
+/// spread. Of a stimulus `x` that is read with scatter within cells, what follows it says nothing
+/// there.
 pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
     split_of(fit.residual.column(0).as_slice(), fit, weights, cells, x)
 }
@@ -155,7 +159,8 @@ pub fn split_of(values: &[f64], fit: &Fit, weights: &Weights, cells: &[u64], x: 
     Split { between, within }
 }
 
-/// Chance of a fall from `without` to `with` beside what remains; none where nothing more is asked or nothing remains to compare with.
+/// Chance of a fall from `without` to `with` beside what remains; none where nothing more is asked
+/// or nothing remains to compare with.
 pub fn extra_sum_of_squares_p(without: Part, with: Part) -> Option<f64> {
     let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
     let f = gain / extra / (with.ss / with.dof).max(1e-300);

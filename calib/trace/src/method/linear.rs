@@ -34,7 +34,8 @@ impl Basis {
     /// `v` less its part in the basis.
     pub fn project_off(&self, v: &DVector<f64>) -> DVector<f64> {
         let mut out = v.clone();
-        // Twice is enough: the second pass restores orthogonality to working precision (Kahan, in Parlett 1980).
+        // Twice is enough: the second pass restores orthogonality to working precision (Kahan, in
+        // Parlett 1980).
         for _ in 0..2 {
             for q in &self.vectors {
                 let along = q.dot(&out);
@@ -49,7 +50,8 @@ impl Basis {
         self.push_beside(v, v.norm())
     }
 
-    /// The same where `v` is what remains of something of norm `size`: rounding of that is no direction.
+    /// The same where `v` is what remains of something of norm `size`: rounding of that is no
+    /// direction.
     pub fn push_beside(&mut self, v: &DVector<f64>, size: f64) -> bool {
         let left = self.project_off(v);
         let norm = left.norm();
@@ -65,8 +67,8 @@ impl Basis {
         DVector::from_iterator(self.rank(), self.vectors.iter().map(|q| q.dot(v)))
     }
 
-    /// Standard deviation that a fit of the basis leaves of value `k`, beside 1 before it: sqrt(1 - h_kk), h the hat matrix; floored where a value
-    /// determines itself.
+    /// Standard deviation that a fit of the basis leaves of value `k`, beside 1 before it: sqrt(1 -
+    /// h_kk), h the hat matrix; floored where a value determines itself.
     pub fn unexplained_sd(&self, k: usize) -> f64 {
         let leverage: f64 = self.vectors.iter().map(|q| q[k] * q[k]).sum();
         (1.0 - leverage).max(0.05).sqrt()
@@ -83,7 +85,8 @@ pub fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     a.transpose() * b
 }
 
-/// The joint span of many directions by the pivoted Cholesky factor of their Gram matrix: `D = Q R`, Q orthonormal.
+/// The joint span of many directions by the pivoted Cholesky factor of their Gram matrix:
+/// `D = Q R`, Q orthonormal.
 pub struct JointSpan {
     directions: DMatrix<f64>,
     /// Directions that are new, in the order of the pivots.
@@ -92,7 +95,8 @@ pub struct JointSpan {
     factor: DMatrix<f64>,
 }
 
-/// A direction of unit length is new where this part of its square remains: its own rounding is a thousandth of that.
+/// A direction of unit length is new where this part of its square remains: its own rounding is a
+/// thousandth of that.
 const NEW_SQUARE: f64 = 1e-10;
 
 /// Relative difference up to which two pivots are one.
@@ -110,14 +114,15 @@ impl JointSpan {
         let mut left = transposed_product(&matrix, &matrix);
         let mut rows: Vec<nalgebra::RowDVector<f64>> = Vec::new();
         let mut independent = Vec::new();
-        // The largest first: rounding that a small pivot would magnify never meets what is still large (Higham, "Accuracy and Stability of
-        // Numerical Algorithms", 2nd ed., 10.3).
+        // The largest first: rounding that a small pivot would magnify never meets what is still
+        // large (Higham, "Accuracy and Stability of Numerical Algorithms", 2nd ed., 10.3).
         while independent.len() < limit {
             let diagonal = left.diagonal();
             if diagonal.is_empty() {
                 break;
             }
-            // Of pivots that only rounding tells apart the first: what is drawn along them must not depend on rounding.
+            // Of pivots that only rounding tells apart the first: what is drawn along them must not
+            // depend on rounding.
             let near = (1.0 - SAME_PIVOT) * diagonal.max();
             let Some(k) = diagonal.iter().position(|left| *left >= near) else {
                 break;
@@ -126,7 +131,8 @@ impl JointSpan {
             if !(pivot > NEW_SQUARE) {
                 break;
             }
-            // Right-looking Cholesky: what the other directions have along this one is taken off their Gram matrix.
+            // Right-looking Cholesky: what the other directions have along this one is taken off
+            // their Gram matrix.
             let row = left.row(k) / pivot.sqrt();
             left.ger(-1.0, &row.transpose(), &row.transpose(), 1.0);
             left[(k, k)] = 0.0;
@@ -190,7 +196,8 @@ pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) ->
 mod tests {
     use super::*;
 
-    /// Smooth functions of eleven settings on a fine grid of rates: each is nearly a combination of its neighbours, as laws over few settings are.
+    /// Smooth functions of eleven settings on a fine grid of rates: each is nearly a combination of
+    /// its neighbours, as laws over few settings are.
     fn nearly_dependent() -> Vec<DVector<f64>> {
         let smooth = |rate: f64| DVector::from_fn(44, |i, _| (rate * (i % 11) as f64 / 10.0).exp());
         let rough = |k: usize| DVector::from_fn(44, |i, _| ((i * (k + 3)) as f64).sin());

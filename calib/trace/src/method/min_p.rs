@@ -1,4 +1,5 @@
-//! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in their joint span.
+//! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in
+//! their joint span.
 //!
 //! ```text
 //! F = (gain / d) / ((S - gain) / (dof - d)),   p = P(F_(d, dof - d) > F)
@@ -17,11 +18,13 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
 /// Draws that are projected together.
 const BATCH: usize = 250;
 
-/// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more; none where no degrees of freedom are left.
+/// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d`
+/// more; none where no degrees of freedom are left.
 pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> Option<f64> {
     let d = d as f64;
     let left = dof - d;
-    // The residual of the larger model estimates the variance: F(d, dof - d) under the null of Gaussian noise.
+    // The residual of the larger model estimates the variance: F(d, dof - d) under the null of
+    // Gaussian noise.
     let f = (gain / d) / ((ssr - gain).max(1e-12 * ssr) / left);
     if left < 1.0 {
         return None;
@@ -30,14 +33,17 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> Option<f64> {
     f_tail(if f.is_nan() { 0.0 } else { f.min(1e200) }, [d, left]).map(|p| p.max(1e-300))
 }
 
-/// p-value of an signature on a residual, none where no degrees of freedom are left; one-sided laws use half the F tail.
+/// p-value of an signature on a residual, none where no degrees of freedom are left; one-sided laws
+/// use half the F tail.
 pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> Option<f64> {
-    // Under the null either sign is equally likely, and one of them is not admissible: half the tail remains.
+    // Under the null either sign is equally likely, and one of them is not admissible: half the
+    // tail remains.
     let p = f_test(gain, ssr, dof, signature.dimension())?;
     Some(if signature.one_sided { 0.5 * p } else { p })
 }
 
-/// The signature with the smallest p on what `fit` leaves, `residual`, and that p; none where none can be tested.
+/// The signature with the smallest p on what `fit` leaves, `residual`, and that p; none where none
+/// can be tested.
 pub fn strongest<'a>(
     signatures: impl IntoIterator<Item = &'a Signature>,
     residual: &DVector<f64>,
@@ -58,14 +64,16 @@ pub struct MinPDistribution {
 }
 
 impl MinPDistribution {
-    /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span and the norm of the rest matter.
+    /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span
+    /// and the norm of the rest matter.
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
         let span = JointSpan::of(
             signatures.iter().flat_map(|a| &a.directions),
             dof.max(0.0) as usize,
         );
         let rank = span.rank();
-        // Of signatures of one kind the largest gain has the smallest p: the tail, which is dear to compute, is computed for that one.
+        // Of signatures of one kind the largest gain has the smallest p: the tail, which is dear to
+        // compute, is computed for that one.
         let mut kinds: Vec<&Signature> = Vec::new();
         let mut places: Vec<(usize, usize, usize)> = Vec::with_capacity(signatures.len());
         for &s in signatures {
@@ -92,7 +100,8 @@ impl MinPDistribution {
             // Projections of each draw (a column) on every direction, and its sum of squares.
             let (along, ssr): (DMatrix<f64>, Vec<f64>) = match &heavy {
                 None => {
-                    // White Gaussian noise is isotropic: N(0, 1) along each basis vector, chi-squared in the rest, independently.
+                    // White Gaussian noise is isotropic: N(0, 1) along each basis vector,
+                    // chi-squared in the rest, independently.
                     let mut z = DMatrix::zeros(rank, count);
                     let mut ssr = Vec::with_capacity(count);
                     for mut column in z.column_iter_mut() {
@@ -108,7 +117,8 @@ impl MinPDistribution {
                     let mut whole = DMatrix::zeros(size, count);
                     whole.iter_mut().for_each(|v| *v = t.sample(&mut rng));
                     let z = span.coordinates(&whole);
-                    // The draw fills the nuisance space, too: its rest is scaled to the residual's degrees of freedom.
+                    // The draw fills the nuisance space, too: its rest is scaled to the residual's
+                    // degrees of freedom.
                     let scale = rest / (size as f64 - rank as f64).max(1.0);
                     let ssr = (0..count).map(|k| {
                         let inside = z.column(k).norm_squared();
@@ -130,7 +140,8 @@ impl MinPDistribution {
                 }
                 let mut best: f64 = 1.0;
                 for (signature, gain) in kinds.iter().zip(gains) {
-                    // What cannot be small (chi-squared below its mean and two deviations) is skipped, where there are readings enough to say so.
+                    // What cannot be small (chi-squared below its mean and two deviations) is
+                    // skipped, where there are readings enough to say so.
                     let d = signature.dimension() as f64;
                     let cannot =
                         dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt());
@@ -152,18 +163,21 @@ impl MinPDistribution {
         self.minima.get(k).copied().unwrap_or(level).min(level)
     }
 
-    /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective number of tests.
+    /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective
+    /// number of tests.
     pub fn family_wise_p(&self, p: f64) -> f64 {
         let draws = self.minima.len();
         if draws == 0 {
             return 1.0;
         }
         let below = self.minima.partition_point(|m| *m <= p);
-        // Monte Carlo p-value with the observed value counted as a draw: it is never zero. Ten draws make it stable.
+        // Monte Carlo p-value with the observed value counted as a draw: it is never zero. Ten
+        // draws make it stable.
         if below >= 10 {
             return (below as f64 + 1.0) / (draws as f64 + 1.0);
         }
-        // Sidak at small p: 1 - (1 - p)^M is about M p, with M from the 2 % quantile of the simulated minima.
+        // Sidak at small p: 1 - (1 - p)^M is about M p, with M from the 2 % quantile of the
+        // simulated minima.
         let k = (draws / 50).max(1);
         let tests = ((k as f64 + 1.0) / (draws as f64 + 1.0)) / self.minima[k - 1].max(1e-300);
         (p * tests.max(1.0)).min((below as f64 + 1.0) / (draws as f64 + 1.0))

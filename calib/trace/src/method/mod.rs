@@ -1,4 +1,5 @@
-//! The statistics shared by every kind of session: fit, screen, refit, compare. They know measurement models and effects, not whiskers.
+//! The statistics shared by every kind of session: fit, screen, refit, compare. They know
+//! measurement models and effects, not whiskers.
 
 pub mod admissible;
 pub mod ambiguity;

@@ -1,7 +1,8 @@
 //! Noise and explanation, each judged under the other.
 //!
-//! Noise that is correlated in time and an effect that is smooth in time take each other's place: the term fitted first absorbs the signal. What a
-//! search under independent readings finds must hold against the noise model that would take its place:
+//! Noise that is correlated in time and an effect that is smooth in time take each other's place:
+//! the term fitted first absorbs the signal. What a search under independent readings finds must
+//! hold against the noise model that would take its place:
 //!
 //! ```text
 //! S(M) = min over theta of  r' r |Sigma(theta)|^(1/N)          (concentrated likelihood, every coefficient of M refitted)
@@ -28,8 +29,8 @@ const COVARIATES_JUDGED: usize = 10;
 /// Lead past which the p-value is 0 to any precision, and an exponential would be infinite.
 const MAX_LEAD: f64 = 300.0;
 
-/// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
-/// only where a verdict could rest on it.
+/// Noise of an explanation's residuals for predictions of further readings: a correlated part is
+/// taken up where it predicts better (Akaike), not only where a verdict could rest on it.
 pub fn noise_for_predictions(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
@@ -43,7 +44,8 @@ pub fn noise_for_predictions(
 struct Misfit {
     noise: Noise,
     best: RestrictedLikelihood,
-    /// Where a part that is correlated in time gains what it costs: whether it is a course over the session.
+    /// Where a part that is correlated in time gains what it costs: whether it is a course over the
+    /// session.
     correlated: Option<bool>,
 }
 
@@ -60,8 +62,9 @@ impl Misfit {
         self.best.plain - PRICE * self.best.dof + shared + law
     }
 
-    /// Noise that neighbours share stands in the place of what the richer model `with` holds, which is the better description: a course in time in the place
-    /// of no such noise, or by more than a term leads that is chosen among many.
+    /// Noise that neighbours share stands in the place of what the richer model `with` holds, which
+    /// is the better description: a course in time in the place of no such noise, or by more than a
+    /// term leads that is chosen among many.
     fn is_exchanged(&self, with: &Self) -> bool {
         let course = self.correlated == Some(true) && with.correlated.is_none();
         self.correlated.is_some()
@@ -146,7 +149,8 @@ impl<'a> NoiseEstimator<'a> {
         })
     }
 
-    /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where nothing remains to test it by.
+    /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where
+    /// nothing remains to test it by.
     fn p_value(&self, without: &Misfit, with: &Misfit, family: &MinPDistribution) -> f64 {
         let (a, b) = (&without.best, &with.best);
         // Both sides have had every shared part; a law of the spread is one parameter.
@@ -158,7 +162,8 @@ impl<'a> NoiseEstimator<'a> {
         f_test(worse - 1.0, worse, a.dof, extra as usize).map_or(1.0, |p| family.family_wise_p(p))
     }
 
-    /// The terms of `kept` that do not hold against the noise which would stand in their place, judged in `family`.
+    /// The terms of `kept` that do not hold against the noise which would stand in their place,
+    /// judged in `family`.
     fn unsupported(
         &self,
         kept: &Hypothesis,
@@ -183,8 +188,9 @@ impl<'a> NoiseEstimator<'a> {
         Some(judged.filter(|u| u.p > level).collect())
     }
 
-    /// The effects of `best` that hold against the noise which would stand in their place, and those that are not distinguished from it. A model that is
-    /// degenerate under another noise is judged under the one that it was found with.
+    /// The effects of `best` that hold against the noise which would stand in their place, and
+    /// those that are not distinguished from it. A model that is degenerate under another noise is
+    /// judged under the one that it was found with.
     pub(crate) fn backward_eliminate(
         &self,
         best: &Hypothesis,
@@ -222,7 +228,8 @@ impl<'a> NoiseEstimator<'a> {
             .collect()
     }
 
-    /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.
+    /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none
+    /// where none holds against the noise without.
     pub(crate) fn covariate_scores(
         &self,
         h: &Hypothesis,

@@ -1,4 +1,5 @@
-//! The omnibus test: is anything left beyond noise? One family-wise level, shared (Bonferroni) between four kinds of alternative:
+//! The omnibus test: is anything left beyond noise? One family-wise level, shared (Bonferroni)
+//! between four kinds of alternative:
 //!
 //! ```text
 //! 0.01 named signatures + 0.002 generic drivers + 0.0015 serial correlation + 0.002 lack of fit against pure error = 0.0155
@@ -53,13 +54,15 @@ pub struct OmnibusTest {
     pub covariates: Vec<CovariateScore>,
     /// Correlation of neighbouring residuals.
     pub serial_correlation: f64,
-    /// The residual is significant, but so small a part of the misfit that the model of the recording itself may leave it.
+    /// The residual is significant, but so small a part of the misfit that the model of the
+    /// recording itself may leave it.
     pub within_model_error: bool,
     /// The residual is what rounding makes of the model's responses.
     pub is_rounding: bool,
 }
 
-/// Share of the sum of squares from which what remains is no model error: a tenth of the noise, root mean square.
+/// Share of the sum of squares from which what remains is no model error: a tenth of the noise,
+/// root mean square.
 const MODEL_ERROR: f64 = 0.01;
 /// Correlation of neighbours from which it is none.
 const MODEL_CORRELATION: f64 = 0.1;
@@ -108,7 +111,8 @@ impl OmnibusTest {
         [self.p_catalogue, self.p_covariates, self.p_serial]
     }
 
-    /// One omnibus p-value: Bonferroni over the families by their shares of the level; `p_lack_of_fit` where readings repeat.
+    /// One omnibus p-value: Bonferroni over the families by their shares of the level;
+    /// `p_lack_of_fit` where readings repeat.
     pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
         [
             (self.p_catalogue, CATALOGUE),
@@ -127,7 +131,8 @@ fn family_wise(family: &MinPDistribution, strongest: Option<(f64, &Signature)>) 
     strongest.map_or(1.0, |(p, _)| family.family_wise_p(p))
 }
 
-/// p-value (normal approximation) and size of the lag-one correlation of neighbouring readings of one group.
+/// p-value (normal approximation) and size of the lag-one correlation of neighbouring readings of
+/// one group.
 fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, f64) {
     let groups = system.groups();
     let (mut product, mut count) = (0.0, 0.0);
@@ -143,7 +148,8 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
     if count < 10.0 || fit.ssr <= 0.0 {
         return (1.0, 0.0);
     }
-    // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
+    // Fitted parameters make residuals of white noise slightly negative neighbours: only positive
+    // correlation counts.
     let mean_square =
         fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
     let correlation = product / count / mean_square;
@@ -156,7 +162,8 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
 /// Share of a label's gain from which a continuous covariate does as well.
 const AS_WELL: f64 = 0.6;
 
-/// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where no continuous covariate does as well.
+/// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where
+/// no continuous covariate does as well.
 fn rank_steps_after_continuous(scores: &mut [CovariateScore]) {
     let is_label = |s: &CovariateScore| s.covariate == "trajectory";
     let Some(label) = scores.iter().position(is_label) else {

@@ -31,7 +31,8 @@ pub struct Options {
     pub draws: usize,
     /// Largest number of effects in one explanation.
     pub largest: usize,
-    /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a Gaussian's.
+    /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a
+    /// Gaussian's.
     pub tails_dof: Option<f64>,
     /// Hears how far the search is.
     pub progress: ProgressListener,

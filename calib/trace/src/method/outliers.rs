@@ -1,15 +1,19 @@
-//! Single readings that do not belong: kept in the table, left out of the fit, readmitted where a better model explains them.
+//! Single readings that do not belong: kept in the table, left out of the fit, readmitted where a
+//! better model explains them.
 //!
-//! A gross reading bends the fit that holds it, so each is judged by a fit without it. The one with the largest `e_v^2 / (1 - h_v)` is deleted, then the
-//! next, and all are judged by what remains of the fit (Hadi & Simonoff, J. Am. Stat. Assoc. 88 (1993), 1264-1272):
+//! A gross reading bends the fit that holds it, so each is judged by a fit without it. The one with
+//! the largest `e_v^2 / (1 - h_v)` is deleted, then the next, and all are judged by what remains of
+//! the fit (Hadi & Simonoff, J. Am. Stat. Assoc. 88 (1993), 1264-1272):
 //!
 //! ```text
 //! e_u += h_uv e_v / (1 - h_v),   h_u += h_uv^2 / (1 - h_v)              v deleted; e: whitened residual, h: hat matrix
 //! d_v = e_v / sqrt(1 - h_v) of a reading that is held,   e_v / sqrt(1 + h_v) of a deleted one
 //! ```
 //!
-//! [`super::noise::tails`] says which of them no noise explains; these alone are left out of the next fit, until nothing changes. A gross reading beside a
-//! bend shows on a smooth curve of the model's own ([`MeasurementModel::smooth_columns`]), which is no name: the search goes on without that reading.
+//! [`super::noise::tails`] says which of them no noise explains; these alone are left out of the
+//! next fit, until nothing changes. A gross reading beside a bend shows on a smooth curve of the
+//! model's own ([`MeasurementModel::smooth_columns`]), which is no name: the search goes on without
+//! that reading.
 
 use super::fit::{Fit, Weights, fit, linear};
 use super::hypothesis::Hypothesis;
@@ -25,12 +29,14 @@ use nalgebra::{DMatrix, DVector};
 const MAX_SHARE: f64 = 0.08;
 /// Rounds of flagging and refitting.
 const ROUNDS: usize = 6;
-/// Variance of the place that the others give a reading, in its own: where a smooth curve is known no better, it says nothing of the reading.
+/// Variance of the place that the others give a reading, in its own: where a smooth curve is known
+/// no better, it says nothing of the reading.
 const REACH: f64 = 1.0;
 /// A reading that determines itself has no residual to be judged by.
 const LEAST_LEFT: f64 = 0.05;
 
-/// A residual in its standard deviations, `h` its leverage; NaN where the others do not say where the reading should be.
+/// A residual in its standard deviations, `h` its leverage; NaN where the others do not say where
+/// the reading should be.
 fn studentised(left: f64, h: f64, held: bool, reach: f64) -> f64 {
     let (variance, place) = if held {
         (1.0 - h, h / (1.0 - h))
@@ -44,7 +50,8 @@ fn studentised(left: f64, h: f64, held: bool, reach: f64) -> f64 {
     }
 }
 
-/// Studentised residuals of a fit, readings x channels: a reading that does not count is judged by its prediction.
+/// Studentised residuals of a fit, readings x channels: a reading that does not count is judged by
+/// its prediction.
 fn studentised_residuals(fit: &Fit, weights: &Weights, reach: f64) -> DMatrix<f64> {
     let ((n, channels), q) = (fit.residual.shape(), fit.design.ncols());
     let s = fit.variance().sqrt().max(1e-300);
@@ -68,7 +75,8 @@ fn studentised_residuals(fit: &Fit, weights: &Weights, reach: f64) -> DMatrix<f6
     })
 }
 
-/// The same of the linear model of a fit from which the `most` readings that stand farthest out are deleted, one after the other.
+/// The same of the linear model of a fit from which the `most` readings that stand farthest out are
+/// deleted, one after the other.
 fn without_the_farthest(fit: &Fit, weights: &Weights, most: usize, reach: f64) -> DMatrix<f64> {
     let (n, channels) = fit.residual.shape();
     let size = n * channels;
@@ -105,10 +113,12 @@ fn without_the_farthest(fit: &Fit, weights: &Weights, most: usize, reach: f64) -
     })
 }
 
-/// How far a reading of the digit beside the nearest one may lie from a model that passes between two, in digits.
+/// How far a reading of the digit beside the nearest one may lie from a model that passes between
+/// two, in digits.
 const ONE_DIGIT: f64 = 1.5;
 
-/// Flags readings that no tails explain, refits, and flags anew from all readings until nothing changes. `weights` may hold earlier flags.
+/// Flags readings that no tails explain, refits, and flags anew from all readings until nothing
+/// changes. `weights` may hold earlier flags.
 pub fn reject_outliers(
     system: &dyn MeasurementModel,
     terms: &[EffectTerm],
@@ -190,7 +200,8 @@ fn reject(
     })
 }
 
-/// The declared model without readings that stand out of every smooth curve through the others, bent or not.
+/// The declared model without readings that stand out of every smooth curve through the others,
+/// bent or not.
 pub fn without_gross_readings(system: &dyn MeasurementModel, declared: Hypothesis) -> Hypothesis {
     let columns = system.smooth_columns();
     let curve = |weights: &Weights| {
@@ -243,10 +254,12 @@ const MAX_NEIGHBOURS: f64 = 0.5;
 /// Share of the readings at rest that may be flagged: nothing touches the wire there.
 const MAX_REST: f64 = 0.25;
 
-/// Fewest readings of a group, or of a setting, that, flagged all together, are what the model lacks of it.
+/// Fewest readings of a group, or of a setting, that, flagged all together, are what the model
+/// lacks of it.
 const MIN_GROUP: usize = 3;
 
-/// Whether flagged readings stand singly: a whole stretch of them, a whole group, or many at rest, is what the model lacks.
+/// Whether flagged readings stand singly: a whole stretch of them, a whole group, or many at rest,
+/// is what the model lacks.
 fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bool {
     let counted: Vec<usize> = (0..all.len()).filter(|&i| all.counts(i)).collect();
     let place = |i: &usize| counted.binary_search(i).unwrap_or(usize::MAX);

@@ -1,5 +1,6 @@
-//! Physical range of effects that enter linearly: their part in what a channel spans. Where it is exceeded, the effect is refitted at its
-//! bounds (convex, by clarabel), and the data may insist on more or not.
+//! Physical range of effects that enter linearly: their part in what a channel spans. Where it is
+//! exceeded, the effect is refitted at its bounds (convex, by clarabel), and the data may insist on
+//! more or not.
 
 use super::fit::Fit;
 use super::min_p::f_test;
@@ -37,9 +38,11 @@ fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
     if over == 0 {
         return true;
     }
-    // Everything else is free to take up what the bounded effect may not: its span is projected off.
+    // Everything else is free to take up what the bounded effect may not: its span is projected
+    // off.
     let others = nuisance_basis_without(fit, &columns);
-    // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
+    // Directions in which the effect's own coefficients move the residual, once everything else is
+    // refitted.
     let own: Vec<(usize, usize)> = (0..channels)
         .flat_map(|c| columns.clone().map(move |j| (j, c)))
         .collect();
@@ -57,7 +60,8 @@ fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
     f_test(rise, fit.ssr + rise, fit.dof + over as f64, over).is_none_or(|p| p > RANGE)
 }
 
-/// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.
+/// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded
+/// least squares fit, convex.
 ///
 /// None where the solver gives up: nothing is held against the explanation then.
 fn rise_under_bound(
@@ -76,7 +80,8 @@ fn rise_under_bound(
     let start = DVector::from_iterator(k, (0..k).map(|a| free[a] * size[a]));
     let linear = -(&gram * &start);
     let scale = start.amax().max(1e-300);
-    // One pair of linear constraints a reading: the effect's own part within its bound, up and down.
+    // One pair of linear constraints a reading: the effect's own part within its bound, up and
+    // down.
     let (mut rows, mut bounds) = (Vec::new(), Vec::new());
     for (c, limit) in largest.iter().enumerate() {
         for i in 0..fit.design.nrows() {
@@ -98,7 +103,8 @@ fn rise_under_bound(
     Some((&gram * &change).dot(&change))
 }
 
-/// The x of least `1/2 x' P x + q' x` where no row of `rows x` exceeds its bound (interior point); none where the solver gives up.
+/// The x of least `1/2 x' P x + q' x` where no row of `rows x` exceeds its bound (interior point);
+/// none where the solver gives up.
 pub(super) fn minimise(
     quadratic: &DMatrix<f64>,
     linear: &[f64],

@@ -1,4 +1,5 @@
-//! An accepted effect by a richer law of it, where the plain one leaves something: two time constants, a stack of plays.
+//! An accepted effect by a richer law of it, where the plain one leaves something: two time
+//! constants, a stack of plays.
 
 use super::fit::{Status, fit};
 use super::hypothesis::Hypothesis;
@@ -51,10 +52,12 @@ pub(super) fn continue_to_convergence(system: &dyn MeasurementModel, h: Hypothes
     }
 }
 
-/// Explanations of a size that are refined: the best and its nearest rivals, so that none is judged by a law that is too plain.
+/// Explanations of a size that are refined: the best and its nearest rivals, so that none is judged
+/// by a law that is too plain.
 const REFINED: usize = 3;
 
-/// Refines the best explanations of a size where the data ask for it; true where the first of them, then sorted again, is another.
+/// Refines the best explanations of a size where the data ask for it; true where the first of them,
+/// then sorted again, is another.
 pub(super) fn refine_level(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
@@ -81,7 +84,8 @@ pub(super) fn refine_level(
     changed
 }
 
-/// One more column of an effect that follows columns and is accepted: loads of a cell that are applied in turn are one question, however many there are.
+/// One more column of an effect that follows columns and is accepted: loads of a cell that are
+/// applied in turn are one question, however many there are.
 fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypothesis> {
     let terms = &from.fit.terms;
     let effect = terms
@@ -117,7 +121,8 @@ fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypoth
     best.filter(|(p, _)| p * count < CATALOGUE).map(|(_, h)| h)
 }
 
-/// The best refinement of one of its terms, where it is physical and earns its parameters (F test over all that were tried).
+/// The best refinement of one of its terms, where it is physical and earns its parameters (F test
+/// over all that were tried).
 fn refine(
     system: &dyn MeasurementModel,
     base: &Hypothesis,

@@ -1,4 +1,5 @@
-//! Readings in coarse steps: a model that passes within half a step of every reading is not contradicted by any of them.
+//! Readings in coarse steps: a model that passes within half a step of every reading is not
+//! contradicted by any of them.
 //!
 //! ```text
 //! least t with |y - X b| <= t  for all readings          (Chebyshev; a linear programme)
@@ -6,7 +7,8 @@
 //! v = 0.564 s h:     variance within settings of what a noise s << h moves over the next mark
 //! ```
 //!
-//! 0.564 is the integral of Phi (1 - Phi). Where repeats scatter as widely as a step allows, noise dithers the rounding away and the tests of white noise hold.
+//! 0.564 is the integral of Phi (1 - Phi). Where repeats scatter as widely as a step allows, noise
+//! dithers the rounding away and the tests of white noise hold.
 
 use super::fit::{Fit, Weights};
 use super::range_check::minimise;
@@ -19,10 +21,12 @@ const MOVED: f64 = 0.564;
 /// Largest noise beyond half a step, in standard deviations.
 const REACH: f64 = 3.0;
 
-/// Mean square of what remains, beside that of rounding, from which on something else is most of it.
+/// Mean square of what remains, beside that of rounding, from which on something else is most of
+/// it.
 const MAX_LEFT: f64 = 4.0;
 
-/// The readings are those of the fitted model, rounded: of one channel, and where rounding is most of their noise.
+/// The readings are those of the fitted model, rounded: of one channel, and where rounding is most
+/// of their noise.
 pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> bool {
     let measured = system.measured();
     let Some(step) = system.noise_inputs().step.first().copied().flatten() else {
@@ -57,7 +61,8 @@ pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) 
             .is_some_and(|t| t <= 0.5 * step * (1.0 + 1e-6) + REACH * noise)
 }
 
-/// Largest distance of a reading from the model that comes nearest to all of them, by the free coefficients.
+/// Largest distance of a reading from the model that comes nearest to all of them, by the free
+/// coefficients.
 fn least_distance(fit: &Fit, rows: &[usize]) -> Option<f64> {
     let design = &fit.raw_design;
     let residual = &fit.raw_residual;

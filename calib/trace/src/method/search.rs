@@ -1,5 +1,6 @@
-//! From a rejected omnibus test to explanations: at most three effects, smallest set that passes the omnibus test first. One function a stage, in the
-//! order in which `verify` calls them for each size.
+//! From a rejected omnibus test to explanations: at most three effects, smallest set that passes
+//! the omnibus test first. One function a stage, in the order in which `verify` calls them for each
+//! size.
 
 use super::ambiguity::cox_p_values;
 use super::fit::{Fit, Weights};
@@ -72,7 +73,8 @@ impl Search {
         )
     }
 
-    /// The explanation that the noise is taken from: the best one, but for where a generic driver explains more.
+    /// The explanation that the noise is taken from: the best one, but for where a generic driver
+    /// explains more.
     pub fn accepted(&self) -> &Hypothesis {
         if self.generic_driver_wins() {
             &self.found.base
@@ -88,7 +90,8 @@ impl Search {
     }
 }
 
-/// Whether anything remains beyond noise by the best explanation of the last size, and a larger one may be tried.
+/// Whether anything remains beyond noise by the best explanation of the last size, and a larger one
+/// may be tried.
 pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
     let done = (search.size - 1) as f64 / search.options.largest as f64;
     search.options.progress.at("searching for effects", done);
@@ -124,7 +127,8 @@ pub fn screen_subsets(system: &dyn MeasurementModel, signatures: Signatures) -> 
     }
 }
 
-/// The candidates through the full forward model, outliers taken out of each, and sets of effects whose linear merit is before all of them.
+/// The candidates through the full forward model, outliers taken out of each, and sets of effects
+/// whose linear merit is before all of them.
 pub fn refit(
     system: &dyn MeasurementModel,
     search: &Search,
@@ -171,7 +175,8 @@ pub fn refit(
     next
 }
 
-/// Takes the best of the refitted explanations where it is one that the design identifies, and that earns its parameters; true where it did.
+/// Takes the best of the refitted explanations where it is one that the design identifies, and that
+/// earns its parameters; true where it did.
 pub fn select_model(
     system: &dyn MeasurementModel,
     search: &mut Search,
@@ -186,7 +191,8 @@ pub fn select_model(
         gate: Gate::NotConverged,
         why: String::new(),
     }));
-    // Gross readings that a step takes back, or that were there before the first, are no step of the search.
+    // Gross readings that a step takes back, or that were there before the first, are no step of
+    // the search.
     let size = count(system, &search.found.best.key(system, outliers)) + 1;
     refitted.retain(|h| h.is_admissible(system) && count(system, &h.key(system, outliers)) == size);
     let (mut physical, refused) = split_by_identifiability(system, refitted);
@@ -267,7 +273,8 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
     }
 }
 
-/// The explanations of a size, the first of them the best so far; richer laws of it where something remains.
+/// The explanations of a size, the first of them the best so far; richer laws of it where something
+/// remains.
 fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hypothesis>) {
     let test = |h: &Hypothesis, round: usize| {
         let seed = search
@@ -313,8 +320,8 @@ pub struct Candidates {
     extended: Vec<Candidate>,
 }
 
-/// Signatures of one term more on the explanations that are gone on from: the few best of the last size, since the true set need not contain the
-/// best single effect.
+/// Signatures of one term more on the explanations that are gone on from: the few best of the last
+/// size, since the true set need not contain the best single effect.
 pub struct Signatures {
     parents: Vec<(Hypothesis, Vec<Signature>)>,
 }
@@ -362,7 +369,8 @@ fn extensions(
     ranked.into_iter().map(of).collect()
 }
 
-/// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
+/// Sets of effects that all subsets of the projected linear model put before everything in `next`,
+/// refitted.
 fn subset_candidates(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
@@ -379,7 +387,8 @@ fn subset_candidates(
         .map(|h| h.aic(&base.fit, scale))
         .fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
-    // The laws of a set that is there already may be those of the first step, which saw the other effects as noise.
+    // The laws of a set that is there already may be those of the first step, which saw the other
+    // effects as noise.
     let known: Vec<(Vec<TermKey>, f64)> = next
         .iter()
         .map(|h| (h.key(system, None), h.aic(&base.fit, scale)))
@@ -415,7 +424,8 @@ fn subset_candidates(
     .collect()
 }
 
-/// Adds the explanations of `more` that are not there yet; of two with the same key the better stays.
+/// Adds the explanations of `more` that are not there yet; of two with the same key the better
+/// stays.
 fn merge(
     system: &dyn MeasurementModel,
     all: &mut Vec<Hypothesis>,
@@ -434,7 +444,8 @@ fn merge(
     }
 }
 
-/// p-value of the step from `from` to `to`, adjusted by the family that was searched; 1 where nothing remains to test it by.
+/// p-value of the step from `from` to `to`, adjusted by the family that was searched; 1 where
+/// nothing remains to test it by.
 fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
     if to.flagged.len() > from.flagged.len() {
         return to.flag_p;

@@ -52,7 +52,8 @@ pub struct SearchResult {
 }
 
 impl SearchResult {
-    /// The omnibus test that says what remains, where something does: on the declared model where a generic driver beats the catalogue.
+    /// The omnibus test that says what remains, where something does: on the declared model where a
+    /// generic driver beats the catalogue.
     pub fn failed_adequacy_test(&self) -> Option<&OmnibusTest> {
         if self.covariate_beats_catalogue {
             Some(&self.first_test)
@@ -61,7 +62,8 @@ impl SearchResult {
         }
     }
 
-    /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
+    /// The explanation that predictions use: the best one, but for where a generic driver explains
+    /// more than the catalogue does.
     pub fn accepted(&self) -> &Hypothesis {
         if self.covariate_beats_catalogue {
             &self.base

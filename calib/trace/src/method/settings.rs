@@ -1,4 +1,5 @@
-//! Settings of an input: values that lie close together beside the distance of the next one are one setting that was read more than once.
+//! Settings of an input: values that lie close together beside the distance of the next one are one
+//! setting that was read more than once.
 //!
 //! ```text
 //! y = f(xi) + e,   x = xi + d                            errors in variables (GUM H.3.5, ISO/TS 28037)
@@ -6,14 +7,14 @@
 //! E[y | x] within a setting = mean + lambda f' (x - mean),      E[xi | x] = mean + lambda (x - mean)       (regression calibration)
 //! ```
 //!
-//! The slope within settings over the slope between them is lambda: 1 where the stimulus went where its reading says, 0 where only the reading
-//! scatters.
+//! The slope within settings over the slope between them is lambda: 1 where the stimulus went where
+//! its reading says, 0 where only the reading scatters.
 
 /// Widest setting beside the smallest distance between two of them.
 const NEAR: f64 = 0.1;
 
-/// Number of the setting of each value, ascending. Values are joined where most settings were read at more than one value and all of them are
-/// narrow; else equal values alone are one setting.
+/// Number of the setting of each value, ascending. Values are joined where most settings were read
+/// at more than one value and all of them are narrow; else equal values alone are one setting.
 pub fn settings(values: &[f64]) -> Vec<usize> {
     let mut distinct = values.to_vec();
     distinct.sort_by(f64::total_cmp);
@@ -21,7 +22,8 @@ pub fn settings(values: &[f64]) -> Vec<usize> {
     let mut gaps: Vec<f64> = distinct.windows(2).map(|p| p[1] - p[0]).collect();
     gaps.sort_by(f64::total_cmp);
     gaps.dedup();
-    // Least joined first: the jump from the distances within to those between is the first that leaves narrow settings.
+    // Least joined first: the jump from the distances within to those between is the first that
+    // leaves narrow settings.
     let joined = gaps
         .windows(2)
         .filter(|g| g[0] <= NEAR * g[1])
@@ -71,7 +73,8 @@ pub fn means(of: &[usize], values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Reliability of `x` within its settings, from 0 to 1; 1 where no setting was read at more than one value.
+/// Reliability of `x` within its settings, from 0 to 1; 1 where no setting was read at more than
+/// one value.
 pub fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
     let [mx, my] = [x, y].map(|v| means(of, v));
     // Slope between the neighbours of a setting: the law need not be straight.

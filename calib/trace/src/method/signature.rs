@@ -1,4 +1,5 @@
-//! Signatures: how the data would change if an effect acted, less what the nuisance parameters take up.
+//! Signatures: how the data would change if an effect acted, less what the nuisance parameters take
+//! up.
 //!
 //! ```text
 //! s = P (X(theta + probe) - X(theta)) b,     P = I - N (N' N)^-1 N'        N: design and tangents of what is fitted already
@@ -91,7 +92,8 @@ pub fn signatures_of_effect(
         for point in grid(law) {
             let mut raw: Vec<DVector<f64>> = Vec::new();
             let mut amplitudes = Vec::new();
-            // Score direction of an amplitude: a difference from zero, the coefficients as they are.
+            // Score direction of an amplitude: a difference from zero, the coefficients as they
+            // are.
             for (slot, p) in law.parameters.iter().enumerate() {
                 let Role::Amplitude { probe } = p.role else {
                     continue;
@@ -188,7 +190,8 @@ impl Signature {
         self.directions.len()
     }
 
-    /// Fall of the sum of squares if the signature is added to a residual; 0 where the sign is unphysical.
+    /// Fall of the sum of squares if the signature is added to a residual; 0 where the sign is
+    /// unphysical.
     pub fn gain(&self, residual: &DVector<f64>) -> f64 {
         if self.one_sided && self.projected[0].dot(residual) <= 0.0 {
             return 0.0;
@@ -206,7 +209,8 @@ impl Signature {
         if m == 0 {
             return term;
         }
-        // Normal equations of the projected signatures; amplitudes that look alike share by the ridge.
+        // Normal equations of the projected signatures; amplitudes that look alike share by the
+        // ridge.
         let a = DMatrix::from_fn(m, m, |i, j| self.projected[i].dot(&self.projected[j]));
         let ridge = 1e-9 * a.trace().max(1e-300);
         let b = DVector::from_fn(m, |i, _| self.projected[i].dot(residual));
@@ -227,7 +231,8 @@ impl Signature {
     }
 }
 
-/// Signatures of every observable effect that is not yet in the fit, or can act once more beside itself.
+/// Signatures of every observable effect that is not yet in the fit, or can act once more beside
+/// itself.
 pub fn signatures_of_catalogue(
     system: &dyn MeasurementModel,
     fit: &Fit,

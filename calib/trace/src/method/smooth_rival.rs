@@ -1,4 +1,5 @@
-//! A rival without physics: does anything smooth predict what the accepted model leaves of readings that were left out? What it predicts is no noise.
+//! A rival without physics: does anything smooth predict what the accepted model leaves of readings
+//! that were left out? What it predicts is no noise.
 //!
 //! ```text
 //! e_i = r_i / sqrt(1 - h_ii)                                  r: what the model leaves of readings taken for independent, h: its leverages
@@ -6,13 +7,16 @@
 //! D = sum over folds of (2 e_f.g_f - |g_f|^2) / s^2           fall of the squares left out; of a factor beyond that of its driver by itself
 //! ```
 //!
-//! u is a driver from 0 to 1: a setting, a clock, a direction, a further column. Its cosines stand by themselves, and as factors of the signal and of the
-//! setting's cosines (a characteristic that follows the driver). q is the size of the course in the noise's variance. Draws of the noise give every D its
-//! tail, and the smallest of their p values its own: with the values of the residuals themselves, and what neighbours share estimated beside the
-//! course of the largest D, so that it does not hold the course. A course of the clock by itself is such noise and is not asked. A part of the noise that would be a course over the session is cut to a quarter of that.
+//! u is a driver from 0 to 1: a setting, a clock, a direction, a further column. Its cosines stand
+//! by themselves, and as factors of the signal and of the setting's cosines (a characteristic that
+//! follows the driver). q is the size of the course in the noise's variance. Draws of the noise
+//! give every D its tail, and the smallest of their p values its own: with the values of the
+//! residuals themselves, and what neighbours share estimated beside the course of the largest D, so
+//! that it does not hold the course. A course of the clock by itself is such noise and is not
+//! asked. A part of the noise that would be a course over the session is cut to a quarter of that.
 //!
-//! Wahba, "Spline Models for Observational Data" (1990), ch. 1: cosines with variances 1 / k^2 are a Brownian course.
-//! Besag & Clifford, Biometrika 78 (1991): draws end where ten are larger.
+//! Wahba, "Spline Models for Observational Data" (1990), ch. 1: cosines with variances 1 / k^2 are
+//! a Brownian course. Besag & Clifford, Biometrika 78 (1991): draws end where ten are larger.
 
 use super::admissible::REFIT_STEPS;
 use super::fit::Weights;
@@ -30,11 +34,13 @@ use rand_chacha::ChaCha8Rng;
 use statrs::distribution::{ContinuousCDF, Gamma};
 use std::f64::consts::PI;
 
-/// Cosines of a driver, of one that is a factor, and of the setting beside it, at most: what is finer is left to the waves of the omnibus test.
+/// Cosines of a driver, of one that is a factor, and of the setting beside it, at most: what is
+/// finer is left to the waves of the omnibus test.
 const COSINES: usize = 12;
 const FACTORS: usize = 3;
 const SETTINGS: usize = 8;
-/// Sizes of a course in the noise's variance: what is found is within a factor of three of one of them.
+/// Sizes of a course in the noise's variance: what is found is within a factor of three of one of
+/// them.
 const SIZES: [f64; 2] = [0.3, 3.0];
 /// Draws from which each D has its tail, draws at most, and smaller p that end them.
 const PILOT: usize = 200;
@@ -56,8 +62,8 @@ pub struct SmoothRival {
     pub factor: bool,
 }
 
-/// A course over one driver: whitened columns, the same in every channel, and `(B'B - B_f'B_f + L / q)^-1` by size and fold. A factor's hold those of
-/// the driver by itself.
+/// A course over one driver: whitened columns, the same in every channel, and
+/// `(B'B - B_f'B_f + L / q)^-1` by size and fold. A factor's hold those of the driver by itself.
 struct Course {
     of: SmoothRival,
     /// Its own columns as they are.
@@ -66,7 +72,8 @@ struct Course {
     inverse: Vec<Vec<DMatrix<f64>>>,
 }
 
-/// The smooth course that predicts what `accepted` leaves of readings left out in `fold`; none where nothing does beyond chance.
+/// The smooth course that predicts what `accepted` leaves of readings left out in `fold`; none
+/// where nothing does beyond chance.
 pub fn smooth_rival(
     system: &dyn MeasurementModel,
     accepted: &Hypothesis,
@@ -127,7 +134,8 @@ pub fn smooth_rival(
     if !asked.iter().any(|&k| found[k] > 0.0) {
         return None;
     }
-    // Noise as it is: the values of the whitened residual in any order, and what readings share beside the course that predicts best.
+    // Noise as it is: the values of the whitened residual in any order, and what readings share
+    // beside the course that predicts best.
     let best = asked
         .iter()
         .copied()
@@ -179,7 +187,8 @@ pub fn smooth_rival(
             .apply(|v| *v = white());
         falls(&basis.project_off(&drawn))
     };
-    // Each D has the tail of a gamma distribution with its first three moments: few columns are as skewed as chi-squared.
+    // Each D has the tail of a gamma distribution with its first three moments: few columns are as
+    // skewed as chi-squared.
     let pilot: Vec<Vec<f64>> = (0..PILOT).map(|_| null()).collect();
     let tails: Vec<Tail> = (0..found.len())
         .map(|k| Tail::of(pilot.iter().map(|d| d[k])))
@@ -241,7 +250,8 @@ fn courses(system: &dyn MeasurementModel, h: &Hypothesis, folds: &[Vec<usize>]) 
         );
         (1..=most.min(places)).map(|k| (k, cosine(&u, k))).collect()
     };
-    // What carries a factor: columns after the constant, which are the signal, or the first covariate, which is the setting.
+    // What carries a factor: columns after the constant, which are the signal, or the first
+    // covariate, which is the setting.
     let signals = (1..h.fit.raw_design.ncols().min(3)).map(|j| {
         let u = unit(h.fit.raw_design.column(j).as_slice());
         (1, u.iter().map(|u| 2.0 * u - 1.0).collect())
@@ -287,7 +297,8 @@ fn courses(system: &dyn MeasurementModel, h: &Hypothesis, folds: &[Vec<usize>]) 
 }
 
 impl Course {
-    /// Of columns with the number of their cosine, beside those of the driver by itself; none where a prior leaves them undetermined.
+    /// Of columns with the number of their cosine, beside those of the driver by itself; none where
+    /// a prior leaves them undetermined.
     fn of(
         of: SmoothRival,
         factors: Vec<(usize, Vec<f64>)>,
@@ -358,7 +369,8 @@ mod tests {
     use super::super::columns_system_test::ColumnsSystem;
     use super::*;
 
-    /// Driver found in 120 readings of a column up and down, twelve folds by place, where `moved` acts on top of the slope.
+    /// Driver found in 120 readings of a column up and down, twelve folds by place, where `moved`
+    /// acts on top of the slope.
     fn found(seed: u64, moved: impl Fn(usize, f64) -> f64) -> Option<SmoothRival> {
         let place = |i: usize| {
             if (i / 12).is_multiple_of(2) {

@@ -1,4 +1,5 @@
-//! Screening by all subsets: which sets of terms explain most in the projected linear model, from the Gram matrix of their signatures.
+//! Screening by all subsets: which sets of terms explain most in the projected linear model, from
+//! the Gram matrix of their signatures.
 
 use super::linear::transposed_product;
 use super::signature::Signature;
@@ -10,14 +11,16 @@ use nalgebra::{DMatrix, DVector};
 pub struct Subset {
     /// Indices of the signatures.
     pub signatures: Vec<usize>,
-    /// Fall of the sum of squares in units of the variance, less twice the parameters (Akaike); larger is better.
+    /// Fall of the sum of squares in units of the variance, less twice the parameters (Akaike);
+    /// larger is better.
     pub merit: f64,
 }
 
 /// Signatures (laws, points of the shape grids) tried for everything that a term can stand for.
 const OF_A_KEY: usize = 2;
 
-/// The sets of `size` terms with the largest merit, best first, at most `keep`. One-sided amplitudes of the wrong sign are left out.
+/// The sets of `size` terms with the largest merit, best first, at most `keep`. One-sided
+/// amplitudes of the wrong sign are left out.
 pub fn best_subsets(
     catalogue: &Catalogue,
     signatures: &[Signature],
@@ -43,7 +46,8 @@ pub fn best_subsets(
     for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
         to.copy_from(from);
     }
-    // Everything that a subset needs stands in one Gram matrix: no subset is fitted on the readings.
+    // Everything that a subset needs stands in one Gram matrix: no subset is fitted on the
+    // readings.
     let (gram, along) = (
         transposed_product(&matrix, &matrix),
         matrix.tr_mul(residual),
@@ -75,7 +79,8 @@ pub fn best_subsets(
             };
             let mut at = 0;
             let mut price = 0.0;
-            // A one-sided amplitude below zero is no explanation; each parameter has Akaike's price.
+            // A one-sided amplitude below zero is no explanation; each parameter has Akaike's
+            // price.
             for &m in members {
                 let signature = &signatures[chosen[m]];
                 if signature.one_sided && solution[at] <= 0.0 {
@@ -117,7 +122,8 @@ impl Subset {
     }
 }
 
-/// The best few signatures of everything that a term can stand for; neighbours on a grid of shapes are one.
+/// The best few signatures of everything that a term can stand for; neighbours on a grid of shapes
+/// are one.
 fn sure_screening(
     catalogue: &Catalogue,
     signatures: &[Signature],

@@ -1,5 +1,5 @@
-//! The last rule on the open readings, for every kind: what is called adequate or explained can be used as a calibration, and the error of readings
-//! left out in turn is not far above the floor.
+//! The last rule on the open readings, for every kind: what is called adequate or explained can be
+//! used as a calibration, and the error of readings left out in turn is not far above the floor.
 //!
 //! ```text
 //! error^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n left-out values, dof of the floor's replicates
@@ -89,7 +89,8 @@ pub fn far_above_floor<M: SessionModel>(
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
     let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
     let chance = f_tail(ratio * ratio, [values, dof])?;
-    // A level that is omitted at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
+    // A level that is omitted at the end of the range is extrapolated to: intervals that say so, on
+    // a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor()
         <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);

@@ -4,8 +4,9 @@
 //! contradicted: P(F_{n, dof} > F) < alpha_k              F of `prediction_residual`; look k of the same files: alpha_k = alpha / (k (k + 1))
 //! ```
 //!
-//! The decision cannot change by it: the sealed readings confirm it, do not contradict it, or veto its calibration. A reading is set aside only
-//! where both models put it beyond the limit that the open readings gave.
+//! The decision cannot change by it: the sealed readings confirm it, do not contradict it, or veto
+//! its calibration. A reading is set aside only where both models put it beyond the limit that the
+//! open readings gave.
 
 use super::acceptance::far_above_floor;
 use super::decision::Decision;
@@ -117,7 +118,8 @@ fn errors<M: SessionModel>(
     }
 }
 
-/// The tests that were fixed in advance: noise and parameters, the floor of repeats, and which of the two models the readings speak against.
+/// The tests that were fixed in advance: noise and parameters, the floor of repeats, and which of
+/// the two models the readings speak against.
 fn judgement<M: SessionModel>(
     decision: &Decision<M>,
     whole: &M,
@@ -200,7 +202,8 @@ fn judgement<M: SessionModel>(
     }
 }
 
-/// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
+/// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a
+/// picture), left out in turn.
 pub fn fill_missing<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
     let shown = |q: &&Quantity| !sealed.shows(q.key);
     let missing: Vec<&str> = model
@@ -236,7 +239,8 @@ fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> 
     Some(whole.measured() - whole.design(&h.fit.terms)? * &h.fit.coefficients)
 }
 
-/// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single slips are no misfit.
+/// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single
+/// slips are no misfit.
 fn holdout_outliers<M: SessionModel>(
     whole: &M,
     models: [&Hypothesis; 2],

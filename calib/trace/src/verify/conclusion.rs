@@ -1,4 +1,5 @@
-//! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
+//! The verdict, written once from what was found on the open readings, in the order of
+//! docs/src/formats.md.
 
 use super::acceptance::{Unfit, format_significant};
 use super::explained::Explained;
@@ -34,7 +35,8 @@ pub struct Conclusion {
     pub on_request: bool,
 }
 
-/// Whether a verdict says that the accepted model holds; one of several explanations does so where it was accepted by request.
+/// Whether a verdict says that the accepted model holds; one of several explanations does so where
+/// it was accepted by request.
 pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     match verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
@@ -43,7 +45,8 @@ pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     }
 }
 
-/// Effects that were withdrawn, since they do not predict readings left out in turn better than chance would.
+/// Effects that were withdrawn, since they do not predict readings left out in turn better than
+/// chance would.
 pub struct Withdrawn {
     /// Their identifiers.
     pub names: Vec<String>,
@@ -118,7 +121,8 @@ fn join(ids: &[String]) -> String {
     }
 }
 
-/// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first gate's family.
+/// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first
+/// gate's family.
 fn removal_p<M: SessionModel>(
     model: &M,
     found: &SearchResult,
@@ -147,7 +151,8 @@ fn named_effects<M: SessionModel>(
         let mut class = vec![id(e)];
         for mate in classmates {
             let theirs = mate.effects(model.outliers());
-            // The mate has other effects in place of some of ours: those replace this one if the rest is common.
+            // The mate has other effects in place of some of ours: those replace this one if the
+            // rest is common.
             let common = own.iter().filter(|x| theirs.contains(x)).count();
             if !theirs.contains(&e) && common + 1 == own.len() {
                 let others: Vec<String> = theirs
@@ -212,7 +217,8 @@ fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
     })
 }
 
-/// What levels that reproduce better than they fit follow: their setting, in no shape that is known.
+/// What levels that reproduce better than they fit follow: their setting, in no shape that is
+/// known.
 fn irregular<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
     let (driver, _) = model.covariates().into_iter().next()?;
     let drivers_ranked = vec![driver.clone()];
@@ -345,7 +351,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         effects
     }
 
-    /// The omnibus test of `accepted`, or of the declared model where the best explanation was withdrawn, rejects it.
+    /// The omnibus test of `accepted`, or of the declared model where the best explanation was
+    /// withdrawn, rejects it.
     fn rejects(&self, accepted: &Hypothesis) -> bool {
         let SearchResult {
             best,
@@ -357,7 +364,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         !self.explained.exact && if is_best { last_test } else { first_test }.rejected()
     }
 
-    /// The order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate. What the omnibus test rejects is never adequate.
+    /// The order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
+    /// What the omnibus test rejects is never adequate.
     fn verdict(&self, accepted: &Hypothesis, effects: &[NamedEffect]) -> Verdict {
         if self.is_ambiguous() {
             Verdict::Ambiguous
@@ -395,7 +403,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         all
     }
 
-    /// The conclusion that `accepted` is the model; `withdrawn` lost its name for it, `unfit` says why it cannot be called one that holds.
+    /// The conclusion that `accepted` is the model; `withdrawn` lost its name for it, `unfit` says
+    /// why it cannot be called one that holds.
     pub fn conclude(
         &self,
         accepted: Hypothesis,
@@ -533,7 +542,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         }
     }
 
-    /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
+    /// The declared model, where the effects predict worse than it does: they are no explanation,
+    /// and nothing of them stays.
     fn conclude_withdrawal(
         &self,
         base: Hypothesis,
@@ -585,7 +595,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     }
 }
 
-/// The same names as the best explanation's, driven by something else: a period over time, or over the stimulus.
+/// The same names as the best explanation's, driven by something else: a period over time, or over
+/// the stimulus.
 fn other_driver<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> bool {
     ids(model, h) == ids(model, &found.best) && drivers(model, h) != drivers(model, &found.best)
 }

@@ -45,10 +45,12 @@ pub struct Validated<M> {
     pub left_out: LeftOut<M>,
 }
 
-/// Cross-validates what the search found over whole trajectories, cycles or stimuli; each fold chooses anew among the refitted explanations.
+/// Cross-validates what the search found over whole trajectories, cycles or stimuli; each fold
+/// chooses anew among the refitted explanations.
 ///
 /// # Errors
-/// Where the declared model's residuals have no noise, or no surviving explanation has the effects that are to be accepted.
+/// Where the declared model's residuals have no noise, or no surviving explanation has the effects
+/// that are to be accepted.
 pub fn cross_validate<M: SessionModel>(
     e: Evidence<M>,
     found: SearchResult,
@@ -102,8 +104,8 @@ pub fn cross_validate<M: SessionModel>(
     })
 }
 
-/// The noise that a decision rests on, and what remains under it. Correlated noise that takes up everything is one description; a smooth course
-/// that no catalogue has may be the better one.
+/// The noise that a decision rests on, and what remains under it. Correlated noise that takes up
+/// everything is one description; a smooth course that no catalogue has may be the better one.
 ///
 /// # Errors
 /// Where the declared model's residuals have no noise.
@@ -170,7 +172,8 @@ fn settle_noise<M: SessionModel>(
     Ok((model, explained))
 }
 
-/// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
+/// Takes back what does not earn its name on readings that are left out, and calls what is then
+/// left by its size.
 fn withdraw_below_model_error(
     system: &dyn MeasurementModel,
     found: &mut SearchResult,
@@ -179,7 +182,8 @@ fn withdraw_below_model_error(
     let (best, within) = retain_cross_validated(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
-        // Where nothing was left beside it, what remains is what was withdrawn: a finding of chance, or more than that.
+        // Where nothing was left beside it, what remains is what was withdrawn: a finding of
+        // chance, or more than that.
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
@@ -203,8 +207,9 @@ fn withdraw_below_model_error(
     found.last_test.within_model_error = small;
 }
 
-/// `h` without the terms that are none: beside the others each has to pass the level at which the search names, with a size that is not zero. The
-/// least supported one first; itself where all are. Noise is then that of what is kept; where the fit needs a term of no size, something remains.
+/// `h` without the terms that are none: beside the others each has to pass the level at which the
+/// search names, with a size that is not zero. The least supported one first; itself where all are.
+/// Noise is then that of what is kept; where the fit needs a term of no size, something remains.
 fn drop_unsupported<M: SessionModel>(
     model: &M,
     explained: &mut Explained,
@@ -236,8 +241,9 @@ fn drop_unsupported<M: SessionModel>(
     kept
 }
 
-/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and
-/// cosine of an error whose period is not known exactly do.
+/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald).
+/// Each by itself may well hold it: sine and cosine of an error whose period is not known exactly
+/// do.
 fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);

@@ -1,4 +1,5 @@
-//! The decision: verdict, model, calibration and every claim that the sealed readings will be held against. It is complete before they come out.
+//! The decision: verdict, model, calibration and every claim that the sealed readings will be held
+//! against. It is complete before they come out.
 
 use super::acceptance::{Unfit, far_above_floor};
 use super::conclusion::{Conclusion, Facts};
@@ -59,7 +60,8 @@ impl<M: SessionModel> Decision<M> {
         declared_calibration(&self.of.model, models, &self.predicting, self.floor.sd)
     }
 
-    /// The declared and the chosen model of each fold as calibrations, which know nothing of the readings that the fold leaves out.
+    /// The declared and the chosen model of each fold as calibrations, which know nothing of the
+    /// readings that the fold leaves out.
     pub fn fold_calibrations(&self) -> Vec<FoldCalibrations<'_, M>>
     where
         M::Calibration: Send,
@@ -110,7 +112,8 @@ pub fn decide<M: SessionModel>(
         unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
     let rival =
         || smooth_rival(model, accepted, noise, &left_out.split.fold, seed).map(Unfit::Predictable);
-    // Rounding is a function of the place, and what an accepted effect leaves that is not quite of its law is said.
+    // Rounding is a function of the place, and what an accepted effect leaves that is not quite of
+    // its law is said.
     let left = &explained.found.last_test;
     let is_said =
         left.is_rounding || (left.rejected() && model.residual_explained(&explained.found));
@@ -155,7 +158,8 @@ fn round_to_error(value: f64, sd: f64) -> Value {
     }
 }
 
-/// The noise that sealed readings are judged by. Every part is named: one that is added to [`Noise`] must be added here.
+/// The noise that sealed readings are judged by. Every part is named: one that is added to
+/// [`Noise`] must be added here.
 fn of_noise(noise: &Noise) -> Value {
     let Noise {
         weights: _,

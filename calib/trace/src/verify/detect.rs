@@ -1,13 +1,15 @@
-//! Detectability: the smallest size of every effect with which 90 % of such sessions are not called adequate. Its name is a choice among rivals and
-//! may take more.
+//! Detectability: the smallest size of every effect with which 90 % of such sessions are not called
+//! adequate. Its name is a choice among rivals and may take more.
 //!
 //! ```text
 //! |P s| a / sigma >= t + z_0.9 sqrt(1 + t^2 / (2 n)),    t^2 = d F_{d, n}(1 - level)       s: signature for a unit amplitude, n: degrees of freedom
 //! ```
 //!
-//! (Noncentral t; Johnson & Kotz, "Continuous Univariate Distributions" 2, ch. 31.) P takes off the nuisances and what is accepted. A name has to pass the search, at the level
-//! beside noise that neighbours share where there is some, and the tests that the design asks for ([`MeasurementModel::design_tests`]). What all readings share and no number
-//! of them averages out (the alignment of two clocks) is added in squares.
+//! (Noncentral t; Johnson & Kotz, "Continuous Univariate Distributions" 2, ch. 31.) P takes off the
+//! nuisances and what is accepted. A name has to pass the search, at the level beside noise that
+//! neighbours share where there is some, and the tests that the design asks for
+//! ([`MeasurementModel::design_tests`]). What all readings share and no number of them averages out
+//! (the alignment of two clocks) is added in squares.
 
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, Parameter, Role};
@@ -25,7 +27,8 @@ use wcal_core::verify_document::Detectable;
 /// Normal quantile of 90 % power.
 const POWER_90: f64 = 1.281_551_565_545;
 
-/// A size this many times larger than with the second witness says that the readings do not show it at all.
+/// A size this many times larger than with the second witness says that the readings do not show it
+/// at all.
 const MUCH_LARGER: f64 = 1e3;
 
 /// Smallest size by one law.
@@ -156,7 +159,8 @@ fn row<M: SessionModel>(
     }
 }
 
-/// Whether the model has an answer for every reading with some law of the effect at its typical size.
+/// Whether the model has an answer for every reading with some law of the effect at its typical
+/// size.
 fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
     let typical = |p: &Parameter| match p.role {
         Role::Amplitude { probe } => probe,
@@ -177,7 +181,8 @@ fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
         })
 }
 
-/// Length of a signature, in standard deviations of a reading, that a test with `d` and `dof` degrees of freedom finds with 90 %.
+/// Length of a signature, in standard deviations of a reading, that a test with `d` and `dof`
+/// degrees of freedom finds with 90 %.
 fn noncentrality(level: f64, d: f64, dof: f64) -> Option<f64> {
     let t = (d * FisherSnedecor::new(d, dof).ok()?.inverse_cdf(1.0 - level)).sqrt();
     Some(t + POWER_90 * (1.0 + t * t / (2.0 * dof)).sqrt())

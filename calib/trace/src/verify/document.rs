@@ -231,7 +231,8 @@ fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> 
     out
 }
 
-/// Laws of the accepted names by which the data could be described as well: columns or clocks that this session does not tell apart.
+/// Laws of the accepted names by which the data could be described as well: columns or clocks that
+/// this session does not tell apart.
 fn other_laws<M: SessionModel>(
     model: &M,
     explained: &Explained,
@@ -293,12 +294,14 @@ fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> Nois
     }
 }
 
-/// Swings of a slow part that a record must hold to show that it is noise: fewer are those of a drift, or of a zero that moved once and came back.
+/// Swings of a slow part that a record must hold to show that it is noise: fewer are those of a
+/// drift, or of a zero that moved once and came back.
 const SWINGS: f64 = 10.0;
 /// Times the scatter of neighbours from which a slow part matters.
 const MANY: f64 = 2.0;
 
-/// A correlated part of which the record holds a few swings alone, as a sentence: the fit takes it for noise, and it may be none.
+/// A correlated part of which the record holds a few swings alone, as a sentence: the fit takes it
+/// for noise, and it may be none.
 fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
     let (slow, repeat) = (noise.correlated?, noise.repeat?.value);
     let whole = match &inputs.clock {
@@ -331,7 +334,8 @@ fn noise_by_column<M: SessionModel>(
         .filter(|&i| accepted.weights.counts(i))
         .collect();
     let residual = fit.raw_residual.select_rows(&rows);
-    // Squared multiple correlation with the column, all channels together; of the clock alone noise this slow has as much.
+    // Squared multiple correlation with the column, all channels together; of the clock alone noise
+    // this slow has as much.
     let share = |values: &[f64]| {
         let column = DVector::from_iterator(rows.len(), rows.iter().map(|&i| values[i]));
         let column = column.add_scalar(-column.mean());

@@ -1,12 +1,15 @@
-//! Held-out errors with intervals by whole groups: what a further group (cycle, trajectory, fold) is wrong by, root mean square.
+//! Held-out errors with intervals by whole groups: what a further group (cycle, trajectory, fold)
+//! is wrong by, root mean square.
 //!
 //! ```text
 //! m = sum S_g / N,   v = G / (G - 1) sum ((S_g - n_g m) / N)^2        S_g: squares of group g, n_g: its values, N: all values, G: groups
 //! nu = 2 m^2 / (v (G - 1) / chi2_(0.05, G - 1))                       from G to N
 //! ```
 //!
-//! m nu / E m is about chi-squared with nu degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946), 110-114). Values of a group share
-//! what they share: all of it leaves one degree of freedom a group, nothing of it one a value. A few groups say little of v itself: its upper end counts.
+//! m nu / E m is about chi-squared with nu degrees of freedom (F. E. Satterthwaite, Biometrics
+//! Bull. 2 (1946), 110-114). Values of a group share what they share: all of it leaves one degree
+//! of freedom a group, nothing of it one a value. A few groups say little of v itself: its upper
+//! end counts.
 
 use super::session_model::{HeldOut, Quantity};
 use crate::method::distributions::{chi_squared_quantile, sd_interval95};
@@ -30,7 +33,8 @@ fn root_mean_square<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
     }
 }
 
-/// Rows of each group; where there is one group only, each row is one, so that an interval has a width.
+/// Rows of each group; where there is one group only, each row is one, so that an interval has a
+/// width.
 fn groups(rows: &[HeldOut]) -> Vec<Vec<&HeldOut>> {
     let mut by_group: BTreeMap<u32, Vec<&HeldOut>> = BTreeMap::new();
     for r in rows {
@@ -42,7 +46,8 @@ fn groups(rows: &[HeldOut]) -> Vec<Vec<&HeldOut>> {
     by_group.into_values().collect()
 }
 
-/// 95 % interval of the root mean square of further groups like these, from each one's squares and number of values.
+/// 95 % interval of the root mean square of further groups like these, from each one's squares and
+/// number of values.
 pub fn interval95(groups: &[(f64, f64)]) -> Option<[f64; 2]> {
     let count = groups.len() as f64;
     let (squares, values) = groups
@@ -121,8 +126,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Of a hundred: how often the interval from `groups` groups of `values` values holds the error of further ones, 1, where the values of a group
-    /// share `shared` of their variance.
+    /// Of a hundred: how often the interval from `groups` groups of `values` values holds the error
+    /// of further ones, 1, where the values of a group share `shared` of their variance.
     fn held(groups: usize, values: usize, shared: f64) -> f64 {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64((100 * groups + values) as u64);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
@@ -142,7 +147,8 @@ mod tests {
 
     #[test]
     fn the_interval_holds_the_error_of_further_groups() {
-        // Binomial standard deviation 0.5; values that share nothing are held more often where groups are few.
+        // Binomial standard deviation 0.5; values that share nothing are held more often where
+        // groups are few.
         for groups in [3, 4, 6, 10, 40] {
             for (values, shared) in [(1, 0.0), (11, 0.0), (11, 0.5), (11, 1.0)] {
                 let held = held(groups, values, shared);
@@ -156,7 +162,8 @@ mod tests {
         assert!(held(17, 1, 0.0) < 96.5 && held(40, 11, 0.0) < 99.0);
     }
 
-    /// Control: groups drawn again with replacement, central 95 % of their errors, hold it in 70 of 100.
+    /// Control: groups drawn again with replacement, central 95 % of their errors, hold it in 70 of
+    /// 100.
     #[test]
     fn groups_drawn_again_are_too_few() {
         use wcal_core::bootstrap::{redrawn, replicates};

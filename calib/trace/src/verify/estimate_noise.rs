@@ -1,4 +1,5 @@
-//! Feasible generalised least squares, iterated: what the noise and the instrument are like under the accepted model, until neither changes the other.
+//! Feasible generalised least squares, iterated: what the noise and the instrument are like under
+//! the accepted model, until neither changes the other.
 
 use super::evidence::{Evidence, independent};
 use super::request::VerifyRequest;
@@ -15,7 +16,8 @@ use crate::method::search::fit_declared_model;
 /// A residual below this share of the measured values is rounding.
 const ROUNDING: f64 = 1e-13;
 
-/// Beside the upper quartile of the values: one that is huge says nothing of the digits of the others.
+/// Beside the upper quartile of the values: one that is huge says nothing of the digits of the
+/// others.
 fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
     let mut sizes: Vec<f64> = system.measured().iter().map(|v| v.abs()).collect();
     sizes.sort_by(f64::total_cmp);
@@ -24,7 +26,8 @@ fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
     base.flagged.is_empty() && base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * size)
 }
 
-/// The declared model on readings that are taken for independent, and the instrument as it shows it.
+/// The declared model on readings that are taken for independent, and the instrument as it shows
+/// it.
 ///
 /// # Errors
 /// Where the declared model has no solution at the readings.
@@ -37,8 +40,8 @@ pub fn fit_baseline<M: SessionModel>(
     Evidence::new(model, request.search.clone())
 }
 
-/// The noise under the accepted model, what of it holds under that noise, and the instrument as it shows it. True where that is not what the search
-/// was made under: it begins anew.
+/// The noise under the accepted model, what of it holds under that noise, and the instrument as it
+/// shows it. True where that is not what the search was made under: it begins anew.
 pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let seed = e.options.seed;
     if is_interpolated(&e.model, &e.search.found.base) {
@@ -46,7 +49,8 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
         e.exact = true;
         return false;
     }
-    // Neighbours share something: whether it is noise or an effect is the question, not whether it is there.
+    // Neighbours share something: whether it is noise or an effect is the question, not whether it
+    // is there.
     if e.search.found.last_test.generic() {
         e.correlated_gain = CORRELATED_PRICE;
     }
@@ -59,7 +63,8 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
     let heavier = tails_dof.is_some() && e.options.tails_dof.is_none() && e.search.is_inadequate();
     let changed = dropped || heavier || !same_whitening(&noise.weights, &e.weights);
-    // What correlated noise would swallow may be an effect that no catalogue has: the better description stands.
+    // What correlated noise would swallow may be an effect that no catalogue has: the better
+    // description stands.
     let scores = (changed && !dropped && e.search.found.last_test.generic())
         .then(|| judge.covariate_scores(&kept, &e.search.found.last_test))
         .flatten();
@@ -81,7 +86,8 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     e.restart(weights.unwrap_or_else(|| independent(&e.model)))
 }
 
-/// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that it was fitted to.
+/// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that
+/// it was fitted to.
 fn weights_of<M: SessionModel>(
     model: &M,
     h: &Hypothesis,

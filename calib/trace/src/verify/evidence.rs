@@ -1,4 +1,5 @@
-//! Everything that is known of a session after a stage: stages take it and add to it, nothing else carries state.
+//! Everything that is known of a session after a stage: stages take it and add to it, nothing else
+//! carries state.
 
 use super::session_model::SessionModel;
 use crate::error::TraceError;
@@ -63,7 +64,8 @@ impl<M: SessionModel> Evidence<M> {
         })
     }
 
-    /// Begins anew with another model, of whose noise nothing is known; false where its declared model has no solution, and everything stays.
+    /// Begins anew with another model, of whose noise nothing is known; false where its declared
+    /// model has no solution, and everything stays.
     pub(super) fn begin_anew(&mut self, model: M) -> bool {
         let weights = independent(&model);
         let (before, tails) = (
@@ -79,7 +81,8 @@ impl<M: SessionModel> Evidence<M> {
         done
     }
 
-    /// Begins anew under `weights`; false where the declared model has no solution then, and everything stays.
+    /// Begins anew under `weights`; false where the declared model has no solution then, and
+    /// everything stays.
     pub(super) fn restart(&mut self, weights: Weights) -> bool {
         let search = Search::new(&self.model, &weights, &self.options);
         let Some(search) = search else { return false };

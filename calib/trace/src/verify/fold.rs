@@ -1,11 +1,13 @@
-//! What the readings that a fold keeps show by themselves: noise, flags, and the explanation that they choose. None of it is known from the
-//! readings that the fold leaves out, whose weight is zero throughout.
+//! What the readings that a fold keeps show by themselves: noise, flags, and the explanation that
+//! they choose. None of it is known from the readings that the fold leaves out, whose weight is
+//! zero throughout.
 //!
 //! ```text
 //! S_h = |P_h W r_h|^2,     cost = S_h / s^2 + 2 k_h              W: noise of the kept readings, P_h: off design and tangents of h (tangent model)
 //! ```
 //!
-//! The nearest by that are refitted, and the one with the least criterion is chosen; noise and choice are each made under the other, twice.
+//! The nearest by that are refitted, and the one with the least criterion is chosen; noise and
+//! choice are each made under the other, twice.
 
 use super::session_model::SessionModel;
 use crate::effect::EffectTerm;
@@ -18,11 +20,13 @@ use crate::method::noise_estimator::NoiseEstimator;
 use crate::method::search::{fit_declared_model, flag_outliers};
 use nalgebra::{DMatrix, DVector};
 
-/// Explanations that are refitted in a fold: what tangents promise far from their point a refit need not keep.
+/// Explanations that are refitted in a fold: what tangents promise far from their point a refit
+/// need not keep.
 const REFITTED: usize = 2;
 
-/// Difference of the criterion within which two fits are one to the iteration's end: two laws that the kept readings do not distinguish, as where they
-/// have two loads only. The first candidate stands, which is the one that all readings accept.
+/// Difference of the criterion within which two fits are one to the iteration's end: two laws that
+/// the kept readings do not distinguish, as where they have two loads only. The first candidate
+/// stands, which is the one that all readings accept.
 const TIED: f64 = 0.05;
 
 /// A fold of the cross-validation.
@@ -84,7 +88,8 @@ impl<M: SessionModel> Fold<M> {
     }
 }
 
-/// The declared model, the chosen explanation and its noise, by the readings that are not `left_out`.
+/// The declared model, the chosen explanation and its noise, by the readings that are not
+/// `left_out`.
 fn explain_kept(
     system: &dyn MeasurementModel,
     candidates: &[&Hypothesis],
@@ -106,7 +111,8 @@ fn explain_kept(
             .noise(h, &[])
             .unwrap_or_else(|| Noise::none(every.len()))
     };
-    // Readings that stand out of the declared model may be what an effect does: with and without them, flags at their price.
+    // Readings that stand out of the declared model may be what an effect does: with and without
+    // them, flags at their price.
     let without = (declared.weights != every)
         .then(|| chosen(&declared.weights))
         .flatten();
@@ -154,7 +160,8 @@ fn choose(
     let cost = |k: &usize| tangents[*k].0 / scale + 2.0 * tangents[*k].1;
     nearest.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     nearest.dedup_by_key(|k| &candidates[*k].fit.terms);
-    // As in the search: what the kept readings do not determine, or what physics does not allow, is no explanation.
+    // As in the search: what the kept readings do not determine, or what physics does not allow, is
+    // no explanation.
     let refitted = nearest
         .into_iter()
         .filter_map(|k| Some((k, refit(candidates[k])?)));
@@ -173,7 +180,8 @@ fn choose(
 /// Squares that `h` leaves of the readings of `weights`, in its tangent model.
 fn tangent_squares(h: &Hypothesis, weights: &Weights) -> f64 {
     let design = weights.apply(&h.fit.raw_design);
-    // What the coefficients cannot take up; of the second witness what belongs to readings that count.
+    // What the coefficients cannot take up; of the second witness what belongs to readings that
+    // count.
     let size = h.fit.residual.len();
     let off = |readings: &DMatrix<f64>, whole: &DVector<f64>| {
         let counts = |k: usize| f64::from(u8::from(weights.counts(h.fit.auxiliary_readings[k])));
@@ -192,7 +200,8 @@ mod tests {
     use super::*;
     use crate::method::columns_system_test::ColumnsSystem;
 
-    /// Ten groups of ten readings of a column from -1 to 1, in which `moved` acts, and both explanations fitted to all of them.
+    /// Ten groups of ten readings of a column from -1 to 1, in which `moved` acts, and both
+    /// explanations fitted to all of them.
     fn session(seed: u64, moved: impl Fn(usize, f64) -> f64) -> (ColumnsSystem, [Hypothesis; 2]) {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
         let clean: Vec<f64> = x.iter().enumerate().map(|(i, x)| moved(i, *x)).collect();
@@ -233,7 +242,8 @@ mod tests {
         a == b && of_a == of_b && (sd_a / sd_b - 1.0).abs() < 1e-9
     }
 
-    /// A slope that one group alone shows is chosen by all readings, and has no part in what the others choose.
+    /// A slope that one group alone shows is chosen by all readings, and has no part in what the
+    /// others choose.
     #[test]
     fn a_fold_s_own_readings_have_no_part_in_what_it_chooses() {
         let slope = |i: usize, x: f64| if i / 10 == 3 { 12.0 * x } else { 0.0 };
@@ -244,7 +254,8 @@ mod tests {
         }
     }
 
-    /// One group scatters by eight standard deviations: with it the noise is half as large again and more.
+    /// One group scatters by eight standard deviations: with it the noise is half as large again
+    /// and more.
     #[test]
     fn nor_in_its_noise_and_flags() {
         let sign = |i: usize| if i.is_multiple_of(3) { -1.0 } else { 1.0 };

@@ -1,7 +1,8 @@
 //! Does an existing calibration hold on readings that were not in its fit?
 //!
-//! With the errors e of what it infers and the standard deviations s that it states, it holds where its 95 % intervals cover at least 80 %
-//! and `rms(e / s) <= 2`: looser than the statement itself, because readings of one session share what a calibration has wrong.
+//! With the errors e of what it infers and the standard deviations s that it states, it holds where
+//! its 95 % intervals cover at least 80 % and `rms(e / s) <= 2`: looser than the statement itself,
+//! because readings of one session share what a calibration has wrong.
 
 use super::error_summary::{coverage95, summarise};
 use super::session_model::{HeldOut, Quantity};

@@ -52,7 +52,8 @@ impl Errors {
     }
 }
 
-/// The declared model as a calibration, under the noise of the chosen one as many times as large as it leaves more: what acts and is not in it is noise to it.
+/// The declared model as a calibration, under the noise of the chosen one as many times as large as
+/// it leaves more: what acts and is not in it is noise to it.
 pub(super) fn declared_calibration<M: SessionModel>(
     model: &M,
     [declared, chosen]: [&Hypothesis; 2],
@@ -64,7 +65,8 @@ pub(super) fn declared_calibration<M: SessionModel>(
     model.calibration(declared, declared, &noise.scaled(times), times * floor_sd)
 }
 
-/// The models of a fold as calibrations would keep them: nothing in them is known from the readings that it leaves out.
+/// The models of a fold as calibrations would keep them: nothing in them is known from the readings
+/// that it leaves out.
 pub struct FoldCalibrations<'a, M: SessionModel> {
     /// The instrument.
     pub model: &'a M,
@@ -85,7 +87,8 @@ pub struct LeftOut<M> {
 }
 
 impl<M: SessionModel> LeftOut<M> {
-    /// Chance that what each fold chose predicts the readings which it left out so much better than the declared model; none without noise.
+    /// Chance that what each fold chose predicts the readings which it left out so much better than
+    /// the declared model; none without noise.
     pub fn gain_p(&self, model: &M, accepted: &Hypothesis) -> Option<f64> {
         let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
             let fold = fold.as_ref()?;
@@ -111,7 +114,8 @@ impl<M: SessionModel> LeftOut<M> {
         Some([of(&self.errors.before)?, of(&self.errors.after)?])
     }
 
-    /// Both models of every fold that has them, each under its own noise; `left`: something remains, so that only replicates tell the floor.
+    /// Both models of every fold that has them, each under its own noise; `left`: something
+    /// remains, so that only replicates tell the floor.
     pub(super) fn calibrations<'a>(
         &'a self,
         model: &'a M,
@@ -140,7 +144,8 @@ impl<M: SessionModel> LeftOut<M> {
             .collect()
     }
 
-    /// What the fit and the left-out readings lose without each accepted effect, the others refitted.
+    /// What the fit and the left-out readings lose without each accepted effect, the others
+    /// refitted.
     pub fn ablations(
         &self,
         model: &M,
@@ -203,8 +208,9 @@ impl<M: SessionModel> LeftOut<M> {
     }
 }
 
-/// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
-/// accepted on request; readings that the accepted model flags are not scored, so that before and after stand on the same rows.
+/// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the
+/// refitted explanations, unless one was accepted on request; readings that the accepted model
+/// flags are not scored, so that before and after stand on the same rows.
 pub fn leave_out<M: SessionModel>(
     model: &M,
     found: &SearchResult,
@@ -246,7 +252,8 @@ pub fn leave_out<M: SessionModel>(
     let counted: Vec<usize> = (0..fold.len())
         .filter(|&i| fold[i].is_some() && counts(i))
         .collect();
-    // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
+    // A model that ignores readings is judged on them, too: as a second number beside the error of
+    // those that count.
     let ignored = (0..fold.len()).any(|i| fold[i].is_some() && !counts(i));
     if ignored && let Some(e) = sum(&left_out.rows(model, |_| true, chosen)) {
         further.push((
@@ -273,8 +280,9 @@ pub fn leave_out<M: SessionModel>(
     LeftOut { errors, ..left_out }
 }
 
-/// Noise of `readings` over that of a typical one of them: root mean square over median. Where it differs from reading to reading, an error
-/// over all of them lies above a typical reading's by this.
+/// Noise of `readings` over that of a typical one of them: root mean square over median. Where it
+/// differs from reading to reading, an error over all of them lies above a typical reading's by
+/// this.
 pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
     let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);

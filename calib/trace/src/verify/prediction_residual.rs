@@ -1,4 +1,5 @@
-//! Residuals of readings that a model was not fitted to (sealed ones, or those of a fold), and what they say of it: by itself, and beside another model.
+//! Residuals of readings that a model was not fitted to (sealed ones, or those of a fold), and what
+//! they say of it: by itself, and beside another model.
 //!
 //! ```text
 //! e ~ N(0, s^2 S),   S = C + J V J',   r = S^(-1/2) e / s             of a model that is right
@@ -9,15 +10,19 @@
 //! W = |r off the direction of S^(-1/2) d|^2 / (n - 1)                 scatter of readings
 //! ```
 //!
-//! e: measured less predicted, each in units of its noise; C: noise in units of s^2; V: covariance of the fitted parameters, which all these readings
-//! share. With C = L L' and L^-1 J V J' L'^-1 = Q diag(v) Q', S^(-1/2) is (1 + Q diag((1 + v)^(-1/2) - 1) Q') L^-1. Prediction F test: Seber & Lee,
-//! "Linear Regression Analysis", 2nd ed., ch. 5; heavy tails: each r is as far out as a Gaussian value of the same chance.
+//! e: measured less predicted, each in units of its noise; C: noise in units of s^2; V: covariance
+//! of the fitted parameters, which all these readings share. With C = L L' and L^-1 J V J' L'^-1 =
+//! Q diag(v) Q', S^(-1/2) is (1 + Q diag((1 + v)^(-1/2) - 1) Q') L^-1. Prediction F test: Seber &
+//! Lee, "Linear Regression Analysis", 2nd ed., ch. 5; heavy tails: each r is as far out as a
+//! Gaussian value of the same chance.
 //!
-//! T judges the error that is stated, not the one that whitening leaves of it: what neighbours share widens it and hides nothing. T is exact for the
-//! declared model: where that is right its fit is efficient, so that its errors and the difference d of two fits are independent (J. A. Hausman,
-//! Econometrica 46 (1978), 1251-1271, lemma 2.1), whatever the fitted readings chose. For the accepted model it holds given these, by which d is
-//! fixed: of an effect that is hardly found the fit overshoots, and it is refuted somewhat more often. B and W widen it where groups or readings
-//! scatter as no noise does: B asks that groups agree in the gain, not in their size.
+//! T judges the error that is stated, not the one that whitening leaves of it: what neighbours
+//! share widens it and hides nothing. T is exact for the declared model: where that is right its
+//! fit is efficient, so that its errors and the difference d of two fits are independent (J. A.
+//! Hausman, Econometrica 46 (1978), 1251-1271, lemma 2.1), whatever the fitted readings chose. For
+//! the accepted model it holds given these, by which d is fixed: of an effect that is hardly found
+//! the fit overshoots, and it is refuted somewhat more often. B and W widen it where groups or
+//! readings scatter as no noise does: B asks that groups agree in the gain, not in their size.
 
 use crate::levels::z;
 use crate::measurement_model::MeasurementModel;
@@ -39,7 +44,8 @@ struct Root {
 }
 
 impl Root {
-    /// Of parameters with that covariance in units of s^2, which move the whitened values by `jacobian`; none where it has no decomposition.
+    /// Of parameters with that covariance in units of s^2, which move the whitened values by
+    /// `jacobian`; none where it has no decomposition.
     fn of(jacobian: DMatrix<f64>, spread: &DMatrix<f64>) -> Option<Self> {
         let (q, r) = jacobian.qr().unpack();
         let parts = (&r * spread * r.transpose()).try_symmetric_eigen(f64::EPSILON, 0)?;
@@ -78,8 +84,8 @@ pub struct PredictionResidual {
 }
 
 impl PredictionResidual {
-    /// `off` of readings whose noise is that of `weights`, and its derivatives by parameters with covariance `spread`; `tails` where the noise has heavy
-    /// ones.
+    /// `off` of readings whose noise is that of `weights`, and its derivatives by parameters with
+    /// covariance `spread`; `tails` where the noise has heavy ones.
     fn new(
         off: DVector<f64>,
         [jacobian, spread]: [DMatrix<f64>; 2],
@@ -105,8 +111,8 @@ impl PredictionResidual {
         })
     }
 
-    /// Of the readings of `model` that `judged` under `h`, which was fitted without them; `tangents` are those of `h` on the rows of `model`. None
-    /// without readings or noise.
+    /// Of the readings of `model` that `judged` under `h`, which was fitted without them;
+    /// `tangents` are those of `h` on the rows of `model`. None without readings or noise.
     pub fn of(
         model: &dyn MeasurementModel,
         h: &Hypothesis,
@@ -188,7 +194,8 @@ impl PredictionResidual {
         f_tail(r.norm_squared() / self.count, [self.count, self.dof])
     }
 
-    /// The `other` model beside this one, on the same readings; `group` of each reading. The second witness is one group.
+    /// The `other` model beside this one, on the same readings; `group` of each reading. The second
+    /// witness is one group.
     pub fn beside(&self, other: &Self, group: impl Fn(usize) -> u32) -> PairedTest {
         let group = |k: usize| (k < self.readings).then(|| group(k % self.weights.len()));
         let d = &other.off - &self.off;
@@ -287,7 +294,8 @@ impl PairedTest {
         })
     }
 
-    /// Chance that the other model seems so much better where the first one is right; 1 where it leaves no less.
+    /// Chance that the other model seems so much better where the first one is right; 1 where it
+    /// leaves no less.
     pub fn p(&self) -> Option<f64> {
         let sum = |k: usize| self.groups.iter().map(|g| g[k]).sum::<f64>();
         let (gain, change) = (sum(0), sum(1));
@@ -315,8 +323,9 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
     use std::sync::Arc;
 
-    /// Eight runs of ten readings (SIMULATED): noise that neighbours of a run share, a level declared, a slope accepted. Two runs are fitted; the
-    /// others, which go further, are sealed, and share what those few tell of the level.
+    /// Eight runs of ten readings (SIMULATED): noise that neighbours of a run share, a level
+    /// declared, a slope accepted. Two runs are fitted; the others, which go further, are sealed,
+    /// and share what those few tell of the level.
     struct Sessions {
         noise: Weights,
         design: DMatrix<f64>,
@@ -353,8 +362,9 @@ mod tests {
             }
         }
 
-        /// Sealed residuals of the first one and two columns, fitted to the open readings of `y`, in units of the richer one's noise. `judged_by` is the
-        /// noise that is assumed, and `parameters` says whether theirs counts.
+        /// Sealed residuals of the first one and two columns, fitted to the open readings of `y`,
+        /// in units of the richer one's noise. `judged_by` is the noise that is assumed, and
+        /// `parameters` says whether theirs counts.
         fn sealed(
             &self,
             y: &DVector<f64>,
@@ -384,8 +394,8 @@ mod tests {
             })
         }
 
-        /// Shares of sessions with a slope of that size in which, at 5 %, the declared model is refuted by the accepted one, that by the declared one,
-        /// and the accepted one by itself.
+        /// Shares of sessions with a slope of that size in which, at 5 %, the declared model is
+        /// refuted by the accepted one, that by the declared one, and the accepted one by itself.
         fn shares(&mut self, slope: f64, judged_by: &Weights, parameters: bool) -> [f64; 3] {
             const DRAWS: usize = 2000;
             let mut counts = [0; 3];
@@ -424,7 +434,8 @@ mod tests {
             println!(
                 "slope {slope}: declared refuted {declared:.3}, accepted {accepted:.3}, by itself {itself:.3}"
             );
-            // The fit of a slope that no search would name yet overshoots, and d with it: the level is that of slopes which are found.
+            // The fit of a slope that no search would name yet overshoots, and d with it: the level
+            // is that of slopes which are found.
             assert!(accepted < if slope < 2.0 { 0.1 } else { 0.065 }, "{slope}");
             assert!((0.035..0.065).contains(&itself), "{slope}");
             power.push(declared);
@@ -452,8 +463,8 @@ mod tests {
         let accepted = of(&[0.4, -1.1, 0.7, 1.3, -0.2, -0.9]);
         let declared = of(&[9.0, 8.1, 9.5, 2.2, 1.6, 1.1]);
         assert!(p(&declared, &accepted) < 1e-6 && p(&accepted, &declared) > 0.05);
-        // Controls: predictions alike to a tenth of the noise say nothing, the same ones are no test, and residuals that scatter five times as far as
-        // they are said to measure by that.
+        // Controls: predictions alike to a tenth of the noise say nothing, the same ones are no
+        // test, and residuals that scatter five times as far as they are said to measure by that.
         let alike = of(&[0.5, -1.0, 0.6, 1.4, -0.1, -1.0]);
         assert!(
             p(&alike, &accepted) > 0.05
@@ -463,7 +474,8 @@ mod tests {
         let wild = of(&[5.0, -5.5, 6.0, -4.5, 5.0, -6.0]);
         let moved = of(&[2.0, -8.5, 3.0, -7.5, 2.0, -9.0]);
         assert!(p(&moved, &wild) > 0.05);
-        // An effect that is half as large here as it was fitted refutes both; the one that leaves less stands.
+        // An effect that is half as large here as it was fitted refutes both; the one that leaves
+        // less stands.
         let (over, under) = (
             of(&[4.0, 4.1, 3.9, 4.0, 4.2, 3.8]),
             of(&[-6.0, -5.9, -6.1, -6.0, -5.8, -6.2]),
@@ -471,7 +483,8 @@ mod tests {
         assert!(p(&under, &over) < 0.05 && p(&over, &under) == 1.0);
     }
 
-    /// p of a slope by readings of each group left out in turn, and of its F test on all of them: `count` groups of ten (SIMULATED).
+    /// p of a slope by readings of each group left out in turn, and of its F test on all of them:
+    /// `count` groups of ten (SIMULATED).
     fn left_out(seed: u64, count: usize, slope: impl Fn(usize) -> f64) -> [f64; 2] {
         let x: Vec<f64> = (0..10 * count)
             .map(|i| (i % 10) as f64 / 4.5 - 1.0)
@@ -508,7 +521,8 @@ mod tests {
         [p, f_tail(f, [1.0, with.dof]).unwrap()]
     }
 
-    /// What a search among ten names gives just at CATALOGUE keeps its name as often as LEFT_OUT says, be there four groups or ten.
+    /// What a search among ten names gives just at CATALOGUE keeps its name as often as LEFT_OUT
+    /// says, be there four groups or ten.
     #[test]
     fn a_weak_effect_keeps_its_name_and_one_of_a_single_group_does_not() {
         for count in [4, 10] {

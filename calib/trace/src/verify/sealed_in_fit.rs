@@ -4,8 +4,9 @@
 //! P(at least m of n agree) = binomial tail with q = (r + 1) / (N + 2),   r of N fitted rows agree with another one
 //! ```
 //!
-//! Readings without a clock agree by chance as often as the fitted ones agree with each other (I. J. Good, Biometrika 40 (1953), 237-264). Under a clock
-//! every reading has its own time: one that agrees is the same row. Where fitted rows of one time agree, the clock is too coarse to tell.
+//! Readings without a clock agree by chance as often as the fitted ones agree with each other (I.
+//! J. Good, Biometrika 40 (1953), 237-264). Under a clock every reading has its own time: one that
+//! agrees is the same row. Where fitted rows of one time agree, the clock is too coarse to tell.
 
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::collections::BTreeMap;
@@ -13,7 +14,8 @@ use std::collections::BTreeMap;
 /// Chance below which rows that agree are the same rows.
 const CHANCE: f64 = 1e-3;
 
-/// Why the holdout proves nothing, where its rows were fitted. Rows: time, where there is one, setting and values.
+/// Why the holdout proves nothing, where its rows were fitted. Rows: time, where there is one,
+/// setting and values.
 pub fn sealed_in_fit<const K: usize>(
     fitted: impl Iterator<Item = (Option<f64>, [f64; K])>,
     sealed: impl Iterator<Item = (Option<f64>, [f64; K])>,
@@ -81,7 +83,8 @@ mod tests {
             "the rest is new"
         );
         assert!(found(10, 0, 10, 1e9).is_some());
-        // Negative controls: other rows, one of many that agrees, and a gauge so coarse that each reading was there before.
+        // Negative controls: other rows, one of many that agrees, and a gauge so coarse that each
+        // reading was there before.
         assert_eq!(found(40, 40, 40, 1e9), None);
         assert_eq!(found(40, 39, 40, 1e9), None);
         assert_eq!(found(40, 40, 20, 3.0), None);

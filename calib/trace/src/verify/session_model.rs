@@ -1,4 +1,5 @@
-//! What the procedure asks of a kind of session: its measurement model, in the words of its catalogue.
+//! What the procedure asks of a kind of session: its measurement model, in the words of its
+//! catalogue.
 
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Weights;
@@ -28,9 +29,11 @@ pub struct Quantity {
 pub struct HeldOut {
     /// Group that is resampled whole.
     pub group: u32,
-    /// Measured less predicted, one list a [`Quantity`]; the first quantity is the measured one, channel by channel.
+    /// Measured less predicted, one list a [`Quantity`]; the first quantity is the measured one,
+    /// channel by channel.
     pub errors: Vec<Vec<f64>>,
-    /// Standard deviations that the model states for them, of the same shape; NaN where it states none.
+    /// Standard deviations that the model states for them, of the same shape; NaN where it states
+    /// none.
     pub stated_sd: Vec<Vec<f64>>,
     /// Whether each stated 95 % interval holds its value.
     pub inside95: Vec<bool>,
@@ -87,7 +90,8 @@ pub trait SessionText: MeasurementModel {
     fn format_text(&self, sentence: &str) -> String {
         sentence.to_owned()
     }
-    /// Name of a law as a reader of this kind of session has it; calibration.json keeps the catalogue's.
+    /// Name of a law as a reader of this kind of session has it; calibration.json keeps the
+    /// catalogue's.
     fn law_name(&self, name: &str) -> String {
         name.to_owned()
     }
@@ -101,7 +105,8 @@ pub trait SessionText: MeasurementModel {
     }
     /// What takes up a signature of which nothing remains.
     fn nuisances(&self) -> &'static str;
-    /// What limits the use of the accepted model although nothing contradicts it: what no reading tests, what is no measurement.
+    /// What limits the use of the accepted model although nothing contradicts it: what no reading
+    /// tests, what is no measurement.
     fn cautions(&self, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()
     }
@@ -111,8 +116,8 @@ pub trait SessionText: MeasurementModel {
     }
 }
 
-/// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`], words by [`SessionText`]; predictions, noise and
-/// checks here.
+/// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`],
+/// words by [`SessionText`]; predictions, noise and checks here.
 pub trait SessionModel: SessionText + Sized + Send {
     /// A row as it was loaded.
     type Row;
@@ -132,16 +137,19 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn twin_faults(&self) -> Vec<TwinFault> {
         Vec::new()
     }
-    /// The instrument as the declared model shows it before anything is searched; `declared` fits that.
+    /// The instrument as the declared model shows it before anything is searched; `declared` fits
+    /// that.
     fn prepared(self, _declared: &dyn Fn(&Self) -> Option<Hypothesis>) -> Option<Self> {
         Some(self)
     }
-    /// The instrument as the accepted model shows it: how channels mix, how clocks lie, how good pictures are, how the spread follows the stimulus.
-    /// None where that is what it is taken for, within its uncertainty. `settled`: the noise no longer changes.
+    /// The instrument as the accepted model shows it: how channels mix, how clocks lie, how good
+    /// pictures are, how the spread follows the stimulus. None where that is what it is taken for,
+    /// within its uncertainty. `settled`: the noise no longer changes.
     fn renewed(&self, accepted: &Hypothesis, settled: bool, seed: u64) -> Option<Self>;
     /// The same without effects that a witness refutes, by identifier.
     fn without(&self, refuted: &[String]) -> Self;
-    /// What is no law of the catalogue and is asked for by repeats alone (a table of errors) in the place of what was found.
+    /// What is no law of the catalogue and is asked for by repeats alone (a table of errors) in the
+    /// place of what was found.
     fn complete(&self, _explained: &mut Explained, _options: &Options) {}
     /// A law of the noise that is an effect of the catalogue.
     fn noise_effect(&self) -> Option<NamedEffect> {
@@ -151,7 +159,8 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn residual_explained(&self, _found: &SearchResult) -> bool {
         false
     }
-    /// A driver of what remains that repeats with the protocol: its columns explain nothing among readings that are equal in every input.
+    /// A driver of what remains that repeats with the protocol: its columns explain nothing among
+    /// readings that are equal in every input.
     fn repeats_with_protocol(&self, _h: &Hypothesis, _columns: &[Vec<f64>]) -> bool {
         false
     }
@@ -162,7 +171,8 @@ pub trait SessionModel: SessionText + Sized + Send {
     /// Floor under the accepted model; `left`: something remains, so that only replicates tell.
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
 
-    /// Next measurement: what would decide between the best explanation and its rivals of another class.
+    /// Next measurement: what would decide between the best explanation and its rivals of another
+    /// class.
     fn next_measurement(
         &self,
         best: &Hypothesis,
@@ -180,23 +190,28 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn scored(&self) -> &[bool] {
         self.sealed()
     }
-    /// Every reading under an explanation that was fitted on this model's rows or part of them; `reading_sd`: noise of each.
+    /// Every reading under an explanation that was fitted on this model's rows or part of them;
+    /// `reading_sd`: noise of each.
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Self::Predictions>;
     /// Errors that are stated.
     fn quantities(&self) -> &'static [Quantity];
     /// Errors of one reading.
     fn errors(&self, predictions: &Self::Predictions, reading: usize) -> HeldOut;
-    /// Folds where nothing is sealed, as the accepted model asks for: what it learned of a place cannot be left out with all readings there.
+    /// Folds where nothing is sealed, as the accepted model asks for: what it learned of a place
+    /// cannot be left out with all readings there.
     fn folds(&self, accepted: &Hypothesis) -> Folds;
-    /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own rows could be predicted by.
+    /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own
+    /// rows could be predicted by.
     fn unusable_reason(&self, _accepted: &Hypothesis) -> Option<String> {
         None
     }
-    /// Noise under which further readings are predicted, where it is not the one that a verdict rests on.
+    /// Noise under which further readings are predicted, where it is not the one that a verdict
+    /// rests on.
     fn prediction_noise(&self, _accepted: &Hypothesis, _seed: u64) -> Option<Noise> {
         None
     }
-    /// The calibration of `accepted` under its noise, `base` the declared model and `floor_sd` the floor of a reading in the sensor's unit.
+    /// The calibration of `accepted` under its noise, `base` the declared model and `floor_sd` the
+    /// floor of a reading in the sensor's unit.
     fn calibration(
         &self,
         base: &Hypothesis,
@@ -204,7 +219,8 @@ pub trait SessionModel: SessionText + Sized + Send {
         noise: &Noise,
         floor_sd: f64,
     ) -> Self::Calibration;
-    /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
+    /// The declared model on the labels of an outside twin, where there are some, fitted with these
+    /// weights.
     fn predict_by_labels(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None
     }

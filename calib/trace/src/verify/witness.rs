@@ -17,8 +17,9 @@ pub trait Witness<M: SessionModel>: Sync {
     fn test(&self, model: &M, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError>;
 }
 
-/// Holds the declared model and every explanation that remains against each witness. What a witness refutes no longer remains. None where it refutes
-/// all that remain: effects that all of them have are left out, and the search begins anew, since while one of them stands it is the answer.
+/// Holds the declared model and every explanation that remains against each witness. What a witness
+/// refutes no longer remains. None where it refutes all that remain: effects that all of them have
+/// are left out, and the search begins anew, since while one of them stands it is the answer.
 ///
 /// # Errors
 /// Where a witness cannot use its data.

@@ -1,4 +1,5 @@
-//! Every law of both catalogues at and beyond the ends of its parameters, on odd stimuli: a design of finite numbers or none, and never a panic.
+//! Every law of both catalogues at and beyond the ends of its parameters, on odd stimuli: a design
+//! of finite numbers or none, and never a panic.
 
 use super::whisker_stages::data;
 use wcal_core::observation::{Role, TransducerRow};
@@ -7,7 +8,8 @@ use wcal_trace::effect::EffectTerm;
 use wcal_trace::scalar::{Declared, Frame, ScalarRow, ScalarSystem, Scaling};
 use wcal_trace::whisker::WhiskerSystem;
 
-/// Values of a parameter that are tried: at the ends of its range, a rounding beside them, in the middle, nothing, and none.
+/// Values of a parameter that are tried: at the ends of its range, a rounding beside them, in the
+/// middle, nothing, and none.
 fn values([low, high]: [f64; 2]) -> [f64; 8] {
     let hair = 1e-12 * (high - low);
     [

@@ -1,4 +1,5 @@
-//! The engine's stages one by one on a toy system with known answers (SIMULATED), each with a negative control.
+//! The engine's stages one by one on a toy system with known answers (SIMULATED), each with a
+//! negative control.
 
 use crate::search;
 use crate::toy::{
@@ -143,7 +144,8 @@ fn an_effect_whose_fit_goes_on_falling_is_named_and_not_accepted() {
     );
 }
 
-/// A system whose shelf fits a little better each time it is asked: its sum of squares never settles.
+/// A system whose shelf fits a little better each time it is asked: its sum of squares never
+/// settles.
 struct Restless(ToySystem, AtomicU32);
 
 impl MeasurementModel for Restless {
@@ -194,7 +196,8 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
         }
         .is_physical(&system)
     };
-    // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
+    // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused
+    // (one-sided, level 0.01).
     let kept = (0..200)
         .filter(|&seed| physical(BEND_SHARE, 7000 + seed))
         .count() as u64;
@@ -205,7 +208,8 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
 
 #[test]
 fn columns_that_depend_on_each_other_are_said() {
-    // A shelf of fixed place and the scale together with a free slope: the scale is the slope again.
+    // A shelf of fixed place and the scale together with a free slope: the scale is the slope
+    // again.
     let system = plain(3);
     let terms = [EffectTerm {
         effect: SCALE,
@@ -463,7 +467,8 @@ fn an_effect_is_refined_where_its_plain_law_leaves_something() {
 
 #[test]
 fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
-    // A gentle bend looks like a broad shelf on noisy readings: the true one must stay among the survivors.
+    // A gentle bend looks like a broad shelf on noisy readings: the true one must stay among the
+    // survivors.
     let options = Options {
         draws: 300,
         ..Options::default()

@@ -1,7 +1,9 @@
-//! What changes no physics changes no answer: a table of transformations of sessions of every kind (SIMULATED; the whisker's recorded by the virtual bench).
+//! What changes no physics changes no answer: a table of transformations of sessions of every kind
+//! (SIMULATED; the whisker's recorded by the virtual bench).
 //!
-//! Where a clock, a thermometer or a count begins, in what unit a value is written, which way an axis counts and which of two columns stands first
-//! is nobody's effect: the same verdict, and the same numbers in the same units to a millionth.
+//! Where a clock, a thermometer or a count begins, in what unit a value is written, which way an
+//! axis counts and which of two columns stands first is nobody's effect: the same verdict, and the
+//! same numbers in the same units to a millionth.
 
 use super::Noise;
 use super::whisker_stages::data;
@@ -17,7 +19,8 @@ use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
 use wcal_trace::whisker::{Verified, verify_whisker};
 
-/// What a transformation did to the numbers: factors of response and stimulus, and seconds by which the clock was set on.
+/// What a transformation did to the numbers: factors of response and stimulus, and seconds by which
+/// the clock was set on.
 #[derive(Clone, Copy)]
 struct Change {
     response: f64,
@@ -162,7 +165,8 @@ fn scalar(data: ScalarData<'_>) -> ScalarVerification {
     verify_scalar("simulated", data, Sealed::default(), &request()).unwrap()
 }
 
-/// Two cycles of a force with drift, a warming room, a second force and a third column that nothing follows.
+/// Two cycles of a force with drift, a warming room, a second force and a third column that nothing
+/// follows.
 fn transducer() -> TransducerData {
     let mut n = Noise::new(11);
     let row = |k: usize| {
@@ -254,7 +258,8 @@ fn of_axis(change: Change, sign: f64, make: impl Fn(&mut AxisRow)) -> Answer {
     let rows: Vec<_> = v.whole.as_ref().unwrap().frame.rows.clone();
     let at = v.model.as_ref().unwrap().predict(&rows).unwrap();
     let Answer(outcome, mut numbers) = Answer::of(&v.document, change);
-    // Of signed parameters the size is compared; what does not change its sign with the axis is positive here.
+    // Of signed parameters the size is compared; what does not change its sign with the axis is
+    // positive here.
     numbers.iter_mut().for_each(|n| n.1 = n.1.abs());
     numbers.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     Answer(outcome, numbers).predicting(
@@ -263,7 +268,8 @@ fn of_axis(change: Change, sign: f64, make: impl Fn(&mut AxisRow)) -> Answer {
     )
 }
 
-/// A recorded drift, every fifth reading, without its reference grating: at 20 deg C, steady to some hundredths, which a mismatch shows in both gratings.
+/// A recorded drift, every fifth reading, without its reference grating: at 20 deg C, steady to
+/// some hundredths, which a mismatch shows in both gratings.
 fn whisker() -> WhiskerData {
     let mut data = data("recorded/drift");
     data.rows = data.rows.iter().step_by(5).cloned().collect();
@@ -402,7 +408,8 @@ fn an_axiss_answer_is_that_of_its_physics() {
         (r.commanded_mm, r.measured_mm) = (-r.commanded_mm, -r.measured_mm);
         r.direction = r.direction.map(|d| -d);
     });
-    // Of a mirrored axis the names alone: intervals are by differences to one side, draws and folds by place are not mirrored.
+    // Of a mirrored axis the names alone: intervals are by differences to one side, draws and folds
+    // by place are not mirrored.
     assert_eq!(as_it_is.0, turned.0);
     // Control: one place a micrometre further.
     assert!(

@@ -1,4 +1,5 @@
-//! A reference grating as noisy as the two that it compensates, on SIMULATED readings without any effect: nothing may be found there.
+//! A reference grating as noisy as the two that it compensates, on SIMULATED readings without any
+//! effect: nothing may be found there.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -58,7 +59,8 @@ fn drawn(seed: u64, mismatch: f64) -> WhiskerData {
     data
 }
 
-/// The declared model on `data`, its channels' noise apart: its gate, and the noise of one compensated shift, pm.
+/// The declared model on `data`, its channels' noise apart: its gate, and the noise of one
+/// compensated shift, pm.
 fn judged(data: &WhiskerData, seed: u64) -> (OmnibusTest, f64) {
     let system = system(data);
     let weights = Weights::equal(system.path.readings.len());
@@ -93,7 +95,8 @@ fn rejected(draws: u64, mismatch: f64, change: impl Fn(&mut WhiskerData)) -> usi
 #[test]
 fn a_reference_grating_as_noisy_as_the_others_makes_no_effect() {
     let timed = rejected(60, 0.0, |_| {});
-    // Control: without a clock its noise cannot be told from temperature, and is taken for an effect.
+    // Control: without a clock its noise cannot be told from temperature, and is taken for an
+    // effect.
     let timeless = rejected(60, 0.0, |data| {
         data.rows.iter_mut().for_each(|r| r.t_s = None)
     });

@@ -328,7 +328,8 @@ fn each_mounting_has_its_own_zero() {
         |k, x| 0.2 * x + zeros[k / 11] + 3e-4 * rng.next(),
     ));
     explained(&v, &["zero-by-series"], 4e-4);
-    // A further mounting is known to the scatter of the four zeros, s = 0.0222: t(3) s sqrt(1 + 1/4) = 3.18 x 0.0222 x 1.118 = 0.079.
+    // A further mounting is known to the scatter of the four zeros, s = 0.0222: t(3) s sqrt(1 +
+    // 1/4) = 3.18 x 0.0222 x 1.118 = 0.079.
     let model = v.model.as_ref().unwrap();
     let new = wcal_trace::scalar::ScalarRow {
         x_sd: None,
@@ -425,7 +426,8 @@ fn a_play_at_one_pace_is_not_a_lag_alone() {
         .enumerate()
         .map(|(k, x)| (*x, Some(12.0 * k as f64), None))
         .collect();
-    // Where the play stood at first: a virgin sensor, one that was unloaded before, one that was loaded.
+    // Where the play stood at first: a virgin sensor, one that was unloaded before, one that was
+    // loaded.
     for (k, first) in [0.0, 2.0, -2.0].into_iter().enumerate() {
         let (mut rng, mut held) = (Noise::new(40 + k as u64), first);
         let v = run(&table(
@@ -573,7 +575,8 @@ fn all_readings_of_a_setting_are_no_outliers() {
     assert_eq!(answer(&v).1, ["outliers"], "{}", v.document.reason);
 }
 
-/// A mass comparator: the certificate states each mass's uncertainty, which is nearly all of the scatter.
+/// A mass comparator: the certificate states each mass's uncertainty, which is nearly all of the
+/// scatter.
 #[test]
 fn stated_uncertainties_of_the_stimulus_weigh_the_readings() {
     let masses = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0];
@@ -622,7 +625,8 @@ fn stated_uncertainties_of_the_stimulus_weigh_the_readings() {
     assert!(rms(&weighed) < 3e-7, "{}", rms(&weighed));
 }
 
-/// One false reading beside a bend that no law of the declared model has: the bend is named, and that reading.
+/// One false reading beside a bend that no law of the declared model has: the bend is named, and
+/// that reading.
 #[test]
 fn a_gross_reading_beside_a_bend_is_told_from_it() {
     let trial = |seed: u64| {
@@ -688,7 +692,8 @@ fn a_log_that_begins_in_mid_run_gives_the_lag() {
     };
     for (seed, first) in [(1, 33.0), (2, 45.0), (3, 38.0)] {
         let v = record(seed, first);
-        // Readings at the beginning are left out, too: without them nothing says what the first state was.
+        // Readings at the beginning are left out, too: without them nothing says what the first
+        // state was.
         explained(&v, &["lag"], 0.2);
         assert!((value(&v, "time_constant") - 70.0).abs() < 0.5);
         assert!(
@@ -702,7 +707,8 @@ fn a_log_that_begins_in_mid_run_gives_the_lag() {
     assert!((value(&v, "time_constant") - 70.0).abs() < 0.5);
 }
 
-/// A stimulus that moved up and down, or swung, and was cut to whole degrees: nothing lags. Control: what really lags does so in whole degrees, too.
+/// A stimulus that moved up and down, or swung, and was cut to whole degrees: nothing lags.
+/// Control: what really lags does so in whole degrees, too.
 #[test]
 fn a_stimulus_recorded_in_steps_is_no_lag() {
     let ramps = |t: f64| 25.3 + 30.0 * (1.0 - (t / 400.0 - 1.0).abs());
@@ -749,7 +755,8 @@ fn a_stimulus_recorded_in_steps_is_no_lag() {
     }
 }
 
-/// A compass that reads 360 deg less from a heading on, which is one of the places, with a deviation once and twice a turn.
+/// A compass that reads 360 deg less from a heading on, which is one of the places, with a
+/// deviation once and twice a turn.
 #[test]
 fn a_wrap_at_one_heading_is_taken_up_beside_the_deviation() {
     let record = |offset: f64, size: f64| {

@@ -1,4 +1,5 @@
-//! Designs that repeat: what belongs to places, poses or levels is no law of the order, the time or the stimulus; true laws keep their names.
+//! Designs that repeat: what belongs to places, poses or levels is no law of the order, the time or
+//! the stimulus; true laws keep their names.
 
 use super::{Noise, names};
 use rayon::prelude::*;
@@ -106,7 +107,8 @@ fn errors_of_places_are_a_table_that_holds_on_further_cycles() {
                 .all(|n| ["error-table", "backlash"].contains(&n.as_str())),
             "{named:?}"
         );
-        // Six cycles tell each mean to 0.4 of the noise: 1.1 um left out, 0.8 to 1.5 in a hundred readings.
+        // Six cycles tell each mean to 0.4 of the noise: 1.1 um left out, 0.8 to 1.5 in a hundred
+        // readings.
         assert!((0.8..1.5).contains(after), "{after}");
     }
     let mean = outcomes.iter().map(|o| o.1).sum::<f64>() / outcomes.len() as f64;

@@ -1,5 +1,6 @@
-//! Plain inputs of other people: a reference that is read with noise, places that nearly repeat, several loads in turn, read-outs at their limit,
-//! few readings, a quantity that nobody set. SIMULATED; every test has a control without the fault.
+//! Plain inputs of other people: a reference that is read with noise, places that nearly repeat,
+//! several loads in turn, read-outs at their limit, few readings, a quantity that nobody set.
+//! SIMULATED; every test has a control without the fault.
 
 use super::{Noise, names};
 use std::f64::consts::TAU;
@@ -86,7 +87,8 @@ pub(super) fn parameter(v: &ScalarVerification, name: &str) -> (f64, [f64; 2]) {
         .unwrap()
 }
 
-/// Four runs up and down over `levels`, the reference scattering by `scatter` (levels 500 apart), the response by `sd`.
+/// Four runs up and down over `levels`, the reference scattering by `scatter` (levels 500 apart),
+/// the response by `sd`.
 fn against_a_reference(seed: u64, scatter: f64, bend: f64) -> Vec<Reading> {
     let mut z = noise(seed);
     let level = |k: usize| if (k / 11).is_multiple_of(2) { k % 11 } else { 10 - k % 11 } as f64;
@@ -297,7 +299,8 @@ fn what_counts_the_readings_is_no_stimulus() {
     assert_eq!(weight(0.0).document.verdict, Verdict::Adequate);
 }
 
-/// What noise may have swallowed is never adequate without a word: a zero that moved and came back, and one gross reading of few.
+/// What noise may have swallowed is never adequate without a word: a zero that moved and came back,
+/// and one gross reading of few.
 #[test]
 fn noise_that_may_be_none_is_a_caution() {
     let silent = |v: &ScalarVerification| {
@@ -385,7 +388,8 @@ fn the_place_of_a_step_is_known_to_the_readings_beside_it() {
     }
 }
 
-/// A record that begins while the stimulus moves does not say what the stimulus was before; a delay of it is a delay all the same.
+/// A record that begins while the stimulus moves does not say what the stimulus was before; a delay
+/// of it is a delay all the same.
 #[test]
 fn a_delay_that_begins_in_motion_is_a_delay() {
     let record = |seed: u64, late_s: f64, from_rest: bool| {
@@ -427,7 +431,8 @@ fn a_delay_that_begins_in_motion_is_a_delay() {
     }
 }
 
-/// A thermometer that is put from bath to bath between two readings, once and for all at some moment of the interval.
+/// A thermometer that is put from bath to bath between two readings, once and for all at some
+/// moment of the interval.
 #[test]
 fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
     let baths = [20.0, 80.0, 40.0, 60.0, 20.0, 80.0];
@@ -472,7 +477,8 @@ fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
     }
 }
 
-/// Of creep after a load that is put on between two readings, none of them shows how much had passed before the first.
+/// Of creep after a load that is put on between two readings, none of them shows how much had
+/// passed before the first.
 #[test]
 fn creep_before_the_first_reading_is_in_its_interval() {
     let record = |seed: u64, moment: f64, gap_s: f64| {
@@ -514,7 +520,8 @@ fn creep_before_the_first_reading_is_in_its_interval() {
     }
 }
 
-/// Four ways up and down, with a closed loop and a drift: the first step of the search takes the loop for a gradual one, since it sees the drift as noise.
+/// Four ways up and down, with a closed loop and a drift: the first step of the search takes the
+/// loop for a gradual one, since it sees the drift as noise.
 #[test]
 fn a_loop_beside_a_drift_is_found_by_its_own_law() {
     let record = |seed: u64, rate: f64| {
@@ -544,7 +551,8 @@ fn a_loop_beside_a_drift_is_found_by_its_own_law() {
         let mut found = names(&both);
         found.sort_unstable();
         right[0] += usize::from(found == ["drift", "hysteresis"]);
-        // What is stated belongs to one model: no error of readings left out lies below what repeats differ by.
+        // What is stated belongs to one model: no error of readings left out lies below what
+        // repeats differ by.
         let after = both.document.after.as_ref().unwrap().rmse["response_rmse"];
         assert!(
             after > 0.6 * both.document.noise_floor.response.unwrap(),
@@ -558,7 +566,8 @@ fn a_loop_beside_a_drift_is_found_by_its_own_law() {
     assert!(right[0] >= 7 && right[1] >= 7, "{right:?}");
 }
 
-/// Settings that lie on the digits of a coarse read-out repeat without scatter; what lies between is rounded all the same.
+/// Settings that lie on the digits of a coarse read-out repeat without scatter; what lies between
+/// is rounded all the same.
 #[test]
 fn predictions_of_a_rounded_read_out_hold_its_rounding() {
     let width = |digits: f64| {
@@ -588,8 +597,9 @@ fn predictions_of_a_rounded_read_out_hold_its_rounding() {
     assert!((0.007..0.013).contains(&width(1e4)), "{}", width(1e4));
 }
 
-/// A recorded column that swings a few times, beside a step: slow noise that takes its place is a caution, which names the column where it is most of
-/// what is left (three of eight; where the step is left, too, it is not).
+/// A recorded column that swings a few times, beside a step: slow noise that takes its place is a
+/// caution, which names the column where it is most of what is left (three of eight; where the step
+/// is left, too, it is not).
 #[test]
 fn what_runs_with_a_recorded_column_is_never_noise_without_a_word() {
     let session = |seed: u64, per_kelvin: f64| {

@@ -1,4 +1,5 @@
-//! The residual loop on measured transducer data with certified or published answers (fixtures/nist/SOURCE.md).
+//! The residual loop on measured transducer data with certified or published answers
+//! (fixtures/nist/SOURCE.md).
 
 use std::path::PathBuf;
 use wcal_core::Sealed;
@@ -8,7 +9,8 @@ use wcal_session::{Separator, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarData, ScalarVerification, polynomial::polynomial, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
 
-/// A NIST file as a transducer session; without a column `x` the stimulus is the number of the observation.
+/// A NIST file as a transducer session; without a column `x` the stimulus is the number of the
+/// observation.
 fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../../fixtures/nist")
@@ -154,8 +156,9 @@ fn pontius_needs_the_quadratic_term_and_no_cubic() {
 fn a_quadratic_declared_for_pontius_is_adequate_and_a_disturbed_one_is_not() {
     let mut data = nist("PONTIUS.DAT", &["y", "x"], TransducerModel::Quadratic);
     assert_eq!(verify(&data).document.verdict, Verdict::Adequate);
-    // Negative control: a cubic term is put in (disturbed data, not measured). The quadratic takes up most of it: of 5e-3 at full load
-    // 2.9 noise standard deviations would be left (5e-3 / 20 / sqrt(7) * sqrt(40 readings) / 2.05e-4), too few to name; of 20e-3 11.6.
+    // Negative control: a cubic term is put in (disturbed data, not measured). The quadratic takes
+    // up most of it: of 5e-3 at full load 2.9 noise standard deviations would be left (5e-3 / 20 /
+    // sqrt(7) * sqrt(40 readings) / 2.05e-4), too few to name; of 20e-3 11.6.
     for r in &mut data.rows {
         let u = r.stimulus / 3e6;
         r.response += 20e-3 * u.powi(3);

@@ -1,5 +1,5 @@
-//! Names by what drives a term: a step over the stimulus, an axis that is loaded by itself, a load that stays, zeros of series. SIMULATED; every test
-//! has a control.
+//! Names by what drives a term: a step over the stimulus, an axis that is loaded by itself, a load
+//! that stays, zeros of series. SIMULATED; every test has a control.
 
 use super::names;
 use super::scalar_inputs::{linear, noise, parameter, run};
@@ -7,7 +7,8 @@ use wcal_core::observation::TransducerModel;
 use wcal_core::verify_document::Verdict;
 use wcal_trace::scalar::ScalarVerification;
 
-/// A sensor whose readings beyond a stimulus stand `height` noises higher: `n` stimuli, each read once.
+/// A sensor whose readings beyond a stimulus stand `height` noises higher: `n` stimuli, each read
+/// once.
 fn stepped(n: usize, at: f64, height: f64) -> ScalarVerification {
     let mut z = noise(n as u64);
     let row = |k: usize| {
@@ -40,7 +41,8 @@ fn a_step_over_the_stimulus_is_named_and_what_is_rejected_is_never_adequate() {
                 );
             }
         }
-        // Controls: no step; and one of few noises is named, or unknown where a test rejects, and adequate where none does.
+        // Controls: no step; and one of few noises is named, or unknown where a test rejects, and
+        // adequate where none does.
         assert_eq!(
             stepped(n, 0.47, 0.0).document.verdict,
             Verdict::Adequate,
@@ -62,7 +64,8 @@ fn a_step_over_the_stimulus_is_named_and_what_is_rejected_is_never_adequate() {
 #[test]
 fn what_is_loaded_by_itself_and_a_load_that_stays_keep_their_names() {
     let mut z = noise(70);
-    // An axis that is loaded four times beside eleven loads of the other; `alone`: its last load by itself moves the response.
+    // An axis that is loaded four times beside eleven loads of the other; `alone`: its last load by
+    // itself moves the response.
     let mut axis = |slope: f64, alone: f64| {
         let main = (0..22).map(|k| (f64::from(k % 11), 0.0));
         let other = [1.0, 2.0, 3.0, 4.0, 1.0, 2.0, 3.0, 4.0].map(|load| (0.0, load));

@@ -1,4 +1,5 @@
-//! Simulated transducer and axis sessions: nothing is named where nothing is, and every effect of the catalogue is named where it is.
+//! Simulated transducer and axis sessions: nothing is named where nothing is, and every effect of
+//! the catalogue is named where it is.
 
 use super::Noise;
 use rayon::prelude::*;
@@ -21,7 +22,8 @@ struct Reading {
     other: f64,
 }
 
-/// `cycles` triangles 0 - 10 - 0 of 2 `half` readings, one a 2 s, with a wandering temperature and a second quantity.
+/// `cycles` triangles 0 - 10 - 0 of 2 `half` readings, one a 2 s, with a wandering temperature and
+/// a second quantity.
 fn triangles(cycles: usize, half: usize, rng: &mut Noise) -> Vec<Reading> {
     let n = cycles * 2 * half;
     let phase = rng.uniform();
@@ -186,7 +188,8 @@ fn nothing_is_named_in_null_sessions() {
     );
 }
 
-/// Share of `draws` sessions in which `id` is named alone, or with its class; prints what else came.
+/// Share of `draws` sessions in which `id` is named alone, or with its class; prints what else
+/// came.
 fn share(id: &str, draws: u64, make: impl Fn(u64) -> ScalarVerification + Sync) -> f64 {
     let outcomes: Vec<(bool, String)> = (0..draws)
         .into_par_iter()
@@ -209,7 +212,8 @@ fn share(id: &str, draws: u64, make: impl Fn(u64) -> ScalarVerification + Sync) 
     right as f64 / draws as f64
 }
 
-/// Linear transducer, 3 cycles of 2 x 20 readings, noise 0.01 V on 0..2 V, with `extra` added to the response.
+/// Linear transducer, 3 cycles of 2 x 20 readings, noise 0.01 V on 0..2 V, with `extra` added to
+/// the response.
 fn linear_with(seed: u64, extra: impl Fn(&Reading) -> f64) -> ScalarVerification {
     let mut rng = Noise::new(seed);
     let sweep = triangles(3, 20, &mut rng);
@@ -336,8 +340,8 @@ fn effects_of_an_axis_are_named() {
         let found = share(id, 10, |s| with(s, error));
         assert!(found >= 0.8, "{id}: {found}");
     };
-    // Swept up and down three times, a slope is close to a wave in time or order and to a cubic: it is named alone in about half the
-    // draws, and otherwise the set must hold it.
+    // Swept up and down three times, a slope is close to a wave in time or order and to a cubic: it
+    // is named alone in about half the draws, and otherwise the set must hold it.
     let in_set = |id: &str, error: &(dyn Fn(&Reading) -> f64 + Sync)| {
         let holds = |seed: &u64| {
             with(*seed, error)

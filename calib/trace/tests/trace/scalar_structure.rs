@@ -1,5 +1,6 @@
-//! Structure that is no law, and laws that are more than one: what rests on one level is no name, what acts twice is found twice, a floor is the
-//! scatter of a new reading. SIMULATED, each with a control.
+//! Structure that is no law, and laws that are more than one: what rests on one level is no name,
+//! what acts twice is found twice, a floor is the scatter of a new reading. SIMULATED, each with a
+//! control.
 
 use super::{Noise, names};
 use rand::seq::SliceRandom;
@@ -12,7 +13,8 @@ use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
 
-/// A linear transducer at `stimuli` in their order, one reading a second where `timed`; further columns `a`, `b`, ...
+/// A linear transducer at `stimuli` in their order, one reading a second where `timed`; further
+/// columns `a`, `b`, ...
 fn table(
     stimuli: &[f64],
     timed: bool,
@@ -122,7 +124,8 @@ fn a_name_that_rests_on_one_level_is_none() {
             .any(|n| n.contains("rests on one level"))
     });
     assert!(said.count() >= 5);
-    // Control: the same knee over the last four loads. Another bend may describe it as well on left-out readings; then both are told.
+    // Control: the same knee over the last four loads. Another bend may describe it as well on
+    // left-out readings; then both are told.
     let knee = |seed: u64| {
         let mut rng = Noise::new(seed);
         let response = |_: usize, x: f64| 0.2 * x - 0.05 * (x - 7.4).max(0.0) + 0.01 * rng.next();
@@ -225,7 +228,8 @@ fn each_column_that_acts_is_found_and_predicts() {
 
 #[test]
 fn the_floor_is_the_scatter_of_a_new_reading() {
-    // White noise of 0.03 beside a part of 0.04 that neighbours share (8 readings): a new reading scatters by 0.05.
+    // White noise of 0.03 beside a part of 0.04 that neighbours share (8 readings): a new reading
+    // scatters by 0.05.
     let floors = |stimuli: &[f64], shared: f64| -> f64 {
         let of = |seed: u64| {
             let mut rng = Noise::new(seed);
@@ -291,7 +295,8 @@ fn a_cubic_about_zero_is_one_effect() {
 
 #[test]
 fn a_response_that_recovers_creeps_backward() {
-    // Loads held for twelve readings each; after a change 8 % of it come back with a time constant of 6 s.
+    // Loads held for twelve readings each; after a change 8 % of it come back with a time constant
+    // of 6 s.
     let steps = [2.0, 8.0, 4.0, 10.0, 0.0, 6.0, 1.0, 9.0, 3.0, 7.0];
     let stimuli: Vec<f64> = (0..240).map(|k| steps[k / 12 % 10]).collect();
     let with = |seed: u64, fraction: f64| {
@@ -325,7 +330,8 @@ fn a_response_that_recovers_creeps_backward() {
 
 #[test]
 fn a_squiggle_is_no_period() {
-    // In random order: in steps of a fixed number of places a wave over time is one over the stimulus, too.
+    // In random order: in steps of a fixed number of places a wave over time is one over the
+    // stimulus, too.
     let periodic = |cycles: f64| {
         share(7, |seed| {
             let mut rng = Noise::new(seed);
@@ -346,7 +352,8 @@ fn a_squiggle_is_no_period() {
     assert!(squiggle == 0.0 && control >= 0.85, "{squiggle} {control}");
 }
 
-/// Steps of 37 places in 120: the stimulus and the time count the same places in another order, so that a wave over one is one over the other.
+/// Steps of 37 places in 120: the stimulus and the time count the same places in another order, so
+/// that a wave over one is one over the other.
 #[test]
 fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulus() {
     let in_steps: Vec<f64> = (0..120).map(|k| f64::from(k * 37 % 120) / 12.0).collect();
@@ -405,7 +412,8 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
     assert!(told >= 0.85, "{told}");
 }
 
-/// Few repeats tell the floor to within a factor that chance makes large: a held-out error above it says little. Many tell it.
+/// Few repeats tell the floor to within a factor that chance makes large: a held-out error above it
+/// says little. Many tell it.
 #[test]
 fn a_floor_from_a_few_repeats_that_happen_to_agree_speaks_against_nothing() {
     // Each of the last loads is read twice, with a fifth of the noise between.

@@ -1,4 +1,5 @@
-//! A small system with known answers for the engine's tests (SIMULATED): a line over x with candidates of every kind.
+//! A small system with known answers for the engine's tests (SIMULATED): a line over x with
+//! candidates of every kind.
 
 use nalgebra::DMatrix;
 use rand::SeedableRng;

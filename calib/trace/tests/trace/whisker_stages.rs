@@ -1,4 +1,5 @@
-//! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED (fixtures/practice/case-004, no effect).
+//! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED
+//! (fixtures/practice/case-004, no effect).
 
 use crate::search;
 use std::path::Path;
@@ -237,7 +238,8 @@ fn every_effect_has_a_line_saying_what_could_have_been_seen() {
     assert!(table.iter().all(|d| !d.why.is_empty()));
 }
 
-/// Deep poses of the paper's measured session have no equilibrium with a tangential force of 0.72 of the normal one; those with the friction of a groove have one.
+/// Deep poses of the paper's measured session have no equilibrium with a tangential force of 0.72
+/// of the normal one; those with the friction of a groove have one.
 #[test]
 fn friction_is_tested_on_poses_that_more_friction_would_lose() {
     let data = data("whiskerfbg");
@@ -370,7 +372,8 @@ fn a_sensitivity_that_changes_between_seatings_is_said() {
     assert!(other.note().contains("differ"));
 }
 
-/// What the tables leave out of the rod is far below the noise of settled means: else thousands of readings see it.
+/// What the tables leave out of the rod is far below the noise of settled means: else thousands of
+/// readings see it.
 #[test]
 fn the_tables_hold_the_rod_to_a_tenth_of_the_finest_noise() {
     let data = data("recorded/drift");

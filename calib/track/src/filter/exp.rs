@@ -1,4 +1,5 @@
-//! The exponential function of the filters' densities: inlined and without branches, three times as fast as the library's call.
+//! The exponential function of the filters' densities: inlined and without branches, three times as
+//! fast as the library's call.
 //!
 //! ```text
 //! exp(x) = 2^n exp(r),   n = round(x / ln 2),   r = x - n ln 2,  |r| <= ln 2 / 2;   exp(r) by its Taylor polynomial of degree 9

@@ -1,6 +1,8 @@
-//! Offset and velocity of a contact within one node of the grid: nodes are coarser than what the moments resolve.
+//! Offset and velocity of a contact within one node of the grid: nodes are coarser than what the
+//! moments resolve.
 //!
-//! A transition is two linear measurements of the offset x before (variance P about its mean) and y now, with independent noise r_1, r_2:
+//! A transition is two linear measurements of the offset x before (variance P about its mean) and y
+//! now, with independent noise r_1, r_2:
 //!
 //! ```text
 //! e_i + a_i x + b_i y + noise_i = 0,   i = 1 (constraint), 2 (path along the curve less the predicted one)
@@ -10,14 +12,16 @@
 //! x | y:  mean -P a^T S^-1 (e + b y),   variance P - P^2 a^T S^-1 a
 //! ```
 //!
-//! y is cut to the node, [-1/2, 1/2] (moments of the truncated normal: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous Univariate
-//! Distributions" 1, 13.10), and all that arrives in a node is merged to one Gaussian of the same first two moments.
+//! y is cut to the node, [-1/2, 1/2] (moments of the truncated normal: N. L. Johnson, S. Kotz, N.
+//! Balakrishnan, "Continuous Univariate Distributions" 1, 13.10), and all that arrives in a node is
+//! merged to one Gaussian of the same first two moments.
 
 use super::exp::exp;
 use std::f64::consts::TAU;
 
-/// Weight of a node, mean and variance of the offset within it, from -1/2 to 1/2 nodes, and of the velocity: the path along the curve (mm on
-/// the wire, rad of the force at the tip) by the base's travel.
+/// Weight of a node, mean and variance of the offset within it, from -1/2 to 1/2 nodes, and of the
+/// velocity: the path along the curve (mm on the wire, rad of the force at the tip) by the base's
+/// travel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct GridCell {
     pub weight: f64,
@@ -59,7 +63,8 @@ impl GridCell {
     }
 }
 
-/// Sums over what arrives in a node: weight, and weight times offset and velocity and their squares.
+/// Sums over what arrives in a node: weight, and weight times offset and velocity and their
+/// squares.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct MomentSums {
     pub weight: f64,
@@ -67,8 +72,8 @@ pub(super) struct MomentSums {
     velocity: [f64; 2],
 }
 
-/// Two linear measurements of the offsets before and now, `residual + by_before x + by_now y = 0` with the variance of each; x, the offset
-/// before about its mean, has the variance `variance`.
+/// Two linear measurements of the offsets before and now, `residual + by_before x + by_now y = 0`
+/// with the variance of each; x, the offset before about its mean, has the variance `variance`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinearGaussianPair {
     pub residual: [f64; 2],
@@ -94,8 +99,8 @@ impl MomentSums {
         Self::of(&GridCell::uniform(weight))
     }
 
-    /// Density of two measurements over the offsets of a node; the second one is that of the path along the curve less the predicted one,
-    /// `predicted`, over the base's travel.
+    /// Density of two measurements over the offsets of a node; the second one is that of the path
+    /// along the curve less the predicted one, `predicted`, over the base's travel.
     pub fn of_pair(l: &LinearGaussianPair, predicted: f64, travel_mm: f64) -> Self {
         // S: joint covariance of both without the offset now.
         let [a, b] = l.by_before;
@@ -128,7 +133,8 @@ impl MomentSums {
             return Self::default();
         };
         let weight = exp(-0.5 * unexplained) * inside / (TAU * precision * det).sqrt();
-        // Posterior of x given y: their joint moments give the path's mean and variance, and so the velocity's.
+        // Posterior of x given y: their joint moments give the path's mean and variance, and so the
+        // velocity's.
         let before_gain = solve(l.by_before);
         let slope = -l.variance * dot(before_gain, l.by_now);
         let before = -l.variance * dot(before_gain, l.residual) + slope * offset;
@@ -209,7 +215,8 @@ const MAX_SDS: f64 = 7.5;
 /// A node farther than this from a density's mean holds nothing of it, standard deviations.
 pub(super) const MAX_TRUNCATED_SDS: f64 = 7.0;
 
-/// Share of a normal distribution within [-1/2, 1/2], with its mean and variance there; none where there is as good as nothing.
+/// Share of a normal distribution within [-1/2, 1/2], with its mean and variance there; none where
+/// there is as good as nothing.
 fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     let (a, b) = ((-0.5 - mean) / sd, (0.5 - mean) / sd);
     if a > MAX_TRUNCATED_SDS || b < -MAX_TRUNCATED_SDS {
@@ -261,7 +268,8 @@ fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
 
 /// Mills' ratio (1 - Phi(x)) / phi(x), to 1e-7 of itself for x from 0 to `MAX_SDS`.
 ///
-/// A polynomial in 1 / (1 + 0.29 x) times that, fitted to the complementary error function: no exponential is needed for it.
+/// A polynomial in 1 / (1 + 0.29 x) times that, fitted to the complementary error function: no
+/// exponential is needed for it.
 fn mills_ratio(x: f64) -> f64 {
     const C: [f64; 8] = [
         0.289_379_131_4,

@@ -1,6 +1,7 @@
 //! Inverse solutions of one sample, and their derivatives from node to node.
 //!
-//! With `p_k` and `n_k` the point and the direction of the force at node k, a contact at offset x within the node is at
+//! With `p_k` and `n_k` the point and the direction of the force at node k, a contact at offset x
+//! within the node is at
 //!
 //! ```text
 //! p(x) = p_k + x p'_k,   n(x) = n_k + x n'_k,   p'_k = (p_{k+1} - p_{k-1}) / 2,   n'_k likewise
@@ -23,7 +24,8 @@ pub(super) struct SampleGeometry<'a> {
     pub turns: Vec<f64>,
     /// See `turns`.
     pub tip_turn: f64,
-    /// Axis about which a force at the node cannot turn without moments that turn: across the curve and the force.
+    /// Axis about which a force at the node cannot turn without moments that turn: across the curve
+    /// and the force.
     pub turn_axes: Vec<Option<Vector3<f64>>>,
 }
 
@@ -49,7 +51,8 @@ impl ContactState<'_> {
     }
 }
 
-/// Half the difference between a node's neighbours; not over the end of the wire, where the curve bends.
+/// Half the difference between a node's neighbours; not over the end of the wire, where the curve
+/// bends.
 fn central_difference(
     all: &[InverseSolution],
     k: usize,

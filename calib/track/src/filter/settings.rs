@@ -1,4 +1,5 @@
-//! Parameters of the Bayes filters below a network; `filter` and `filter::transition` have the equations that they enter.
+//! Parameters of the Bayes filters below a network; `filter` and `filter::transition` have the
+//! equations that they enter.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +8,8 @@ use wcal_core::ranges::Range;
 /// Largest number of hypotheses for the coefficient of friction.
 const MAX_FRICTIONS: usize = 3;
 
-/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, unless stated otherwise.
+/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel,
+/// unless stated otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BayesSettings {
@@ -15,26 +17,29 @@ pub struct BayesSettings {
     pub onset_nmm: f64,
     /// Standard deviation of the moments' noise, N mm.
     pub noise_nmm: f64,
-    /// Standard deviation of the rigid-body constraint: a constant part, mm, and a part of the base's travel.
+    /// Standard deviation of the rigid-body constraint: a constant part, mm, and a part of the
+    /// base's travel.
     pub constraint_sd_mm: f64,
     /// See `constraint_sd_mm`.
     pub constraint_sd_share: f64,
-    /// Coefficients of friction considered, in rising order (the last one repeated where there are fewer), and the standard deviation
-    /// about each above 0.
+    /// Coefficients of friction considered, in rising order (the last one repeated where there are
+    /// fewer), and the standard deviation about each above 0.
     pub friction: [f64; MAX_FRICTIONS],
     /// See `friction`.
     pub friction_sd: f64,
-    /// Standard deviation of the constraint by a turn of the force, as a part of the turn times the slip on the surface.
+    /// Standard deviation of the constraint by a turn of the force, as a part of the turn times the
+    /// slip on the surface.
     pub turn_share: f64,
-    /// Fraction of steps that violate the constraint (several contacts, contact along a line), and their standard deviation: a constant part,
-    /// mm, and a part of the slip on the surface.
+    /// Fraction of steps that violate the constraint (several contacts, contact along a line), and
+    /// their standard deviation: a constant part, mm, and a part of the slip on the surface.
     pub outlier_fraction: f64,
     /// See `outlier_fraction`.
     pub outlier_sd_mm: f64,
     /// See `outlier_fraction`.
     pub outlier_sd_share: f64,
-    /// Standard deviation of the path along the wire about the predicted one, mm and by the base's travel: at constant velocity, at a perturbed
-    /// one, and where the velocity is redrawn, with the mean `reset_mean` by the base's travel.
+    /// Standard deviation of the path along the wire about the predicted one, mm and by the base's
+    /// travel: at constant velocity, at a perturbed one, and where the velocity is redrawn, with
+    /// the mean `reset_mean` by the base's travel.
     pub constant_velocity: [f64; 2],
     /// See `constant_velocity`.
     pub perturbed: [f64; 2],
@@ -60,13 +65,15 @@ pub struct BayesSettings {
     pub sharp_turn: [f64; 2],
     /// See `sharp_turn`.
     pub sharp_fraction: f64,
-    /// Where wires are touched first: mean and standard deviation of the arc length, as shares of the wire's length.
+    /// Where wires are touched first: mean and standard deviation of the arc length, as shares of
+    /// the wire's length.
     pub first_contact_at: [f64; 2],
     /// Probability that the contact jumps, by the base's travel, 1/mm.
     pub jump_per_mm: f64,
     /// Mean path of a jump along the wire, toward the root and toward the tip, mm.
     pub jump_path_mm: [f64; 2],
-    /// Mean distance of a jump against the force, where short and where long, mm; fraction of jumps along it.
+    /// Mean distance of a jump against the force, where short and where long, mm; fraction of jumps
+    /// along it.
     pub jump_off_mm: [f64; 2],
     /// See `jump_off_mm`.
     pub jump_back_fraction: f64,
@@ -126,8 +133,9 @@ pub const FILTER_RANGES: &[Range] = &[
 ];
 
 impl BayesSettings {
-    /// For objects with friction: three coefficients as hypotheses, and larger uncertainties of constraint and moments, which friction along
-    /// the wire disturbs. The default is a wire that slides without friction.
+    /// For objects with friction: three coefficients as hypotheses, and larger uncertainties of
+    /// constraint and moments, which friction along the wire disturbs. The default is a wire that
+    /// slides without friction.
     pub fn multi_mu() -> Self {
         Self {
             noise_nmm: 0.0007,
@@ -140,7 +148,8 @@ impl BayesSettings {
         }
     }
 
-    /// Coulomb friction, for a bank with a frictionless filter (`FilterBank`): objects without friction are left to that one.
+    /// Coulomb friction, for a bank with a frictionless filter (`FilterBank`): objects without
+    /// friction are left to that one.
     pub fn coulomb() -> Self {
         Self {
             friction: [0.1, 0.25, 0.25],

@@ -1,7 +1,9 @@
-//! Transition: how a contact gets from one node to another between two samples; `likelihood` says how well that explains the moments.
+//! Transition: how a contact gets from one node to another between two samples; `likelihood` says
+//! how well that explains the moments.
 //!
-//! Between samples the base travels by `z = u dt` along its +z, so that the object moves by w = -z e_z. From a contact (p_j, n_j), which goes
-//! to (p_j + w, n_j), to node k, with `d = p_k - p_j - w` the path on the object and n the mean direction of the force:
+//! Between samples the base travels by `z = u dt` along its +z, so that the object moves by w = -z
+//! e_z. From a contact (p_j, n_j), which goes to (p_j + w, n_j), to node k, with
+//! `d = p_k - p_j - w` the path on the object and n the mean direction of the force:
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
@@ -13,8 +15,9 @@
 //! first contact  p(k) ~ length_k  (l + exp(-((s_k / L - a) / sd)^2 / 2))  c_k  Phi(n . (w - p_k + p_k^rest) / sd_g)
 //! ```
 //!
-//! `s_m`: noise of the moments, `c`: compliance of the point along the force by the moments. Source of the scheme: see `filter`; the mixture
-//! of outliers is that of G. E. P. Box, G. C. Tiao, Biometrika 55 (1968) 119.
+//! `s_m`: noise of the moments, `c`: compliance of the point along the force by the moments. Source
+//! of the scheme: see `filter`; the mixture of outliers is that of G. E. P. Box, G. C. Tiao,
+//! Biometrika 55 (1968) 119.
 
 mod likelihood;
 mod model;
@@ -32,20 +35,24 @@ pub(super) use model::TransitionModel;
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
 
-/// Paths along the wire beyond this many standard deviations count as jumps, whose density there is tens of times as large.
+/// Paths along the wire beyond this many standard deviations count as jumps, whose density there is
+/// tens of times as large.
 const MAX_PATH_SDS: f64 = 4.0;
 /// Length of wire over which a jump to anywhere is uniform, mm.
 const WIRE_MM: f64 = 56.0;
-/// Probability that a contact of the tip under a perpendicular force moves on to the wire, and its decay with the tilt, rad.
+/// Probability that a contact of the tip under a perpendicular force moves on to the wire, and its
+/// decay with the tilt, rad.
 const TIP_TO_WIRE: f64 = 0.1;
 const TIP_TO_WIRE_TILT: f64 = 0.05;
 /// Floor of the density of first contacts, where wires are rarely touched first.
 const MIN_FIRST_CONTACT: f64 = 0.02;
 /// Length of wire that the tip stands for at a first contact, mm.
 const TIP_MM: f64 = 1.0;
-/// Weights below this share of all are dropped: a larger share loses contacts that would have been found again.
+/// Weights below this share of all are dropped: a larger share loses contacts that would have been
+/// found again.
 const MIN_WEIGHT: f64 = 5e-5;
-/// Smallest share of the posterior, and of the row, for which jumps are computed: while next to nothing is known of the place, none are needed.
+/// Smallest share of the posterior, and of the row, for which jumps are computed: while next to
+/// nothing is known of the place, none are needed.
 const MIN_JUMP_WEIGHT: f64 = 1e-3;
 const MIN_JUMP_WEIGHT_OF_ROW: f64 = 0.01;
 /// Probability to pass the end of the wire below which nothing does.
@@ -54,7 +61,8 @@ const MIN_PAST_END: f64 = 1e-4;
 /// A step of the object with what is known of it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct KnownStep {
-    /// Travel of the base along its +z, mm, and its standard deviation where the base's speed is one of several.
+    /// Travel of the base along its +z, mm, and its standard deviation where the base's speed is
+    /// one of several.
     pub travel_mm: f64,
     /// See `travel_mm`.
     pub travel_sd_mm: f64,
@@ -101,8 +109,8 @@ impl<'a> TransitionModel<'a> {
         }
     }
 
-    /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than the base's travel since the wire was at
-    /// rest (`None`: unknown).
+    /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than
+    /// the base's travel since the wire was at rest (`None`: unknown).
     pub(super) fn first_contact_prior(&self, step: Option<&KnownStep>) -> Vec<GridCell> {
         let now = &self.now;
         let pitch_mm = self.node_mm();
@@ -111,7 +119,8 @@ impl<'a> TransitionModel<'a> {
             if !c.reachable {
                 return GridCell::default();
             }
-            // Length of wire that the node stands for; the tip's nodes share its length in proportion to the turn of the force.
+            // Length of wire that the node stands for; the tip's nodes share its length in
+            // proportion to the turn of the force.
             let length_mm = if j < self.first_tip {
                 pitch_mm
             } else {
@@ -120,7 +129,8 @@ impl<'a> TransitionModel<'a> {
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
             let along = MIN_FIRST_CONTACT + exp(-0.5 * off * off);
-            // Probability that the deflection is at most the base's travel: Phi of the distance over its standard deviation.
+            // Probability that the deflection is at most the base's travel: Phi of the distance
+            // over its standard deviation.
             let depth = step.map_or(1.0, |step| {
                 let rest = self.before.solutions[j].point_mm;
                 let off = c.normal.dot(&(c.point_mm - rest)) + c.normal.z * step.travel_mm;
@@ -139,7 +149,8 @@ impl<'a> TransitionModel<'a> {
         node_mm(self.inverse)
     }
 
-    /// Weights after a step of the object under a coefficient of friction, from those before, which are part of all that sum to `total`.
+    /// Weights after a step of the object under a coefficient of friction, from those before, which
+    /// are part of all that sum to `total`.
     pub(super) fn predict(
         &self,
         row: &[GridCell],
@@ -196,7 +207,8 @@ impl<'a> TransitionModel<'a> {
         .collect()
     }
 
-    /// Jumps: against the force, away from the surface that held the wire; mostly a short path along it, rarely to anywhere.
+    /// Jumps: against the force, away from the surface that held the wire; mostly a short path
+    /// along it, rarely to anywhere.
     fn jump_density(&self, k: usize, weight: f64, from: &ContactState<'_>, new: &mut [MomentSums]) {
         let s = self.settings;
         let at_tip = k >= self.first_tip;
@@ -216,7 +228,8 @@ impl<'a> TransitionModel<'a> {
             } else {
                 to_tip * self.now.turns[j] / self.now.tip_turn.max(1e-9)
             };
-            // Off the surface: the wire springs back against the force, mixture of a short and a long scale; rarely in its direction.
+            // Off the surface: the wire springs back against the force, mixture of a short and a
+            // long scale; rarely in its direction.
             let normal = (from.normal + c.normal)
                 .try_normalize(0.1)
                 .unwrap_or(c.normal);
@@ -245,7 +258,8 @@ impl<'a> TransitionModel<'a> {
         }
     }
 
-    /// To nodes on the wire. From the tip only where its force is about perpendicular to the wire: there both parts of the curve meet.
+    /// To nodes on the wire. From the tip only where its force is about perpendicular to the wire:
+    /// there both parts of the curve meet.
     fn wire_transition(
         &self,
         k: usize,
@@ -325,7 +339,8 @@ impl<'a> TransitionModel<'a> {
         ]
     }
 
-    /// Adds the density of a transition from a contact to node `j`; `path`: path along the curve and its derivatives by the offsets before and now.
+    /// Adds the density of a transition from a contact to node `j`; `path`: path along the curve
+    /// and its derivatives by the offsets before and now.
     #[allow(clippy::too_many_arguments)]
     fn accumulate(
         &self,
@@ -339,7 +354,8 @@ impl<'a> TransitionModel<'a> {
         new: &mut MomentSums,
     ) {
         let (s, c, pair) = (self.settings, &self.now.solutions[j], &residual.pair);
-        // Part of the residual that no offset in both nodes can absorb: beyond a few standard deviations the density is negligible.
+        // Part of the residual that no offset in both nodes can absorb: beyond a few standard
+        // deviations the density is negligible.
         let absorbed =
             0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
         let left = (pair.residual[0].abs() - absorbed).max(0.0).powi(2);
@@ -350,7 +366,8 @@ impl<'a> TransitionModel<'a> {
         let [perturbed, reset] = [s.perturbed_fraction, s.reset_fraction];
         let shares = [1.0 - perturbed - reset, perturbed, reset];
         let mut sums = MomentSums::default();
-        // The path by itself already rules out most nodes of a narrow mode, wherever in both nodes the contact is.
+        // The path by itself already rules out most nodes of a narrow mode, wherever in both nodes
+        // the contact is.
         let path_variance = pair.variance * path[1] * path[1];
         let mut add = |share: f64, noise: f64, (mean, variance): (f64, f64)| {
             let beyond = (path[0] - mean).abs() - 0.5 * path[2].abs();

@@ -1,12 +1,14 @@
 //! Forces whose moments at the root are given: from one entry of the table to the next.
 //!
-//! Zero of `g(F) = m(s, F) - m` (at the tip with the tilt's sine as third component) by Newton steps with a carried derivative:
+//! Zero of `g(F) = m(s, F) - m` (at the tip with the tilt's sine as third component) by Newton
+//! steps with a carried derivative:
 //!
 //! ```text
 //! dF = -J^-1 g(F),  |dF| <= |F| / 2,   J+ = J + (g(F + dF) - g(F) - J dF) dF^T / |dF|^2
 //! ```
 //!
-//! Source: C. G. Broyden, Mathematics of Computation 19 (1965) 577. J is recomputed by central differences where the residual falls slowly.
+//! Source: C. G. Broyden, Mathematics of Computation 19 (1965) 577. J is recomputed by central
+//! differences where the residual falls slowly.
 
 use super::grid::{InverseGrid, TableEntry};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
@@ -49,7 +51,8 @@ fn entry(
     )
 }
 
-/// Forces perpendicular to the wire at an arc length, mm, in one direction: moments from none to the largest.
+/// Forces perpendicular to the wire at an arc length, mm, in one direction: moments from none to
+/// the largest.
 pub(super) fn solve_ray(
     rod: &DiscreteRod,
     arclength_mm: f64,
@@ -92,7 +95,8 @@ pub(super) fn solve_ray(
     found
 }
 
-/// Transverse force (N) whose moments at the root are these; `None` where none is found near the guess.
+/// Transverse force (N) whose moments at the root are these; `None` where none is found near the
+/// guess.
 fn solve_square(
     rod: &DiscreteRod,
     arclength_mm: f64,
@@ -117,8 +121,9 @@ fn solve_square(
     broyden(off, start, rate).filter(|force| first || force.dot(&start) > 0.0)
 }
 
-/// Zero of a function of a force, N mm. Its derivative `rate` is carried from one solution to the next by Broyden's update (1965, Math.
-/// Comp. 19:577) and recomputed by central differences where the residual falls slowly.
+/// Zero of a function of a force, N mm. Its derivative `rate` is carried from one solution to the
+/// next by Broyden's update (1965, Math. Comp. 19:577) and recomputed by central differences where
+/// the residual falls slowly.
 fn broyden<const N: usize>(
     off: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
     start: SVector<f64, N>,
@@ -160,7 +165,8 @@ fn broyden<const N: usize>(
     None
 }
 
-/// The tip under forces with the same moments at the root that tilt more and more, from one that is square to the wire.
+/// The tip under forces with the same moments at the root that tilt more and more, from one that is
+/// square to the wire.
 pub(super) fn solve_tilts(
     rod: &DiscreteRod,
     tip_mm: f64,

@@ -18,7 +18,8 @@ pub struct InverseGrid {
     pub step_mm: f64,
     /// Nodes for each one at which the rod is solved; those between are interpolated.
     pub refine: usize,
-    /// Tilts of the force at the tip: equal steps from perpendicular to the wire to straight at the root, without the last one.
+    /// Tilts of the force at the tip: equal steps from perpendicular to the wire to straight at the
+    /// root, without the last one.
     pub tilts: usize,
     /// Directions of the moment around the root.
     pub directions: usize,

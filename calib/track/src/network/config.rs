@@ -106,8 +106,9 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
-    /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is
+    /// off it), contact, several contacts, and with knots the doubt in the filter, and with two of
+    /// them the logarithm of the odds of the second.
     pub fn outputs(&self) -> usize {
         let with_knots = if self.nodes > 0 {
             1 + usize::from(self.two_filters)

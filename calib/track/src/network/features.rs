@@ -1,6 +1,7 @@
 //! Inputs of the network at a sample, the same for training and for a stream.
 //!
-//! Of moments m, time step dt, base speed u, and at each knot k the inverse's point p_k, normal n_k and the filter's posterior w_k and velocity v_k:
+//! Of moments m, time step dt, base speed u, and at each knot k the inverse's point p_k, normal n_k
+//! and the filter's posterior w_k and velocity v_k:
 //!
 //! ```text
 //! m / 0.5,  asinh(m / 0.02) / 4,  (dm/dt) / 0.5,  ln(dt / 0.1),  u known,  u / 5
@@ -26,14 +27,16 @@ const STEP_S: f64 = 0.1;
 
 /// Inputs from the filter: its evidence, and its posterior mean of the speed.
 const FILTER_INPUTS: usize = 2;
-/// Inputs a knot; those of the frictionless filter come after all others: its evidence, and its posterior at each knot.
+/// Inputs a knot; those of the frictionless filter come after all others: its evidence, and its
+/// posterior at each knot.
 const KNOT_INPUTS: usize = 7;
 /// Scale of the logarithm of the evidence, and its usual value during a contact.
 const EVIDENCE_SCALE: f64 = 4.0;
 const TYPICAL_LOG_EVIDENCE: f64 = 8.0;
 /// Nodes of the curve from one knot, with the network's inputs and outputs, to the next.
 const KNOT_STRIDE: usize = 4;
-/// Initial logarithm of the network's floor under the filter's posterior: the weight of nodes that the filter rules out.
+/// Initial logarithm of the network's floor under the filter's posterior: the weight of nodes that
+/// the filter rules out.
 pub const INITIAL_LOG_FLOOR: f32 = -4.0;
 
 /// Nodes of the curve at which the network's knots lie: every fourth, and the last.
@@ -107,7 +110,8 @@ impl<'a> FeatureExtractor<'a> {
             + if two_filters { 1 + knots } else { 0 }
     }
 
-    /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
+    /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z
+    /// where it is known.
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
         let dt = dt_s.max(1e-4);
         let mut inputs = self.common(dt, moment_nmm, base_mm_s);
@@ -130,7 +134,8 @@ impl<'a> FeatureExtractor<'a> {
         inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
         let base = Vector3::z() * base_mm_s.unwrap_or(0.0);
         for (k, c) in now.iter().enumerate() {
-            // Along the force the touched point moves as the object does: a violation is evidence against the node.
+            // Along the force the touched point moves as the object does: a violation is evidence
+            // against the node.
             let off = self.before.as_ref().map_or(0.0, |(_, before)| {
                 let moved = (c.point_mm - before[k].point_mm) / dt + base;
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
@@ -178,7 +183,8 @@ impl<'a> FeatureExtractor<'a> {
     }
 }
 
-/// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
+/// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their
+/// y, moments the part about z.
 pub fn mirror(inputs: &mut [f32], nodes: usize) {
     let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
     let places = (0..knots).map(|k| COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * k + 1);

@@ -1,10 +1,14 @@
-//! Attention of a stream's last token over those that it remembers: keys and values of earlier tokens are kept, so that a token costs one row.
+//! Attention of a stream's last token over those that it remembers: keys and values of earlier
+//! tokens are kept, so that a token costs one row.
 //!
-//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context` tokens: the last row of what attention over the whole
-//! series gives. The slope a of head h of H is `4 * 0.02^(h / (H - 1))` 1/s: attention falls with the age of a token, in each head at another rate.
-//! Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with Linear Biases", ICLR 2022.
+//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context`
+//! tokens: the last row of what attention over the whole series gives. The slope a of head h of H
+//! is `4 * 0.02^(h / (H - 1))` 1/s: attention falls with the age of a token, in each head at
+//! another rate. Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with
+//! Linear Biases", ICLR 2022.
 
-/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter.
+/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of
+/// sampling does not matter.
 pub fn time_bias_slope(head: usize, heads: usize) -> f32 {
     4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
 }
@@ -16,7 +20,8 @@ pub struct KvCache {
     times_s: Vec<f64>,
 }
 
-/// Keys and values of a layer, `[time, width]`; masked tokens lead them, and are dropped now and then.
+/// Keys and values of a layer, `[time, width]`; masked tokens lead them, and are dropped now and
+/// then.
 #[derive(Debug, Clone, Default)]
 struct LayerCache {
     keys: Vec<f32>,
@@ -31,7 +36,8 @@ impl KvCache {
         self.times_s.drain(..out_of_sight);
     }
 
-    /// Values of the last token, weighted over the tokens in the cache, from its queries, keys and values `[3 width]`.
+    /// Values of the last token, weighted over the tokens in the cache, from its queries, keys and
+    /// values `[3 width]`.
     pub(super) fn attend(&mut self, layer: usize, qkv: &[f32], heads: usize) -> Vec<f32> {
         let width = qkv.len() / 3;
         if self.kept.len() <= layer {

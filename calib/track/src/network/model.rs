@@ -1,4 +1,5 @@
-//! The network's layers on a stream, row by row; the weights are those that `wcal-lab train` writes.
+//! The network's layers on a stream, row by row; the weights are those that `wcal-lab train`
+//! writes.
 //!
 //! ```text
 //! linear      y = W^T x + b,  W [inputs, outputs]
@@ -8,7 +9,8 @@
 //! network     head(norm(blocks(encode_out(gelu(encode x)))))
 //! ```
 //!
-//! Sources: arXiv 2410.14005, section III; J. L. Ba et al., arXiv 1607.06450 (norm); D. Hendrycks, K. Gimpel, arXiv 1606.08415 (GELU).
+//! Sources: arXiv 2410.14005, section III; J. L. Ba et al., arXiv 1607.06450 (norm); D. Hendrycks,
+//! K. Gimpel, arXiv 1606.08415 (GELU).
 
 use super::config::NetworkConfig;
 use super::kv_cache::KvCache;
@@ -68,7 +70,8 @@ pub struct Prediction {
     pub covariance_mm2: [[f32; 3]; 3],
     /// Weights of the nodes.
     pub weights: Vec<f32>,
-    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not state it.
+    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head
+    /// does not state it.
     pub normal: [f32; 3],
 }
 
@@ -121,7 +124,8 @@ impl WhiskerNet {
         })
     }
 
-    /// Outputs for the next token of a stream; keys and values are cached for up to `context` tokens.
+    /// Outputs for the next token of a stream; keys and values are cached for up to `context`
+    /// tokens.
     pub fn step(&self, inputs: &[f32], t_s: f64, context: usize, cache: &mut KvCache) -> Vec<f32> {
         cache.advance(t_s, context);
         let mut x = self.encode_out.forward(&gelu(self.encode.forward(inputs)));

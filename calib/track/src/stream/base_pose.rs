@@ -1,6 +1,7 @@
 //! Where the whisker's base is in the world, and how fast it moves.
 //!
-//! `p_world = R p + t`, `C_world = R C R^T`; on a stage `t(t) = t_0 + R_0 a x(t)` along the direction a, x linear between two readings.
+//! `p_world = R p + t`, `C_world = R C R^T`; on a stage `t(t) = t_0 + R_0 a x(t)` along the
+//! direction a, x linear between two readings.
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use std::collections::VecDeque;
@@ -45,13 +46,15 @@ pub struct BaseMotion {
 const MAX_GAP_S: f64 = 0.5;
 /// Positions that differ by less are equal, mm.
 const STILL_MM: f64 = 1e-3;
-/// Time by which the last positions are continued, s: the filter's last weights fall on positions that are still to come.
+/// Time by which the last positions are continued, s: the filter's last weights fall on positions
+/// that are still to come.
 const AHEAD_S: f64 = 0.1;
 /// Positions that are kept, s.
 const KEPT_S: f64 = 10.0;
 
 impl BaseMotion {
-    /// `along`: direction of the stage's travel in the base frame; none where the base stands still.
+    /// `along`: direction of the stage's travel in the base frame; none where the base stands
+    /// still.
     pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
         Self {
             at_zero,
@@ -71,8 +74,9 @@ impl BaseMotion {
         }
     }
 
-    /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over a filter's times and weights
-    /// ([`LowPass::kernel`](super::LowPass::kernel)); none where the base is not carried or its positions do not reach so far.
+    /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over
+    /// a filter's times and weights ([`LowPass::kernel`](super::LowPass::kernel)); none where the
+    /// base is not carried or its positions do not reach so far.
     pub fn averaged(
         &self,
         t_s: f64,
@@ -88,7 +92,8 @@ impl BaseMotion {
         Some((along * way_mm, along * speed_mm_s))
     }
 
-    /// Position and speed of the stage at a time (mm, mm/s); the last positions are continued for [`AHEAD_S`].
+    /// Position and speed of the stage at a time (mm, mm/s); the last positions are continued for
+    /// [`AHEAD_S`].
     fn way(&self, t_s: f64) -> Option<(f64, f64)> {
         let after = self
             .way
@@ -149,7 +154,8 @@ mod tests {
         assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
         motion.push(2.0, 0.0);
         assert!(motion.at(1.5).is_none());
-        // Averaged over a filter: a ramp stays what it is, a corner is rounded, and nothing is known far past the last position.
+        // Averaged over a filter: a ramp stays what it is, a corner is rounded, and nothing is
+        // known far past the last position.
         let kernel: Vec<(f64, f64)> = (-10..=10)
             .map(|k| (0.01 * f64::from(k), 1.0 / 21.0))
             .collect();

@@ -1,4 +1,5 @@
-//! Causal low-pass with linear phase: its lag is one number, so an answer carries its effective time.
+//! Causal low-pass with linear phase: its lag is one number, so an answer carries its effective
+//! time.
 //!
 //! ```text
 //! y(t - lag) = sum_k h_k x(t - k / f),   h_k ~ sinc(f_out / f (k - n)) (1 + cos(pi (k - n) / (n + 1))) / 2,   sum h = 1,   lag = n / f
@@ -12,7 +13,8 @@ use std::sync::Arc;
 
 /// Windowed sinc (Hann), unit gain at rest, evaluated only where an answer is wanted.
 ///
-/// Source: Oppenheim and Schafer, "Discrete-Time Signal Processing", window method. 2 n + 1 symmetric taps delay everything by n samples.
+/// Source: Oppenheim and Schafer, "Discrete-Time Signal Processing", window method. 2 n + 1
+/// symmetric taps delay everything by n samples.
 #[derive(Debug, Clone)]
 pub struct LowPass<const N: usize> {
     taps: Arc<[f64]>,
@@ -21,8 +23,8 @@ pub struct LowPass<const N: usize> {
 }
 
 impl<const N: usize> LowPass<N> {
-    /// For samples at `rate_hz`, answers at `out_hz` and a lag of `lag_s`; `None` where the lag is shorter than a sample or the
-    /// rates are not above 0.
+    /// For samples at `rate_hz`, answers at `out_hz` and a lag of `lag_s`; `None` where the lag is
+    /// shorter than a sample or the rates are not above 0.
     pub fn new(rate_hz: f64, out_hz: f64, lag_s: f64) -> Option<Self> {
         let half = (lag_s * rate_hz).round();
         if !((1.0..=1e6).contains(&half) && out_hz > 0.0 && out_hz <= rate_hz) {
@@ -69,8 +71,9 @@ impl<const N: usize> LowPass<N> {
         self.taps.iter().map(|t| t * t).sum::<f64>().sqrt()
     }
 
-    /// The filter as times before (-) and after (+) what its answer is true of, s, and their weights: what a motion is averaged by so that it
-    /// belongs to moments that went through the filter. At most `count` times; they stand for equal numbers of taps.
+    /// The filter as times before (-) and after (+) what its answer is true of, s, and their
+    /// weights: what a motion is averaged by so that it belongs to moments that went through the
+    /// filter. At most `count` times; they stand for equal numbers of taps.
     pub fn kernel(&self, count: usize) -> Vec<(f64, f64)> {
         let half = (self.taps.len() / 2) as f64;
         let size = self.taps.len().div_ceil(count.max(1));

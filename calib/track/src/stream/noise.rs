@@ -8,7 +8,8 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Length of a block: samples are averaged over it before anything is judged, s. A 250 Hz ring still passes.
+/// Length of a block: samples are averaged over it before anything is judged, s. A 250 Hz ring
+/// still passes.
 pub const BLOCK_S: f64 = 0.002;
 /// Blocks of a window in which a slow variation shows.
 const WINDOW_BLOCKS: usize = 10;
@@ -83,7 +84,8 @@ impl Prefix {
     }
 }
 
-/// Covariance of a block about the line; none where there are too few or one axis does not vary at all.
+/// Covariance of a block about the line; none where there are too few or one axis does not vary at
+/// all.
 fn covariance(blocks: &[Block]) -> Option<Matrix2<f64>> {
     if blocks.len() < MIN_BLOCKS {
         return None;
@@ -96,17 +98,20 @@ fn covariance(blocks: &[Block]) -> Option<Matrix2<f64>> {
     Some(sum / (blocks.len() as f64 - 2.0)).filter(|m| m.determinant() > 1e-30)
 }
 
-/// Parts that a prefix is judged in, the fewest windows that one must have, and the largest ratio of their variances: of 37 windows each,
-/// noise alone reaches 6 less than once in a million prefixes.
+/// Parts that a prefix is judged in, the fewest windows that one must have, and the largest ratio
+/// of their variances: of 37 windows each, noise alone reaches 6 less than once in a million
+/// prefixes.
 const PREFIX_PARTS: usize = 4;
 const MIN_PART_WINDOWS: usize = 20;
 const MAX_VARIANCE_RATIO: f64 = 6.0;
 
-/// Largest variance of windows over what the blocks' own jitter explains: five times the standard deviation is motion, not noise.
+/// Largest variance of windows over what the blocks' own jitter explains: five times the standard
+/// deviation is motion, not noise.
 const MAX_SLOW_RATIO: f64 = 25.0;
 
-/// Whether a prefix is noise alone: its parts and the whole have similar variances about their own lines, and no slow variation beyond the
-/// noise. A constant contact cannot be detected. A prefix too short to be divided is accepted.
+/// Whether a prefix is noise alone: its parts and the whole have similar variances about their own
+/// lines, and no slow variation beyond the noise. A constant contact cannot be detected. A prefix
+/// too short to be divided is accepted.
 fn quiet(blocks: &[Block]) -> bool {
     let size = blocks.len() / PREFIX_PARTS;
     if size < MIN_PART_WINDOWS * WINDOW_BLOCKS {
@@ -162,7 +167,8 @@ mod tests {
     const RATE_HZ: f64 = 2000.0;
     const SD_NMM: f64 = 0.002;
 
-    /// SIMULATED: white noise with a drift; a touch of 0.5 s at `touched_s`, scans missing at `gap_s`. Covariance, and when it was known.
+    /// SIMULATED: white noise with a drift; a touch of 0.5 s at `touched_s`, scans missing at
+    /// `gap_s`. Covariance, and when it was known.
     fn learnt(touched_s: Option<f64>, gap_s: Option<f64>) -> (Matrix2<f64>, f64) {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut prefix = Prefix::new(2.0, RATE_HZ);

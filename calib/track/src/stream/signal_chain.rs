@@ -101,7 +101,8 @@ impl SignalChain {
         self.map.spread()
     }
 
-    /// Covariance of a row's own noise as in the prefix, (N mm)^2: that of the scans through the filter; none before the prefix is over.
+    /// Covariance of a row's own noise as in the prefix, (N mm)^2: that of the scans through the
+    /// filter; none before the prefix is over.
     pub fn row_noise_nmm2(&self) -> Option<Matrix2<f64>> {
         let block_nmm2 = self.prefix.block_nmm2()?;
         // Scans of white noise: the mean of a block has 1 / n of their variance.
@@ -109,7 +110,8 @@ impl SignalChain {
         Some(block_nmm2 * scans * self.filter.noise_gain().powi(2))
     }
 
-    /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values that were not measured.
+    /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values
+    /// that were not measured.
     pub fn push(&mut self, sensed: &WhiskerReading) -> Option<Row> {
         let WhiskerReading {
             serial,
@@ -133,7 +135,8 @@ impl SignalChain {
         }
         self.since = self.since.with(flags);
         let due = *self.due.get_or_insert(serial + self.every - 1);
-        // After a gap there is one row, not one for every row that is missing; a unit that starts anew counts from the bottom.
+        // After a gap there is one row, not one for every row that is missing; a unit that starts
+        // anew counts from the bottom.
         let anew = flags.has(Flags::GAP) && serial + self.every < due;
         if serial < due && !anew {
             return None;

@@ -1,4 +1,5 @@
-//! What else a board may be than what its user states: the mistakes that people make with the numbers of a board.
+//! What else a board may be than what its user states: the mistakes that people make with the
+//! numbers of a board.
 
 use crate::calibrate::board::{Board, Pattern, TagOrder};
 use crate::calibrate::chessboard::BoardSize;
@@ -11,8 +12,9 @@ type Statement = (String, Board);
 /// Columns by which a board may be miscounted.
 const MISCOUNT: [isize; 4] = [-2, -1, 1, 2];
 
-/// Every alternative to a stated board, a plain mistake before a number that is free. `noise` knows the tags' extent beside their distance from
-/// the pictures. A plain chessboard has its squares and nothing else to be wrong, but the print.
+/// Every alternative to a stated board, a plain mistake before a number that is free. `noise` knows
+/// the tags' extent beside their distance from the pictures. A plain chessboard has its squares and
+/// nothing else to be wrong, but the print.
 pub(crate) fn alternatives(
     stated: &BoardLayout,
     noise: &CornerNoise,
@@ -42,7 +44,8 @@ fn other(stated: &Board, size: BoardSize, change: impl Fn(&mut Pattern)) -> Boar
     board
 }
 
-/// The stated size, and the one with columns and rows exchanged, each with what is to be said of it.
+/// The stated size, and the one with columns and rows exchanged, each with what is to be said of
+/// it.
 fn sizes(stated: BoardSize) -> Vec<(BoardSize, Option<String>)> {
     let turned = BoardSize {
         columns: stated.rows,
@@ -90,7 +93,8 @@ fn charuco(stated: &Board, stated_legacy: bool) -> Vec<Statement> {
     found
 }
 
-/// Other sides and gaps. Pictures tell the ratio of the two; which of them is wrong shows in what explains it.
+/// Other sides and gaps. Pictures tell the ratio of the two; which of them is wrong shows in what
+/// explains it.
 fn tag_sizes(stated: &Board, gap: f64, noise: &CornerNoise) -> Vec<Statement> {
     let side = stated.square_mm;
     // Without the digits of rounding.
@@ -153,7 +157,8 @@ fn tag_sizes(stated: &Board, gap: f64, noise: &CornerNoise) -> Vec<Statement> {
         .collect()
 }
 
-/// Other numbers of columns and rows, other orders of the numbers: tags turned against their numbering are one of them.
+/// Other numbers of columns and rows, other orders of the numbers: tags turned against their
+/// numbering are one of them.
 fn tag_layouts(stated: &Board, stated_order: TagOrder) -> Vec<Statement> {
     let board = |size, by: TagOrder| {
         other(stated, size, |pattern| {

@@ -14,7 +14,8 @@ pub enum Pattern {
         marker_mm: f64,
         /// OpenCV's dictionary name, e.g. `DICT_4X4_50`.
         dictionary: String,
-        /// Laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a light one.
+        /// Laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a
+        /// light one.
         legacy: bool,
     },
     /// A grid of AprilTags; columns and rows count tags, the square is the tag's side.

@@ -1,4 +1,5 @@
-//! The joint solve of both cameras, their relative pose, every board pose and the board's warp (bundle adjustment).
+//! The joint solve of both cameras, their relative pose, every board pose and the board's warp
+//! (bundle adjustment).
 //!
 //! ```text
 //! minimise  sum |px_cvk - pi_c(T_c T_v (p_k + w_k))|^2      over cameras c, views v, corners k
@@ -6,16 +7,18 @@
 //! [U  W] [a]   [g_a]      S = U - sum_v W_v V_v^-1 W_v^T,   S a = g_a - sum_v W_v V_v^-1 g_v
 //! [W' V] [b] = [g_b]      b_v = V_v^-1 (g_v - W_v^T a)
 //! ```
-//! with shared parameters a (cameras, relative pose, warp) and board poses b, by Levenberg-Marquardt: diagonals times 1 + lambda.
-//! Sources: Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (Schur complement); mrcal documentation, "Board
-//! deformation" (warp).
+//! with shared parameters a (cameras, relative pose, warp) and board poses b, by
+//! Levenberg-Marquardt: diagonals times 1 + lambda. Sources: Triggs et al., "Bundle Adjustment - A
+//! Modern Synthesis", 2000, section 6 (Schur complement); mrcal documentation, "Board deformation"
+//! (warp).
 
 use crate::camera::{Camera, MAX_INTRINSICS};
 use crate::rigid::{hat, updated};
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Vector2, Vector3, Vector6};
 use wcal_core::least_squares::{Damping, Ending, Linearised, minimise};
 
-/// Places of the parameters shared by all views: left camera, right camera, right_from_left (rotation, translation), warp.
+/// Places of the parameters shared by all views: left camera, right camera, right_from_left
+/// (rotation, translation), warp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     /// Intrinsic parameters of one camera.
@@ -115,7 +118,8 @@ pub struct BundleSolution {
     pub cost_px2: f64,
     /// Corners counted (each two residuals).
     pub corners: usize,
-    /// Covariance of the shared parameters (zero rows for fixed ones), scaled by the residual variance.
+    /// Covariance of the shared parameters (zero rows for fixed ones), scaled by the residual
+    /// variance.
     pub shared_covariance: DMatrix<f64>,
 }
 
@@ -152,7 +156,8 @@ pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Normal equations. Plain arrays: matrices of this width as nalgebra types unroll into minutes of compilation.
+/// Normal equations. Plain arrays: matrices of this width as nalgebra types unroll into minutes of
+/// compilation.
 struct Normal {
     cost: f64,
     corners: usize,
@@ -254,7 +259,8 @@ fn linearise(
                 let e = px - predicted;
                 n.cost += e.norm_squared();
                 n.corners += 1;
-                // Nonzero columns only, with their place among all: this camera, the relative pose, the warp.
+                // Nonzero columns only, with their place among all: this camera, the relative pose,
+                // the warp.
                 let mut columns = [(0, [0.0; 2]); MAX_INTRINSICS + 8];
                 let mut count = 0;
                 let mut push = |place: usize, x: f64, y: f64| {
@@ -306,7 +312,8 @@ fn linearise(
 }
 
 impl Normal {
-    /// Adds one corner: its columns of the shared parameters, its rows of the view's pose, its residual.
+    /// Adds one corner: its columns of the shared parameters, its rows of the view's pose, its
+    /// residual.
     fn accumulate(
         &mut self,
         view: &mut ViewNormal,
@@ -335,7 +342,8 @@ impl Normal {
 /// Shared step, board steps and the reduced normal matrix of the shared parameters.
 type SharedStep = (DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>);
 
-/// Solves for the shared step and the view steps with damping `lambda`; none where the normal matrix is singular.
+/// Solves for the shared step and the view steps with damping `lambda`; none where the normal
+/// matrix is singular.
 fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
     let free: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
     let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| {
@@ -346,7 +354,8 @@ fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
     }
     let mut rhs = DVector::<f64>::from_fn(free.len(), |i, _| normal.shared_gradient[free[i]]);
     let mut eliminated = Vec::with_capacity(normal.views.len());
-    // Schur complement: the board poses couple only through the shared parameters, so that each is eliminated by its own 6 x 6 block.
+    // Schur complement: the board poses couple only through the shared parameters, so that each is
+    // eliminated by its own 6 x 6 block.
     for ViewNormal {
         cross,
         own,
@@ -430,9 +439,11 @@ impl Linearised for Masked<'_> {
     }
 }
 
-/// Minimises the reprojection error from `start`. `points` are the flat board's points in the board frame.
+/// Minimises the reprojection error from `start`. `points` are the flat board's points in the board
+/// frame.
 ///
-/// Non-convergence and rank deficiency are reported in the result (`converged`, infinite covariance), not as errors.
+/// Non-convergence and rank deficiency are reported in the result (`converged`, infinite
+/// covariance), not as errors.
 pub fn solve(
     points: &[Vector3<f64>],
     views: &[BoardView],

@@ -209,7 +209,8 @@ fn mean_depth(points: &[Vector3<f64>], state: &BundleState) -> f64 {
 /// Angle between boards that tells the focal length from the distance, degrees.
 const TILT_DEG: f64 = 20.0;
 
-/// Largest angle between two boards' normals, degrees. Parallel boards have one vanishing line, so that they show parallel by any focal length.
+/// Largest angle between two boards' normals, degrees. Parallel boards have one vanishing line, so
+/// that they show parallel by any focal length.
 fn tilt_spread_deg(camera_from_board: &[Isometry3<f64>]) -> f64 {
     let normals: Vec<Vector3<f64>> = camera_from_board
         .iter()
@@ -296,7 +297,8 @@ pub(crate) fn weak_geometry(
             }
         }
     }
-    // Each camera sees the other on the wrong side: one that is mounted upside down makes them differ.
+    // Each camera sees the other on the wrong side: one that is mounted upside down makes them
+    // differ.
     let in_right = state.right_from_left.translation.vector;
     let in_left = state.right_from_left.inverse().translation.vector;
     let beside = |t: &Vector3<f64>| t.x.abs() >= t.y.abs().max(t.z.abs());

@@ -1,7 +1,7 @@
 //! Finds a chessboard's inner corners, in an order that the pattern itself fixes, and refines them.
 //!
-//! Beyond the outer corners the grid's homography predicts the squares'
-//! middles: alternating contrast there, compared with that inside, means a larger board than stated.
+//! Beyond the outer corners the grid's homography predicts the squares' middles: alternating
+//! contrast there, compared with that inside, means a larger board than stated.
 
 use crate::calibrate::corner::{Corner, fit_corner};
 use crate::error::{OpenCvContext, VisionError};
@@ -35,8 +35,9 @@ impl std::fmt::Display for BoardSize {
     }
 }
 
-/// Window of a corner's refinement, as a share of the distance to its nearest neighbour. RMS of the solve with 0.3, 0.5 and 0.7: OpenCV's thirteen
-/// pairs 0.164, 0.161 and 0.163 px, the rendered bench 0.0088, 0.0070 and 0.0058 px.
+/// Window of a corner's refinement, as a share of the distance to its nearest neighbour. RMS of the
+/// solve with 0.3, 0.5 and 0.7: OpenCV's thirteen pairs 0.164, 0.161 and 0.163 px, the rendered
+/// bench 0.0088, 0.0070 and 0.0058 px.
 const WINDOW: f64 = 0.7;
 /// Smallest radius of that window, px.
 const MIN_WINDOW_PX: f64 = 3.0;
@@ -46,12 +47,13 @@ const MIN_WINDOW_PX: f64 = 3.0;
 pub enum Finder {
     /// Quads of thresholded pictures: quick, also where there is no board.
     Classic,
-    /// Sectors: copes with blur and light that the classic one does not; seconds where there is no board.
+    /// Sectors: copes with blur and light that the classic one does not; seconds where there is no
+    /// board.
     Sectors,
 }
 
-/// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
-/// the board's colours determine. None where the board is not found whole.
+/// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer
+/// square is dark where the board's colours determine. None where the board is not found whole.
 ///
 /// # Errors
 /// Where OpenCV fails.
@@ -102,7 +104,8 @@ fn normalise_order(
             .collect();
     }
     if board.orientation_is_unique() {
-        // Dark minus light over the inner squares, the first one counted as the colour of the first outer square.
+        // Dark minus light over the inner squares, the first one counted as the colour of the first
+        // outer square.
         let mut sum = 0.0;
         for j in 0..r - 1 {
             for i in 0..c - 1 {
@@ -122,7 +125,8 @@ fn normalise_order(
     points
 }
 
-/// Distance (px) to the nearest neighbour in the grid, and the directions of the grid's rows and columns at a corner.
+/// Distance (px) to the nearest neighbour in the grid, and the directions of the grid's rows and
+/// columns at a corner.
 fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [Vector2<f64>; 2]) {
     let (c, i, j) = (board.columns, k % board.columns, k / board.columns);
     let mut nearest = f64::INFINITY;
@@ -148,7 +152,8 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
     (nearest, sides)
 }
 
-/// Refined corners ([`fit_corner`], twice: the finder's places are a pixel off); a corner that cannot be refined is none.
+/// Refined corners ([`fit_corner`], twice: the finder's places are a pixel off); a corner that
+/// cannot be refined is none.
 pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Vec<Option<Corner>> {
     let once = |start: &[Vector2<f64>]| -> Vec<Option<Corner>> {
         (0..start.len())
@@ -173,7 +178,8 @@ pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> V
     once(&start)
 }
 
-/// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.
+/// Whether the pattern continues beyond the corners found: then the board is larger than stated.
+/// Names the side.
 pub fn continues_beyond(
     picture: &Picture,
     board: BoardSize,
@@ -188,8 +194,8 @@ pub fn continues_beyond(
         let p = homography * nalgebra::Vector3::new(x, y, 1.0);
         (p[0] / p[2], p[1] / p[2])
     };
-    // Contrast between the diagonals of a corner's four squares, with the sign of its place in the grid; with `out` of the
-    // squares on that side only.
+    // Contrast between the diagonals of a corner's four squares, with the sign of its place in the
+    // grid; with `out` of the squares on that side only.
     let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
         let mut sum = 0.0;
         for (dx, dy, sign) in [
@@ -235,7 +241,8 @@ pub fn continues_beyond(
         ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
         ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
-    // Outside a true board lies its uniform margin or something that does not alternate with the squares: no contrast, against all of it.
+    // Outside a true board lies its uniform margin or something that does not alternate with the
+    // squares: no contrast, against all of it.
     sides
         .into_iter()
         .find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))

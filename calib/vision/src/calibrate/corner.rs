@@ -1,6 +1,7 @@
-//! Sub-pixel corners of a chessboard by a model of the picture around them: two blurred edges that cross,
-//! `I = a + b erf(e1/s) erf(e2/s) + g.x`, fitted to every pixel of the window by Levenberg-Marquardt.
-//! Unequal exposure moves the two edges in opposite directions on the two sides of the corner, so it does not move the corner.
+//! Sub-pixel corners of a chessboard by a model of the picture around them: two blurred edges that
+//! cross, `I = a + b erf(e1/s) erf(e2/s) + g.x`, fitted to every pixel of the window by
+//! Levenberg-Marquardt. Unequal exposure moves the two edges in opposite directions on the two
+//! sides of the corner, so it does not move the corner.
 
 use crate::picture::Picture;
 use crate::profile::erf_with_slope;
@@ -20,10 +21,11 @@ pub struct Corner {
     pub blur_px: f64,
 }
 
-/// Fits the corner near `start`. `sides` are the directions (px, any length) of the two rows of the board through the corner;
-/// `radius_px` the radius of the round window.
+/// Fits the corner near `start`. `sides` are the directions (px, any length) of the two rows of the
+/// board through the corner; `radius_px` the radius of the round window.
 ///
-/// Returns none where the window leaves the picture or the fit wanders off by more than half the radius.
+/// Returns none where the window leaves the picture or the fit wanders off by more than half the
+/// radius.
 pub fn fit_corner(
     picture: &Picture,
     start: &Vector2<f64>,

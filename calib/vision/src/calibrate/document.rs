@@ -16,8 +16,9 @@ use wcal_core::ranges::{self, Range};
 /// Format tag of `stereo.json`.
 pub const STEREO_FORMAT: &str = "wcal-stereo/1";
 
-/// Numbers that cameras may have, whichever program calibrated them; a picture has 16 px at least, and a lens of 1 px focal length sees all.
-/// No parameter of a camera is less certain than by 10,000 px, rad or mm.
+/// Numbers that cameras may have, whichever program calibrated them; a picture has 16 px at least,
+/// and a lens of 1 px focal length sees all. No parameter of a camera is less certain than by
+/// 10,000 px, rad or mm.
 const LARGEST_VARIANCE: f64 = 1e8;
 
 const RANGES: &[Range] = &[
@@ -73,8 +74,9 @@ pub struct RejectedView {
     pub why: String,
 }
 
-/// Epipolar distances of corners in views that were left out of the solve, one pair at a time.
-/// The distance of a corner is the mean of its distances to the two epipolar lines, in the undistorted pictures.
+/// Epipolar distances of corners in views that were left out of the solve, one pair at a time. The
+/// distance of a corner is the mean of its distances to the two epipolar lines, in the undistorted
+/// pictures.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HeldOut {
     /// Mean, px.
@@ -121,8 +123,8 @@ pub struct StereoDocument {
     pub right_from_left_sd: Vec<f64>,
     /// Per-corner RMS over both cameras, px.
     pub rms_px: f64,
-    /// The corners' own noise: per-corner RMS about a smooth picture of a regular grid, whatever the board's sizes, px; absent where too few
-    /// corners tell.
+    /// The corners' own noise: per-corner RMS about a smooth picture of a regular grid, whatever
+    /// the board's sizes, px; absent where too few corners tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corner_noise_px: Option<f64>,
     /// Per-corner RMS of every view used, left and right, px.
@@ -137,10 +139,12 @@ pub struct StereoDocument {
     /// The board.
     #[serde(default)]
     pub board: BoardDocument,
-    /// Sd of where a ray appears over a 3x3 grid of the picture (rows from the top), left and right, px; null where the lens sees nothing.
+    /// Sd of where a ray appears over a 3x3 grid of the picture (rows from the top), left and
+    /// right, px; null where the lens sees nothing.
     #[serde(default)]
     pub projection_sd_px: Vec<Vec<Option<f64>>>,
-    /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24; 22 x 22 for `fisheye`), units as above.
+    /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24; 22 x 22 for
+    /// `fisheye`), units as above.
     #[serde(default)]
     pub covariance: Vec<Vec<f64>>,
     /// Remarks that matter.

@@ -1,4 +1,5 @@
-//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `import` reads them.
+//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML).
+//! `import` reads them.
 
 use crate::calibrate::document::StereoDocument;
 use crate::calibrate::import::KALIBR_COEFFICIENTS;
@@ -32,7 +33,8 @@ fn matrix(
     )
 }
 
-/// Names and contents of the export files. OpenCV: K1, D1, K2, D2, R, T (mm) as its stereo sample writes them; Kalibr: metres.
+/// Names and contents of the export files. OpenCV: K1, D1, K2, D2, R, T (mm) as its stereo sample
+/// writes them; Kalibr: metres.
 ///
 /// # Errors
 /// Where the document is no calibration of two cameras.
@@ -134,14 +136,16 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     Ok(files)
 }
 
-/// A camera with the coefficients that Kalibr has, and how far its pixels lie from those of the camera that it stands for at most.
+/// A camera with the coefficients that Kalibr has, and how far its pixels lie from those of the
+/// camera that it stands for at most.
 struct KalibrCamera {
     camera: Camera,
     farthest_px: f64,
 }
 
-/// Kalibr's radtan has k1, k2, p1, p2. Without k3 the other four are another lens, since k2 and k3 balance each other: these and the pinhole are
-/// fitted to the five-coefficient map, by least squares over the picture.
+/// Kalibr's radtan has k1, k2, p1, p2. Without k3 the other four are another lens, since k2 and k3
+/// balance each other: these and the pinhole are fitted to the five-coefficient map, by least
+/// squares over the picture.
 fn kalibr_camera(full: &Camera) -> KalibrCamera {
     /// Places along a side of the picture.
     const GRID: usize = 21;

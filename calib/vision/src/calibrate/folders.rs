@@ -13,7 +13,8 @@ use crate::rigid::rows;
 use nalgebra::{Vector2, Vector3};
 use std::path::Path;
 
-/// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is called with each step.
+/// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is called
+/// with each step.
 ///
 /// # Errors
 /// Where the folders hold no pairs, no board is found, or the calibration is refused.
@@ -154,7 +155,8 @@ fn document(
     }
 }
 
-/// Sd (px) of where a ray appears, over a 3x3 grid of each picture, from the intrinsics' covariance; none where the lens sees nothing.
+/// Sd (px) of where a ray appears, over a 3x3 grid of each picture, from the intrinsics'
+/// covariance; none where the lens sees nothing.
 fn projection_sd(solution: &StereoSolution) -> Vec<Vec<Option<f64>>> {
     let of_camera = |c: usize| {
         let camera = &solution.bundle.state.cameras[c];

@@ -1,4 +1,5 @@
-//! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `export` writes them.
+//! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML).
+//! `export` writes them.
 
 use crate::calibrate::document::{
     BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
@@ -115,8 +116,8 @@ pub fn imported(
     Ok(document)
 }
 
-/// Reads calibrated cameras: a stereo.json, an OpenCV file (or its intrinsics and its extrinsics), a Kalibr camchain, or the two
-/// camera_info files of ROS, left first.
+/// Reads calibrated cameras: a stereo.json, an OpenCV file (or its intrinsics and its extrinsics),
+/// a Kalibr camchain, or the two camera_info files of ROS, left first.
 ///
 /// # Errors
 /// Where a file is missing, is none of these, or its cameras are not physical.
@@ -157,7 +158,8 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
     }
 }
 
-/// Reads an OpenCV file with K1, D1, K2, D2 (or M1, M2, as its stereo sample names them), R, T (mm) and the image size.
+/// Reads an OpenCV file with K1, D1, K2, D2 (or M1, M2, as its stereo sample names them), R, T (mm)
+/// and the image size.
 ///
 /// # Errors
 /// Where a key is missing or malformed, or the cameras are not physical.
@@ -263,7 +265,8 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
     )
 }
 
-/// Reads the two camera_info files of ROS, left and right (metres): the relative pose is in the rectification and the right projection.
+/// Reads the two camera_info files of ROS, left and right (metres): the relative pose is in the
+/// rectification and the right projection.
 ///
 /// # Errors
 /// As [`import_opencv`]; other distortion models are refused by name.

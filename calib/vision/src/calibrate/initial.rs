@@ -5,8 +5,8 @@
 //! T   = argmin over v of median over w of RMS_k |px_wk - pi_right(T_v T_left,w p_k)|
 //! ```
 //!
-//! The median bears nearly half of the views being wrong. Source: P. J. Rousseeuw, "Least Median of Squares Regression", J. Am. Stat.
-//! Assoc. 79 (1984) 871.
+//! The median bears nearly half of the views being wrong. Source: P. J. Rousseeuw, "Least Median of
+//! Squares Regression", J. Am. Stat. Assoc. 79 (1984) 871.
 
 use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
 use crate::camera::Camera;
@@ -229,7 +229,8 @@ pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
     (sum / f64::from(n)).sqrt()
 }
 
-/// The relative pose by one view with the smallest median RMS in the right pictures of all views, with the RMS of each view (px).
+/// The relative pose by one view with the smallest median RMS in the right pictures of all views,
+/// with the RMS of each view (px).
 pub fn consensus(
     points: &[Vector3<f64>],
     left: &MonoEstimate,

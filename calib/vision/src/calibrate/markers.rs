@@ -1,4 +1,5 @@
-//! A board's corners in a picture: chessboards whole, by OpenCV's finders; ChArUco by OpenCV's detector and AprilGrid by AprilTag, also partly hidden.
+//! A board's corners in a picture: chessboards whole, by OpenCV's finders; ChArUco by OpenCV's
+//! detector and AprilGrid by AprilTag, also partly hidden.
 
 use crate::calibrate::board::{Board, Pattern, TagOrder, board_points};
 use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard, refine};
@@ -32,7 +33,8 @@ pub struct BoardLayout {
     pub(crate) places: Vec<GridPlace>,
 }
 
-/// Difference of the markers' share of their squares that is none of blur and threshold: a pixel on a marker of 25 px.
+/// Difference of the markers' share of their squares that is none of blur and threshold: a pixel on
+/// a marker of 25 px.
 const SHARE_OFF: f64 = 0.04;
 
 /// OpenCV's predefined dictionaries in the order of its enumeration.
@@ -136,7 +138,8 @@ impl BoardLayout {
         self.points.len() / 4
     }
 
-    /// What is wrong with the stated sides where the pictures show markers of another share of their squares.
+    /// What is wrong with the stated sides where the pictures show markers of another share of
+    /// their squares.
     pub(crate) fn contradicts(&self, marker_share: f64) -> Option<String> {
         let Board {
             square_mm,
@@ -369,7 +372,8 @@ fn marker_share(
 }
 
 impl BoardLayout {
-    /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the others put it.
+    /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the
+    /// others put it.
     fn tag_corners(
         &self,
         family: &str,
@@ -422,8 +426,9 @@ impl BoardLayout {
     }
 }
 
-/// The tags of a board, whose border may be of one cell or two: the same picture shows no tags of the other kind, but by chance. Where some of the
-/// `wanted` are missing they are searched for apart from the squares that touch them.
+/// The tags of a board, whose border may be of one cell or two: the same picture shows no tags of
+/// the other kind, but by chance. Where some of the `wanted` are missing they are searched for
+/// apart from the squares that touch them.
 fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>, VisionError> {
     let wide = family.to_owned() + WIDE_BORDER;
     let kinds = [family, &wide]
@@ -444,7 +449,8 @@ fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>
     Ok(best)
 }
 
-/// Another board than the stated one that a few pictures from all over the set show, in words: of other tags, or with one row or column more or less.
+/// Another board than the stated one that a few pictures from all over the set show, in words: of
+/// other tags, or with one row or column more or less.
 pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
     const LOOK: usize = 2;
     let some = pictures
@@ -477,7 +483,8 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
             ))
         }
         Pattern::Chessboard => {
-            /// Longest side on which whole boards are counted, px: the finder's time goes with the area where it finds nothing.
+            /// Longest side on which whole boards are counted, px: the finder's time goes with the
+            /// area where it finds nothing.
             const COUNTED_PX: usize = 800;
             let BoardSize { columns, rows } = board.size;
             let whole = |p: &Picture, size| {
@@ -506,8 +513,8 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
     }
 }
 
-/// The board with the first tag that its pictures show, where that is another than stated, and what is to be said of it; in words where they do not
-/// tell it.
+/// The board with the first tag that its pictures show, where that is another than stated, and what
+/// is to be said of it; in words where they do not tell it.
 pub(crate) fn renumbered(
     board: &Board,
     pictures: &[&Path],

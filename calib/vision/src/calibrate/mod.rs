@@ -1,7 +1,9 @@
-//! Two cameras from pairs of pictures of a board, and the files in which they are kept and exchanged.
+//! Two cameras from pairs of pictures of a board, and the files in which they are kept and
+//! exchanged.
 //!
-//! In the order of the work: corners ([`chessboard`], [`corner`], or [`markers`]), one camera alone (`initial`), both together ([`bundle`],
-//! [`solution`]), what may be wrong (`checks`, `statements`), the document ([`document`], [`export`], [`import`]).
+//! In the order of the work: corners ([`chessboard`], [`corner`], or [`markers`]), one camera alone
+//! (`initial`), both together ([`bundle`], [`solution`]), what may be wrong (`checks`,
+//! `statements`), the document ([`document`], [`export`], [`import`]).
 
 mod alternatives;
 pub mod board;

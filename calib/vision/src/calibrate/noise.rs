@@ -1,12 +1,15 @@
-//! The corners' own noise: what no smooth picture of a regular grid explains, whatever sizes, lens and flatness are.
+//! The corners' own noise: what no smooth picture of a regular grid explains, whatever sizes, lens
+//! and flatness are.
 //!
 //! ```text
 //! px_k = q_k + P3(q_k) + e_k,   q_k = H (c_k + o_kind),   sd^2 = sum |e|^2 / sum (n - 10)      per picture: H, P3; all pictures: o
 //! ```
-//! Corners of one kind (all of a chessboard; the lower left ones of all tags) lie at whole steps c of a regular grid. The homography H takes the
-//! steps to the picture, the offsets o of the kinds are measured with it, and the cubic P3 in both coordinates is what lens and bent paper do
-//! over a board. None of them knows a length, so that the noise holds beside any statement about the board. Source of the idea: the residuals
-//! of calibration-free line and grid checks, Hartley and Zisserman, Multiple View Geometry, 2nd ed., 4.1 and 7.4.
+//! Corners of one kind (all of a chessboard; the lower left ones of all tags) lie at whole steps c
+//! of a regular grid. The homography H takes the steps to the picture, the offsets o of the kinds
+//! are measured with it, and the cubic P3 in both coordinates is what lens and bent paper do over a
+//! board. None of them knows a length, so that the noise holds beside any statement about the
+//! board. Source of the idea: the residuals of calibration-free line and grid checks, Hartley and
+//! Zisserman, Multiple View Geometry, 2nd ed., 4.1 and 7.4.
 
 use crate::calibrate::bundle::BoardView;
 use crate::calibrate::initial::Corners;
@@ -31,7 +34,8 @@ pub(crate) struct GridPlace {
 /// The corners' noise, and where each kind of corner is off its step of the grid, in steps.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CornerNoise {
-    /// Per-corner RMS (both coordinates), px, as the solve's `rms_px`; NaN where no picture shows enough corners.
+    /// Per-corner RMS (both coordinates), px, as the solve's `rms_px`; NaN where no picture shows
+    /// enough corners.
     pub rms_px: f64,
     pub offsets: Vec<Vector2<f64>>,
 }
@@ -91,7 +95,8 @@ fn grid_in_picture(
     Some((homography(&from, &to)?, seen))
 }
 
-/// Sum of squares about the smooth picture of the grid, px^2, and the corners that are left to judge it.
+/// Sum of squares about the smooth picture of the grid, px^2, and the corners that are left to
+/// judge it.
 fn scatter(
     places: &[GridPlace],
     offsets: &[Vector2<f64>],

@@ -1,9 +1,12 @@
-//! `stereo-calibrate`: from pairs of pictures of a board to both cameras, their relative pose, and how well each is known.
+//! `stereo-calibrate`: from pairs of pictures of a board to both cameras, their relative pose, and
+//! how well each is known.
 //!
-//! Views are judged by their RMS under the joint solution, corners by the robust standard deviation 1.4826 median |e|, the board's warp
-//! by the F test `F = ((Q_flat - Q_warped) / 2) / (Q_warped / n)`. The residual is checked on pairs left out of the solve, by the distance
-//! of a corner q from its partner's epipolar line `l = [t]x R p` in the undistorted pictures: `|l . q| / |(l_x / fx, l_y / fy)|`.
-//! Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 9.6 (essential matrix).
+//! Views are judged by their RMS under the joint solution, corners by the robust standard deviation
+//! 1.4826 median |e|, the board's warp by the F test
+//! `F = ((Q_flat - Q_warped) / 2) / (Q_warped / n)`. The residual is checked on pairs left out of
+//! the solve, by the distance of a corner q from its partner's epipolar line `l = [t]x R p` in the
+//! undistorted pictures: `|l . q| / |(l_x / fx, l_y / fy)|`. Source: Hartley and Zisserman,
+//! Multiple View Geometry, 2nd ed., section 9.6 (essential matrix).
 
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Free, residuals, solve};
 use crate::calibrate::checks;
@@ -18,7 +21,8 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::order_statistics::MAD_TO_SD;
 
-/// A view is omitted where its RMS exceeds this multiple of the median view's: 13 real pairs spread by a factor 2.
+/// A view is omitted where its RMS exceeds this multiple of the median view's: 13 real pairs spread
+/// by a factor 2.
 const VIEW_OUTLIER: f64 = 4.0;
 /// A corner is omitted where its error exceeds this multiple of the robust sd of a coordinate.
 const CORNER_OUTLIER: f64 = 7.0;
@@ -40,10 +44,12 @@ pub struct StereoSolution {
     pub warnings: Vec<String>,
 }
 
-/// Solves for both cameras. `views` hold the corners of every pair in which both pictures show the board.
+/// Solves for both cameras. `views` hold the corners of every pair in which both pictures show the
+/// board.
 ///
 /// # Errors
-/// Where fewer than three pairs agree, the pairs contradict each other (with the reason where one is found), or the result is not physical.
+/// Where fewer than three pairs agree, the pairs contradict each other (with the reason where one
+/// is found), or the result is not physical.
 pub fn calibrate_stereo(
     points: &[Vector3<f64>],
     views: Vec<BoardView>,
@@ -67,7 +73,8 @@ pub fn calibrate_stereo(
         .collect::<Result<_, _>>()?;
     let (relative, errors) = consensus(points, &mono[0], &mono[1], &sides[1]);
     let mono_rms = median(&[median(&mono[0].view_rms_px), median(&mono[1].view_rms_px)]);
-    // One view's relative pose is coarse: a loose bound here, the views are judged again by the joint solve below.
+    // One view's relative pose is coarse: a loose bound here, the views are judged again by the
+    // joint solve below.
     let bound = 5.0 * median(&errors).max(3.0 * mono_rms);
     let mut used: Vec<usize> = (0..views.len()).filter(|&v| errors[v] <= bound).collect();
     let mut state = BundleState {
@@ -199,7 +206,8 @@ fn drop_wild_corners(
     dropped
 }
 
-/// Estimates the warp as well and keeps it where an F test of its two parameters rejects the flat board (p < 0.001).
+/// Estimates the warp as well and keeps it where an F test of its two parameters rejects the flat
+/// board (p < 0.001).
 fn with_warp_if_needed(
     points: &[Vector3<f64>],
     views: &[BoardView],
@@ -242,7 +250,8 @@ pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> Held
     }
 }
 
-/// Mean of the two distances (px) of every corner to the epipolar line of its partner, in the undistorted pictures.
+/// Mean of the two distances (px) of every corner to the epipolar line of its partner, in the
+/// undistorted pictures.
 pub fn epipolar_distances(state: &BundleState, view: &BoardView) -> Vec<f64> {
     let r = state.right_from_left.rotation.to_rotation_matrix();
     let essential = crate::rigid::hat(&state.right_from_left.translation.vector) * r.matrix();

@@ -1,11 +1,12 @@
-//! Whether the board is what its user states: the solve's RMS against the corners' own noise, and where it does not fit, the same solve with every
-//! other statement about the board.
+//! Whether the board is what its user states: the solve's RMS against the corners' own noise, and
+//! where it does not fit, the same solve with every other statement about the board.
 //!
 //! ```text
 //! excess^2 = RMS^2 - noise^2;   asked where RMS > 1.3 noise;   another statement fits where excess'^2 < excess^2 / 4
 //! stretch s of the print along its columns: the vertex of the parabola through the costs at s - h, s, s + h
 //! ```
-//! Pictures know no length: a factor common to all sizes changes no residual, and the baseline follows it.
+//! Pictures know no length: a factor common to all sizes changes no residual, and the baseline
+//! follows it.
 
 use crate::calibrate::alternatives::alternatives;
 use crate::calibrate::bundle::{BoardView, Free, solve};
@@ -19,22 +20,24 @@ use crate::pairs::PairFiles;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// RMS over the corners' noise from which other statements are tried: rendered boards have 0.97 to 1.03, the thirteen pairs of OpenCV's sample
-/// (a bent print) 1.83.
+/// RMS over the corners' noise from which other statements are tried: rendered boards have 0.97 to
+/// 1.03, the thirteen pairs of OpenCV's sample (a bent print) 1.83.
 const ASKED: f64 = 1.3;
-/// RMS over the corners' noise beyond which a board does not fit, whether another statement does or not.
+/// RMS over the corners' noise beyond which a board does not fit, whether another statement does or
+/// not.
 const MISFIT: f64 = 4.0;
 /// Share of the squares beyond the noise that another statement may leave.
 const LEFT_OVER: f64 = 0.25;
 /// Noise beyond which the corners are in no grid as stated, px: corners are good to tenths.
 const NO_GRID_PX: f64 = 1.0;
-/// Difference of fx and fy, as a share, from which it is asked where it comes from: sensors' pixels are square to far less.
+/// Difference of fx and fy, as a share, from which it is asked where it comes from: sensors' pixels
+/// are square to far less.
 const NOT_SQUARE: f64 = 0.004;
 /// Change of chi2 that decides between two prints.
 const DECIDED: f64 = 16.0;
 
-/// Solves for a stated board that pairs of pictures show. Where it does not fit, the statement that does is named: in a warning, or in the error
-/// of a solve that failed.
+/// Solves for a stated board that pairs of pictures show. Where it does not fit, the statement that
+/// does is named: in a warning, or in the error of a solve that failed.
 ///
 /// # Errors
 /// As `calibrate_stereo`.
@@ -193,7 +196,8 @@ fn print_stretched(factor: f64) -> String {
     )
 }
 
-/// Both cameras' fx and fy differ alike: pixels that are not square, or a print that is stretched. Boards rolled differently tell; others do not.
+/// Both cameras' fx and fy differ alike: pixels that are not square, or a print that is stretched.
+/// Boards rolled differently tell; others do not.
 fn not_square(points: &[Vector3<f64>], solution: &StereoSolution) -> Option<String> {
     let aspects = [0, 1].map(|k| {
         let [fx, fy] = solution.bundle.state.cameras[k].focal_px;

@@ -5,7 +5,8 @@
 //! x_d = x g + 2 p1 x y + p2 (r^2 + 2 x^2)
 //! y_d = y g + p1 (r^2 + 2 y^2) + 2 p2 x y
 //! ```
-//! Sources: OpenCV documentation, module calib3d, "Detailed Description"; Brown, "Decentering Distortion of Lenses", 1966.
+//! Sources: OpenCV documentation, module calib3d, "Detailed Description"; Brown, "Decentering
+//! Distortion of Lenses", 1966.
 
 use super::lens::{Coefficients, Lens, MAX_COEFFICIENTS};
 use nalgebra::{Matrix2, Vector2, Vector3};

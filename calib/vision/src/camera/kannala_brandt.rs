@@ -1,4 +1,5 @@
-//! OpenCV's fisheye lens (Kannala-Brandt), `fisheye`: the radius in the picture is a polynomial of the angle from the axis.
+//! OpenCV's fisheye lens (Kannala-Brandt), `fisheye`: the radius in the picture is a polynomial of
+//! the angle from the axis.
 //!
 //! ```text
 //! r = |n|,  theta = atan r,  theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
@@ -6,14 +7,16 @@
 //! d d / d n = (theta_d / r) I + s n n^T,   s = (theta_d' / (1 + r^2) - theta_d / r) / r^2
 //! ```
 //!
-//! Of a point `(x, y, z)` the angle is `atan2(rho, z)`, rho^2 = x^2 + y^2, which has no pole at 90 degrees:
+//! Of a point `(x, y, z)` the angle is `atan2(rho, z)`, rho^2 = x^2 + y^2, which has no pole at 90
+//! degrees:
 //!
 //! ```text
 //! d = theta_d u,  u = (x, y) / rho,   d d / d p = theta_d' u (d theta / d p)^T + (theta_d / rho) (I - u u^T) [I2 0]
 //! d theta / d p = (z u, -rho) / (rho^2 + z^2)
 //! ```
-//! Sources: OpenCV documentation, module calib3d, "Fisheye camera model"; Kannala and Brandt, "A Generic Camera Model and Calibration
-//! Method for Conventional, Wide-Angle, and Fish-Eye Lenses", IEEE PAMI 28(8), 2006, eq. 6.
+//! Sources: OpenCV documentation, module calib3d, "Fisheye camera model"; Kannala and Brandt, "A
+//! Generic Camera Model and Calibration Method for Conventional, Wide-Angle, and Fish-Eye Lenses",
+//! IEEE PAMI 28(8), 2006, eq. 6.
 
 use super::lens::{Coefficients, Lens, MAX_COEFFICIENTS};
 use nalgebra::{Matrix2, Matrix2x3, RowVector3, Vector2, Vector3};
@@ -24,7 +27,8 @@ use std::ops::AddAssign;
 #[derive(Debug)]
 pub struct KannalaBrandt;
 
-/// Radius below which the quotients are taken by their series: the fourth power of it is lost in rounding.
+/// Radius below which the quotients are taken by their series: the fourth power of it is lost in
+/// rounding.
 const SMALL_RADIUS: f64 = 1e-4;
 
 /// `theta_d` and its derivative by `theta`.
@@ -136,7 +140,8 @@ impl Lens for KannalaBrandt {
     }
 }
 
-/// Angle from the axis at a distorted radius, by Newton's method; none where the model folds over before it.
+/// Angle from the axis at a distorted radius, by Newton's method; none where the model folds over
+/// before it.
 fn angle(c: &Coefficients, target: f64) -> Option<f64> {
     let mut theta = target.min(FRAC_PI_2);
     for _ in 0..50 {

@@ -1,8 +1,8 @@
 //! What a lens does to the pinhole's picture: the trait of its models.
 //!
-//! A lens takes the direction `n = (X/Z, Y/Z)` of a point before the camera to distorted normalised coordinates `d(n; c)`; the pixel is
-//! `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from the axis and beyond have no such `n`: a model that sees them takes points and gives
-//! rays.
+//! A lens takes the direction `n = (X/Z, Y/Z)` of a point before the camera to distorted normalised
+//! coordinates `d(n; c)`; the pixel is `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from
+//! the axis and beyond have no such `n`: a model that sees them takes points and gives rays.
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 use std::fmt::Debug;
@@ -13,7 +13,8 @@ pub const MAX_COEFFICIENTS: usize = 5;
 /// Coefficients in the order of [`Lens::coefficient_names`]; what a model does not have is 0.
 pub type Coefficients = [f64; MAX_COEFFICIENTS];
 
-/// A model of a lens. The models are constants, so that a camera refers to one and carries its coefficients.
+/// A model of a lens. The models are constants, so that a camera refers to one and carries its
+/// coefficients.
 pub trait Lens: Debug + Sync {
     /// Name in `stereo.json` (`distortion.model`) and of `--lens`.
     fn model(&self) -> &'static str;
@@ -31,12 +32,15 @@ pub trait Lens: Debug + Sync {
         c: &Coefficients,
         p: &Vector3<f64>,
     ) -> [Vector2<f64>; MAX_COEFFICIENTS];
-    /// Derivative of the distorted radius by the undistorted one at radius `r` (decentring left out): at 0 the picture folds over.
+    /// Derivative of the distorted radius by the undistorted one at radius `r` (decentring left
+    /// out): at 0 the picture folds over.
     fn radial_slope(&self, c: &Coefficients, r: f64) -> f64;
-    /// Direction of distorted coordinates; none where the model folds over or the direction is not before the camera.
+    /// Direction of distorted coordinates; none where the model folds over or the direction is not
+    /// before the camera.
     fn undistort(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector2<f64>>;
 
-    /// Distorted coordinates of a point with their derivative by it; none where the model does not see it.
+    /// Distorted coordinates of a point with their derivative by it; none where the model does not
+    /// see it.
     fn image(&self, c: &Coefficients, p: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         let n = before(p)?;
         let (d, by_n) = self.distort(c, &n);
@@ -47,7 +51,8 @@ pub trait Lens: Debug + Sync {
         ))
     }
 
-    /// A point on the ray of distorted coordinates; none where the model folds over or sees nothing.
+    /// A point on the ray of distorted coordinates; none where the model folds over or sees
+    /// nothing.
     fn ray(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector3<f64>> {
         Some(self.undistort(c, d)?.push(1.0))
     }

@@ -1,9 +1,11 @@
-//! The camera model: a pinhole with a lens before it, axes x right, y down, z forward, pixel centres at integers.
+//! The camera model: a pinhole with a lens before it, axes x right, y down, z forward, pixel
+//! centres at integers.
 //!
 //! ```text
 //! n = (X/Z, Y/Z),   d = lens(n; c),   u = fx d_x + cx,  v = fy d_y + cy
 //! ```
-//! Source: OpenCV documentation, module calib3d, "Detailed Description"; the lens models cite theirs.
+//! Source: OpenCV documentation, module calib3d, "Detailed Description"; the lens models cite
+//! theirs.
 
 mod brown_conrady;
 mod kannala_brandt;
@@ -103,8 +105,8 @@ impl Camera {
         Some(self.pixel(&self.lens.image(&self.distortion, p)?.0))
     }
 
-    /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond [`Camera::intrinsics`] are 0); none where the
-    /// lens does not see it.
+    /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond
+    /// [`Camera::intrinsics`] are 0); none where the lens does not see it.
     pub fn project_with_jacobian(
         &self,
         p: &Vector3<f64>,
@@ -134,7 +136,8 @@ impl Camera {
         Some((self.pixel(&d), by_point, by_camera))
     }
 
-    /// A point on the ray of a pixel; none where the distortion folds over or the lens sees nothing.
+    /// A point on the ray of a pixel; none where the distortion folds over or the lens sees
+    /// nothing.
     pub fn ray(&self, px: &Vector2<f64>) -> Option<Vector3<f64>> {
         self.lens.ray(&self.distortion, &self.normalised(px))
     }
@@ -144,8 +147,8 @@ impl Camera {
         self.lens.undistort(&self.distortion, &self.normalised(px))
     }
 
-    /// The pixel at which the same camera without distortion shows what this pixel shows: straight edges are straight there; none where
-    /// the distortion folds over.
+    /// The pixel at which the same camera without distortion shows what this pixel shows: straight
+    /// edges are straight there; none where the distortion folds over.
     pub fn undistorted_px(&self, p: &Vector2<f64>) -> Option<Vector2<f64>> {
         Some(self.pixel(&self.undistort(p)?))
     }
@@ -156,7 +159,8 @@ impl Camera {
     }
 }
 
-/// [`Camera::undistorted_px`]; the pixel itself where no camera is known or its distortion folds over.
+/// [`Camera::undistorted_px`]; the pixel itself where no camera is known or its distortion folds
+/// over.
 pub(crate) fn undistorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
     camera.and_then(|c| c.undistorted_px(p)).unwrap_or(*p)
 }
@@ -177,7 +181,8 @@ pub fn lenses() -> [&'static dyn Lens; 2] {
     [OPENCV5, FISHEYE]
 }
 
-/// The model for which `name` is true of its name; an error that lists the names where there is none.
+/// The model for which `name` is true of its name; an error that lists the names where there is
+/// none.
 ///
 /// # Errors
 /// A sentence with the names that are known.

@@ -1,13 +1,15 @@
-//! The wire as an inextensible curve: curvature = nominal + cubic B-splines along the arc length, carried by a twist-free frame.
-//! Length is kept by construction; the root stands at the base's origin, pointing along x, up to small offsets.
+//! The wire as an inextensible curve: curvature = nominal + cubic B-splines along the arc length,
+//! carried by a twist-free frame. Length is kept by construction; the root stands at the base's
+//! origin, pointing along x, up to small offsets.
 //!
 //! ```text
 //! R' = R hat(0, -k2, k1),  p' = R e_x,    k_d(s) = k_d,rest(s) + sum_j c_dj B_j(s)
 //! d p(s) / d c_dj = integral_0^s B_j(u) a_d(u) x (p(s) - p(u)) du,    a_1 = R e_z, a_2 = -R e_y
 //! roughness = sum_d sum_j (c_d,j-1 - 2 c_dj + c_d,j+1)^2        without the j about a force (the groove's)
 //! ```
-//! Integrated by half steps of constant curvature. Sources: Bishop, "There Is More than One Way to Frame a Curve", 1975 (frame without
-//! twist); Eilers and Marx, "Flexible Smoothing with B-splines and Penalties", 1996 (roughness).
+//! Integrated by half steps of constant curvature. Sources: Bishop, "There Is More than One Way to
+//! Frame a Curve", 1975 (frame without twist); Eilers and Marx, "Flexible Smoothing with B-splines
+//! and Penalties", 1996 (roughness).
 
 use crate::rig::RigWhisker;
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
@@ -60,7 +62,8 @@ pub struct CurveShape {
 }
 
 impl CurveModel {
-    /// A model that reaches `reach_mm` with one spline every `knot_mm`. Without `nominal` the rest shape is taken as straight.
+    /// A model that reaches `reach_mm` with one spline every `knot_mm`. Without `nominal` the rest
+    /// shape is taken as straight.
     pub fn new(whisker: &RigWhisker, reach_mm: f64, knot_mm: f64, use_nominal: bool) -> Self {
         let step_mm = 0.25;
         let intervals = (reach_mm / step_mm).ceil() as usize;
@@ -103,8 +106,9 @@ impl CurveModel {
         }
     }
 
-    /// The same curve with a force at an arc length. The curvature's slope jumps there by the force over the bending stiffness (n' = -F
-    /// delta, m' = -t x n): a corner that smoothing must not round, or the fitted wire would be short of the contact.
+    /// The same curve with a force at an arc length. The curvature's slope jumps there by the force
+    /// over the bending stiffness (n' = -F delta, m' = -t x n): a corner that smoothing must not
+    /// round, or the fitted wire would be short of the contact.
     pub fn with_force_at(&self, arc_mm: f64) -> Self {
         let knot_mm = (self.nodes - 1) as f64 * self.step_mm / (self.splines - 3) as f64;
         // The second difference `row` is centred on knot `row`.
@@ -181,7 +185,8 @@ impl CurveModel {
         bends
     }
 
-    /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing allows, from a nearby one.
+    /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing
+    /// allows, from a nearby one.
     pub fn through(
         &self,
         start: &CurveState,
@@ -216,7 +221,8 @@ impl CurveModel {
         state
     }
 
-    /// Derivatives of every node's position: columns 3 i .. 3 i + 3 belong to node i, rows to the parameters.
+    /// Derivatives of every node's position: columns 3 i .. 3 i + 3 belong to node i, rows to the
+    /// parameters.
     pub fn jacobian(&self, state: &CurveState) -> DMatrix<f64> {
         let n = self.parameters();
         let mut j = DMatrix::<f64>::zeros(n, 3 * self.nodes);
@@ -266,7 +272,8 @@ impl CurveModel {
         j
     }
 
-    /// The roughness: the sum of squared second differences of both directions' coefficients, as a quadratic form.
+    /// The roughness: the sum of squared second differences of both directions' coefficients, as a
+    /// quadratic form.
     pub fn penalty(&self) -> &DMatrix<f64> {
         &self.penalty
     }
@@ -276,7 +283,8 @@ impl CurveModel {
         2 * (self.splines - 2 - self.unpunished)
     }
 
-    /// The state that follows given curvature deviations (one a node) as closely as the splines can.
+    /// The state that follows given curvature deviations (one a node) as closely as the splines
+    /// can.
     pub fn from_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);

@@ -1,13 +1,14 @@
-//! The wire's shape of one pair: pieces measured in both pictures, a curve of known kind through all of them at once.
-//! Every piece measures the wire's position across its own image line only; parts along epipolar lines need no match of their own.
+//! The wire's shape of one pair: pieces measured in both pictures, a curve of known kind through
+//! all of them at once. Every piece measures the wire's position across its own image line only;
+//! parts along epipolar lines need no match of their own.
 //!
 //! ```text
 //! r_i = n_i . (observed_i - pi_c(T exp(x) p(s_i; c))),   weight_i = (nu + 1) / (nu + (r_i / sd_i)^2) / sd_i^2     (Student, nu = 4)
 //! (J^T W J + P) step = J^T W r - P state,                P: tags' information on x, root, smoothing * roughness
 //! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - minimum of the penalised squares) / 2
 //! ```
-//! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989; MacKay, "Bayesian Interpolation",
-//! 1992 (evidence).
+//! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989;
+//! MacKay, "Bayesian Interpolation", 1992 (evidence).
 
 use crate::picture::Picture;
 use crate::rigid::{hat, updated};
@@ -16,12 +17,14 @@ use crate::stereo::StereoCameras;
 use crate::wire::piece::{Appearance, PIECE_PX, Piece, Station, fit_piece};
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
-/// Systematic error of a piece that neighbouring pieces share, px: speckle of the surface and of the background.
+/// Systematic error of a piece that neighbouring pieces share, px: speckle of the surface and of
+/// the background.
 const PIECE_FLOOR_PX: f64 = 0.01;
 /// Degrees of freedom of the Student weights: one piece in twenty lies on an edge or in a crossing.
 const STUDENT_DOF: f64 = 4.0;
 
-/// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel by the point in the left frame.
+/// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel
+/// by the point in the left frame.
 pub(crate) fn in_camera(
     stereo: &StereoCameras,
     camera: usize,
@@ -40,7 +43,8 @@ pub(crate) fn in_camera(
     Some((px, by_point * turn, x.z))
 }
 
-/// Stations of one camera along the image of a curve (base frame nodes) up to `length_mm`, one every piece length.
+/// Stations of one camera along the image of a curve (base frame nodes) up to `length_mm`, one
+/// every piece length.
 pub fn image_line(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -117,7 +121,8 @@ pub fn measure(
         .collect()
 }
 
-/// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.
+/// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with
+/// the wire's polarity.
 pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
     pieces
         .iter()
@@ -156,7 +161,8 @@ pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineO
         .collect()
 }
 
-/// The linearised problem of one pair: base correction (6: rotation, translation in the base frame) then curve parameters.
+/// The linearised problem of one pair: base correction (6: rotation, translation in the base frame)
+/// then curve parameters.
 #[derive(Debug, Clone)]
 pub struct PairSystem {
     /// Information of the observations alone.
@@ -171,11 +177,13 @@ pub struct PairSystem {
     pub residuals_px: Vec<f64>,
     /// Student weights, in order of the observations.
     pub weights: Vec<f64>,
-    /// Derivatives of the predicted offsets along the normal times their weights, one column an observation.
+    /// Derivatives of the predicted offsets along the normal times their weights, one column an
+    /// observation.
     pub rows_weighted: DMatrix<f64>,
 }
 
-/// Residuals of observations for given cameras, base pose and curve: observed minus predicted along the normal, px.
+/// Residuals of observations for given cameras, base pose and curve: observed minus predicted along
+/// the normal, px.
 pub fn observation_residuals(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -228,7 +236,8 @@ pub fn linearise(
             weights.push(0.0);
             continue;
         };
-        // d r / d x = n . (d pi / d X) R [-hat(p)  I] for the base's correction, times dp / dc for the curve.
+        // d r / d x = n . (d pi / d X) R [-hat(p)  I] for the base's correction, times dp / dc for
+        // the curve.
         let residual = s.normal.dot(&(s.observed_px - px));
         let by_base = s.normal.transpose() * by_left * turn.matrix();
         let by_turn = -by_base * hat(&p);
@@ -332,13 +341,15 @@ pub fn with_prior(
     let mut rows = g.rows_mut(6, n);
     rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
     for k in 0..n {
-        // Splines beyond the tip have no data and little penalty: a weak ridge keeps the matrix regular.
+        // Splines beyond the tip have no data and little penalty: a weak ridge keeps the matrix
+        // regular.
         h[(6 + k, 6 + k)] += 1e-3;
     }
     (h, g)
 }
 
-/// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of factors of 3.
+/// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of
+/// factors of 3.
 pub fn choose_smoothing(
     system: &PairSystem,
     prior: &Prior,
@@ -367,7 +378,8 @@ pub fn choose_smoothing(
                 .iter()
                 .map(|d| d.ln())
                 .sum::<f64>();
-        // Minimum of the penalised sum of squares: value at the current state less what the step gains.
+        // Minimum of the penalised sum of squares: value at the current state less what the step
+        // gains.
         let smallest = system.chi2 + smoothing * rough_now - step.dot(&g);
         let evidence = 0.5 * (rank * smoothing.ln() - log_det - smallest);
         if evidence > best.0 {

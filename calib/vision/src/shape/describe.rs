@@ -46,7 +46,8 @@ pub(crate) fn describe(
     }
 }
 
-/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the fraction of the interval to the next.
+/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the
+/// fraction of the interval to the next.
 pub(crate) fn places(fit: &PairFit) -> impl Iterator<Item = (f64, usize, f64)> + '_ {
     let last = fit.model.nodes as f64 - 1.001;
     let count = (fit.length_mm / 0.5).round().max(1.0) as usize;

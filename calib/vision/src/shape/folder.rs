@@ -1,4 +1,5 @@
-//! `stereo-shape`: tags, the base's pose over the folder, one curve a pair, the joint correction of the base, groove and uncertainties.
+//! `stereo-shape`: tags, the base's pose over the folder, one curve a pair, the joint correction of
+//! the base, groove and uncertainties.
 
 use crate::pairs::PairFiles;
 use crate::picture::Picture;
@@ -28,7 +29,8 @@ const DISAGREEMENT: f64 = 30.0;
 const UNSEEN_MM: f64 = 3.0;
 /// Part of the wire that counts as near its root, mm.
 const NEAR_ROOT_MM: f64 = 6.0;
-/// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
+/// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench
+/// does.
 const MAX_STRAIN: f64 = 0.015;
 
 /// Side of a tag that a search at half size cannot miss, px.
@@ -96,14 +98,16 @@ fn tags_of(loaded: &[Result<PairInput, String>]) -> Vec<PairTags> {
         .collect()
 }
 
-/// The pairs as fitted in the base's frame, the freedom that their roots had, and what tags and wire disagree about.
+/// The pairs as fitted in the base's frame, the freedom that their roots had, and what tags and
+/// wire disagree about.
 struct FittedPairs {
     fits: Vec<Result<PairFit, String>>,
     root_sd: [f64; 2],
     warnings: Vec<String>,
 }
 
-/// Fits all pairs that could be read, and moves them into the frame that tags and wires of all of them give.
+/// Fits all pairs that could be read, and moves them into the frame that tags and wires of all of
+/// them give.
 fn fit_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
@@ -135,8 +139,8 @@ fn fit_pairs(
         };
     let mut root_sd = ROOT_CLAMPED;
     let mut fits = attempt(root_sd, &[]);
-    // A root away from the tags' estimate is not seen, or most searches from it fail: search with a free root, in line with the rest of
-    // the wire.
+    // A root away from the tags' estimate is not seen, or most searches from it fail: search with a
+    // free root, in line with the rest of the wire.
     let sound = |fits: &[Result<PairFit, String>]| fits.iter().flatten().count();
     let most_lost = 2 * sound(&fits) < loaded.iter().flatten().count();
     let free = (most_lost || root_misplaced(&fits, rig.whisker.diameter_mm))
@@ -269,8 +273,9 @@ fn shapes_of_loaded(
     (document, fits.into_iter().map(Result::ok).collect())
 }
 
-/// In most pairs the curve from the stated root is not the wire: another root has far more evidence, its first millimetres are seen in neither
-/// picture, or its strain there exceeds the elastic range.
+/// In most pairs the curve from the stated root is not the wire: another root has far more
+/// evidence, its first millimetres are seen in neither picture, or its strain there exceeds the
+/// elastic range.
 fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     let misplaced = |f: &PairFit| {
         let first = f
@@ -306,7 +311,8 @@ fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInpu
             for wider in [Search::Halved, Search::Whole] {
                 let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
                 let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
-                // Where the tags that are seen are large, one that is not seen at half size is not there.
+                // Where the tags that are seen are large, one that is not seen at half size is not
+                // there.
                 let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
                 if all || (wider == Search::Whole && found.iter().any(large)) {
                     break;
@@ -391,7 +397,8 @@ fn fit_one(
     fit_pair(&scene, start)
 }
 
-/// The most certain of several sightings of a tag in one picture (a second print, a mirror image), and what is said of the others.
+/// The most certain of several sightings of a tag in one picture (a second print, a mirror image),
+/// and what is said of the others.
 fn each_once(tags: PairTags) -> (PairTags, Vec<String>) {
     let (mut kept, mut remarks) = (PairTags::new(), BTreeSet::new());
     for (camera, tag) in tags {

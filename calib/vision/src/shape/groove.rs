@@ -1,11 +1,12 @@
-//! The groove: contact point from the rig tag, corrected across the wire by the wire's own pictures.
+//! The groove: contact point from the rig tag, corrected across the wire by the wire's own
+//! pictures.
 //!
 //! ```text
 //! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
 //! corrected = g - C_t (C_t + A C_w A + big t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
 //! ```
-//! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s. Source: generalised least squares of
-//! two estimates with known covariances (Aitken 1936).
+//! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s.
+//! Source: generalised least squares of two estimates with known covariances (Aitken 1936).
 
 use crate::rig::RigGroove;
 use crate::shape::curve::CurveShape;
@@ -29,8 +30,8 @@ pub(crate) struct GrooveFound {
     pub(crate) follow: Matrix3<f64>,
 }
 
-/// The contact of a pair whose rig tag is known: along the wire from the tag, across it from the wire.
-/// `tag_covariance`: of the vertex position by the tag, base frame, mm^2.
+/// The contact of a pair whose rig tag is known: along the wire from the tag, across it from the
+/// wire. `tag_covariance`: of the vertex position by the tag, base frame, mm^2.
 pub(crate) fn find_groove(
     fit: &PairFit,
     rig: &RigPose,
@@ -58,7 +59,8 @@ pub(crate) fn find_groove(
     let (mut node, mut share, mut follow) = (nearest, 0.0, Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
     let along = |t: &Vector3<f64>| t * t.transpose();
-    // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has no mark there.
+    // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has
+    // no mark there.
     for _ in 0..3 {
         let across = Matrix3::identity() - along(&tangent);
         let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
@@ -146,15 +148,16 @@ pub struct GroovePosition {
     pub away: Vector3<f64>,
     /// Covariance of that, mm^2; of unit size along the wire.
     pub covariance: Matrix3<f64>,
-    /// Direction in which the groove pushes; none where the deflection is too small to determine it.
+    /// Direction in which the groove pushes; none where the deflection is too small to determine
+    /// it.
     pub push: Option<Vector3<f64>>,
     /// Change of the wire's tangent over the groove's width.
     pub turn: Vector3<f64>,
 }
 
 impl GroovePosition {
-    /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims; `out-of-vertex`: on one flank;
-    /// `none`: clear of both.
+    /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims;
+    /// `out-of-vertex`: on one flank; `none`: clear of both.
     pub fn contact(&self, groove: &RigGroove, diameter_mm: f64) -> &'static str {
         let inverse = self.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
         // 13.8: 99.9 % of chi2 with 2 degrees of freedom.
@@ -166,19 +169,22 @@ impl GroovePosition {
             return "vertex";
         }
         let Some(push) = self.push else {
-            // Beyond the wire's own diameter from the vertex there is no contact, whichever way the groove opens.
+            // Beyond the wire's own diameter from the vertex there is no contact, whichever way the
+            // groove opens.
             return if self.away.norm() > diameter_mm {
                 "none"
             } else {
                 "out-of-vertex"
             };
         };
-        // Over the groove's width the wire's middle is off the chord by the sagitta of its curvature.
+        // Over the groove's width the wire's middle is off the chord by the sagitta of its
+        // curvature.
         let arch = -self.turn.dot(&push) * groove.width_along_wire_mm / 8.0;
         if arch > 0.0 && agrees(push * arch) {
             return "double";
         }
-        // Centres that touch a flank lie on a line through the vertex position at the half angle from the push.
+        // Centres that touch a flank lie on a line through the vertex position at the half angle
+        // from the push.
         let clear = groove.half_angle_deg.to_radians() - self.away.angle(&push);
         let gap = self.away.norm() * clear.sin();
         // Mean variance across the wire: the covariance is of unit size along it.

@@ -1,14 +1,15 @@
-//! The base's correction that all pairs of a folder agree on, and the covariance of each pair's curve: the pictures' noise, the
-//! base that they share, and the calibration's own uncertainty.
+//! The base's correction that all pairs of a folder agree on, and the covariance of each pair's
+//! curve: the pictures' noise, the base that they share, and the calibration's own uncertainty.
 //!
 //! ```text
 //! pair i: [B_i  K_i] [x]   [g_i]     M_i = B_i - K_i C_i^-1 K_i^T,  h_i = g_i - K_i C_i^-1 f_i      x: base,  c_i: curve
 //!         [K_i' C_i] [c] = [f_i]     (I_tags + sum M_i) x = sum h_i
 //! covariance_i = N_i^-1 + G_i C_cal G_i^T,   G_i = N_i^-1 d(gradient) / d(calibration)
 //! ```
-//! N_i: pair i's normal matrix with the information of tags and other pairs on the base. G_i is the implicit function theorem at the minimum:
-//! the calibration is no parameter of the fit but moves its solution. Sources: JCGM 102:2011, 6.2 (propagation through a fitted model);
-//! Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
+//! N_i: pair i's normal matrix with the information of tags and other pairs on the base. G_i is the
+//! implicit function theorem at the minimum: the calibration is no parameter of the fit but moves
+//! its solution. Sources: JCGM 102:2011, 6.2 (propagation through a fitted model); Triggs et al.,
+//! "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
 
 use crate::rigid::updated;
 use crate::shape::curve_fit::{Prior, linearise, observation_residuals, stepped, with_prior};
@@ -20,11 +21,14 @@ use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few micrometres (mm, rad).
+/// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few
+/// micrometres (mm, rad).
 pub(crate) const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
-/// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the camera's tone curve on unequal sides.
+/// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the
+/// camera's tone curve on unequal sides.
 const LINE_FLOOR_WIDTHS: f64 = 0.004;
-/// Width in blurs above which a picture resolves the light across the wire, and that shift grows with the width.
+/// Width in blurs above which a picture resolves the light across the wire, and that shift grows
+/// with the width.
 const RESOLVED_BLURS: f64 = 3.5;
 
 /// The base correction shared by the folder.
@@ -101,9 +105,11 @@ pub struct PairUncertainty {
     pub covariance: DMatrix<f64>,
     /// Rows as above, a column for each parameter of the cameras.
     pub by_calibration: DMatrix<f64>,
-    /// Error in depth that all places of the wire share and that the pictures' scatter does not include, mm.
+    /// Error in depth that all places of the wire share and that the pictures' scatter does not
+    /// include, mm.
     pub shared_mm: f64,
-    /// Columns: independent errors of the curve's parameters by the pair's own pictures, base and cameras held; one standard deviation each.
+    /// Columns: independent errors of the curve's parameters by the pair's own pictures, base and
+    /// cameras held; one standard deviation each.
     pub own: DMatrix<f64>,
     /// Derivative of the curve's parameters by the base's correction.
     pub by_base: DMatrix<f64>,
@@ -137,7 +143,8 @@ pub(crate) fn uncertainties(
         })
         .collect();
     let tags = gradient_by_calibration(stereo, &base.observations, &base.pose.left_from_body);
-    // Normal equations of the base: tags plus the Schur complement of every pair whose base did not move.
+    // Normal equations of the base: tags plus the Schur complement of every pair whose base did not
+    // move.
     let mut information = base.pose.information;
     let mut pull = tags.clone();
     for (k, part) in parts.iter().enumerate() {
@@ -153,7 +160,8 @@ pub(crate) fn uncertainties(
         .map(|(k, fit)| {
             let fit = fit.as_ref().ok()?;
             let (part, full, reduced) = parts[k].as_ref()?;
-            // Information of the other pairs on the base. A base at another place has its own tags only, seen by the same cameras.
+            // Information of the other pairs on the base. A base at another place has its own tags
+            // only, seen by the same cameras.
             let base_shared = !base.moved.contains(&k);
             let (others, their_pull) = if base_shared {
                 (information - part.information, &pull - reduced)
@@ -202,7 +210,8 @@ fn covariance(
     Some((covariance, response))
 }
 
-/// Covariance of the base by the clamp's own offsets. All pairs have the same clamp, so that its error does not average out over them.
+/// Covariance of the base by the clamp's own offsets. All pairs have the same clamp, so that its
+/// error does not average out over them.
 fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
     if root_sd != ROOT_CLAMPED {
         // With a free root the frame is that of the tags alone.
@@ -214,7 +223,8 @@ fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
 
 /// Shift in depth of a whole line by uneven light across it, mm.
 fn line_shift_mm(stereo: &StereoCameras, fit: &PairFit) -> f64 {
-    // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b), and a width is f d / z pixels.
+    // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b), and a width
+    // is f d / z pixels.
     let depth_mm = fit.left_from_base.translation.vector.norm();
     let baseline_mm = stereo.right_from_left.translation.vector.norm();
     let by_width_mm = fit.diameter_mm * depth_mm / baseline_mm;
@@ -296,8 +306,9 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     out
 }
 
-/// Radius of the circle with 95 % of a plane Gaussian with these variances, over sqrt(chi2_2(0.95)) (F. E. Satterthwaite, Biometrics
-/// Bulletin 2 (1946) 110: the sum of squares as a scaled chi-squared).
+/// Radius of the circle with 95 % of a plane Gaussian with these variances, over sqrt(chi2_2(0.95))
+/// (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110: the sum of squares as a scaled
+/// chi-squared).
 pub(crate) fn planar_sd(a: f64, b: f64) -> f64 {
     let mean = a + b;
     if !(mean > 0.0) || !mean.is_finite() {

@@ -1,5 +1,6 @@
-//! The wire's shape in space: one curve through the pieces of both pictures of a pair, the correction of the base that all pairs agree
-//! on, the groove's contact, and errors that all pairs share.
+//! The wire's shape in space: one curve through the pieces of both pictures of a pair, the
+//! correction of the base that all pairs agree on, the groove's contact, and errors that all pairs
+//! share.
 
 pub mod curve;
 pub mod curve_fit;

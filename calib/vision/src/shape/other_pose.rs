@@ -1,4 +1,5 @@
-//! Pairs whose pictures show two poses: a curve through both has another length than the wire, and misses the groove.
+//! Pairs whose pictures show two poses: a curve through both has another length than the wire, and
+//! misses the groove.
 
 use crate::median::median;
 use wcal_core::order_statistics::MAD_TO_SD;
@@ -13,7 +14,8 @@ const END_UNSEEN_MM: f64 = 0.3;
 /// Pairs of one length that outvote a single one whose groove is not seen.
 const OTHERS: usize = 3;
 
-/// Pairs that show another length than the others, where their groove, if it is seen, does not hold the wire: index and reason.
+/// Pairs that show another length than the others, where their groove, if it is seen, does not hold
+/// the wire: index and reason.
 pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String)> {
     let seen = |p: &&PairDocument| p.status == "ok" && p.length_sd_mm < END_UNSEEN_MM;
     let mut found = Vec::new();
@@ -34,7 +36,8 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
             );
         let off = (pair.length_mm - typical).abs();
         let limit = (BEYOND_SD * pair.length_sd_mm.hypot(spread)).max(LENGTH_SHARE * typical);
-        // A length that differs from one other alone is not that of this pair for sure; neither is one that the groove confirms.
+        // A length that differs from one other alone is not that of this pair for sure; neither is
+        // one that the groove confirms.
         let contradicted = match &pair.groove {
             Some(g) => !matches!(g.contact.as_str(), "vertex" | "double"),
             None => others.len() >= OTHERS,

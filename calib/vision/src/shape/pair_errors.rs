@@ -1,4 +1,5 @@
-//! Errors of a pair's observations: its own, and those that all pairs share (`shapes.json`, [`PairErrors`]).
+//! Errors of a pair's observations: its own, and those that all pairs share (`shapes.json`,
+//! [`PairErrors`]).
 //!
 //! ```text
 //! curve:   dc = C^-1 n - (K C^-1)' x + G q                       n: noise of the pictures, x: base, q: cameras
@@ -7,9 +8,10 @@
 //! tag:     w = M^-1 sum_i (g_w - I_wt I_tt^-1 g_t)_i,   t = I_tt^-1 (g_t - I_tw w),   M = sum_i M_i      g: change of a gradient
 //! groove:  ds = u' B (dg - dp(s)),   d(position) = dp(s) + u ds,   B = I - C_t W A (groove.rs),   u: the wire's tangent
 //! ```
-//! With the base held, the pairs are independent of each other: `x` is one error of all of them, of covariance `(I_tags + sum M_i)^-1`.
-//! So is the turn of a rig that only shifts: an error of the cameras turns it by the mean over all its pictures, not by one pair's share.
-//! Sources: JCGM 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
+//! With the base held, the pairs are independent of each other: `x` is one error of all of them, of
+//! covariance `(I_tags + sum M_i)^-1`. So is the turn of a rig that only shifts: an error of the
+//! cameras turns it by the mean over all its pictures, not by one pair's share. Sources: JCGM
+//! 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
 
 use crate::rig::RigGroove;
 use crate::rigid::hat;
@@ -33,9 +35,11 @@ use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 const STATION_POINTS: usize = 6;
 /// Errors of one pair below this sd are left out, mm: far below the noise of any picture.
 const LEFT_OUT_MM: f64 = 3e-4;
-/// Relative standard deviation of the side of a board's squares: stated for etched and printed boards (2 to 10 um in 60 mm).
+/// Relative standard deviation of the side of a board's squares: stated for etched and printed
+/// boards (2 to 10 um in 60 mm).
 const BOARD_SCALE_SD: f64 = 1e-4;
-/// Places of the errors other than the cameras', in every list after these: board, base, rig tag's place and turn, light, end.
+/// Places of the errors other than the cameras', in every list after these: board, base, rig tag's
+/// place and turn, light, end.
 const BOARD: usize = 0;
 const BASE: usize = 1;
 const TAG_PLACE: usize = 7;
@@ -45,7 +49,8 @@ const END: usize = 14;
 /// How many they are.
 const SETUP: usize = 15;
 
-/// Errors that all pairs of a folder share: the parameters, their covariance, and the derivatives of the rig tags by the cameras.
+/// Errors that all pairs of a folder share: the parameters, their covariance, and the derivatives
+/// of the rig tags by the cameras.
 pub(crate) struct SharedErrors {
     /// Parameters of the cameras.
     cameras: usize,
@@ -53,7 +58,8 @@ pub(crate) struct SharedErrors {
     pub(crate) covariance: DMatrix<f64>,
     /// Derivative of each pair's rig tag gradient by the cameras, 6 x parameters.
     pulls: Vec<Option<DMatrix<f64>>>,
-    /// Derivative of the shared turn by the cameras, 3 x parameters; none where each pair has its own.
+    /// Derivative of the shared turn by the cameras, 3 x parameters; none where each pair has its
+    /// own.
     turn: Option<Matrix3xX<f64>>,
 }
 
@@ -173,7 +179,8 @@ fn parameters(stereo: &StereoCameras) -> Vec<SharedParameter> {
     all
 }
 
-/// How the vertex position that the rig tag states, base frame, follows each error: 3 rows, own and shared columns.
+/// How the vertex position that the rig tag states, base frame, follows each error: 3 rows, own and
+/// shared columns.
 pub(crate) struct VertexErrors {
     /// Noise of this pair's corners of the rig tag.
     own: DMatrix<f64>,
@@ -323,7 +330,8 @@ pub(crate) fn pair_errors(
     }
 }
 
-/// Own errors: curve with base and cameras held, the base where it is this pair's own, corners of the rig tag, the end.
+/// Own errors: curve with base and cameras held, the base where it is this pair's own, corners of
+/// the rig tag, the end.
 fn own_columns(
     fit: &PairFit,
     u: &PairUncertainty,
@@ -404,7 +412,8 @@ fn shared_columns(
     columns
 }
 
-/// From (stations, foot, vertex, length) to (stations, groove position, contact arc length, length).
+/// From (stations, foot, vertex, length) to (stations, groove position, contact arc length,
+/// length).
 fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) -> DMatrix<f64> {
     let count = columns.ncols();
     let mut out = DMatrix::zeros(m + 5, count);
@@ -428,7 +437,8 @@ fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) 
     out
 }
 
-/// The same covariance by the fewest independent columns that leave out less than [`LEFT_OUT_MM`] anywhere, and the part left out.
+/// The same covariance by the fewest independent columns that leave out less than [`LEFT_OUT_MM`]
+/// anywhere, and the part left out.
 fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let parts = (&columns * columns.transpose()).symmetric_eigen();
     let mut order: Vec<usize> = (0..columns.nrows()).collect();

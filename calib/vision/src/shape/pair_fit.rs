@@ -1,4 +1,5 @@
-//! One pair from pictures to a fitted curve, with a base pose that is taken as known here and corrected over the folder.
+//! One pair from pictures to a fitted curve, with a base pose that is taken as known here and
+//! corrected over the folder.
 
 use crate::picture::Picture;
 use crate::rig::Rig;
@@ -56,19 +57,22 @@ pub struct PairFit {
 
 /// Length of the curve model, in nominal lengths.
 const REACH: f64 = 1.12;
-/// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start at the tags' estimate.
+/// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start at the tags'
+/// estimate.
 pub const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 /// Share of the nominal length by which a wire's end may lie elsewhere.
 const LENGTH_SHARE: f64 = 0.1;
-/// Smallest ratio of the pieces a mm in the wire's last third to those of the rest, in the picture that shows more of it. Drawn wires of the tests
-/// show 46-60 pieces there, one that was lost toward the cameras 13.
+/// Smallest ratio of the pieces a mm in the wire's last third to those of the rest, in the picture
+/// that shows more of it. Drawn wires of the tests show 46-60 pieces there, one that was lost
+/// toward the cameras 13.
 const TAIL_SHARE: f64 = 0.35;
-/// Share of the wire's length that one picture alone must not show, and the share of its millimetres at which a picture shows a
-/// stretch; the other one has twice that. A groove hides less, and one view does not determine the depth.
+/// Share of the wire's length that one picture alone must not show, and the share of its
+/// millimetres at which a picture shows a stretch; the other one has twice that. A groove hides
+/// less, and one view does not determine the depth.
 const STRETCH_SHARE: f64 = 0.25;
 const STRETCH_SEEN: f64 = 0.25;
-/// Scatter of the pieces against their own noise that is remarked on, and that no single wire shows: drawn single wires have
-/// 0.5-1.3, two that were taken for one 2.5-15.
+/// Scatter of the pieces against their own noise that is remarked on, and that no single wire
+/// shows: drawn single wires have 0.5-1.3, two that were taken for one 2.5-15.
 const SCATTER_WARN: f64 = 2.0;
 const SCATTER_REJECT: f64 = 3.0;
 /// Length by which a wire is followed on where it does not end.
@@ -93,7 +97,8 @@ pub struct Scene<'a> {
     pub prior: &'a Prior,
 }
 
-/// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where it ended.
+/// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where
+/// it ended.
 ///
 /// # Errors
 /// A sentence with the reason why the pair cannot be used.
@@ -102,7 +107,8 @@ pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>) -> Result<PairFit, S
         return refine(scene, fit.clone(), true);
     }
     let search = |wide| begin(scene, wide).and_then(|begun| refine(scene, begun, false));
-    // A wire lost in a gap or at another line is searched for again with wider beams; if that fails, too, the first reason is reported.
+    // A wire lost in a gap or at another line is searched for again with wider beams; if that
+    // fails, too, the first reason is reported.
     search(false).or_else(|why| search(true).map_err(|_| why))
 }
 
@@ -140,7 +146,8 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         smoothing: begun.smoothing,
         ..prior.clone()
     };
-    // A wire that starts elsewhere is fitted with a free root; whether the base moved as well is decided over the folder.
+    // A wire that starts elsewhere is fitted with a free root; whether the base moved as well is
+    // decided over the folder.
     if begun.root_aside_mm > 0.0 {
         prior.root_sd = ROOT_FREE;
     }
@@ -173,7 +180,8 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
             ));
         }
         if round == 0 {
-            // Far from the solution robust weights and evidence for the smoothing are unreliable: the convex programme needs neither.
+            // Far from the solution robust weights and evidence for the smoothing are unreliable:
+            // the convex programme needs neither.
             let found = socp_initial_curve(stereo, left_from_base, &model, &state, &all, &prior);
             state = found.ok_or("no curve of the wire's length passes through the pieces")?;
             round += 1;
@@ -192,7 +200,8 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
                 length += GROWTH_MM;
                 continue;
             }
-            // Without a visible end: the last piece seen, or the nominal length where that lies near.
+            // Without a visible end: the last piece seen, or the nominal length where that lies
+            // near.
             length = if (last - rig.whisker.length_mm).abs() < 2.0 {
                 rig.whisker.length_mm
             } else {
@@ -247,7 +256,8 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     })
 }
 
-/// The pieces of the wire in both pictures, and which of them show it; appearances are fitted to them where `fit_looks`.
+/// The pieces of the wire in both pictures, and which of them show it; appearances are fitted to
+/// them where `fit_looks`.
 fn measure_pieces(
     scene: &Scene<'_>,
     model: &CurveModel,
@@ -278,7 +288,8 @@ fn measure_pieces(
     })
 }
 
-/// Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close. The state, and the noise of the pieces.
+/// Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close. The
+/// state, and the noise of the pieces.
 fn gauss_newton(
     scene: &Scene<'_>,
     model: &CurveModel,
@@ -341,7 +352,8 @@ fn ends_seen(
     (0..2).filter_map(of).collect()
 }
 
-/// Why a fitted line is not the wire, or what is doubtful about it; `expected` is the wire's length, mm.
+/// Why a fitted line is not the wire, or what is doubtful about it; `expected` is the wire's
+/// length, mm.
 fn doubts(
     pieces: &[(Vec<Piece>, Vec<bool>); 2],
     length: f64,
@@ -462,7 +474,8 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
     0.5 * noise + 0.5 * (scatter * shared).sqrt()
 }
 
-/// The first stretch that one picture shows and the other does not: the other camera, start and end, mm.
+/// The first stretch that one picture shows and the other does not: the other camera, start and
+/// end, mm.
 fn unseen_stretch(
     pieces: &[(Vec<Piece>, Vec<bool>); 2],
     length_mm: f64,
@@ -497,7 +510,8 @@ fn unseen_stretch(
     })
 }
 
-/// Seen pieces a mm in the last third of a length (mm) against those before it, in the picture that shows more.
+/// Seen pieces a mm in the last third of a length (mm) against those before it, in the picture that
+/// shows more.
 fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
     let from_mm = length_mm * 2.0 / 3.0;
     let seen = |tail: bool| {

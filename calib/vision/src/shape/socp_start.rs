@@ -1,12 +1,14 @@
-//! The convex start of the shape's fit: the curve as a chain of nodes through the pieces of both pictures, its links no longer than
-//! the wire between them. A second-order cone programme: convex, so that its solution does not depend on the search's error, and where no piece shows
-//! the wire (a groove before it, a part along epipolar lines) the curve is as smooth as the rest shape allows.
+//! The convex start of the shape's fit: the curve as a chain of nodes through the pieces of both
+//! pictures, its links no longer than the wire between them. A second-order cone programme: convex,
+//! so that its solution does not depend on the search's error, and where no piece shows the wire (a
+//! groove before it, a part along epipolar lines) the curve is as smooth as the rest shape allows.
 //!
 //! ```text
 //! minimise  sum Huber(r_i - a_i . x) + sum |D^3 x - rest|^2 / rough^2 - tension . links    subject to  |x_n+1 - x_n| <= link
 //! Huber(r) = min over u, v of u^2 / 2 + bound v,  |r - u| <= v
 //! ```
-//! Source: Boyd and Vandenberghe, Convex Optimization, 2004, sections 4.4.2 (cone programmes) and 6.1.2 (Huber's loss as one).
+//! Source: Boyd and Vandenberghe, Convex Optimization, 2004, sections 4.4.2 (cone programmes) and
+//! 6.1.2 (Huber's loss as one).
 
 use crate::shape::curve::{CurveModel, CurveState};
 use crate::shape::curve_fit::{LineObservation, Prior, in_camera, node};
@@ -21,7 +23,8 @@ const STRIDE: usize = 8;
 const CURVATURE_CHANGE: f64 = 0.002;
 /// Huber's bound, sd: 95 % efficient on Gaussian errors.
 const HUBER: f64 = 1.345;
-/// Tension along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap below 12 mm.
+/// Tension along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap
+/// below 12 mm.
 const TENSION: f64 = 10.0;
 /// Accuracy of a node that the smooth curve has to follow, mm.
 const NODE_MM: f64 = 0.01;
@@ -42,7 +45,8 @@ impl Triplets {
     }
 }
 
-/// Equation of a piece: residual in sd, and its derivative by the positions of the link's two nodes, 1/mm.
+/// Equation of a piece: residual in sd, and its derivative by the positions of the link's two
+/// nodes, 1/mm.
 struct PieceEquation {
     camera: usize,
     link: usize,
@@ -81,7 +85,8 @@ pub fn socp_initial_curve(
             })
         })
         .collect();
-    // The median of a camera's residuals on a link represents all of them: a fifth of the time, and robust.
+    // The median of a camera's residuals on a link represents all of them: a fifth of the time, and
+    // robust.
     pulls.sort_by(|a, b| {
         (a.camera, a.link)
             .cmp(&(b.camera, b.link))
@@ -118,7 +123,8 @@ fn solve(
 ) -> Option<Vec<Vector3<f64>>> {
     let (nodes, link_mm) = (at.len(), STRIDE as f64 * model.step_mm);
     let (moves, count) = (3 * nodes, pulls.len());
-    // Unknowns: moves of the nodes, then each piece's plain part (squared) and the bound of the rest (counted once).
+    // Unknowns: moves of the nodes, then each piece's plain part (squared) and the bound of the
+    // rest (counted once).
     let unknowns = moves + 2 * count;
     let mut square = DMatrix::<f64>::zeros(moves, moves);
     let mut linear = vec![0.0; unknowns];

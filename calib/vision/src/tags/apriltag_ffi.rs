@@ -1,4 +1,5 @@
-//! A safe interface to the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of this crate with `unsafe` code.
+//! A safe interface to the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of
+//! this crate with `unsafe` code.
 #![allow(unsafe_code)]
 
 use crate::error::VisionError;
@@ -84,7 +85,8 @@ impl Drop for Handles {
 }
 
 thread_local! {
-    /// A family's table of codes with up to two wrong bits takes longer to make than a picture to search: each thread keeps its own.
+    /// A family's table of codes with up to two wrong bits takes longer to make than a picture to
+    /// search: each thread keeps its own.
     static DETECTORS: RefCell<HashMap<&'static str, Handles>> = RefCell::default();
 }
 
@@ -107,14 +109,16 @@ impl Handles {
     }
 }
 
-/// A part of a picture: the first column and row in it and the first beyond, px; and how coarsely it is searched.
+/// A part of a picture: the first column and row in it and the first beyond, px; and how coarsely
+/// it is searched.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
     /// First column and row.
     pub low: [usize; 2],
     /// Column and row after the last.
     pub high: [usize; 2],
-    /// Quads are sought in a picture smaller by this factor, 1 or more (above 1 their edges are fitted at full size).
+    /// Quads are sought in a picture smaller by this factor, 1 or more (above 1 their edges are
+    /// fitted at full size).
     pub decimate: f32,
 }
 
@@ -149,8 +153,8 @@ impl Region {
 /// Contrast of a border below which the library ignores a candidate, DN: its own value.
 pub const MIN_CONTRAST: u8 = 5;
 
-/// Detects the tags of one family in regions of a picture, with borders of at least this contrast (DN). The corners are those of the quad.
-/// A tag in two regions is listed twice.
+/// Detects the tags of one family in regions of a picture, with borders of at least this contrast
+/// (DN). The corners are those of the quad. A tag in two regions is listed twice.
 ///
 /// # Errors
 /// Where the family is unknown or the library gives no detector.
@@ -171,7 +175,8 @@ pub fn detect(
             family_name,
         )
     })?;
-    // Rows are copied to a stride of a multiple of 96: the library reads past the row otherwise for some widths.
+    // Rows are copied to a stride of a multiple of 96: the library reads past the row otherwise for
+    // some widths.
     let stride = picture.width.div_ceil(96) * 96;
     // A row more, since a region's last row may begin anywhere in its own.
     let mut buffer = vec![0u8; stride * (picture.height + 1)];
@@ -206,7 +211,8 @@ pub fn detect(
 }
 
 impl Handles {
-    /// Tags of a region whose header points to its first pixel in a buffer of at least `stride * height` bytes from there.
+    /// Tags of a region whose header points to its first pixel in a buffer of at least
+    /// `stride * height` bytes from there.
     fn detect(
         &mut self,
         family_name: &str,
@@ -264,7 +270,8 @@ pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
     };
     let (create, destroy) = family(family_name).ok_or_else(unknown)?;
     // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
-    // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
+    // before it is destroyed; `id` is checked against the number of codes, which the library does
+    // not do.
     unsafe {
         let family = created(family_name, create);
         if family.is_null() {

@@ -1,9 +1,11 @@
-//! The base's pose from its tags in all pairs of a folder: the base stands still, so that corners may be averaged over pairs.
+//! The base's pose from its tags in all pairs of a folder: the base stands still, so that corners
+//! may be averaged over pairs.
 //!
-//! The rig only shifts, so that its orientation is shared as well: pair i's information on a turn w, its shift eliminated, is
-//! `M_i = I_ww - I_wt I_tt^-1 I_tw`; the shared turn is `(sum M_i)^-1 sum M_i w_i`, accepted where `chi2 = sum (w_i - w)' M_i (w_i - w)` is
-//! no more than noise explains, and each shift follows it by `-I_tt^-1 I_tw w`.
-//! Source: block elimination of normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6).
+//! The rig only shifts, so that its orientation is shared as well: pair i's information on a turn
+//! w, its shift eliminated, is `M_i = I_ww - I_wt I_tt^-1 I_tw`; the shared turn is
+//! `(sum M_i)^-1 sum M_i w_i`, accepted where `chi2 = sum (w_i - w)' M_i (w_i - w)` is no more than
+//! noise explains, and each shift follows it by `-I_tt^-1 I_tw w`. Source: block elimination of
+//! normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6).
 
 use crate::median::median;
 use crate::rig::Rig;
@@ -53,7 +55,8 @@ pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
         .collect()
 }
 
-/// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair shows a base tag.
+/// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair
+/// shows a base tag.
 pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Option<FolderBase> {
     let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
     for (k, tags) in pairs.iter().enumerate() {
@@ -117,7 +120,8 @@ pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Opt
     })
 }
 
-/// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures allow it: the stage only shifts the rig.
+/// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures
+/// allow it: the stage only shifts the rig.
 #[derive(Debug, Clone)]
 pub struct RigPose {
     /// Pose in the left camera's frame.
@@ -133,7 +137,8 @@ pub struct RigPose {
 pub struct RigPoses {
     /// One entry a pair; none where the tag is not seen.
     pub poses: Vec<Option<RigPose>>,
-    /// Information of all pairs on the orientation that they share, tag's frame; none where each has its own.
+    /// Information of all pairs on the orientation that they share, tag's frame; none where each
+    /// has its own.
     pub shared_turn: Option<Matrix3<f64>>,
 }
 

@@ -24,7 +24,8 @@ pub struct Tag {
     pub corners_px: [Vector2<f64>; 4],
     /// Covariances of the corners, px^2.
     pub covariances_px2: [Matrix2<f64>; 4],
-    /// Whether the edges could be fitted; otherwise the library's corners stand, with a wide covariance.
+    /// Whether the edges could be fitted; otherwise the library's corners stand, with a wide
+    /// covariance.
     pub refined: bool,
 }
 
@@ -35,7 +36,8 @@ impl Tag {
     }
 }
 
-/// Cells (bits) along the side between the detected corners; the outermost ring is of one colour, its outside neighbour of the other.
+/// Cells (bits) along the side between the detected corners; the outermost ring is of one colour,
+/// its outside neighbour of the other.
 fn cells_along_side(family: &str) -> usize {
     if let Some(plain) = family.strip_suffix(WIDE_BORDER) {
         return cells_along_side(plain) + 2;
@@ -53,14 +55,15 @@ fn cells_along_side(family: &str) -> usize {
 /// Where tags are searched for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Search {
-    /// Where the picture shows dark pieces of strong contrast, like a tag's border: a third of the time. A tag in the shade may be missed.
+    /// Where the picture shows dark pieces of strong contrast, like a tag's border: a third of the
+    /// time. A tag in the shade may be missed.
     StrongContrast,
     /// All of the picture at half its size: whatever the contrast, but no small tags.
     Halved,
     /// All of the picture.
     Whole,
-    /// All of the picture at twice its size and with dark places half a pixel smaller: tags whose corners dark squares touch, as on Kalibr's grids,
-    /// come apart from them.
+    /// All of the picture at twice its size and with dark places half a pixel smaller: tags whose
+    /// corners dark squares touch, as on Kalibr's grids, come apart from them.
     Apart,
 }
 
@@ -104,7 +107,8 @@ pub fn detect_tags(
     }
 }
 
-/// Detects and refines the tags of a family. With a camera, edges are straight in the undistorted picture; without, in the picture itself.
+/// Detects and refines the tags of a family. With a camera, edges are straight in the undistorted
+/// picture; without, in the picture itself.
 ///
 /// # Errors
 /// Where the family is unknown.
@@ -183,8 +187,8 @@ fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
         .corners_px
         .map(|p| undistorted_px(camera, &Vector2::new(p[0], p[1])));
     let cells = cells_along_side(&raw.family);
-    // By the outline alone a tone curve's shift of all edges is the same as a larger tag; inner edges of cells that are large enough
-    // distinguish the two. Small tags have their outline only.
+    // By the outline alone a tone curve's shift of all edges is the same as a larger tag; inner
+    // edges of cells that are large enough distinguish the two. Small tags have their outline only.
     let by = |from: &[Vector2<f64>; 4], kind| {
         let found = refine_by_edges(picture, camera, from, cells, kind)?;
         Some((found.corners, found.covariances))

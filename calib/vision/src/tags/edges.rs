@@ -1,13 +1,15 @@
-//! Corners of a tag from every edge between a dark and a bright cell, not from its outline alone: ink, a camera's tone curve
-//! and half-saturated paper move all edges toward one colour by the same amount. Inner edges have both polarities, so that
-//! this spread is solved for together with the corners instead of biasing the tag's size.
+//! Corners of a tag from every edge between a dark and a bright cell, not from its outline alone:
+//! ink, a camera's tone curve and half-saturated paper move all edges toward one colour by the same
+//! amount. Inner edges have both polarities, so that this spread is solved for together with the
+//! corners instead of biasing the tag's size.
 //!
 //! ```text
 //! n_i . (observed_i - H(c) m_i) = polarity_i s + noise      unknowns: four corners c (homography H), spread s of the dark cells
 //! ```
-//! with an edge's middle m_i in the tag's square and its normal n_i in undistorted pixels; weighted least squares.
-//! Where cells are too small to be measured one by one, pieces of the four sides take their place; these have one polarity, so that s is held at 0.
-//! Source: Zhang, "A Flexible New Technique for Camera Calibration", IEEE PAMI 22(11), 2000, appendix A (homography).
+//! with an edge's middle m_i in the tag's square and its normal n_i in undistorted pixels; weighted
+//! least squares. Where cells are too small to be measured one by one, pieces of the four sides
+//! take their place; these have one polarity, so that s is held at 0. Source: Zhang, "A Flexible
+//! New Technique for Camera Calibration", IEEE PAMI 22(11), 2000, appendix A (homography).
 
 use crate::camera::{Camera, distorted_px, undistorted_px};
 use crate::homography::{homography, mapped};
@@ -23,7 +25,8 @@ const FINE_PX: f64 = 0.01;
 const MIN_CELL_PX: f64 = 5.0;
 /// Edges needed: 9 unknowns, and enough beyond them to judge the scatter.
 const MIN_EDGES: usize = 32;
-/// Share of a cell's side that an edge is fitted over; the rest is kept clear of the crossing edges.
+/// Share of a cell's side that an edge is fitted over; the rest is kept clear of the crossing
+/// edges.
 const ALONG: f64 = 0.66;
 /// Pieces of a side of the outline, and how many of all four sides are needed.
 const PIECES: usize = 4;
@@ -32,7 +35,8 @@ const MIN_PIECES: usize = 12;
 const BESIDE: f64 = 0.7;
 /// Least width of that on either side, px.
 const MIN_BESIDE_PX: f64 = 1.5;
-/// Floor of an edge's standard deviation, px: the raster of the print, which the pixels' noise does not include.
+/// Floor of an edge's standard deviation, px: the raster of the print, which the pixels' noise does
+/// not include.
 const SCATTER_FLOOR_PX: f64 = 0.005;
 
 /// Refined corners.
@@ -43,7 +47,8 @@ pub(crate) struct Corners {
     pub covariances: [Matrix2<f64>; 4],
 }
 
-/// An edge between two cells: middle and half length in the tag's frame (-1..1), measured offset across it.
+/// An edge between two cells: middle and half length in the tag's frame (-1..1), measured offset
+/// across it.
 struct CellEdge {
     middle: Vector2<f64>,
     normal: Vector2<f64>,
@@ -62,7 +67,8 @@ pub(crate) enum Edges {
     Outline,
 }
 
-/// Corners by a tag's edges, starting from `start` (straightened px). None where the tag is too small or mostly hidden.
+/// Corners by a tag's edges, starting from `start` (straightened px). None where the tag is too
+/// small or mostly hidden.
 pub(crate) fn refine_by_edges(
     picture: &Picture,
     camera: Option<&Camera>,
@@ -74,7 +80,8 @@ pub(crate) fn refine_by_edges(
         corners: *start,
         covariances: [Matrix2::zeros(); 4],
     };
-    // The first round balances bright against dark only; the second fits the profile to the pixels about its edges.
+    // The first round balances bright against dark only; the second fits the profile to the pixels
+    // about its edges.
     for method in [balance as Method, fit] {
         let view = TagView {
             picture,
@@ -247,14 +254,16 @@ impl TagView<'_> {
     }
 }
 
-/// An edge across its pixels: where it lies and the variance of that, px and px^2, and its step, DN.
+/// An edge across its pixels: where it lies and the variance of that, px and px^2, and its step,
+/// DN.
 struct Profile {
     offset_px: f64,
     variance_px2: f64,
     step: f64,
 }
 
-/// Measures an edge from (place across it in px, grey value) of its pixels, which extend this far to both sides.
+/// Measures an edge from (place across it in px, grey value) of its pixels, which extend this far
+/// to both sides.
 type Method = fn(&[(f64, f64)], f64) -> Option<Profile>;
 
 /// Levels far from the edge on its two sides.
@@ -268,11 +277,13 @@ fn levels(pixels: &[(f64, f64)], from_px: f64) -> [f64; 2] {
     })
 }
 
-/// Where an edge lies whose mean grey value is what the pixels have: within a tenth of a pixel, in one pass.
+/// Where an edge lies whose mean grey value is what the pixels have: within a tenth of a pixel, in
+/// one pass.
 fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let [low, high] = levels(pixels, 0.5 * reach);
     let step = high - low;
-    // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1 px changes.
+    // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1
+    // px changes.
     let lack: f64 = pixels
         .iter()
         .map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 })
@@ -335,7 +346,8 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     })
 }
 
-/// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges' own scatter.
+/// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges'
+/// own scatter.
 fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge], kind: Edges) -> Option<Corners> {
     type Row = SVector<f64, 9>;
     let h = square(start)?;

@@ -4,9 +4,10 @@
 //! minimise  chi2 = sum e^T (C_k + s0^2 I)^-1 e,   e = corner_k - pi(T exp(x) p_k)      x = (rotation, translation) in the body
 //! d pi / d x = (d pi / d X) R [-hat(p_k)  I],     information = sum J^T (C_k + s0^2 I)^-1 J
 //! ```
-//! Starting points: the pose of the square's homography (columns h1, h2, h1 x h2), and the one whose normal is mirrored in the line of
-//! sight, which a single view of a small square hardly distinguishes. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar
-//! Target", IEEE PAMI 28(12), 2006.
+//! Starting points: the pose of the square's homography (columns h1, h2, h1 x h2), and the one
+//! whose normal is mirrored in the line of sight, which a single view of a small square hardly
+//! distinguishes. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar Target",
+//! IEEE PAMI 28(12), 2006.
 
 use crate::camera::Camera;
 use crate::homography::homography;
@@ -17,10 +18,12 @@ use crate::tags::tag_corners;
 use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
-/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not include.
+/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the
+/// pixels' scatter does not include.
 pub const CORNER_FLOOR_PX: f64 = 0.01;
 
-/// RMS of a tag's corners beyond which they have no pose that both cameras share, px: a corner is good to hundredths, whole pixels are no noise.
+/// RMS of a tag's corners beyond which they have no pose that both cameras share, px: a corner is
+/// good to hundredths, whole pixels are no noise.
 pub const TAG_MISFIT_PX: f64 = 1.0;
 
 /// The pose of a body that carries tags, in the left camera's frame.
@@ -28,11 +31,13 @@ pub const TAG_MISFIT_PX: f64 = 1.0;
 pub struct BodyPose {
     /// Pose.
     pub left_from_body: Isometry3<f64>,
-    /// Information (inverse covariance) of a correction (rotation, translation) in the body's frame: `left_from_body * correction`.
+    /// Information (inverse covariance) of a correction (rotation, translation) in the body's
+    /// frame: `left_from_body * correction`.
     pub information: Matrix6<f64>,
     /// Weighted sum of squared corner residuals.
     pub chi2: f64,
-    /// chi2 of the other planar solution minus that of this one; small values: the pose is ambiguous.
+    /// chi2 of the other planar solution minus that of this one; small values: the pose is
+    /// ambiguous.
     pub margin: f64,
 }
 
@@ -56,7 +61,8 @@ impl TagObservation {
     }
 }
 
-/// The pose that all observations agree on. Both planar solutions of every observation are starting points; the joint cost decides.
+/// The pose that all observations agree on. Both planar solutions of every observation are starting
+/// points; the joint cost decides.
 pub fn body_pose(stereo: &StereoCameras, observations: &[TagObservation]) -> Option<BodyPose> {
     let mut solved: Vec<BodyPose> = Vec::new();
     for s in observations {
@@ -212,7 +218,8 @@ pub fn gradient_by_calibration(
     out
 }
 
-/// The two poses that a single view of a square allows: from its homography, and that tilted the other way about the line of sight.
+/// The two poses that a single view of a square allows: from its homography, and that tilted the
+/// other way about the line of sight.
 fn planar_solutions(camera: &Camera, size_mm: f64, tag: &Tag) -> Vec<Isometry3<f64>> {
     let h = 0.5 * size_mm;
     let image: Option<Vec<_>> = tag.corners_px.iter().map(|p| camera.undistort(p)).collect();

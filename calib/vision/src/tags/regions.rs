@@ -1,10 +1,12 @@
-//! Candidate regions of tags: dark components, about as high as wide, with contrast to their surroundings like a tag's black border. AprilTag
-//! spends most of its time on the rest of a picture.
+//! Candidate regions of tags: dark components, about as high as wide, with contrast to their
+//! surroundings like a tag's black border. AprilTag spends most of its time on the rest of a
+//! picture.
 
 use crate::picture::Picture;
 use crate::tags::apriltag_ffi::{MIN_CONTRAST, Region};
 
-/// Side of the tiles whose darkest and brightest pixels give the local threshold, px; AprilTag's own.
+/// Side of the tiles whose darkest and brightest pixels give the local threshold, px; AprilTag's
+/// own.
 const TILE: usize = 4;
 /// Smallest contrast, as a share of the picture's range.
 const CONTRAST: f64 = 0.35;
@@ -12,13 +14,14 @@ const CONTRAST: f64 = 0.35;
 const MIN_SIDE: usize = 8;
 /// A tag seen under 75 degrees is four times as long as wide.
 const SLANT: usize = 4;
-/// Least share of its box that a border fills: a ring one cell of eight wide, turned by 45 degrees and drawn thin by the light. Of a large
-/// tag only the rim is examined, at most one tile deep.
+/// Least share of its box that a border fills: a ring one cell of eight wide, turned by 45 degrees
+/// and drawn thin by the light. Of a large tag only the rim is examined, at most one tile deep.
 const FILL: f64 = 0.12;
-/// Sides from which a tag is found at half and at a quarter of the size as well, px: its cells are 4 px wide there and more.
+/// Sides from which a tag is found at half and at a quarter of the size as well, px: its cells are
+/// 4 px wide there and more.
 const COARSE_SIDES: [usize; 2] = [64, 128];
-/// Grown by this share of its side and by px beyond: the library reads half a cell of the white margin, and a dark piece may be only part of
-/// a border.
+/// Grown by this share of its side and by px beyond: the library reads half a cell of the white
+/// margin, and a dark piece may be only part of a border.
 const MARGIN: (f64, usize) = (0.15, 6);
 
 /// A run of dark pixels in a row.
@@ -50,7 +53,8 @@ impl Piece {
     }
 }
 
-/// Darkest and brightest pixel of every tile, rows of tiles from the top; the last tiles of a row and the last rows are smaller.
+/// Darkest and brightest pixel of every tile, rows of tiles from the top; the last tiles of a row
+/// and the last rows are smaller.
 fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
     let (width, columns) = (picture.width, picture.width.div_ceil(TILE));
     let mut tiles = Vec::with_capacity(columns * picture.height.div_ceil(TILE));
@@ -80,7 +84,8 @@ fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
     (columns, tiles)
 }
 
-/// Thresholds of the tiles, the middle of the range of the 3x3 tiles about each; 0 where they differ by less than `contrast`.
+/// Thresholds of the tiles, the middle of the range of the 3x3 tiles about each; 0 where they
+/// differ by less than `contrast`.
 fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
     let widest = |a: [u8; 2], b: [u8; 2]| [a[0].min(b[0]), a[1].max(b[1])];
     let mut across = tiles.to_vec();
@@ -217,7 +222,8 @@ fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piec
         .collect()
 }
 
-/// Regions of strong contrast that may hold a tag, grown by its white margin; those that overlap much are one.
+/// Regions of strong contrast that may hold a tag, grown by its white margin; those that overlap
+/// much are one.
 pub(crate) fn tag_regions(picture: &Picture) -> (Vec<Region>, u8) {
     let (columns, tiles) = tiles(picture);
     let contrast = (CONTRAST * span(&tiles)).max(f64::from(MIN_CONTRAST)) as u8;

@@ -4,8 +4,9 @@
 //! side = argmin over s of min over T of chi2(T, s p_k)          chi2(s) = chi2_min + (s - side)^2 / var
 //! var  = var of the corners + J C J^T                           J = d side / d cameras, by triangulated corners
 //! ```
-//! Two cameras know lengths by their baseline, so that a tag's side is measured in every pair: one value from all pairs that is not the stated one
-//! is a wrong statement; a pair with another value than the rest shows the tag at two places.
+//! Two cameras know lengths by their baseline, so that a tag's side is measured in every pair: one
+//! value from all pairs that is not the stated one is a wrong statement; a pair with another value
+//! than the rest shows the tag at two places.
 
 use crate::median::median;
 use crate::rig::Rig;
@@ -16,7 +17,8 @@ use nalgebra::{DVector, Vector3};
 use wcal_core::order_statistics::MAD_TO_SD;
 use wcal_core::rig_devices::TagRig;
 
-/// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a caliper reads of a print.
+/// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a
+/// caliper reads of a print.
 const MATTERS: f64 = 0.002;
 /// Standard deviations from which a difference is none of noise.
 const BEYOND_SD: f64 = 6.0;
@@ -41,7 +43,8 @@ pub(crate) struct TagSizes {
     pub elsewhere: Vec<Option<String>>,
 }
 
-/// Measures all tags of a rig in all pairs. A side that contradicts the rig's is replaced by what the pictures show, with a warning.
+/// Measures all tags of a rig in all pairs. A side that contradicts the rig's is replaced by what
+/// the pictures show, with a warning.
 pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> TagSizes {
     let mut found = TagSizes {
         rig: rig.clone(),
@@ -83,7 +86,8 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
         let own = median(&seen.iter().map(|s| s.sd_mm).collect::<Vec<_>>());
         let sd = cameras_sd.hypot(own.max(spread) / (seen.len() as f64).sqrt());
         let off = (typical - tag.size_mm).abs();
-        // Of a tag that stands still one pair is enough; one that moves between the pictures of a single pair is no other size.
+        // Of a tag that stands still one pair is enough; one that moves between the pictures of a
+        // single pair is no other size.
         let known = tag.base_from_tag.is_some() || agreeing >= OTHERS;
         if known && 2 * agreeing > seen.len() && off > (MATTERS * tag.size_mm).max(BEYOND_SD * sd) {
             changed.push((k, typical, sd));
@@ -121,7 +125,8 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
     };
     let pair = [left, right];
     let rough = triangulated(stereo, pair)?;
-    // A side that differs by the factor f looks the same from f times as far: the pose at the rough side starts the search.
+    // A side that differs by the factor f looks the same from f times as far: the pose at the rough
+    // side starts the search.
     let sized = |mm: f64| -> Vec<TagObservation> {
         pair.map(|s| TagObservation {
             size_mm: mm,
@@ -146,7 +151,8 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
     if !(off_px < TAG_MISFIT_PX && mm > 0.0) {
         return None;
     }
-    // Scatter beyond the corners' stated noise counts as noise: 16 coordinates, a pose and the side.
+    // Scatter beyond the corners' stated noise counts as noise: 16 coordinates, a pose and the
+    // side.
     let noise = (pose.chi2 / 9.0).max(1.0);
     let by_cameras = DVector::from_iterator(
         stereo.parameters(),

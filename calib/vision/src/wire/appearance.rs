@@ -4,7 +4,8 @@
 //! minimise over (ln blur, ln width)  sum over pieces of min over (centre, levels) |pixels - bar|^2
 //! N = A - C D^-1 C^T,  g = a - C D^-1 d        A, a: shared parameters;  D, d: centre and levels of a piece;  C: coupling
 //! ```
-//! Levenberg-Marquardt with every piece's own parameters eliminated. Source: as `bar` (separable least squares).
+//! Levenberg-Marquardt with every piece's own parameters eliminated. Source: as `bar` (separable
+//! least squares).
 
 use crate::picture::Picture;
 use crate::wire::bar::{Bar, FIRST_RIDGE, Levels, Pixel, near_px};
@@ -56,8 +57,9 @@ impl Appearance {
     }
 }
 
-/// Blur and width of the wire from the pieces that show it best: least pooled squares by Levenberg-Marquardt, centres and
-/// levels of every piece eliminated. `start` where too few pieces show the wire.
+/// Blur and width of the wire from the pieces that show it best: least pooled squares by
+/// Levenberg-Marquardt, centres and levels of every piece eliminated. `start` where too few pieces
+/// show the wire.
 pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) -> Appearance {
     let mut best: Vec<&Piece> = pieces.iter().filter(|p| p.evidence > 0.0).collect();
     best.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -103,8 +105,9 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
     found.place.0
 }
 
-/// Centres are fitted again at every step: fixed where a wrong width put them, they would confirm that width. The worst quarter and pieces
-/// that cannot be fitted are left out; none where that is more than a quarter.
+/// Centres are fitted again at every step: fixed where a wrong width put them, they would confirm
+/// that width. The worst quarter and pieces that cannot be fitted are left out; none where that is
+/// more than a quarter.
 fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -> Option<Pooled> {
     let fit = |(p, s): (&Patch, &(f64, Levels))| fit_patch(p, *s, appearance);
     let fits: Vec<Option<PatchFit>> = patches.iter().zip(starts).map(fit).collect();

@@ -1,12 +1,15 @@
-//! A blurred bar between two backgrounds, fitted to the pixels of a piece of wire: its centre, with the levels eliminated.
+//! A blurred bar between two backgrounds, fitted to the pixels of a piece of wire: its centre, with
+//! the levels eliminated.
 //!
 //! ```text
 //! I(u) = L (1 - a) + R b + B (a - b) + G (a - b) e / h,   e = u - centre,  h = half width
 //! a = S(e + h),  b = S(e - h),   S(x) = (1 + erf(x / (s sqrt 2))) / 2,   s = blur
 //! ```
-//! L, R, B: grey values of both backgrounds and of the bar; G: light across the bar, held near 0 by a ridge. Variable projection: the levels
-//! are linear, so that Gauss-Newton moves the centre alone, with the slope's part in the levels projected out.
-//! Source: Golub and Pereyra, "The Differentiation of Pseudo-Inverses and Nonlinear Least Squares Problems Whose Variables Separate", 1973.
+//! L, R, B: grey values of both backgrounds and of the bar; G: light across the bar, held near 0 by
+//! a ridge. Variable projection: the levels are linear, so that Gauss-Newton moves the centre
+//! alone, with the slope's part in the levels projected out. Source: Golub and Pereyra, "The
+//! Differentiation of Pseudo-Inverses and Nonlinear Least Squares Problems Whose Variables
+//! Separate", 1973.
 
 use crate::profile::erf_with_slope;
 use nalgebra::{SMatrix, SVector};
@@ -26,14 +29,16 @@ pub(crate) struct Bar {
     inverse: f64,
 }
 
-/// Light across the bar over its depth, sd: without this prior it would be confounded with a shift of narrow wires.
+/// Light across the bar over its depth, sd: without this prior it would be confounded with a shift
+/// of narrow wires.
 const TILT_SHARE: f64 = 0.03;
 /// Floor of the noise of a pixel, DN: quantisation and errors of the model.
 pub(crate) const MIN_NOISE: f64 = 0.5;
-/// Residual from errors of blur and width, as a share of the depth: it must not favour a shifted bar with tilted light.
+/// Residual from errors of blur and width, as a share of the depth: it must not favour a shifted
+/// bar with tilted light.
 const MODEL_SHARE: f64 = 0.03;
-/// Weight of the light across the bar while neither noise nor depth is known, and while blur and width are not: nearly none is let
-/// in, so that a symmetric line has one best centre.
+/// Weight of the light across the bar while neither noise nor depth is known, and while blur and
+/// width are not: nearly none is let in, so that a symmetric line has one best centre.
 pub(crate) const FIRST_RIDGE: f64 = 4.0;
 /// Step of the centre at convergence, px: far below the noise of any pixel.
 const SMALL_STEP_PX: f64 = 1e-3;
@@ -47,7 +52,8 @@ fn ridge(cost: f64, pixels: usize, level: &Levels) -> f64 {
     noise2 / (TILT_SHARE * depth).powi(2)
 }
 
-/// Distance from the centre within which pixels count, px: the bar, its blur and a little of the background.
+/// Distance from the centre within which pixels count, px: the bar, its blur and a little of the
+/// background.
 pub(crate) fn near_px(width_px: f64, blur_px: f64) -> f64 {
     0.5 * width_px + 3.0 * blur_px + 2.0
 }
@@ -66,7 +72,8 @@ impl Bar {
         (0.5 + 0.5 * f, 0.5 * slope * self.inverse)
     }
 
-    /// Shares of left background, right background, bar, and light across the bar, with their derivatives by the centre.
+    /// Shares of left background, right background, bar, and light across the bar, with their
+    /// derivatives by the centre.
     fn shares(&self, e: f64) -> [Levels; 2] {
         let h = self.half;
         let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
@@ -75,7 +82,8 @@ impl Bar {
         [Levels::new(1.0 - a, b, bar, bar * tilt), by_centre]
     }
 
-    /// Shares with their derivatives by the centre, by the logarithm of the blur and by that of the width.
+    /// Shares with their derivatives by the centre, by the logarithm of the blur and by that of the
+    /// width.
     pub(crate) fn shares_with_slopes(&self, e: f64) -> [Levels; 4] {
         let h = self.half;
         let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
@@ -94,8 +102,9 @@ impl Bar {
         ]
     }
 
-    /// Best centre near `start`: Gauss-Newton with the levels eliminated, their part of the slope projected out. The slope is taken
-    /// at the levels of the step before, first at `level`. `tilted`: light may change across the bar.
+    /// Best centre near `start`: Gauss-Newton with the levels eliminated, their part of the slope
+    /// projected out. The slope is taken at the levels of the step before, first at `level`.
+    /// `tilted`: light may change across the bar.
     pub(crate) fn settle(
         &self,
         pixels: &[Pixel],
@@ -110,7 +119,8 @@ impl Bar {
         let mut weight = FIRST_RIDGE;
         let yy: f64 = pixels.iter().map(|p| p.1 * p.1).sum();
         for round in 0..=rounds {
-            // Lower triangle of the levels' normal matrix, its product with the slope, and the slope's own.
+            // Lower triangle of the levels' normal matrix, its product with the slope, and the
+            // slope's own.
             let (mut m, mut cross, mut v) = (Square::zeros(), Levels::zeros(), Levels::zeros());
             let (mut own, mut pull) = (0.0, 0.0);
             for &(u, value) in pixels {
@@ -181,7 +191,8 @@ const CELL_PX: f64 = 0.25;
 /// Cells between two centres tried.
 const STRIDE: usize = 2;
 
-/// Pixels summed in cells across the line, from `-reach` up: counts and sums of all cells before each one.
+/// Pixels summed in cells across the line, from `-reach` up: counts and sums of all cells before
+/// each one.
 struct Sums {
     counts: Vec<f64>,
     values: Vec<f64>,
@@ -210,8 +221,8 @@ impl Sums {
     }
 }
 
-/// Where a sharp bar of this width between two plain backgrounds fits best, every half pixel within `search_px`, and its levels; only
-/// bars that are darker than both sides, or brighter, count.
+/// Where a sharp bar of this width between two plain backgrounds fits best, every half pixel within
+/// `search_px`, and its levels; only bars that are darker than both sides, or brighter, count.
 pub(crate) fn coarse_centre(
     pixels: &[Pixel],
     width_px: f64,
@@ -264,7 +275,8 @@ pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
         yy - a * y0 - b * y1
     };
     let reach = pixels.iter().fold(0.0f64, |m, p| m.max(p.0.abs()));
-    // The best place of a sharp edge, then by halves for the blurred one: an edge between two places must not pass for a wire.
+    // The best place of a sharp edge, then by halves for the blurred one: an edge between two
+    // places must not pass for a wire.
     let sums = Sums::new(pixels, reach);
     let last = sums.counts.len() - 1;
     let explained = |k: usize| {

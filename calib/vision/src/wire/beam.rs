@@ -1,12 +1,14 @@
-//! Finds the wire: a beam search in space that grows a curve of bounded bending from the root and scores it in both pictures.
-//! Working in space rather than in each picture keeps it on the wire through crossings and where one picture hides it.
+//! Finds the wire: a beam search in space that grows a curve of bounded bending from the root and
+//! scores it in both pictures. Working in space rather than in each picture keeps it on the wire
+//! through crossings and where one picture hides it.
 //!
 //! ```text
 //! score(curve) = sum over places and cameras of log p(response | wire) / p(response | background)
 //!              - sum over branchings of the changes (in steps of curvature) squared - sum over blocks |k - k_rest|^2 / (2 sd^2)
 //! ```
-//! that is, the log posterior of a hidden Markov chain of curvatures; of the curves that end in one cell (place and direction in both
-//! pictures) the best is kept, and of all cells the best `beam`. Source: Lowerre, "The HARPY Speech Recognition System", 1976 (beam search).
+//! that is, the log posterior of a hidden Markov chain of curvatures; of the curves that end in one
+//! cell (place and direction in both pictures) the best is kept, and of all cells the best `beam`.
+//! Source: Lowerre, "The HARPY Speech Recognition System", 1976 (beam search).
 
 use crate::median::median;
 use crate::rig::RigWhisker;
@@ -22,34 +24,39 @@ const STEP_MM: f64 = 1.0;
 const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
-/// Curves kept in addition while they are hidden from the root on: they cost no evaluation, and no evidence separates them yet.
+/// Curves kept in addition while they are hidden from the root on: they cost no evaluation, and no
+/// evidence separates them yet.
 const HIDDEN_BEAM: usize = 600;
 /// Curves kept where the first search found too little.
 pub const WIDE_BEAM: usize = 4 * BEAM;
-/// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how many blocks after it: by then the
-/// evidence of both pictures has separated them.
+/// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how
+/// many blocks after it: by then the evidence of both pictures has separated them.
 const GAP_BEAM: usize = 4;
 const GAP_AFTER: usize = 2;
-/// Evidence that the likeliest curve gains a block, below which it is in a gap: a fifth of the gain along a visible wire.
+/// Evidence that the likeliest curve gains a block, below which it is in a gap: a fifth of the gain
+/// along a visible wire.
 const GAP_GAIN: f64 = 15.0;
-/// Share of the length beyond which no hidden curve is kept: one that follows the first wire farther is no second wire.
+/// Share of the length beyond which no hidden curve is kept: one that follows the first wire
+/// farther is no second wire.
 const HIDDEN_SHARE: f64 = 0.4;
 /// Spacing of the roots tried around the stated one, mm.
 const ASIDE_STEP_MM: f64 = 0.25;
-/// Steps from one branching to the next: up to there the branches lie within a tenth of a pixel of one another, so that one
-/// evaluation serves them all.
+/// Steps from one branching to the next: up to there the branches lie within a tenth of a pixel of
+/// one another, so that one evaluation serves them all.
 const BRANCH_STEPS: usize = 3;
-/// Change of curvature a branching, 1/mm: 0.002 a mm, as a force of 0.06 N bends a 0.3 mm NiTi wire.
+/// Change of curvature a branching, 1/mm: 0.002 a mm, as a force of 0.06 N bends a 0.3 mm NiTi
+/// wire.
 const CURVATURE_STEP: f64 = 0.006;
 /// Log prior of one change.
 const CHANGE_COST: f64 = 1.0;
 /// Blocks between branchings that are not branched, from the root.
 const UNBRANCHED: usize = 1;
-/// Deviation from the nominal curvature that costs half a unit a block, 1/mm: where a wire runs along the epipolar lines all curves in
-/// depth have the same image, and the one with the smallest strain energy is the likeliest.
+/// Deviation from the nominal curvature that costs half a unit a block, 1/mm: where a wire runs
+/// along the epipolar lines all curves in depth have the same image, and the one with the smallest
+/// strain energy is the likeliest.
 const BEND_SD: f64 = 0.01;
-/// Cells of place (mm) and direction (rad) in both pictures of which one curve is kept: of those that are seen, of those that cross a
-/// gap, and of those that lie hidden from the root on.
+/// Cells of place (mm) and direction (rad) in both pictures of which one curve is kept: of those
+/// that are seen, of those that cross a gap, and of those that lie hidden from the root on.
 const SEEN_CELL: (f64, f64) = (0.06, 0.01);
 const GAP_CELL: (f64, f64) = (0.2, 0.04);
 const HIDDEN_CELL: (f64, f64) = (0.1, 0.02);
@@ -96,7 +103,8 @@ struct BeamState {
 }
 
 impl BeamState {
-    /// The same curve with its curvature changed at the last branching, by so little that the places evaluated since are the same.
+    /// The same curve with its curvature changed at the last branching, by so little that the
+    /// places evaluated since are the same.
     fn with_curvature_change(&self, parent: usize, by: [f64; 2]) -> Self {
         let long = BRANCH_STEPS as f64 * STEP_MM;
         let aside = Vector3::new(0.0, by[0], by[1]) * (0.5 * long * long);
@@ -111,8 +119,8 @@ impl BeamState {
     }
 }
 
-/// The curves that are started. The bending moment at the root is unknown: every curvature up to 0.048 / mm is started; from roots
-/// up to `aside_mm` from the stated one only a few are.
+/// The curves that are started. The bending moment at the root is unknown: every curvature up to
+/// 0.048 / mm is started; from roots up to `aside_mm` from the stated one only a few are.
 fn starts(aside_mm: f64) -> Vec<BeamState> {
     let grid =
         |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
@@ -137,7 +145,8 @@ fn starts(aside_mm: f64) -> Vec<BeamState> {
         .collect()
 }
 
-/// Grows curves from the root, keeping the best of them, and returns the best; none where no curve has any evidence.
+/// Grows curves from the root, keeping the best of them, and returns the best; none where no curve
+/// has any evidence.
 pub fn beam_search(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
@@ -233,7 +242,8 @@ pub fn beam_search(
     })
 }
 
-/// Places one a step along a curve, and the typical response of those that show a wire, left and right.
+/// Places one a step along a curve, and the typical response of those that show a wire, left and
+/// right.
 fn traced(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
@@ -288,9 +298,9 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
 /// A branch of a curve: score, curve, changes of both curvatures in steps.
 type Branch = (f64, usize, i32, i32);
 
-/// The best branches of all curves, one a place and direction, so that the beam does not fill with copies of one. `first`: the step
-/// at which the block began; `beam`, `cell`: curves kept of those that are seen and the cells of one; `hidden_beam`: curves kept
-/// besides that lie hidden.
+/// The best branches of all curves, one a place and direction, so that the beam does not fill with
+/// copies of one. `first`: the step at which the block began; `beam`, `cell`: curves kept of those
+/// that are seen and the cells of one; `hidden_beam`: curves kept besides that lie hidden.
 fn branched(
     scene: &Scene<'_>,
     now: &[BeamState],
@@ -356,8 +366,9 @@ fn extended(now: &[BeamState], (score, k, a, b): Branch, first: usize) -> BeamSt
     child
 }
 
-/// Cell of a curve's end in both pictures, place (mm) and direction (rad) in steps of these sizes: curves with the same images need to be
-/// kept once, and depth is resolved as coarsely as the pictures resolve it.
+/// Cell of a curve's end in both pictures, place (mm) and direction (rad) in steps of these sizes:
+/// curves with the same images need to be kept once, and depth is resolved as coarsely as the
+/// pictures resolve it.
 fn cell_of(scene: &Scene<'_>, c: &BeamState, (place, turn): (f64, f64)) -> [i32; 6] {
     let mut cell = [0; 6];
     let step = |v: f64, size: f64| (v / size).round() as i32;

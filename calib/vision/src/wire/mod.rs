@@ -1,4 +1,5 @@
-//! The wire in the pictures: found by a beam search in space, measured in short pieces across its image.
+//! The wire in the pictures: found by a beam search in space, measured in short pieces across its
+//! image.
 
 pub mod appearance;
 mod bar;

@@ -1,12 +1,14 @@
-//! The wire's centre in a picture: short pieces of the wire, each fitted by a blurred bar between two backgrounds that need not be
-//! equal, with light that may change across the bar. That is Steger's bias for unequal sides, solved rather than corrected.
+//! The wire's centre in a picture: short pieces of the wire, each fitted by a blurred bar between
+//! two backgrounds that need not be equal, with light that may change across the bar. That is
+//! Steger's bias for unequal sides, solved rather than corrected.
 //!
 //! ```text
 //! evidence = n / 2 ln((RSS_edge + n s0^2) / (RSS_bar + n s0^2)) - 2 / 2 ln n          log likelihood ratio less BIC of two parameters
 //! sd^2 = RSS_bar / (n - 5) / |P dI/d(centre)|^2                                       P: projection off the levels
 //! ```
 //!
-//! n: pixels, s0: floor of their noise. Source: G. Schwarz, "Estimating the Dimension of a Model", Annals of Statistics 6 (1978) 461 (BIC).
+//! n: pixels, s0: floor of their noise. Source: G. Schwarz, "Estimating the Dimension of a Model",
+//! Annals of Statistics 6 (1978) 461 (BIC).
 
 use crate::picture::Picture;
 use crate::wire::bar::{Bar, MIN_NOISE, Pixel, coarse_centre, near_px, without_wire};
@@ -57,7 +59,8 @@ pub struct Piece {
     pub sd_px: f64,
     /// Background minus wire on the two sides, DN.
     pub depth: [f64; 2],
-    /// log likelihood ratio of the bar against the best edge or flat patch, less what its extra parameters are worth (BIC).
+    /// log likelihood ratio of the bar against the best edge or flat patch, less what its extra
+    /// parameters are worth (BIC).
     pub evidence: f64,
     /// Sum of squared residuals, DN^2, and pixels.
     pub residual: (f64, usize),

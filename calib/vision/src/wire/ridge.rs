@@ -1,5 +1,5 @@
-//! Line evidence: second derivatives of the picture at the wire's scale, and what the response is worth as a likelihood ratio of wire
-//! against everything else that this very picture shows.
+//! Line evidence: second derivatives of the picture at the wire's scale, and what the response is
+//! worth as a likelihood ratio of wire against everything else that this very picture shows.
 //!
 //! ```text
 //! response = n^T (Hessian of g_s * I) n,   g_s: Gaussian of sd s,  n: the line's normal
@@ -17,8 +17,8 @@ const TILE: usize = 64;
 const SAMPLED: usize = 9;
 /// Values a row of a tile: one more than its side, so that interpolation stays within it.
 const ROW: usize = TILE + 1;
-/// Second derivatives of a smoothed picture, computed tile by tile on demand: a search along a wire visits a
-/// small part of the picture.
+/// Second derivatives of a smoothed picture, computed tile by tile on demand: a search along a wire
+/// visits a small part of the picture.
 pub struct RidgeMap<'a> {
     picture: &'a Picture,
     /// Gaussian, its first and its second derivative.
@@ -98,7 +98,8 @@ impl<'a> RidgeMap<'a> {
             let mut sums = [[0.0f32; ROW]; 3];
             for k in 0..=2 * reach {
                 let row = &rows[(j + k) * 3 * ROW..(j + k + 1) * 3 * ROW];
-                // xx: second derivative along the row, smoothed across; xy: first of both; yy: the other way round.
+                // xx: second derivative along the row, smoothed across; xy: first of both; yy: the
+                // other way round.
                 for (which, sum) in sums.iter_mut().enumerate() {
                     let (weight, from) = (self.kernels[which][k], (2 - which) * ROW);
                     for (s, v) in sum.iter_mut().zip(&row[from..from + ROW]) {
@@ -113,7 +114,8 @@ impl<'a> RidgeMap<'a> {
         out
     }
 
-    /// Second derivative across a line with this unit normal; positive on dark lines. None outside the picture.
+    /// Second derivative across a line with this unit normal; positive on dark lines. None outside
+    /// the picture.
     pub fn across(&self, p: &Vector2<f64>, normal: &Vector2<f64>) -> Option<f64> {
         let (w, h) = (self.picture.width as f64, self.picture.height as f64);
         if !(p.x >= 1.0 && p.y >= 1.0 && p.x < w - 2.0 && p.y < h - 2.0) {
@@ -133,8 +135,9 @@ impl<'a> RidgeMap<'a> {
         ))
     }
 
-    /// Responses at places and in directions spread evenly over the picture (an R2 sequence): its responses without a
-    /// wire. One tile in [`SAMPLED`] is evaluated, on a lattice that leaves out no row or column of tiles.
+    /// Responses at places and in directions spread evenly over the picture (an R2 sequence): its
+    /// responses without a wire. One tile in [`SAMPLED`] is evaluated, on a lattice that leaves out
+    /// no row or column of tiles.
     pub fn background(&self, count: usize) -> Vec<f64> {
         (0..count)
             .filter_map(|k| {
@@ -152,7 +155,8 @@ impl<'a> RidgeMap<'a> {
     }
 }
 
-/// Log likelihood ratio of a response: wire of a reference strength against the picture's own background.
+/// Log likelihood ratio of a response: wire of a reference strength against the picture's own
+/// background.
 pub struct Evidence {
     /// +1 dark wire, -1 bright.
     pub polarity: f64,
@@ -163,13 +167,16 @@ pub struct Evidence {
 
 /// Relative spread of the wire's response: uneven background and light along the wire.
 const SPREAD: f64 = 0.35;
-/// Score of a place where the wire may be hidden: no evidence, less the log odds of being hidden (1 in 2).
+/// Score of a place where the wire may be hidden: no evidence, less the log odds of being hidden (1
+/// in 2).
 pub const HIDDEN: f64 = -0.69;
 
 impl Evidence {
-    /// From the responses of the background and the strength that a wire has. `polarity` +1: dark wire.
+    /// From the responses of the background and the strength that a wire has. `polarity` +1: dark
+    /// wire.
     pub fn new(background: &[f64], reference: f64, polarity: f64) -> Self {
-        // Bins of a tenth of the reference from -1 to 3 references; one count is added to each bin (Laplace).
+        // Bins of a tenth of the reference from -1 to 3 references; one count is added to each bin
+        // (Laplace).
         let bin = 0.1 * reference;
         let mut counts = vec![1.0; 40];
         for r in background {

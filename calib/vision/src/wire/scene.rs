@@ -1,4 +1,5 @@
-//! Evidence of both pictures for the wire at a place in space, and the region that a wire already found covers.
+//! Evidence of both pictures for the wire at a place in space, and the region that a wire already
+//! found covers.
 
 use crate::rig::RigWhisker;
 use crate::stereo::StereoCameras;
@@ -47,7 +48,8 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
+    /// The same scene with a wire covered up: within this distance of its image nothing counts for
+    /// or against a wire.
     pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
         let reach = (distance_px / COVER_PX).ceil() as i64;
         for camera in 0..2 {
@@ -103,7 +105,8 @@ impl<'a> Scene<'a> {
         Some((c.pixel(&q), Vector2::new(-along.y, along.x)))
     }
 
-    /// Where one camera sees a place, in mm at its depth, and the direction of the image's normal there, rad.
+    /// Where one camera sees a place, in mm at its depth, and the direction of the image's normal
+    /// there, rad.
     pub(crate) fn seen_from(
         &self,
         camera: usize,
@@ -161,8 +164,9 @@ fn cell(px: &Vector2<f64>) -> [i64; 2] {
     ]
 }
 
-/// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected
-/// line, within the distance that a root `aside_mm` off and the curvature at the root allow.
+/// Response that a wire shows near the root, per camera: the median over places of the strongest
+/// response across the expected line, within the distance that a root `aside_mm` off and the
+/// curvature at the root allow.
 pub fn expected_strength(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,

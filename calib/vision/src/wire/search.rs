@@ -1,4 +1,5 @@
-//! The search for the wire of one pair: dark or bright, from the tags' root or one near it, and the test for a second wire.
+//! The search for the wire of one pair: dark or bright, from the tags' root or one near it, and the
+//! test for a second wire.
 
 use crate::picture::Picture;
 use crate::rig::Rig;
@@ -8,10 +9,11 @@ use crate::wire::ridge::{Evidence, RidgeMap};
 use crate::wire::scene::{Scene, expected_strength};
 use nalgebra::Isometry3;
 
-/// Evidence per millimetre and picture below which there is no wire: a tenth of the largest score of a place, at three places a mm.
+/// Evidence per millimetre and picture below which there is no wire: a tenth of the largest score
+/// of a place, at three places a mm.
 const MIN_EVIDENCE: f64 = 1.2;
-/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well; where the
-/// first one covers it, it has no evidence.
+/// A second line from the root with this share of the first one's length and of its evidence a
+/// millimetre is a wire as well; where the first one covers it, it has no evidence.
 const RIVAL_LENGTH_SHARE: f64 = 0.4;
 const RIVAL_SHARE: f64 = 0.15;
 /// Share of the evidence a millimetre above which a line is searched again with a wider beam.
@@ -22,9 +24,11 @@ const RIVAL_BEAM: usize = 120;
 const COVERED_WIDTHS: f64 = 3.0;
 /// Share of the nominal length at which a line is the whole wire.
 const LONG_SHARE: f64 = 0.9;
-/// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
+/// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most
+/// 4 each.
 const MAX_EVIDENCE: f64 = 24.0;
-/// Share of the evidence along the nominal length at which a line is the wire: one of the other polarity does not beat it.
+/// Share of the evidence along the nominal length at which a line is the wire: one of the other
+/// polarity does not beat it.
 const CONVINCING_SHARE: f64 = 0.4;
 /// Share below which the beam was too narrow, or the wire starts away from the tags' root.
 const SOUND_SHARE: f64 = 0.6;
@@ -55,7 +59,8 @@ impl Search<'_> {
         Scene::new(self.stereo, self.left_from_base, self.maps, evidence)
     }
 
-    /// The likelier of the best dark and the best bright line from a root up to `aside_mm` from the stated one.
+    /// The likelier of the best dark and the best bright line from a root up to `aside_mm` from the
+    /// stated one.
     fn best(&self, aside_mm: f64) -> Option<FoundWire> {
         let whisker = &self.rig.whisker;
         let strengths = [1.0, -1.0].map(|polarity| {
@@ -109,7 +114,8 @@ impl Search<'_> {
                 break;
             }
         }
-        // A groove's edges can displace the wire from the beam: a result that is too short or too faint is searched again with a wider one.
+        // A groove's edges can displace the wire from the beam: a result that is too short or too
+        // faint is searched again with a wider one.
         let poor = |t: &BeamResult| {
             t.length_mm < LONG_SHARE * whisker.length_mm || t.score < SOUND_SHARE * self.max_score()
         };
@@ -138,8 +144,9 @@ impl Search<'_> {
     }
 }
 
-/// Searches for a dark and for a bright wire; the likelier one with its polarity, +1 dark. `root_free`: the wire is known to start
-/// away from the tags' root. `wide`: with wider beams from the start, which cross gaps.
+/// Searches for a dark and for a bright wire; the likelier one with its polarity, +1 dark.
+/// `root_free`: the wire is known to start away from the tags' root. `wide`: with wider beams from
+/// the start, which cross gaps.
 pub(crate) fn find_wire(
     stereo: &StereoCameras,
     rig: &Rig,
@@ -150,7 +157,8 @@ pub(crate) fn find_wire(
 ) -> Result<(BeamResult, f64), String> {
     let depth = left_from_base.translation.z;
     let width = rig.whisker.diameter_mm * stereo.cameras[0].focal_px[0] / depth;
-    // The response to a bar is largest at the scale width / (2 sqrt 3) (Steger 1998, eq. 11); below 1.2 px noise would dominate.
+    // The response to a bar is largest at the scale width / (2 sqrt 3) (Steger 1998, eq. 11); below
+    // 1.2 px noise would dominate.
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [
         RidgeMap::new(&pictures[0], scale),

@@ -1,6 +1,7 @@
-//! The wire's end: where the bar stops along its own line. The depth of the bar at t along the line is fitted by a blurred step,
-//! `d(t) = d1 (1 - S(t - t0)) + d2 S(t - t0)`, by Gauss-Newton on (t0, d1, d2); `S` as in `bar`.
-//! Source: ISO 12233 (slanted-edge method: an edge as the integral of the line spread function).
+//! The wire's end: where the bar stops along its own line. The depth of the bar at t along the line
+//! is fitted by a blurred step, `d(t) = d1 (1 - S(t - t0)) + d2 S(t - t0)`, by Gauss-Newton on (t0,
+//! d1, d2); `S` as in `bar`. Source: ISO 12233 (slanted-edge method: an edge as the integral of the
+//! line spread function).
 
 use crate::picture::Picture;
 use crate::profile::blurred_step;
@@ -23,7 +24,8 @@ const WINDOW_PX: f64 = 18.0;
 /// Standard deviation from the unknown form of the end (flat, round) and of the blur, px.
 const FLOOR_PX: f64 = 0.15;
 
-/// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None where the picture does not show it.
+/// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None
+/// where the picture does not show it.
 pub fn find_tip(
     picture: &Picture,
     line: &[Station],
@@ -64,7 +66,8 @@ pub fn find_tip(
             (t, 0.5 * (at_offset(side_px) + at_offset(-side_px)) - middle)
         })
         .collect();
-    // Coarse: the best split into two levels; then Gauss-Newton on place and levels of a blurred step.
+    // Coarse: the best split into two levels; then Gauss-Newton on place and levels of a blurred
+    // step.
     let mut place = 0.0;
     let mut smallest = f64::INFINITY;
     for k in 4..samples.len() - 4 {

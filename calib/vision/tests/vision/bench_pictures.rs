@@ -1,4 +1,5 @@
-//! The whole way on ray-traced pictures of the bench (simulated by an outside renderer): against what was drawn.
+//! The whole way on ray-traced pictures of the bench (simulated by an outside renderer): against
+//! what was drawn.
 
 use crate::common;
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
@@ -107,7 +108,8 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
             .iter()
             .map(|p| Vector3::from(*p))
             .collect();
-        // Drawn points, not the chords between them, against the curve; the sd is the 95 % radius across the wire over 2.4477.
+        // Drawn points, not the chords between them, against the curve; the sd is the 95 % radius
+        // across the wire over 2.4477.
         all += line.len();
         let inside_region = |p: &&Vector3<f64>| {
             let near =
@@ -149,7 +151,8 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
         inside as f64 >= 0.95 * all as f64,
         "{inside} of {all} inside the stated region"
     );
-    // Negative control: a base tag that is said to stand 1 mm off is noticed, not silently believed.
+    // Negative control: a base tag that is said to stand 1 mm off is noticed, not silently
+    // believed.
     let wrong = run(&rig.replace("[0, 0, 1, -9]", "[0, 0, 1, -10]"));
     assert!(
         wrong.warnings.iter().any(|w| w.contains("disagree")),
@@ -176,7 +179,8 @@ fn without_the_base_tag_a_pair_is_rejected_with_the_reason() {
     }
 }
 
-/// The picture with all but the part about its base tag painted grey: the tag stays, the wire is gone.
+/// The picture with all but the part about its base tag painted grey: the tag stays, the wire is
+/// gone.
 fn without_wire(side: &str, name: &str, tag: &[[f64; 2]; 4]) -> Picture {
     let mut picture =
         Picture::read(Path::new(&folder(&format!("scene/{side}/{name}.png")))).unwrap();

@@ -1,5 +1,6 @@
-//! The whole way from pictures to shapes on a bench that the tests draw themselves (simulated), with cameras that are known only
-//! as well as a calibration from noisy corners knows them: does the stated region hold the true wire?
+//! The whole way from pictures to shapes on a bench that the tests draw themselves (simulated),
+//! with cameras that are known only as well as a calibration from noisy corners knows them: does
+//! the stated region hold the true wire?
 
 use crate::common;
 use crate::common::bench::{self, Style};
@@ -105,7 +106,8 @@ fn run(
     shapes_of_pairs(cameras, &rig, &files, &|_| {}).document
 }
 
-/// Shares of true points inside the stated 95 % region, the sds multiplied by `factor`, and the greatest RMS of a pair, mm.
+/// Shares of true points inside the stated 95 % region, the sds multiplied by `factor`, and the
+/// greatest RMS of a pair, mm.
 fn judged(shapes: &ShapesDocument, truths: &[Vec<Vector3<f64>>], factor: f64) -> (f64, f64) {
     let (mut inside, mut all, mut worst) = (0.0, 0.0, 0.0f64);
     for (pair, truth) in shapes.pairs.iter().zip(truths) {
@@ -133,7 +135,8 @@ fn judged(shapes: &ShapesDocument, truths: &[Vec<Vector3<f64>>], factor: f64) ->
 fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() {
     let wires: Vec<_> = (1..=2).map(bench::wire).collect();
     let mut scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
-    // The second of these two pairs leaves the first wire's cover only where it has bent away from it.
+    // The second of these two pairs leaves the first wire's cover only where it has bent away from
+    // it.
     scenes.push(vec![bench::wire(1), bench::wire(5)]);
     scenes.push(vec![bench::wire(304), bench::wire(305)]);
     let mut shapes = run(&calibrated(1), &scenes, 1, &Style::default());
@@ -143,7 +146,8 @@ fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() 
     }
     let (inside, rms) = judged(&shapes, &wires, 1.0);
     assert!(rms <= 0.03, "{rms} mm");
-    // Two wires share one calibration and base: a handful of independent errors. Many draws are judged below.
+    // Two wires share one calibration and base: a handful of independent errors. Many draws are
+    // judged below.
     assert!(inside >= 0.8, "{inside}");
     assert!(
         judged(&shapes, &wires, 0.1).0 < 0.5,
@@ -201,7 +205,8 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
     }
 }
 
-/// A thick wire that was once followed only part of the way and taken for whole, 5.65 mm off: it is right or it is rejected.
+/// A thick wire that was once followed only part of the way and taken for whole, 5.65 mm off: it is
+/// right or it is rejected.
 #[test]
 fn a_thick_wire_that_is_lost_is_not_called_ok() {
     let style = Style {
@@ -233,8 +238,9 @@ fn a_line_that_ends_far_from_the_known_length_is_rejected() {
     );
 }
 
-/// A card hides 8 mm from both cameras. These two were once lost there: one runs along the epipolar lines before the card, the other
-/// bends behind it as it does not before. A wire that ends behind the card is none of this rig.
+/// A card hides 8 mm from both cameras. These two were once lost there: one runs along the epipolar
+/// lines before the card, the other bends behind it as it does not before. A wire that ends behind
+/// the card is none of this rig.
 #[test]
 fn a_wire_is_taken_up_again_behind_a_card_and_not_made_up() {
     for (seed, covered_mm) in [(3104, [20.0, 28.0]), (3105, [38.0, 46.0])] {

@@ -1,4 +1,5 @@
-//! Two fisheye cameras from the corners of a board that are drawn with noise (simulated): the truth comes back within the stated errors.
+//! Two fisheye cameras from the corners of a board that are drawn with noise (simulated): the truth
+//! comes back within the stated errors.
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -32,7 +33,8 @@ fn right_from_left() -> Isometry3<f64> {
     Isometry3::from_parts(Vector3::new(-80.0, 1.0, 9.0).into(), turn)
 }
 
-/// Views of a board that fills much of a field 100 degrees wide; corners outside a picture are not seen.
+/// Views of a board that fills much of a field 100 degrees wide; corners outside a picture are not
+/// seen.
 fn views(points: &[Vector3<f64>], seed: u64) -> Vec<BoardView> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, NOISE_PX).unwrap();
@@ -65,7 +67,8 @@ fn views(points: &[Vector3<f64>], seed: u64) -> Vec<BoardView> {
         .collect()
 }
 
-/// What is left is the noise that was drawn: two coordinates a corner, some 3,000 of them, so that 10 % are more than 7 sd.
+/// What is left is the noise that was drawn: two coordinates a corner, some 3,000 of them, so that
+/// 10 % are more than 7 sd.
 fn explained(solution: &StereoSolution) -> bool {
     (solution.bundle.rms_px() / 2f64.sqrt() - NOISE_PX).abs() < 0.1 * NOISE_PX
 }

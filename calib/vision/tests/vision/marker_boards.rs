@@ -1,4 +1,5 @@
-//! ChArUco boards and AprilGrids, whole and partly hidden, on drawn pictures (simulated): the cameras come back as drawn.
+//! ChArUco boards and AprilGrids, whole and partly hidden, on drawn pictures (simulated): the
+//! cameras come back as drawn.
 
 use crate::common;
 use crate::common::bench::cameras;
@@ -19,7 +20,8 @@ const WIDTH: usize = 1280;
 const HEIGHT: usize = 960;
 const PAIRS: u64 = 6;
 
-/// Grey value of a printed board at a place on it (mm from its middle, x right, y down), 255 beyond its edge.
+/// Grey value of a printed board at a place on it (mm from its middle, x right, y down), 255 beyond
+/// its edge.
 type Print = Box<dyn Fn(Vector2<f64>) -> f64 + Sync>;
 
 /// OpenCV's own drawing of its board of 10 x 7 squares of 6 mm.
@@ -44,8 +46,8 @@ fn charuco() -> Print {
     })
 }
 
-/// 5 x 4 upright tags of 9 mm with gaps of 3 mm; the first number at the lower left as in Kalibr's grids, whose border may be of two cells and whose
-/// gaps cross in black squares then.
+/// 5 x 4 upright tags of 9 mm with gaps of 3 mm; the first number at the lower left as in Kalibr's
+/// grids, whose border may be of two cells and whose gaps cross in black squares then.
 fn april_grid(first: u32, wide_border: bool) -> Print {
     let (family, cells) = if wide_border {
         ("tag36h11-border2", 10.0)
@@ -108,7 +110,8 @@ fn between(places: &[Vector2<f64>], x: f64, y: f64) -> Vector2<f64> {
 fn write_pairs(folder: &std::path::Path, print: &Print) {
     (0..PAIRS).into_par_iter().for_each(|k| {
         let t = k as f64;
-        // Always turned a little: six samples a pixel would put edges along the rows off by up to a twelfth of one.
+        // Always turned a little: six samples a pixel would put edges along the rows off by up to a
+        // twelfth of one.
         let tilt = Vector3::new(
             0.4 * (1.9 * t).sin(),
             0.4 * (1.1 * t + 1.0).cos() - 0.2,
@@ -182,7 +185,8 @@ fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
     let board =
         |marker_mm: f64, dictionary: &str| charuco_board([9, 6], marker_mm, dictionary, false);
     assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
-    // The square's side as the marker's, another marker: the ratio of both contradicts the pictures.
+    // The square's side as the marker's, another marker: the ratio of both contradicts the
+    // pictures.
     for (marker_mm, contradicted) in [(4.4, false), (4.5, false), (3.2, true), (5.5, true)] {
         let warnings = calibrated(folder.path(), &board(marker_mm, "DICT_4X4_50"))
             .unwrap()
@@ -224,7 +228,8 @@ fn charuco_board(
     }
 }
 
-/// A board of 9 x 6 squares as OpenCV drew it before 4.6: the first square is light, the markers' numbers run through the light squares.
+/// A board of 9 x 6 squares as OpenCV drew it before 4.6: the first square is light, the markers'
+/// numbers run through the light squares.
 fn legacy_charuco() -> Print {
     let dictionary = get_predefined_dictionary_i32(0).unwrap();
     const SIDE: usize = 44;

@@ -92,7 +92,8 @@ fn errors(side: f64, noise: f64, draws: u64) -> Vec<Vector2<f64>> {
             let tags = find_tags(&picture, "tag36h11", None, Search::StrongContrast).unwrap();
             assert_eq!(tags.len(), 1);
             let found = tags[0].corners_px;
-            // Orientation may be read modulo the drawing's own convention: the nearest corner counts.
+            // Orientation may be read modulo the drawing's own convention: the nearest corner
+            // counts.
             corners.map(|c| {
                 let nearest = found
                     .iter()
@@ -125,7 +126,8 @@ fn pixel_centres_lie_at_integers_and_corners_are_as_accurate_as_the_best() {
     }
 }
 
-/// Negative control: the library's corners of the same drawings, the quads alone, miss the limits above.
+/// Negative control: the library's corners of the same drawings, the quads alone, miss the limits
+/// above.
 #[test]
 fn corners_that_are_not_refined_miss_the_limits() {
     for (side, limit) in [(30.0, 0.062), (60.0, 0.019), (120.0, 0.017), (240.0, 0.014)] {
@@ -145,7 +147,8 @@ fn corners_that_are_not_refined_miss_the_limits() {
     }
 }
 
-/// The library's own corners, before any refinement, are converted from centres at +0.5 to centres at integers.
+/// The library's own corners, before any refinement, are converted from centres at +0.5 to centres
+/// at integers.
 #[test]
 fn raw_corners_follow_the_same_convention() {
     let mut offsets = Vec::new();
@@ -180,7 +183,8 @@ fn another_family_is_not_found_and_an_unknown_one_refused() {
     assert!(find_tags(&picture, "tag99h99", None, Search::Whole).is_err());
 }
 
-/// What the quick search is for and what it leaves to the search of all the picture: a tag in the shade beside a bright one.
+/// What the quick search is for and what it leaves to the search of all the picture: a tag in the
+/// shade beside a bright one.
 #[test]
 fn a_tag_in_the_shade_is_left_to_the_search_of_all_the_picture() {
     let cells = draw_tag("tag36h11", 5).unwrap();

@@ -1,4 +1,5 @@
-//! The stated standard deviations of a calibration against the scatter of many noisy ones (simulated corners).
+//! The stated standard deviations of a calibration against the scatter of many noisy ones
+//! (simulated corners).
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -74,7 +75,8 @@ fn noisy(state: &BundleState, points: &[Vector3<f64>], sd: f64, seed: u64) -> Ve
         .collect()
 }
 
-/// Fractions of draws in which each shared parameter lies within 1.96 stated sd, the sd multiplied by `factor`.
+/// Fractions of draws in which each shared parameter lies within 1.96 stated sd, the sd multiplied
+/// by `factor`.
 fn coverage(draws: u64, factor: f64) -> Vec<f64> {
     let (state, points) = (truth(), board_points(9, 6, 6.0));
     let hits: Vec<Vec<bool>> = (0..draws)

@@ -1,4 +1,5 @@
-//! The wire's centre on drawn lines (simulated): against the Cramer-Rao bound, Steger's method's published errors, and uneven backgrounds.
+//! The wire's centre on drawn lines (simulated): against the Cramer-Rao bound, Steger's method's
+//! published errors, and uneven backgrounds.
 
 use crate::common;
 use nalgebra::{DMatrix, DVector, Vector2};
@@ -10,7 +11,8 @@ use wcal_vision::wire::piece::{Appearance, PIECE_PX, Piece, Station, fit_piece};
 const ANGLE: f64 = 0.37;
 const WIDTHS: [f64; 3] = [2.0, 3.0, 6.0];
 
-/// A straight dark line through the middle; `right` adds to the background on one side, `texture` varies it.
+/// A straight dark line through the middle; `right` adds to the background on one side, `texture`
+/// varies it.
 fn line(width: f64, noise: f64, right: f64, texture: f64, seed: u64) -> Picture {
     let normal = Vector2::new(-ANGLE.sin(), ANGLE.cos());
     let centre = Vector2::new(160.3, 120.6);
@@ -54,8 +56,9 @@ fn rms(pieces: &[Piece]) -> f64 {
     (pieces.iter().map(|p| p.offset_px.powi(2)).sum::<f64>() / pieces.len() as f64).sqrt()
 }
 
-/// Cramer-Rao bound of a piece's centre: noise over the root of the summed squared slopes, less what the unknown levels of the bar and
-/// of both sides take of them, within `fit_piece`'s window. The pixel's own area adds 1/12 px^2 to the blur.
+/// Cramer-Rao bound of a piece's centre: noise over the root of the summed squared slopes, less
+/// what the unknown levels of the bar and of both sides take of them, within `fit_piece`'s window.
+/// The pixel's own area adds 1/12 px^2 to the blur.
 fn cramer_rao_px(width: f64, noise: f64) -> f64 {
     const STEP_PX: f64 = 0.01;
     let (depth, blur, half) = (90.0, (0.9f64 * 0.9 + 1.0 / 12.0).sqrt(), 0.5 * width);

@@ -20,7 +20,8 @@ how far the convex parts are from each mesh. Everything here is SIMULATED. It ru
 cores; RAYON_NUM_THREADS=N asks for N. Exit code 3: made, with objects left out, meshes
 that are not closed or not in millimetres, objects without a usable sweep, or an engine that died; with --check, 4: shards are missing or damaged.")]
 pub struct SimulateArgs {
-    /// Model of the wire: the quasi-static rod, or MuJoCo (inertia, damping, convex parts of the object; some 100 times slower)
+    /// Model of the wire: the quasi-static rod, or MuJoCo (inertia, damping, convex parts of the
+    /// object; some 100 times slower)
     #[arg(long, value_enum, default_value = "rod")]
     pub engine: Engine,
     /// Built-in object (may be repeated); "all" takes every one
@@ -35,7 +36,8 @@ pub struct SimulateArgs {
     /// Seed of all draws
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Whisker (whisker.toml of `wcal fit-whisker`, with its damping and contact where they were fitted); the nominal one without it
+    /// Whisker (whisker.toml of `wcal fit-whisker`, with its damping and contact where they were
+    /// fitted); the nominal one without it
     #[arg(long, value_name = "TOML")]
     pub whisker: Option<PathBuf>,
     /// How sweeps are drawn, and their physics (lab/sweeps.toml has every key with its default)
@@ -44,7 +46,8 @@ pub struct SimulateArgs {
     /// Share of the work, "i/n" from 1: the shards of all shares together are the dataset
     #[arg(long, value_name = "i/n", default_value = "1/1")]
     pub shard: String,
-    /// Make nothing: compare every shard with its checksums, name what is missing, write dataset.json
+    /// Make nothing: compare every shard with its checksums, name what is missing, write
+    /// dataset.json
     #[arg(long)]
     pub check: bool,
     /// Folder for the shards

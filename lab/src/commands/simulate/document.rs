@@ -98,7 +98,8 @@ pub struct DatasetDocument {
     pub kept: u64,
     /// Samples.
     pub samples: u64,
-    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high, contact-jump, no-equilibrium, engine-died.
+    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high,
+    /// contact-jump, no-equilibrium, engine-died.
     pub verdicts: BTreeMap<String, u64>,
     /// How often the wire touched, came free, sprang or slipped: onset, release, jump, slip.
     pub events: BTreeMap<String, u64>,
@@ -131,7 +132,8 @@ pub struct ObjectRow {
     pub sweeps: u64,
     /// Of them kept.
     pub kept: u64,
-    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high, contact-jump, no-equilibrium, engine-died.
+    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high,
+    /// contact-jump, no-equilibrium, engine-died.
     pub verdicts: BTreeMap<String, u64>,
     /// How often the wire touched, came free, sprang or slipped: onset, release, jump, slip.
     pub events: BTreeMap<String, u64>,

@@ -1,4 +1,5 @@
-//! A dataset from what the command names: read, made or gone on with, and described in dataset.json.
+//! A dataset from what the command names: read, made or gone on with, and described in
+//! dataset.json.
 
 use super::arguments::{Engine, SimulateArgs};
 use super::document::{DatasetDocument, Faults, Twin, document};
@@ -98,7 +99,8 @@ impl Order {
         Ok(totals)
     }
 
-    /// Writes dataset.json into the folder of the shards, and warns of what went wrong while they were made.
+    /// Writes dataset.json into the folder of the shards, and warns of what went wrong while they
+    /// were made.
     ///
     /// # Errors
     /// Where it cannot be written.

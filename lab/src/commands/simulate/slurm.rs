@@ -1,4 +1,5 @@
-//! `wcal-lab simulate --slurm`: a job array over the shards, and a job that checks and sums up once all tasks ended.
+//! `wcal-lab simulate --slurm`: a job array over the shards, and a job that checks and sums up once
+//! all tasks ended.
 
 use crate::dataset::Dataset;
 use anyhow::{Context, bail, ensure};
@@ -11,7 +12,8 @@ use wcal::picture_output::write;
 
 /// Version of `slurm/submission.json`.
 const FORMAT: &str = "wcal-slurm/1";
-/// Options of this command that the jobs do not take over; the second tells whether a value follows.
+/// Options of this command that the jobs do not take over; the second tells whether a value
+/// follows.
 const OWN: [(&str, bool); 5] = [
     ("--slurm", true),
     ("--slurm-tasks", true),
@@ -24,8 +26,9 @@ const OWN: [(&str, bool); 5] = [
 #[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Slurm")]
 pub struct SlurmArgs {
-    /// Submit a job array over the shards, and a job that checks and sums up. HEADER begins both scripts: lines "#SBATCH --partition=long"
-    /// (time, memory, account, cores: --cpus-per-task), then shell lines such as "module load". --out is a folder that all nodes share
+    /// Submit a job array over the shards, and a job that checks and sums up. HEADER begins both
+    /// scripts: lines "#SBATCH --partition=long" (time, memory, account, cores: --cpus-per-task),
+    /// then shell lines such as "module load". --out is a folder that all nodes share
     #[arg(long, value_name = "HEADER", conflicts_with_all = ["check", "shard"])]
     pub slurm: Option<PathBuf>,
     /// Tasks of the array
@@ -191,7 +194,8 @@ impl Job<'_> {
         ])
     }
 
-    /// Lines of sbatch, this command's before the user's: Slurm reads them up to the first line of another kind.
+    /// Lines of sbatch, this command's before the user's: Slurm reads them up to the first line of
+    /// another kind.
     fn head(&self, what: &str, more: &str, log: &str) -> anyhow::Result<String> {
         // "%" introduces Slurm's own replacements in a file name.
         let log = format!("{}/{log}", utf8(self.folder)?.replace('%', "%%"));

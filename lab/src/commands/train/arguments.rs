@@ -24,25 +24,30 @@ and checkpoint/, from which the same command resumes. Everything here is SIMULAT
 pub struct TrainArgs {
     /// Folder of shards from `wcal-lab simulate`; without it the sweeps are made, too
     pub sweeps: Option<PathBuf>,
-    /// Sweeps over each object, clean ones and as many with friction, and a quarter as many upright, where no folder is given
+    /// Sweeps over each object, clean ones and as many with friction, and a quarter as many
+    /// upright, where no folder is given
     #[arg(long, default_value_t = SWEEPS_EACH, conflicts_with = "sweeps")]
     pub sweeps_each: u64,
-    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: added to the training, never held out or scored (may be repeated)
+    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same
+    /// objects: added to the training, never held out or scored (may be repeated)
     #[arg(long, value_name = "DIR", requires = "sweeps")]
     pub additional: Vec<PathBuf>,
-    /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
+    /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too;
+    /// built-in objects need none
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
-    /// Network: compact (weights over the rod's inverse curve), or paper (the paper's size and head)
+    /// Network: compact (weights over the rod's inverse curve), or paper (the paper's size and
+    /// head)
     #[arg(long, default_value = "compact")]
     pub preset: String,
     /// Passes over the sweeps at most
     #[arg(long, default_value_t = 12)]
     pub epochs: usize,
-    /// Passes over one draw of noise and windows: drawing takes as long as some passes, the filters run over every sweep
+    /// Passes over one draw of noise and windows: drawing takes as long as some passes, the filters
+    /// run over every sweep
     #[arg(long, value_name = "N", default_value_t = TrainSettings::default().passes_per_draw)]
     pub passes_per_draw: usize,
     /// Largest learning rate

@@ -1,4 +1,5 @@
-//! What a tracker is trained on: sweeps that are there, or those that `wcal-lab train` makes itself.
+//! What a tracker is trained on: sweeps that are there, or those that `wcal-lab train` makes
+//! itself.
 
 use super::arguments::TrainArgs;
 use crate::commands::simulate::{Engine, MAX_SWEEPS, Order, SimulateArgs, SlurmArgs};
@@ -58,7 +59,8 @@ impl Sweeps {
         })
     }
 
-    /// Makes the three kinds in OUT/sweeps, a folder each, or goes on with them: over the objects of `--meshes`, or over the built-in ones.
+    /// Makes the three kinds in OUT/sweeps, a folder each, or goes on with them: over the objects
+    /// of `--meshes`, or over the built-in ones.
     ///
     /// # Errors
     /// Where there is no object, or a folder holds other sweeps.
@@ -100,8 +102,8 @@ impl Sweeps {
     }
 }
 
-/// What all runs that came to the end of the sweeps took by the clock, s, with what this one took where it made some; kept with the
-/// checkpoint.
+/// What all runs that came to the end of the sweeps took by the clock, s, with what this one took
+/// where it made some; kept with the checkpoint.
 fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
     let (folder, name) = (out.join("checkpoint"), "sweeps_wall_s.json");
     let earlier = wcal_core::files::read_text(folder.join(name)).ok();

@@ -1,15 +1,17 @@
 //! Symmetric block tridiagonal matrices with 3 x 3 blocks: the Hessian of the discrete rod.
 //!
-//! A = L D L^T with blocks A_jj and B_j = A_(j,j-1): C_j = B_j D_(j-1)^-1, D_j = A_jj - C_j B_j^T; L has ones and the C_j.
-//! Solve: y_j = b_j - C_j y_(j-1), then x_j = D_j^-1 y_j - C_(j+1)^T x_(j+1). The number of negative eigenvalues of A is that of all D_j
-//! (Sylvester's law of inertia). Source: G. Golub & C. Van Loan, "Matrix Computations" (2013), sec. 4.5.
+//! A = L D L^T with blocks A_jj and B_j = A_(j,j-1): C_j = B_j D_(j-1)^-1, D_j = A_jj - C_j B_j^T;
+//! L has ones and the C_j. Solve: y_j = b_j - C_j y_(j-1), then x_j = D_j^-1 y_j - C_(j+1)^T
+//! x_(j+1). The number of negative eigenvalues of A is that of all D_j (Sylvester's law of
+//! inertia). Source: G. Golub & C. Van Loan, "Matrix Computations" (2013), sec. 4.5.
 
 use nalgebra::{Matrix3, Vector3};
 
 /// Factors of a symmetric block tridiagonal matrix.
 pub(crate) struct BlockFactors {
     inverse: Vec<Matrix3<f64>>,
-    /// Block to the one before times that one's inverse pivot; by its transpose the way back goes, as pivots are symmetric.
+    /// Block to the one before times that one's inverse pivot; by its transpose the way back goes,
+    /// as pivots are symmetric.
     carry: Vec<Matrix3<f64>>,
     /// Negative eigenvalues of the matrix (Sylvester's law on the pivots).
     pub(crate) negative: usize,
@@ -68,7 +70,8 @@ fn product_transposed(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[0, 1, 2].map(|k| times(a, &b.row(k).transpose())))
 }
 
-/// Matrix times vector, written out: the library's general product is not inlined and took a quarter of a sweep's time.
+/// Matrix times vector, written out: the library's general product is not inlined and took a
+/// quarter of a sweep's time.
 #[inline(always)]
 fn times(m: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(

@@ -1,6 +1,8 @@
-//! Places where the wire is nearest to the surface: local minima of d(r(s)) along the wire, where n . t changes from negative to positive.
+//! Places where the wire is nearest to the surface: local minima of d(r(s)) along the wire, where n
+//! . t changes from negative to positive.
 //!
-//! Source of the root search: regula falsi with halving (Illinois), M. Dowell & P. Jarratt, BIT 11 (1971).
+//! Source of the root search: regula falsi with halving (Illinois), M. Dowell & P. Jarratt, BIT 11
+//! (1971).
 
 use super::centre_line::CurvePoint;
 use super::configuration::Configuration;
@@ -13,9 +15,11 @@ use wcal_sim::ClosestPoint;
 const ALONG_SINE: f64 = 0.1;
 /// Contacts nearer to each other than this, in links, are one.
 const MERGE_LINKS: f64 = 0.01;
-/// Distances (links) at which the gap is evaluated around a place that touches: edges may lie close together.
+/// Distances (links) at which the gap is evaluated around a place that touches: edges may lie close
+/// together.
 const PROBE_OFFSETS_LINKS: [f64; 4] = [0.02, 0.06, 0.15, 0.3];
-/// A wire that lies along the surface within this over a link touches at the links' middles only, mm.
+/// A wire that lies along the surface within this over a link touches at the links' middles only,
+/// mm.
 const FLAT_MM: f64 = 1e-3;
 /// Most evaluations of the surface for one lowest place.
 const MAX_EVALUATIONS: usize = 40;
@@ -29,14 +33,17 @@ pub(super) struct ContactCandidate {
     pub centre_mm: Vector3<f64>,
     pub gap_mm: f64,
     pub force_n: f64,
-    /// Whether it is the lowest of the places around it: it then moves along the wire as the wire moves.
+    /// Whether it is the lowest of the places around it: it then moves along the wire as the wire
+    /// moves.
     pub slides: bool,
-    /// Whether it is a plane: one that a refused step ran into, or a facet that is touched and not the nearest.
+    /// Whether it is a plane: one that a refused step ran into, or a facet that is touched and not
+    /// the nearest.
     pub plane_constraint: bool,
 }
 
 impl ContactRod {
-    /// Where the wire may touch `surface`: minima of the gap, the tip, and places along flat surfaces; `before` touched before.
+    /// Where the wire may touch `surface`: minima of the gap, the tip, and places along flat
+    /// surfaces; `before` touched before.
     pub(super) fn candidates<S: Surface>(
         &self,
         surface: &S,
@@ -74,7 +81,8 @@ impl ContactRod {
             .zip(&closest)
             .map(|((place, _), closest)| closest.map(|x| x.normal.dot(&place.tangent(links))))
             .collect();
-        // A bracket whose slope goes from falling to rising holds a minimum; a wire along a flat surface touches at the links' middles.
+        // A bracket whose slope goes from falling to rising holds a minimum; a wire along a flat
+        // surface touches at the links' middles.
         let mut found: Vec<(CurvePoint, ClosestPoint, bool)> = Vec::new();
         for (k, &(place, middle)) in places.iter().enumerate() {
             let (Some(here), Some(slope)) = (closest[k], slopes[k]) else {
@@ -109,7 +117,8 @@ impl ContactRod {
     ) -> Option<(CurvePoint, ClosestPoint)> {
         let mut best = None;
         for k in 0..MAX_EVALUATIONS {
-            // The normal turns within hundredths of a millimetre at an edge: every third evaluation halves the bracket.
+            // The normal turns within hundredths of a millimetre at an edge: every third evaluation
+            // halves the bracket.
             let x = if k % 3 == 2 {
                 (a + b) / 2.0
             } else {

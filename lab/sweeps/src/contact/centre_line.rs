@@ -1,11 +1,14 @@
-//! The smooth centre line of the links: the integral of a quadratic B-spline through their directions, of third order in their length.
+//! The smooth centre line of the links: the integral of a quadratic B-spline through their
+//! directions, of third order in their length.
 //!
-//! t(x) = sum_j c_j N_2(x - j), x in links, N_2 the quadratic B-spline; inside c_j = 5/4 d_j - (d_(j-1) + d_(j+1)) / 8 of the links'
-//! directions d_j; r(x) = h int_0^x t. Place, tangent and curvature are therefore fixed linear combinations of the directions.
+//! t(x) = sum_j c_j N_2(x - j), x in links, N_2 the quadratic B-spline; inside c_j = 5/4 d_j -
+//! (d_(j-1) + d_(j+1)) / 8 of the links' directions d_j; r(x) = h int_0^x t. Place, tangent and
+//! curvature are therefore fixed linear combinations of the directions.
 //!
-//! A link's direction is the wire's at the link's middle. Links laid end to end leave a bent wire by a twelfth of bend times length
-//! squared: little, but a wire that is barely touched is bent by no more. Weights of the spline on the directions: C. de Boor, A
-//! Practical Guide to Splines (2001), ch. XII (quasi-interpolant); the clamp's direction bounds it at the root.
+//! A link's direction is the wire's at the link's middle. Links laid end to end leave a bent wire
+//! by a twelfth of bend times length squared: little, but a wire that is barely touched is bent by
+//! no more. Weights of the spline on the directions: C. de Boor, A Practical Guide to Splines
+//! (2001), ch. XII (quasi-interpolant); the clamp's direction bounds it at the root.
 
 use super::configuration::Configuration;
 use nalgebra::Vector3;
@@ -38,7 +41,8 @@ pub(crate) struct CurvePoint {
     links: usize,
 }
 
-/// The spline's coefficients from the one before cell `cell` on, three of them, as shares of the links' directions.
+/// The spline's coefficients from the one before cell `cell` on, three of them, as shares of the
+/// links' directions.
 fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 3]) -> Shares {
     let mut found = Shares {
         clamp: 0.0,
@@ -133,7 +137,8 @@ impl CurvePoint {
         ];
         let mut whole = [1.0; WINDOW + 2];
         let low = first.saturating_sub(1);
-        // Whole cells before this one: a sixth of the coefficient before each, four of its own, one of the next.
+        // Whole cells before this one: a sixth of the coefficient before each, four of its own, one
+        // of the next.
         if cell > 0 {
             local[0] += 5.0 / 6.0;
             local[1] += 1.0 / 6.0;
@@ -277,7 +282,8 @@ mod tests {
         let middle = (rest.nodes_mm[20] + rest.nodes_mm[21]) / 2.0;
         let plain = (middle - shape.rest_point(20.5 * rod.link_mm)).norm();
         assert!(plain > 4.0 * fine, "{plain} {fine}");
-        // Where the bend begins at once, second order remains near there; links end to end are farther off.
+        // Where the bend begins at once, second order remains near there; links end to end are
+        // farther off.
         assert!(
             off_mm(40, 30.0) < 0.75 * plain,
             "{} {fine} {plain}",

@@ -1,11 +1,14 @@
-//! Dry friction over one step of the body: Coulomb's law with the normal force lagged, and stick where the cone is not reached.
+//! Dry friction over one step of the body: Coulomb's law with the normal force lagged, and stick
+//! where the cone is not reached.
 //!
-//! With slip u across the normal since the step before and y = |u| / eps: friction force -mu f_n s(y) u/|u|, s = y (2 - y) for y < 1, else 1;
-//! its energy is mu f_n (|u| - eps/3) beyond eps and mu f_n eps y^2 (1 - y/3) below.
+//! With slip u across the normal since the step before and y = |u| / eps: friction force -mu f_n
+//! s(y) u/|u|, s = y (2 - y) for y < 1, else 1; its energy is mu f_n (|u| - eps/3) beyond eps and
+//! mu f_n eps y^2 (1 - y/3) below.
 //!
-//! Within a round the contacts' places, normals and friction limits are those of the round before, so that friction has an energy and
-//! Newton's method goes down it (M. Li et al., "Incremental Potential Contact", ACM TOG 39, 2020, sec. 5). Rounds are repeated until the
-//! root's moment stands still. A contact sticks where it slips by less than a small share of the body's step.
+//! Within a round the contacts' places, normals and friction limits are those of the round before,
+//! so that friction has an energy and Newton's method goes down it (M. Li et al., "Incremental
+//! Potential Contact", ACM TOG 39, 2020, sec. 5). Rounds are repeated until the root's moment
+//! stands still. A contact sticks where it slips by less than a small share of the body's step.
 
 use super::centre_line::CurvePoint;
 use super::configuration::Configuration;
@@ -16,7 +19,8 @@ use nalgebra::Vector3;
 /// Most rounds, and the change of the root's moment (N mm) below which they end.
 const ROUNDS: usize = 12;
 const ROUND_NMM: f64 = 1e-4;
-/// Round from which each takes the mean of its limits and the last ones: a strong coefficient would swing between two states.
+/// Round from which each takes the mean of its limits and the last ones: a strong coefficient would
+/// swing between two states.
 const RELAXED: usize = 4;
 /// Slip within which a contact sticks, as a share of the body's step.
 const STICK_SHARE: f64 = 0.02;
@@ -146,8 +150,9 @@ impl ContactRod {
             .collect()
     }
 
-    /// Equilibrium against `surface`, which moved by `how.moved_mm` since the wire was at `how.before` with the contacts `known`, and
-    /// friction. Each round is [`Self::solve_contact`], or with `penalty` [`Self::solve_penalty_contact`], of at most `max_iterations`.
+    /// Equilibrium against `surface`, which moved by `how.moved_mm` since the wire was at
+    /// `how.before` with the contacts `known`, and friction. Each round is [`Self::solve_contact`],
+    /// or with `penalty` [`Self::solve_penalty_contact`], of at most `max_iterations`.
     pub fn solve_frictional_contact<S: Surface>(
         &self,
         surface: &S,

@@ -1,12 +1,14 @@
 //! One step of sequential quadratic programming on the constrained energy.
 //!
-//! With gradient e, Hessian H (elastic, geometric of loads and contact forces, damping) and gap rows a_i = grad g_i:
-//! min 1/2 phi . H phi + e . phi subject to g_i + a_i . phi >= 0, solved by its dual:
-//! W f + b >= 0, f >= 0, f . (W f + b) = 0 with W_ik = a_i . H^-1 a_k, b_i = g_i - a_i . H^-1 e; phi = H^-1 (sum f_i a_i - e).
-//! H = T + U diag(w) U^T: block tridiagonal plus few dyads (contacts), inverted by Woodbury's identity; it is positive definite where
-//! the inertia of T and of the small matrix diag(1/w) + U^T T^-1 U agree with that of w (E. Haynsworth, Linear Algebra Appl. 1, 1968).
-//! Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), sec. 16.4 and 18.1; projected Gauss-Seidel for the dual: R. Cottle,
-//! J.-S. Pang & R. Stone, "The Linear Complementarity Problem" (2009), ch. 5.
+//! With gradient e, Hessian H (elastic, geometric of loads and contact forces, damping) and gap
+//! rows a_i = grad g_i: min 1/2 phi . H phi + e . phi subject to g_i + a_i . phi >= 0, solved by
+//! its dual: W f + b >= 0, f >= 0, f . (W f + b) = 0 with W_ik = a_i . H^-1 a_k, b_i = g_i - a_i .
+//! H^-1 e; phi = H^-1 (sum f_i a_i - e). H = T + U diag(w) U^T: block tridiagonal plus few dyads
+//! (contacts), inverted by Woodbury's identity; it is positive definite where the inertia of T and
+//! of the small matrix diag(1/w) + U^T T^-1 U agree with that of w (E. Haynsworth, Linear Algebra
+//! Appl. 1, 1968). Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), sec. 16.4 and
+//! 18.1; projected Gauss-Seidel for the dual: R. Cottle, J.-S. Pang & R. Stone, "The Linear
+//! Complementarity Problem" (2009), ch. 5.
 
 use super::block_tridiagonal::BlockFactors;
 use super::candidates::ContactCandidate;
@@ -15,10 +17,12 @@ use super::configuration::Configuration;
 use super::rod::{Balance, ContactRod, load_stiffness};
 use nalgebra::{DMatrix, DVector, Vector3};
 
-/// Stiffness that holds a loaded contact to the surface, N/mm: far above the wire's own. It leaves the solution where it is, and makes
-/// the energy convex where only the contact holds the wire (augmented Lagrangian).
+/// Stiffness that holds a loaded contact to the surface, N/mm: far above the wire's own. It leaves
+/// the solution where it is, and makes the energy convex where only the contact holds the wire
+/// (augmented Lagrangian).
 const AUGMENTATION_N_PER_MM: f64 = 1.0;
-/// A gap that opens more slowly than this to both sides has no place that slides with the wire, 1/mm.
+/// A gap that opens more slowly than this to both sides has no place that slides with the wire,
+/// 1/mm.
 const MIN_OPENING_PER_MM: f64 = 1e-4;
 /// Sweeps of the dual problem.
 const DUAL_SWEEPS: usize = 200;
@@ -113,7 +117,8 @@ impl ContactCandidate {
 
     /// Dyads of the load on a contact on a curved surface, with their weights.
     ///
-    /// Second order of the gap: dx . H dx - (n . dt + H t . dx)^2 / (t . H t + n . x''), the last where the contact slides.
+    /// Second order of the gap: dx . H dx - (n . dt + H t . dx)^2 / (t . H t + n . x''), the last
+    /// where the contact slides.
     fn dyads(&self, rod: &ContactRod, links: &Configuration) -> Vec<(Turns, f64)> {
         let (normal, second) = (self.closest.normal, self.closest.second_per_mm);
         let mut dyads = Vec::new();
@@ -195,7 +200,8 @@ impl ContactRod {
         let mut diagonal = balance.diagonal.clone();
         let mut gradient = balance.gradient.clone();
         let mut dyads = balance.dyads.clone();
-        // Loaded contacts: augmentation on the gap, geometric stiffness of their forces, and of the surface's curvature.
+        // Loaded contacts: augmentation on the gap, geometric stiffness of their forces, and of the
+        // surface's curvature.
         let rows: Vec<Turns> = candidates.iter().map(|c| c.row(self, links)).collect();
         for (c, row) in candidates
             .iter()
@@ -227,7 +233,8 @@ impl ContactRod {
             .zip(&rows)
             .map(|(c, row)| c.gap_mm + dot(row, &free))
             .collect();
-        // Places that the free wire would keep clear of take part only where the others push it onto them.
+        // Places that the free wire would keep clear of take part only where the others push it
+        // onto them.
         let mut taken: Vec<usize> = (0..candidates.len())
             .filter(|&k| candidates[k].force_n > 0.0 || ahead[k] < 0.0)
             .collect();
@@ -269,7 +276,8 @@ impl ContactRod {
     }
 }
 
-/// Forces f >= 0 with `matrix f + gaps >= 0` and one of the two zero everywhere, by projected Gauss-Seidel.
+/// Forces f >= 0 with `matrix f + gaps >= 0` and one of the two zero everywhere, by projected
+/// Gauss-Seidel.
 fn solve_complementarity(matrix: &[Vec<f64>], gaps: &[f64], mut forces: Vec<f64>) -> Vec<f64> {
     for _ in 0..DUAL_SWEEPS {
         let mut change = 0.0_f64;

@@ -1,8 +1,10 @@
-//! The same equilibrium by a penalty on overlap, for surfaces on which hard contacts hop: scans, rough facets, many edges at once.
+//! The same equilibrium by a penalty on overlap, for surfaces on which hard contacts hop: scans,
+//! rough facets, many edges at once.
 //!
-//! E_p = E + 1/2 k int max(0, radius - d(r(s)))^2 ds with the signed distance d: one function to minimise, and every step goes down it
-//! (damped Newton). The wire sinks in by some hundredths of a millimetre at most; what the contacts carry is spread over their length.
-//! Source: P. Wriggers, "Computational Contact Mechanics" (2006), ch. 6 (penalty method).
+//! E_p = E + 1/2 k int max(0, radius - d(r(s)))^2 ds with the signed distance d: one function to
+//! minimise, and every step goes down it (damped Newton). The wire sinks in by some hundredths of a
+//! millimetre at most; what the contacts carry is spread over their length. Source: P. Wriggers,
+//! "Computational Contact Mechanics" (2006), ch. 6 (penalty method).
 
 use super::centre_line::CurvePoint;
 use super::configuration::Configuration;
@@ -42,7 +44,8 @@ struct State {
 }
 
 impl ContactRod {
-    /// Equilibrium against `surface` from a place where the wire overlaps it by less than its radius.
+    /// Equilibrium against `surface` from a place where the wire overlaps it by less than its
+    /// radius.
     pub fn solve_penalty_contact<S: Surface>(
         &self,
         surface: &S,
@@ -146,7 +149,8 @@ impl ContactRod {
         }
     }
 
-    /// Gradient, and Newton's step; no step where the stiffness is not positive definite at this damping.
+    /// Gradient, and Newton's step; no step where the stiffness is not positive definite at this
+    /// damping.
     fn penalty_step(
         &self,
         state: &State,
@@ -156,7 +160,8 @@ impl ContactRod {
         let balance = self.frictional_balance(&state.links, friction);
         let (mut gradient, mut diagonal) = (balance.gradient, balance.diagonal.clone());
         let mut dyads = balance.dyads;
-        // A place that overlaps: its force, the force's geometric stiffness, the penalty's own, and the surface's curvature.
+        // A place that overlaps: its force, the force's geometric stiffness, the penalty's own, and
+        // the surface's curvature.
         for t in &state.overlaps {
             let row = self.displacement_row(&state.links, &t.place, &t.normal);
             gradient

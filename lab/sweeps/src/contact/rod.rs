@@ -1,24 +1,28 @@
-//! The wire as rigid links with springs at their joints: energy, balance and stiffness in absolute link rotations.
+//! The wire as rigid links with springs at their joints: energy, balance and stiffness in absolute
+//! link rotations.
 //!
-//! With link frames R_j, length h, joint rotation w_j = log(R_(j-1)^T R_j), rest w0_j, stiffness K_j = diag(GJ, EI, EI) / span_j and the
-//! dead load q_j of link j:
+//! With link frames R_j, length h, joint rotation w_j = log(R_(j-1)^T R_j), rest w0_j, stiffness
+//! K_j = diag(GJ, EI, EI) / span_j and the dead load q_j of link j:
 //!
-//! E = sum_j 1/2 (w_j - w0_j) . K_j (w_j - w0_j) - sum_j F_j . h R_j e1, F_j = q_j h / 2 + sum_(i > j) q_i h,
-//! dw_j = J_r^-1(w_j) R_j^T (phi_j - phi_(j-1)), with phi_j the spatial rotation increment of link j,
-//! grad_j = m_j - m_(j+1) - h R_j e1 x F_j, m_j = R_j J_r^-T(w_j) K_j (w_j - w0_j).
+//! E = sum_j 1/2 (w_j - w0_j) . K_j (w_j - w0_j) - sum_j F_j . h R_j e1, F_j = q_j h / 2 + sum_(i >
+//! j) q_i h, dw_j = J_r^-1(w_j) R_j^T (phi_j - phi_(j-1)), with phi_j the spatial rotation
+//! increment of link j, grad_j = m_j - m_(j+1) - h R_j e1 x F_j, m_j = R_j J_r^-T(w_j) K_j (w_j -
+//! w0_j).
 //!
-//! Joints lie between link centres; the clamp's spring spans half a link, which makes the scheme second order at the root. In the phi_j
-//! the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links). Past the onset of softening K depends on the
-//! bending angle ([`Softening`]).
-//! Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire; the Jacobian J_r of
-//! the rotation vector: G. Chirikjian, "Stochastic Models, Information Theory, and Lie Groups" 2 (2012), ch. 10.
+//! Joints lie between link centres; the clamp's spring spans half a link, which makes the scheme
+//! second order at the root. In the phi_j the Hessian is block tridiagonal, loads included, so that
+//! a Newton step costs O(links). Past the onset of softening K depends on the bending angle
+//! ([`Softening`]). Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with
+//! rigid links for the inextensible wire; the Jacobian J_r of the rotation vector: G. Chirikjian,
+//! "Stochastic Models, Information Theory, and Lie Groups" 2 (2012), ch. 10.
 
 use super::centre_line::{self, CurvePoint};
 use super::configuration::Configuration;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wcal_rod::{DiscreteRod, RodError, Section, Shape, Softening};
 
-/// A joint: rest turn (rad, frame of the link beyond it), stiffness (N mm/rad), and the wire that it stands for (mm).
+/// A joint: rest turn (rad, frame of the link beyond it), stiffness (N mm/rad), and the wire that
+/// it stands for (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Joint {
     rest: Vector3<f64>,
@@ -33,7 +37,8 @@ pub struct ContactRod {
     pub link_mm: f64,
     /// Radius of the wire, mm.
     pub radius_mm: f64,
-    /// Load along each link, N/mm (weight less buoyancy, drag); empty: none. It keeps its direction as the links turn.
+    /// Load along each link, N/mm (weight less buoyancy, drag); empty: none. It keeps its direction
+    /// as the links turn.
     pub loads_n_per_mm: Vec<Vector3<f64>>,
     /// How the joints soften past a change of curvature.
     pub softening: Option<Softening>,
@@ -57,7 +62,8 @@ pub(crate) struct Balance {
 }
 
 impl ContactRod {
-    /// `links` rigid links for a wire of `section` and `diameter_mm` (mm) that is at rest in `shape`.
+    /// `links` rigid links for a wire of `section` and `diameter_mm` (mm) that is at rest in
+    /// `shape`.
     ///
     /// # Errors
     /// As [`DiscreteRod::new`].
@@ -68,7 +74,8 @@ impl ContactRod {
         links: usize,
     ) -> Result<Self, RodError> {
         let laws = DiscreteRod::new(section, shape, diameter_mm, links)?;
-        // A joint stands for the wire between the middles of its two links; the first from the clamp to the middle of link 0.
+        // A joint stands for the wire between the middles of its two links; the first from the
+        // clamp to the middle of link 0.
         let span = |j: usize| {
             if j == 0 {
                 laws.link_mm / 2.0
@@ -167,7 +174,8 @@ impl ContactRod {
         let w = self.relative(links, j);
         let (stress, tangent, energy) =
             self.joints[j].response(&(w - self.joints[j].rest), self.softening);
-        // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame of link j.
+        // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame
+        // of link j.
         let b = inverse_right_jacobian(&w) * links.frames[j].transpose();
         let bt = b.transpose();
         (bt * stress, bt * tangent * b, energy)
@@ -199,7 +207,8 @@ impl ContactRod {
         all
     }
 
-    /// Dead loads along the wire: what lies beyond a link pulls at its end, its own half at its middle.
+    /// Dead loads along the wire: what lies beyond a link pulls at its end, its own half at its
+    /// middle.
     fn add_loads(&self, links: &Configuration, all: &mut Balance) {
         let mut beyond_n = Vector3::zeros();
         for (j, load) in self
@@ -221,7 +230,8 @@ impl ContactRod {
 }
 
 impl Joint {
-    /// Moment, its derivative, and energy at a turn `off` (rad) from rest, in the frame of the link beyond.
+    /// Moment, its derivative, and energy at a turn `off` (rad) from rest, in the frame of the link
+    /// beyond.
     fn response(
         &self,
         off: &Vector3<f64>,

@@ -1,9 +1,11 @@
-//! Newton's method on the constrained energy: the step is accepted by an augmented Lagrangian as merit function.
+//! Newton's method on the constrained energy: the step is accepted by an augmented Lagrangian as
+//! merit function.
 //!
-//! Merit of a configuration x with gaps g_i and the step's forces f_i:
-//! M(x) = E(x) + sum_(f_i > 0) f_i g_i (g_i / 2 g_0 - 1) + w sum_(f_i = 0) max(0, -g_i), w = 1.5 max f_i.
-//! Where M does not fall, the step is damped (Levenberg: the Hessian's diagonal grows by mu times its elastic part), or what it ran into
-//! is added as plane constraints. Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), ch. 17-18.
+//! Merit of a configuration x with gaps g_i and the step's forces f_i: M(x) = E(x) + sum_(f_i > 0)
+//! f_i g_i (g_i / 2 g_0 - 1) + w sum_(f_i = 0) max(0, -g_i), w = 1.5 max f_i. Where M does not
+//! fall, the step is damped (Levenberg: the Hessian's diagonal grows by mu times its elastic part),
+//! or what it ran into is added as plane constraints. Source: J. Nocedal & S. Wright, "Numerical
+//! Optimization" (2006), ch. 17-18.
 
 use super::candidates::ContactCandidate;
 use super::centre_line::CurvePoint;
@@ -17,27 +19,30 @@ use wcal_sim::ClosestPoint;
 /// Balance is reached below this turn of a link, rad, and this overlap, mm.
 const TURN_RAD: f64 = 1e-7;
 const OVERLAP_MM: f64 = 1e-5;
-/// On a surface of small facets the contact hops between their edges; a wire that only trembles by less than this (mm) over so many
-/// steps, overlapping less than that, has come to rest.
+/// On a surface of small facets the contact hops between their edges; a wire that only trembles by
+/// less than this (mm) over so many steps, overlapping less than that, has come to rest.
 const CHATTER_MM: f64 = 5e-3;
 const MAX_CHATTER_STEPS: usize = 8;
 const CHATTER_OVERLAP_MM: f64 = 3e-3;
 /// Moment that may be out of balance at a joint, N mm: a quarter of a bench's noise.
 const BALANCE_NMM: f64 = 2e-3;
-/// Largest turn of a link in a step, rad, and largest way of a node, in links: no farther than contacts are foreseen.
+/// Largest turn of a link in a step, rad, and largest way of a node, in links: no farther than
+/// contacts are foreseen.
 pub(super) const MAX_TURN_RAD: f64 = 0.2;
 const MAX_WAY_LINKS: f64 = 1.5;
 /// Damping as a share of the elastic stiffness: the least, and where it is given up.
 pub(super) const MIN_DAMPING: f64 = 1e-5;
 const REPLANE_DAMPING: f64 = 1e-2;
 pub(super) const MAX_DAMPING: f64 = 1e4;
-/// Most places that are treated together, and the gap (mm) up to which a plane that was met counts as touched.
+/// Most places that are treated together, and the gap (mm) up to which a plane that was met counts
+/// as touched.
 const MAX_CANDIDATES: usize = 40;
 const PLANE_MM: f64 = 0.02;
 /// Places closer than this (links) whose normals differ by less are one: two facets, and others.
 const SAME_FACET: [f64; 2] = [0.05, 0.01];
 const SAME_PLACE: [f64; 2] = [0.1, 0.1];
-/// A loaded place that comes back no farther away (links) has turned to another facet; farther, it has slid.
+/// A loaded place that comes back no farther away (links) has turned to another facet; farther, it
+/// has slid.
 const TURNED_LINKS: f64 = 0.1;
 /// Gap at which the augmented Lagrangian's square is as large as its linear part, mm.
 const GAP_SCALE_MM: f64 = 0.01;
@@ -54,9 +59,11 @@ impl State {
     }
 }
 
-/// Augmented Lagrangian of the contacts that carry a force; overlap of the others, weighted above the forces.
+/// Augmented Lagrangian of the contacts that carry a force; overlap of the others, weighted above
+/// the forces.
 ///
-/// A contact that a step lifts a little (second order) does not make the step a bad one, as it would with overlaps alone.
+/// A contact that a step lifts a little (second order) does not make the step a bad one, as it
+/// would with overlaps alone.
 fn penalty_nmm(candidates: &[ContactCandidate], weight_n: f64) -> f64 {
     let of = |c: &ContactCandidate| {
         if c.force_n > 0.0 {
@@ -69,9 +76,11 @@ fn penalty_nmm(candidates: &[ContactCandidate], weight_n: f64) -> f64 {
 }
 
 impl ContactRod {
-    /// Equilibrium against `surface`, from `start`, whose contacts were `known` before the body moved by `moved_mm`.
+    /// Equilibrium against `surface`, from `start`, whose contacts were `known` before the body
+    /// moved by `moved_mm`.
     ///
-    /// Where it is lost, damping makes the steps a walk down the energy, and with enough of them the wire springs to another.
+    /// Where it is lost, damping makes the steps a walk down the energy, and with enough of them
+    /// the wire springs to another.
     pub fn solve_contact<S: Surface>(
         &self,
         surface: &S,
@@ -143,7 +152,8 @@ impl ContactRod {
             weight = step.forces_n.iter().fold(weight, |w, f| w.max(1.5 * f));
             let old = balance.energy_nmm + penalty_nmm(&carriers, weight);
             let new = next_balance.energy_nmm + penalty_nmm(&next.candidates, weight);
-            // The first step goes from the body's old place to its new one: nothing to compare with.
+            // The first step goes from the body's old place to its new one: nothing to compare
+            // with.
             if iteration > 1 && new > old + 1e-10 * (1.0 + old.abs()) && largest > 1e-6 {
                 if !self.add_planes(&mut state, &next) {
                     damping = raised;
@@ -184,9 +194,11 @@ impl ContactRod {
         self.finish(state, max_iterations, false)
     }
 
-    /// Takes what a refused step ran into as planes that the next one must keep clear of; false where that is known already.
+    /// Takes what a refused step ran into as planes that the next one must keep clear of; false
+    /// where that is known already.
     ///
-    /// Where the wire lies in a notch, or over several edges of a link, the lowest place alone does not tell of the others.
+    /// Where the wire lies in a notch, or over several edges of a link, the lowest place alone does
+    /// not tell of the others.
     fn add_planes(&self, state: &mut State, refused: &State) -> bool {
         let mut learned = false;
         for c in refused
@@ -230,10 +242,11 @@ impl ContactRod {
         plane
     }
 
-    /// Gives the forces of `carriers` to the places `seen` now, with the planes that are still touched and seen no more.
+    /// Gives the forces of `carriers` to the places `seen` now, with the planes that are still
+    /// touched and seen no more.
     ///
-    /// Between two facets a wire's end is held by both, and the surface shows but the nearer: the other one would be lost, and the
-    /// wire hop between them for ever.
+    /// Between two facets a wire's end is held by both, and the surface shows but the nearer: the
+    /// other one would be lost, and the wire hop between them for ever.
     fn carry_over(
         &self,
         faceted: bool,
@@ -242,7 +255,8 @@ impl ContactRod {
         mut seen: Vec<ContactCandidate>,
     ) -> Vec<ContactCandidate> {
         let places = seen.len();
-        // Facets next to each other differ by little and are two all the same; on a smooth body what is seen is where it is.
+        // Facets next to each other differ by little and are two all the same; on a smooth body
+        // what is seen is where it is.
         let close = if faceted { SAME_FACET } else { SAME_PLACE };
         for c in carriers.iter().filter(|c| c.force_n > 0.0) {
             let off = |s: &ContactCandidate| (s.place.at - c.place.at).abs();
@@ -285,7 +299,8 @@ impl ContactRod {
                     let closest = surface.closest_point(at, 2.0 * self.link_mm);
                     closest.is_some_and(|n| (n.distance_mm - mm).abs() < CHATTER_OVERLAP_MM)
                 };
-                // Past an edge the wire may be as near to the next facet, and the plane's own place is nowhere.
+                // Past an edge the wire may be as near to the next facet, and the plane's own place
+                // is nowhere.
                 lies(&c.centre_mm, self.radius_mm) && lies(&c.closest.point_mm, 0.0)
             })
     }

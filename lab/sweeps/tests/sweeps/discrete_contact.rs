@@ -115,7 +115,8 @@ fn the_root_carries_what_the_contacts_apply() {
     }
 }
 
-/// At the point where the ball holds the wire, the continuous rod needs the same force: error of second order in the link.
+/// At the point where the ball holds the wire, the continuous rod needs the same force: error of
+/// second order in the link.
 #[test]
 fn links_agree_with_the_rod_to_second_order() {
     let errors: Vec<f64> = [20, 40, 80]
@@ -141,7 +142,8 @@ fn links_agree_with_the_rod_to_second_order() {
     assert!(errors[0] / errors[2] > 8.0, "{errors:?}");
 }
 
-/// Negative control of the agreement: a clamp spring of a whole link (the plain layout) would miss by far more.
+/// Negative control of the agreement: a clamp spring of a whole link (the plain layout) would miss
+/// by far more.
 #[test]
 fn a_floor_holds_the_tip_first_and_then_a_line() {
     let rod = rod(60);
@@ -173,7 +175,8 @@ fn a_floor_holds_the_tip_first_and_then_a_line() {
     assert!((lowest - (-0.5 + 0.15)).abs() < 5e-3, "{lowest}");
 }
 
-/// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten times as deep it would not.
+/// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten
+/// times as deep it would not.
 #[test]
 fn a_soft_contact_gives_the_hard_ones_moment() {
     let rod = rod(40);
@@ -201,7 +204,8 @@ fn a_soft_contact_gives_the_hard_ones_moment() {
     );
 }
 
-/// From the contact inward the same equilibrium comes out as from the search for it; half the force is another one.
+/// From the contact inward the same equilibrium comes out as from the search for it; half the force
+/// is another one.
 #[test]
 fn a_push_from_the_contact_inward_is_the_pressed_wire() {
     let rod = rod(40);

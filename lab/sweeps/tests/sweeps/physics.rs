@@ -1,4 +1,5 @@
-//! Physics of sweeps (SIMULATED): friction, softening and medium as drawn, and base moments against the continuous rod.
+//! Physics of sweeps (SIMULATED): friction, softening and medium as drawn, and base moments against
+//! the continuous rod.
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
@@ -215,7 +216,8 @@ fn physics_that_cannot_be_is_named() {
     }
 }
 
-/// The links' base moment against the continuous rod's, held at the same place by a frictionless point (ideal contact of docs/src/method.md).
+/// The links' base moment against the continuous rod's, held at the same place by a frictionless
+/// point (ideal contact of docs/src/method.md).
 #[test]
 fn base_moments_of_sweeps_are_the_rods() {
     let names = ["can", "vase", "ball", "rock"];
@@ -229,7 +231,8 @@ fn base_moments_of_sweeps_are_the_rods() {
         .fold(0.0, f64::max);
     for (_, run) in all.iter().filter(|(_, r)| r.verdict == Verdict::Kept) {
         for sample in run.samples.iter().filter(|s| s.settled) {
-            // One contact between root and tip: a tip that rests on a surface is held along the wire too.
+            // One contact between root and tip: a tip that rests on a surface is held along the
+            // wire too.
             let [c] = sample.contacts[..] else { continue };
             if c.arclength_mm > 59.5 || sample.moment_nmm.norm() < 0.05 {
                 continue;

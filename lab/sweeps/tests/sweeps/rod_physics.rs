@@ -1,4 +1,5 @@
-//! Friction, softening and distributed loads of the links: against the continuous rod, Coulomb's law and integrals in closed form.
+//! Friction, softening and distributed loads of the links: against the continuous rod, Coulomb's
+//! law and integrals in closed form.
 
 use super::discrete_contact::{Ball, rod};
 use super::{LENGTH_MM, bent, spec, straight_shape};
@@ -11,7 +12,8 @@ const LAST: usize = 26;
 /// The same for a ball nearer to the root, which touches later.
 const DEEP: usize = 38;
 
-/// A ball comes from below into the straight part, `y_mm` off the wire's plane, and goes `drag_mm` along it toward the root.
+/// A ball comes from below into the straight part, `y_mm` off the wire's plane, and goes `drag_mm`
+/// along it toward the root.
 fn rubbed(
     discrete: &ContactRod,
     coefficient: f64,
@@ -98,7 +100,8 @@ fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
     );
 }
 
-/// A ball that first pulls the wire along and then lets it slide back: friction turns round, and on the way the contact sticks.
+/// A ball that first pulls the wire along and then lets it slide back: friction turns round, and on
+/// the way the contact sticks.
 #[test]
 fn a_contact_sticks_while_friction_turns_round() {
     let discrete = rod(40);
@@ -131,7 +134,8 @@ fn a_contact_sticks_while_friction_turns_round() {
         .position(|x| x.abs() < 0.9)
         .expect("sticks in between")];
     let c = stuck.contacts[0];
-    // The rod under a force at that angle; at a given place and arc length it would be as stiff as the wire is long.
+    // The rod under a force at that angle; at a given place and arc length it would be as stiff as
+    // the wire is long.
     let rod = rod_at(stuck, &bent(1.0), Tangential::Ratio(mu * share(stuck)));
     let force = c.normal * c.force_n + c.friction_n;
     assert!(
@@ -158,7 +162,8 @@ fn a_contact_sticks_while_friction_turns_round() {
     );
 }
 
-/// Beside the wire's plane the ball pushes the wire aside: friction then is across the wire too, still at the cone's edge.
+/// Beside the wire's plane the ball pushes the wire aside: friction then is across the wire too,
+/// still at the cone's edge.
 #[test]
 fn friction_takes_the_direction_of_the_slip() {
     let discrete = rod(40);
@@ -220,7 +225,8 @@ fn softened_links_bend_as_the_softened_rod() {
     );
 }
 
-/// A stiff cantilever under loads that differ along it: the root carries their integral; a soft one under its weight follows the rod.
+/// A stiff cantilever under loads that differ along it: the root carries their integral; a soft one
+/// under its weight follows the rod.
 #[test]
 fn the_root_carries_the_integral_of_the_loads() {
     let shape = Shape::new(&spec(straight_shape()).rest_shape, 0.25).unwrap();
@@ -251,7 +257,8 @@ fn the_root_carries_the_integral_of_the_loads() {
         (even - exact).abs() > 0.2 * exact.abs(),
         "negative control: the same load spread evenly"
     );
-    // Its own weight, four times that of the wire in air, on the soft wire: against the rod held by next to nothing at its tip.
+    // Its own weight, four times that of the wire in air, on the soft wire: against the rod held by
+    // next to nothing at its tip.
     let spec = spec(straight_shape());
     let mut rod = Rod::new(&spec, WORKING_STEP_MM)
         .unwrap()

@@ -1,4 +1,5 @@
-//! Sweeps over built-in objects (SIMULATED): labels lie on the mesh, forces balance, the same draw gives the same sweep.
+//! Sweeps over built-in objects (SIMULATED): labels lie on the mesh, forces balance, the same draw
+//! gives the same sweep.
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
@@ -85,7 +86,8 @@ fn solid_angle(p: &Vector3<f64>, t: [Vector3<f64>; 3]) -> f64 {
         .atan2(la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb)
 }
 
-/// Distance from a mesh by its triangles one after the other (C. Ericson, Real-Time Collision Detection, 5.1.5): no tree, no library.
+/// Distance from a mesh by its triangles one after the other (C. Ericson, Real-Time Collision
+/// Detection, 5.1.5): no tree, no library.
 fn distance_mm(mesh: &Mesh, p: &Vector3<f64>) -> f64 {
     let corners: Vec<Vector3<f64>> = mesh.points().collect();
     let of = |t: &[u32; 3]| {
@@ -124,9 +126,11 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
                     touching += 1;
                     let shift = sweep.shift_mm - Vector3::z() * sample.travel_mm;
                     let off = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.point_mm - shift)));
-                    // A plane that the wire met off its nearest place may lie up to 3 micrometres off.
+                    // A plane that the wire met off its nearest place may lie up to 3 micrometres
+                    // off.
                     assert!(off < 3.1e-3, "{name}: {off} mm");
-                    // Negative control: the wire's centre line is not on the mesh, but a radius away.
+                    // Negative control: the wire's centre line is not on the mesh, but a radius
+                    // away.
                     let axis = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.centre_mm - shift)));
                     assert!((0.1..0.2).contains(&axis), "{name}: {axis} mm");
                     // Where it slides over a plane the gap is solved to 1e-5 mm.
@@ -145,8 +149,9 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
     }
     imbalance.sort_by(f64::total_cmp);
     assert!(*imbalance.last().unwrap() < 5e-3 && imbalance[imbalance.len() * 95 / 100] < 1e-5);
-    // What leans on a facet's plane past its edge, within 3 micrometres, is one contact in twenty; before the touched point went along with the
-    // wire it was on the mesh even there, off the wire.
+    // What leans on a facet's plane past its edge, within 3 micrometres, is one contact in twenty;
+    // before the touched point went along with the wire it was on the mesh even there, off the
+    // wire.
     assert!(
         exact * 100 > touching * 94,
         "on the mesh: {exact} of {touching}"
@@ -205,8 +210,8 @@ fn plate() -> Mesh {
     Mesh::new("plate", &points, &triangles).unwrap()
 }
 
-/// What a sweep over a thin plate feels does not depend on how often it is sampled where the steps are short: with long ones the wire may
-/// pass through between two samples.
+/// What a sweep over a thin plate feels does not depend on how often it is sampled where the steps
+/// are short: with long ones the wire may pass through between two samples.
 #[test]
 fn short_steps_keep_a_wire_on_its_side_of_a_thin_plate() {
     let (mesh, engine) = (plate(), RodEngine::new(&whisker(), LINKS).unwrap());
@@ -240,7 +245,8 @@ fn short_steps_keep_a_wire_on_its_side_of_a_thin_plate() {
     );
 }
 
-/// A body that comes along -z cannot push a free wire toward +z: it is met on the side that it comes from.
+/// A body that comes along -z cannot push a free wire toward +z: it is met on the side that it
+/// comes from.
 #[test]
 fn a_free_wire_is_met_from_the_side_that_the_body_comes_from() {
     let (mesh, engine) = (plate(), RodEngine::new(&whisker(), LINKS).unwrap());

@@ -1,8 +1,9 @@
 //! A pinhole camera with lens distortion.
 //!
 //! With `x = X/Z`, `y = Y/Z`, `r^2 = x^2 + y^2` in the camera's frame (z ahead, y down):
-//! `x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, `y'` alike with `p1 (r^2 + 2 y^2) + 2 p2 x y`, and
-//! `u = fx x' + cx`, `v = fy y' + cy` (Brown, "Decentering distortion of lenses", 1966; OpenCV's order k1 k2 p1 p2 k3).
+//! `x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, `y'` alike with
+//! `p1 (r^2 + 2 y^2) + 2 p2 x y`, and `u = fx x' + cx`, `v = fy y' + cy` (Brown, "Decentering
+//! distortion of lenses", 1966; OpenCV's order k1 k2 p1 p2 k3).
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
@@ -101,8 +102,8 @@ impl Lens {
         self.corners[row * (self.size_px[0] + 1) + column]
     }
 
-    /// Ray of a place inside a pixel, `right` and `down` in 0..1 from its upper left corner: linear between the corners, where the
-    /// distortion's curvature over a pixel is below 1e-6 px.
+    /// Ray of a place inside a pixel, `right` and `down` in 0..1 from its upper left corner: linear
+    /// between the corners, where the distortion's curvature over a pixel is below 1e-6 px.
     pub(super) fn inside(&self, row: usize, column: usize, right: f64, down: f64) -> Vector2<f64> {
         let at = |r: usize| {
             self.corner(row + r, column) * (1.0 - right) + self.corner(row + r, column + 1) * right
@@ -111,7 +112,8 @@ impl Lens {
     }
 }
 
-/// Pose of a camera at `place` (mm, base frame) that looks at `target`, its x axis as near to `right` as can be.
+/// Pose of a camera at `place` (mm, base frame) that looks at `target`, its x axis as near to
+/// `right` as can be.
 pub fn look_at(
     place: &Vector3<f64>,
     target: &Vector3<f64>,

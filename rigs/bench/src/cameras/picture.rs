@@ -12,7 +12,8 @@ use super::scene::View;
 /// How a camera and its light make a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
-    /// Grey value of a reflectance of 1 in the middle of the picture; past 255 the picture saturates.
+    /// Grey value of a reflectance of 1 in the middle of the picture; past 255 the picture
+    /// saturates.
     pub exposure_dn: f64,
     /// Reflectance of the background.
     pub background: f64,
@@ -20,7 +21,8 @@ pub struct Appearance {
     pub wire: f64,
     /// Height of the highlight.
     pub highlight: f64,
-    /// Relative fall of the light from one side of the picture to the other, and toward the corners.
+    /// Relative fall of the light from one side of the picture to the other, and toward the
+    /// corners.
     pub uneven: [f64; 2],
     /// Blur of the lens (Gaussian), px.
     pub blur_px: f64,
@@ -45,7 +47,8 @@ impl Default for Appearance {
     }
 }
 
-/// Fibonacci lattice of a pixel: 34 points whose coordinates are all different (Niederreiter 1992, section 5.1).
+/// Fibonacci lattice of a pixel: 34 points whose coordinates are all different (Niederreiter 1992,
+/// section 5.1).
 const SAMPLES: usize = 34;
 const LATTICE_STEP: usize = 21;
 
@@ -143,7 +146,8 @@ pub fn exposed(clean: &[f32], look: &Appearance, seed: u64) -> Vec<u8> {
         .collect()
 }
 
-/// Pixel corners that a polygon may touch: left, top, right, bottom, both ends taken; an edge bends by less than 8 px.
+/// Pixel corners that a polygon may touch: left, top, right, bottom, both ends taken; an edge bends
+/// by less than 8 px.
 fn bounds(
     lens: &Lens,
     base_from_plane: &nalgebra::Isometry3<f64>,
@@ -270,8 +274,8 @@ fn strip(
     mean
 }
 
-/// Share of a unit pixel within the half plane `n . p < s`, p from its centre, |n| = (a, b): the pixel projected on n is the convolution of two
-/// boxes of widths a and b.
+/// Share of a unit pixel within the half plane `n . p < s`, p from its centre, |n| = (a, b): the
+/// pixel projected on n is the convolution of two boxes of widths a and b.
 fn half_plane(s: f64, a: f64, b: f64) -> f64 {
     let (wide, narrow) = (a.max(b), a.min(b));
     let (outer, inner) = (0.5 * (wide + narrow), 0.5 * (wide - narrow));

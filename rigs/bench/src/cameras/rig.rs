@@ -1,4 +1,5 @@
-//! The bench's camera rig: where the cameras stand, tags, groove block, chessboard, and what can be wrong with them.
+//! The bench's camera rig: where the cameras stand, tags, groove block, chessboard, and what can be
+//! wrong with them.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -18,13 +19,15 @@ const V_DEPTH_MM: f64 = 1.5;
 const BLOCK_HALF_MM: f64 = 4.5;
 const BLOCK_FLOOR_MM: f64 = 1.5;
 
-/// Left and right camera of the bench: 290 mm before the wire (it sees the side of base y < 0), 120 mm apart, rolled by 45 degrees;
-/// lenses as in the ray-traced pictures of fixtures/stereo_bench (focal length 3460 px at a width of 1280 px), scaled to the size.
+/// Left and right camera of the bench: 290 mm before the wire (it sees the side of base y < 0), 120
+/// mm apart, rolled by 45 degrees; lenses as in the ray-traced pictures of fixtures/stereo_bench
+/// (focal length 3460 px at a width of 1280 px), scaled to the size.
 pub fn default_pair(size_px: [usize; 2]) -> [Lens; 2] {
     let scale = size_px[0] as f64 / 1280.0;
     let target = V3::new(28.0, 0.0, -13.5);
     let lens = |focal: f64, centre: [f64; 2], distortion: [f64; 5], place: V3| {
-        // A pixel of another size keeps the same field of view; the picture's height is cut about its middle.
+        // A pixel of another size keeps the same field of view; the picture's height is cut about
+        // its middle.
         let middle = 0.5 * (size_px[1] as f64 - 960.0 * scale);
         let centre_px = [
             scale * (centre[0] + 0.5) - 0.5,
@@ -55,7 +58,8 @@ pub fn default_pair(size_px: [usize; 2]) -> [Lens; 2] {
     ]
 }
 
-/// What is wrong with the rig and not declared; a camera that was moved since the board was shown is another [`Lens`].
+/// What is wrong with the rig and not declared; a camera that was moved since the board was shown
+/// is another [`Lens`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraFaults {
     /// True over stated side of the board's squares.
@@ -136,7 +140,8 @@ impl Default for RigGeometry {
 }
 
 impl RigGeometry {
-    /// The bench with a wire (points from root to tip, base frame, mm) and the groove with its tag, where they are in view.
+    /// The bench with a wire (points from root to tip, base frame, mm) and the groove with its tag,
+    /// where they are in view.
     pub fn scene(&self, wire: Vec<V3>, groove: Option<&Groove>) -> View {
         let mut faces = block([-16.0, -6.0, -5.0], [0.0, 6.0, 5.0]);
         faces.extend(self.tag(0, self.base_from_tag));
@@ -154,9 +159,11 @@ impl RigGeometry {
         }
     }
 
-    /// The board in attitude `k`: about the middle of both pictures, tilted by up to 28 degrees, no two alike.
+    /// The board in attitude `k`: about the middle of both pictures, tilted by up to 28 degrees, no
+    /// two alike.
     pub fn board_view(&self, k: usize) -> View {
-        // Fractional parts of multiples of the plastic number's powers fill the range evenly (Roberts 2018, R_d sequences, d = 4).
+        // Fractional parts of multiples of the plastic number's powers fill the range evenly
+        // (Roberts 2018, R_d sequences, d = 4).
         let spread =
             |n: i32| ((k as f64 + 1.0) * 0.856_674_883_854_502_9_f64.powi(n)).fract() * 2.0 - 1.0;
         let tilt = V3::new(0.48 * spread(1), 0.48 * spread(2), 0.25 * spread(3));
@@ -197,7 +204,8 @@ impl RigGeometry {
         Some(Face::sheet(base_from_tag, [half; 2], paint))
     }
 
-    /// Block with a V along the wire; the wire's centre stands off the vertex by its radius over the sine of the half angle.
+    /// Block with a V along the wire; the wire's centre stands off the vertex by its radius over
+    /// the sine of the half angle.
     fn groove_block(&self, groove: &Groove) -> Vec<Face> {
         let half_angle = self.half_angle_deg.to_radians();
         let along = groove.axis.normalize();

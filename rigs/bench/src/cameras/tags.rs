@@ -1,9 +1,11 @@
-//! AprilTag pictures of the family 36h11 (Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011).
+//! AprilTag pictures of the family 36h11 (Olson, "AprilTag: a robust and flexible visual fiducial
+//! system", ICRA 2011).
 
 /// Cells across a tag with its white margin; the black square is eight of them.
 pub const TAG_CELLS: usize = 10;
 
-/// First codes of the family as published: github.com/AprilRobotics/apriltag, version 3, tag36h11.c (BSD licence).
+/// First codes of the family as published: github.com/AprilRobotics/apriltag, version 3, tag36h11.c
+/// (BSD licence).
 const CODES: [u64; 8] = [
     0xd_7e00_984b,
     0xd_da66_4ca7,
@@ -15,7 +17,8 @@ const CODES: [u64; 8] = [
     0x1_106c_ba43,
 ];
 
-/// Cells (column, row) of a quarter's nine bits, counted from the black border's corner; the other quarters are turned (tag36h11.c).
+/// Cells (column, row) of a quarter's nine bits, counted from the black border's corner; the other
+/// quarters are turned (tag36h11.c).
 const QUARTER: [(usize, usize); 9] = [
     (1, 1),
     (2, 1),
@@ -28,7 +31,8 @@ const QUARTER: [(usize, usize); 9] = [
     (3, 3),
 ];
 
-/// White cells of tag `id`, row by row from the top left; `None` for an id that is not in the table.
+/// White cells of tag `id`, row by row from the top left; `None` for an id that is not in the
+/// table.
 pub fn tag_cells(id: u32) -> Option<[[bool; TAG_CELLS]; TAG_CELLS]> {
     let code = *CODES.get(id as usize)?;
     // White margin, black border.

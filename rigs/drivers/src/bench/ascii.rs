@@ -20,7 +20,8 @@ pub struct Command {
     pub checked: bool,
 }
 
-/// Parses one line without its line end. `None`: a unit ignores such a line (noise, or a checksum that does not fit).
+/// Parses one line without its line end. `None`: a unit ignores such a line (noise, or a checksum
+/// that does not fit).
 pub fn parse(line: &[u8]) -> Option<Command> {
     let start = line.iter().rposition(|b| *b == b'/')?;
     let mut body = &line[start + 1..];

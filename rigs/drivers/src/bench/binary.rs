@@ -1,6 +1,7 @@
 //! Zaber's binary protocol (T-series): six bytes, unit, command, little-endian i32.
 //!
-//! Commands: firmware-notes/zaber-binary.md. A motion command is answered when the motion has ended.
+//! Commands: firmware-notes/zaber-binary.md. A motion command is answered when the motion has
+//! ended.
 
 use super::axis::Axis;
 

@@ -16,7 +16,8 @@ const GREY: u8 = 170;
 /// Longest command, bytes.
 const COMMAND_LIMIT: usize = 64;
 
-/// Sends a picture a period until the client is gone. A camera that is late by more than a period leaves frames out.
+/// Sends a picture a period until the client is gone. A camera that is late by more than a period
+/// leaves frames out.
 ///
 /// # Errors
 /// Why the link ended.
@@ -65,7 +66,8 @@ pub fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Resu
     Ok(())
 }
 
-/// Executes the client's commands: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
+/// Executes the client's commands: lines `board K` (hold up the chessboard in attitude K) and
+/// `board off`; others are ignored.
 fn obey(shared: &BenchState, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
     let mut bytes = [0_u8; COMMAND_LIMIT];
     // Commands are executed as they arrive, without a reply.
@@ -97,8 +99,8 @@ fn obey(shared: &BenchState, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::R
     Ok(())
 }
 
-/// What a camera sees at `due_s`: whole pixels at rest, blocks of them while stage or mount move, so that a bench in motion is not held up by
-/// its pictures.
+/// What a camera sees at `due_s`: whole pixels at rest, blocks of them while stage or mount move,
+/// so that a bench in motion is not held up by its pictures.
 fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u8> {
     let spec = &shared.scenario.cameras;
     let [width, height] = spec.size_px;

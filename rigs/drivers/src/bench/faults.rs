@@ -122,7 +122,8 @@ pub enum Fault {
         /// How many.
         count: u64,
     },
-    /// Somebody knocks the second camera: views of the bench are from its new place, those of the board from the old one.
+    /// Somebody knocks the second camera: views of the bench are from its new place, those of the
+    /// board from the old one.
     CameraMoved {
         /// Shift in the camera's frame, mm.
         mm: [f64; 3],

@@ -1,5 +1,6 @@
-//! The virtual bench in the caller's own process: no sockets, and no waiting. Its time passes only while the sweep pauses or a device
-//! answers, so a recording depends on scenario and seed alone, however busy the computer is.
+//! The virtual bench in the caller's own process: no sockets, and no waiting. Its time passes only
+//! while the sweep pauses or a device answers, so a recording depends on scenario and seed alone,
+//! however busy the computer is.
 //!
 //! ```text
 //! answer of the stage   asked at t, position of t + 1.0..1.5 ms, stamped 1.5..3.0 ms later      some 13 and 25 characters at 115,200 baud
@@ -66,7 +67,8 @@ impl InProcess {
         }
     }
 
-    /// A pause of the sweep: its time passes. The first one waits for the thread that reads the stream, or chance would say how many there are.
+    /// A pause of the sweep: its time passes. The first one waits for the thread that reads the
+    /// stream, or chance would say how many there are.
     pub fn pause(&self, time: Duration) {
         let (stream, changed) = &*self.stream;
         drop(changed.wait_timeout_while(guard(stream), GONE, |s| !s.begun));

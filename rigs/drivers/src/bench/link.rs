@@ -52,7 +52,8 @@ const POURED: usize = 40;
 /// Longest wait for a client that takes nothing.
 const TAKEN: Duration = Duration::from_secs(1);
 
-/// A message that is no reply of unit 1: binary messages have six bytes, all others are ASCII lines.
+/// A message that is no reply of unit 1: binary messages have six bytes, all others are ASCII
+/// lines.
 fn stray(flood: UnsolicitedTraffic, binary: bool) -> &'static [u8] {
     match (flood, binary) {
         (UnsolicitedTraffic::Alerts, false) => b"!01 1 IDLE --\r\n",

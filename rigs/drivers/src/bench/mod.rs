@@ -1,4 +1,5 @@
-//! The virtual bench: stage, interrogators and cameras with the devices' own protocols, driven by one plant.
+//! The virtual bench: stage, interrogators and cameras with the devices' own protocols, driven by
+//! one plant.
 //!
 //! The program under test is connected to it only through sockets and a pseudo-terminal.
 
@@ -151,7 +152,8 @@ impl VirtualBench {
             .map_or((0.0, 0.0), |u| u.axis.at(t_s))
     }
 
-    /// Time for which the bench's clock stood, s of bench time, where that is much: this computer cannot hold its speed.
+    /// Time for which the bench's clock stood, s of bench time, where that is much: this computer
+    /// cannot hold its speed.
     pub fn fell_behind_s(&self) -> Option<f64> {
         let speed = self.shared.clock.speed();
         let behind_s = shared_time::stood().as_secs_f64() * speed;

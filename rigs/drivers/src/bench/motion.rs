@@ -1,4 +1,5 @@
-//! Exact motion of a stepper axis: constant-acceleration pieces, kept so that late readers can evaluate the recent past.
+//! Exact motion of a stepper axis: constant-acceleration pieces, kept so that late readers can
+//! evaluate the recent past.
 //!
 //! ```text
 //! x(t) = x_0 + v_0 dt + a dt^2 / 2                                             within a piece

@@ -1,4 +1,5 @@
-//! The simulated sensor: response of the gratings to the stage. Shares no code with the program that fits it.
+//! The simulated sensor: response of the gratings to the stage. Shares no code with the program
+//! that fits it.
 //!
 //! ```text
 //! play         x_c = clamp(x_c, x - b / 2, x + b / 2)                          x: screw with its errors, b: backlash
@@ -25,7 +26,8 @@ const PIECES: usize = 600;
 
 /// Base moment of the wire at a depth of the groove.
 pub trait Plant: Send {
-    /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact (negative: none).
+    /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact
+    /// (negative: none).
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2];
     /// Its appearance to the cameras; `None`: uniform grey.
     fn scene(&self) -> Option<Arc<dyn Scene>> {
@@ -42,7 +44,8 @@ pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
     let near = all
         .min_by(|a, b| far(*a).total_cmp(&far(*b)))
         .unwrap_or(whisker.length_mm);
-    // Golden section between its neighbours: a first contact off by half a step would push before it touches.
+    // Golden section between its neighbours: a first contact off by half a step would push before
+    // it touches.
     let (mut low, mut high) = ((near - step).max(0.0), (near + step).min(whisker.length_mm));
     const RATIO: f64 = 0.618_033_988_749_895;
     for _ in 0..60 {
@@ -56,7 +59,8 @@ pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
     (low + high) / 2.0
 }
 
-/// The sensor in its surroundings: stage errors, plant, memory, temperature, noise. Stepped once a scan.
+/// The sensor in its surroundings: stage errors, plant, memory, temperature, noise. Stepped once a
+/// scan.
 pub struct Physics {
     scenario: Scenario,
     plant: Box<dyn Plant>,
@@ -103,7 +107,8 @@ impl Physics {
         t.start_degc + t.drift_degc_per_h * t_s / 3600.0 + swing + self.temperature_step_degc
     }
 
-    /// Wavelengths (nm) of reference, first and second sensing grating with the stage at `stage_mm`.
+    /// Wavelengths (nm) of reference, first and second sensing grating with the stage at
+    /// `stage_mm`.
     pub fn step(&mut self, t_s: f64, trajectory: u32, stage_mm: f64) -> [f64; 3] {
         let dt = (t_s - self.last_s).max(0.0);
         self.last_s = t_s;
@@ -141,7 +146,8 @@ impl Physics {
         self.plant.scene()
     }
 
-    /// Carriage past the position of first contact, mm: screw errors and play, from the play's state after the last step.
+    /// Carriage past the position of first contact, mm: screw errors and play, from the play's
+    /// state after the last step.
     fn carriage_mm(&self, stage_mm: f64) -> f64 {
         let e = &self.scenario.effects;
         let screw = (stage_mm - self.scenario.stage.contact_mm()) * (1.0 + e.stage_scale)
@@ -153,7 +159,8 @@ impl Physics {
             .clamp(screw - half, screw + half)
     }
 
-    /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the reference of the play.
+    /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the
+    /// reference of the play.
     pub fn groove_mm(&self, stage_mm: f64) -> f64 {
         self.carriage_mm(stage_mm) + 5e-4 * self.scenario.effects.backlash_um
     }

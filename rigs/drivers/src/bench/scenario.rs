@@ -1,4 +1,5 @@
-//! The scenario file: the truth of a virtual bench. Only the bench reads it, never the program under test.
+//! The scenario file: the truth of a virtual bench. Only the bench reads it, never the program
+//! under test.
 
 mod cameras;
 

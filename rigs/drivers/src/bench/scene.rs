@@ -5,13 +5,15 @@
 pub struct SceneState {
     /// Trajectory that the mount presents.
     pub trajectory: u32,
-    /// Depth of the groove past first contact as declared, mm: screw errors and play are in it, the sensor's delay is not.
+    /// Depth of the groove past first contact as declared, mm: screw errors and play are in it, the
+    /// sensor's delay is not.
     pub depth_mm: f64,
     /// Attitude of the chessboard that is held up; `None`: the bench is seen.
     pub board: Option<usize>,
     /// Exposure relative to the right one.
     pub exposure: f64,
-    /// Motion of the second camera in its own frame since the board was shown: mm, and a rotation vector in degrees.
+    /// Motion of the second camera in its own frame since the board was shown: mm, and a rotation
+    /// vector in degrees.
     pub moved: ([f64; 3], [f64; 3]),
 }
 

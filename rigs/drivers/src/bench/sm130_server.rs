@@ -1,4 +1,5 @@
-//! An sm130 on TCP, written after the tables of docs/src/devices.md (firmware-notes/sm130.md) and independent of the client.
+//! An sm130 on TCP, written after the tables of docs/src/devices.md (firmware-notes/sm130.md) and
+//! independent of the client.
 
 use super::link::Wire;
 use super::scenario::TokenPlace;

@@ -169,7 +169,8 @@ impl BenchState {
         *guard(&self.cameras)
     }
 
-    /// Shows the board in attitude `view`, or takes it away; an attitude that there is not is refused.
+    /// Shows the board in attitude `view`, or takes it away; an attitude that there is not is
+    /// refused.
     pub fn show_board(&self, view: Option<usize>) -> bool {
         let known = view.is_none_or(|k| k < self.scenario.cameras.board_views);
         if known {
@@ -236,7 +237,8 @@ impl BenchState {
         guard(&self.ring).scans.back().copied()
     }
 
-    /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are missing.
+    /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are
+    /// missing.
     pub fn scans_from(&self, from: u64) -> Vec<Scan> {
         let ring = guard(&self.ring);
         let waiting =

@@ -1,4 +1,5 @@
-//! A folder of pictures as a camera: binary PGM (P5, 8 bit), in the order of the number in the name.
+//! A folder of pictures as a camera: binary PGM (P5, 8 bit), in the order of the number in the
+//! name.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

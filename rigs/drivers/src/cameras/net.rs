@@ -1,4 +1,5 @@
-//! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
+//! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey
+//! values.
 
 use crate::host::u32_at;
 use crate::link::Link;
@@ -9,7 +10,8 @@ use wcal_core::device::{
     Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
 };
 
-/// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
+/// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s,
+/// exposure ms (f64).
 const HEADER: usize = 40;
 const MAGIC: &[u8; 4] = b"WCAM";
 /// Largest accepted side of a picture, px.

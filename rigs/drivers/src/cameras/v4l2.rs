@@ -1,4 +1,5 @@
-//! A camera of the Linux kernel (V4L2: UVC and MIPI cameras) through the crate `moq-v4l`; grey values as the sensor gave them.
+//! A camera of the Linux kernel (V4L2: UVC and MIPI cameras) through the crate `moq-v4l`; grey
+//! values as the sensor gave them.
 
 use crate::host::io_error;
 use moq_v4l::buffer::{Flags, Type};
@@ -34,7 +35,8 @@ pub struct V4l2Settings {
     pub size_px: Option<[u32; 2]>,
     /// Pictures per second; the camera's own where absent.
     pub rate_hz: Option<f64>,
-    /// Further controls by the name that the driver gives them (gain, trigger mode), e.g. `("Gain", 12)`.
+    /// Further controls by the name that the driver gives them (gain, trigger mode), e.g.
+    /// `("Gain", 12)`.
     pub controls: Vec<(String, i64)>,
 }
 
@@ -67,8 +69,9 @@ impl V4l2Camera {
     /// Opens e.g. `/dev/video0`.
     ///
     /// # Errors
-    /// `Disconnected` when there is no such device; `Configuration` for a camera without an uncompressed grey or YUYV format, of
-    /// another size or rate than asked for, or without one of the controls.
+    /// `Disconnected` when there is no such device; `Configuration` for a camera without an
+    /// uncompressed grey or YUYV format, of another size or rate than asked for, or without one of
+    /// the controls.
     pub fn open(
         path: &str,
         wanted: &V4l2Settings,
@@ -173,7 +176,8 @@ impl V4l2Camera {
         }
         let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
             .map_err(io("map its buffers"))?;
-        // `next` gives the buffer in hand (the first) back before it takes another: only the others are queued here.
+        // `next` gives the buffer in hand (the first) back before it takes another: only the others
+        // are queued here.
         let queued = (1..BUFFERS as usize)
             .take_while(|i| stream.queue(*i).is_ok())
             .count();
@@ -291,7 +295,8 @@ impl Camera for V4l2Camera {
                 Err(e) => return Err(io_error(&self.name, "grab", &e)),
                 Ok(_) => {}
             }
-            // Asked only when a picture waits: a wait that fails inside `next` would give its buffer back twice.
+            // Asked only when a picture waits: a wait that fails inside `next` would give its
+            // buffer back twice.
             let (bytes, about) = self
                 .stream
                 .next()
@@ -312,7 +317,8 @@ impl Camera for V4l2Camera {
                     format!("{} bytes", used.len()),
                 ));
             };
-            // Stamps of the machine's monotonic clock are common to all cameras of one machine; others cannot be compared.
+            // Stamps of the machine's monotonic clock are common to all cameras of one machine;
+            // others cannot be compared.
             let monotonic = about.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
             let stamp_s = about.timestamp.sec as f64 + about.timestamp.usec as f64 * 1e-6;
             return Ok(CameraFrame {

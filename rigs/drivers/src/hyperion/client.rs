@@ -58,8 +58,8 @@ impl Channel {
         )
     }
 
-    /// Sends a command and returns its response. Responses have no number, but come in the order of their commands: those that are late for
-    /// earlier ones are left out.
+    /// Sends a command and returns its response. Responses have no number, but come in the order of
+    /// their commands: those that are late for earlier ones are left out.
     fn ask(&mut self, command: &str, arguments: &[u8]) -> Result<Response, DeviceError> {
         self.link
             .send(&frame::request(command, arguments, false), command)?;

@@ -59,7 +59,8 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
     Ok(Some((response, total)))
 }
 
-/// Decodes a peak record. A peak that is no wavelength (NaN) is kept: it belongs to no grating, and its scan is marked.
+/// Decodes a peak record. A peak that is no wavelength (NaN) is kept: it belongs to no grating, and
+/// its scan is marked.
 ///
 /// # Errors
 /// What was expected and what was found.

@@ -49,8 +49,8 @@ impl Sm130 {
         self.decoder.skipped()
     }
 
-    /// Sends a command and returns its text reply. Replies have no number, but come in the order of their commands: those that are late for
-    /// earlier ones are left out.
+    /// Sends a command and returns its text reply. Replies have no number, but come in the order of
+    /// their commands: those that are late for earlier ones are left out.
     ///
     /// # Errors
     /// `Timeout`, `Disconnected`, or `Protocol` when a frame came instead of text.

@@ -12,7 +12,8 @@ pub const MAX_PEAKS: usize = 1024;
 /// Wavelengths outside belong to no unit of this family, nm.
 const BAND_NM: std::ops::RangeInclusive<f64> = 1200.0..=1800.0;
 
-/// Stands, like 0, where a peak has no value: it becomes NaN, belongs to no grating, and marks its scan.
+/// Stands, like 0, where a peak has no value: it becomes NaN, belongs to no grating, and marks its
+/// scan.
 const NO_VALUE: u32 = u32::MAX;
 
 /// A decoded frame.
@@ -141,7 +142,8 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
 pub(crate) mod tests {
     use super::*;
 
-    /// A frame written by hand after the table of docs/src/devices.md: two peaks on CH1, one on CH3.
+    /// A frame written by hand after the table of docs/src/devices.md: two peaks on CH1, one on
+    /// CH3.
     pub(crate) fn sample_frame(serial: u32) -> Vec<u8> {
         let mut b = vec![0_u8; HEADER];
         b[12..14].copy_from_slice(&3_u16.to_le_bytes());

@@ -51,7 +51,8 @@ impl StreamDecoder {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// While frames stream, the only text is about streaming: noise that looks like a short text is noise.
+    /// While frames stream, the only text is about streaming: noise that looks like a short text is
+    /// noise.
     pub fn set_streaming(&mut self, on: bool) {
         self.streaming = on;
     }
@@ -105,7 +106,8 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
     let body = &rest[PREFIX..];
     if stated >= HEADER {
         if body.len() < HEADER {
-            // Text of this length would show itself by its first bytes; a frame starts with a binary header.
+            // Text of this length would show itself by its first bytes; a frame starts with a
+            // binary header.
             return Parsed::NeedMore;
         }
         if let Ok(length) = frame::frame_length(body)

@@ -22,7 +22,8 @@ const SPEED_STEPS: f64 = 9.375;
 const HALT: Duration = Duration::from_secs(3);
 /// Pause between polls while it comes to rest.
 const POLL: Duration = Duration::from_millis(5);
-/// Firmware, times 100, from which on the home status is its own setting; before, it is a bit of the device mode.
+/// Firmware, times 100, from which on the home status is its own setting; before, it is a bit of
+/// the device mode.
 const OWN_HOME_STATUS: i32 = 600;
 const MODE_HOMED: i32 = 1 << 7;
 
@@ -160,7 +161,8 @@ impl Stage for ZaberBinary {
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
-        // Status first: a motion that ends between the two questions must not leave a position from before its end.
+        // Status first: a motion that ends between the two questions must not leave a position from
+        // before its end.
         let moving = self.ask(command::RETURN_STATUS, 0)? != 0;
         let steps = self.ask(command::RETURN_CURRENT_POSITION, 0)?;
         let host_s = self.clock.now_s();
@@ -199,7 +201,8 @@ impl Stage for ZaberBinary {
         })
     }
 
-    /// The protocol keeps no flag of a stall: whether one was before is not known, and the reference is searched anew.
+    /// The protocol keeps no flag of a stall: whether one was before is not known, and the
+    /// reference is searched anew.
     fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
         self.target_steps = None;
         Ok(vec!["a stall is not reported".to_owned()])
@@ -224,12 +227,14 @@ impl Stage for ZaberBinary {
     }
 }
 
-/// Whether a unit of this number answers in the binary protocol: an echo moves nothing and changes nothing.
+/// Whether a unit of this number answers in the binary protocol: an echo moves nothing and changes
+/// nothing.
 pub(crate) fn answers(place: &Port, number: u8, interrupt: &Interrupt, connect: &Connect) -> bool {
     BinaryLine::open(place, number, interrupt, connect).is_ok_and(|mut line| {
         let deadline = Deadline::after(REPLY, interrupt);
         if let Some(port) = &mut line.port {
-            // A unit forgets a message that stops for 10 ms: what it was asked in another protocol is gone.
+            // A unit forgets a message that stops for 10 ms: what it was asked in another protocol
+            // is gone.
             port.backend_mut().drain(QUIET);
         }
         line.catch_up(&deadline).is_ok()

@@ -133,7 +133,8 @@ impl Chain {
         Ok(chain)
     }
 
-    /// Opens a serial port at the first speed at which the unit of this address replies; where none does, at one where another unit does.
+    /// Opens a serial port at the first speed at which the unit of this address replies; where none
+    /// does, at one where another unit does.
     ///
     /// # Errors
     /// `Timeout` when no unit replies at any speed.
@@ -174,8 +175,8 @@ impl Chain {
         ))
     }
 
-    /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All who share the chain go on with the
-    /// new one.
+    /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All
+    /// who share the chain go on with the new one.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -282,10 +283,12 @@ impl Chain {
         &self.name
     }
 
-    /// Sends a command that may be sent again without harm (absolute moves and questions are), and returns its reply.
+    /// Sends a command that may be sent again without harm (absolute moves and questions are), and
+    /// returns its reply.
     ///
     /// # Errors
-    /// `Rejected` with the unit's reason, `Timeout` or `Protocol` after some attempts, `Disconnected`, `Interrupted`.
+    /// `Rejected` with the unit's reason, `Timeout` or `Protocol` after some attempts,
+    /// `Disconnected`, `Interrupted`.
     pub fn ask(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
         self.repeatedly(device, axis, command, &self.interrupt.clone())
     }
@@ -369,8 +372,8 @@ impl Chain {
         }
     }
 
-    /// The reply of this unit and axis with the number of this command; alerts, info, replies of others and late ones are passed over
-    /// until the deadline.
+    /// The reply of this unit and axis with the number of this command; alerts, info, replies of
+    /// others and late ones are passed over until the deadline.
     fn once(
         &mut self,
         (device, axis): (u8, u8),

@@ -27,7 +27,8 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
     })
 }
 
-/// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has to look first.
+/// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has
+/// to look first.
 pub fn is_latched(flag: &str) -> bool {
     ["FS", "FE", "WS", "WM", "WL"].contains(&flag)
 }
@@ -49,7 +50,8 @@ pub fn remedy(flag: &str) -> &'static str {
     }
 }
 
-/// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
+/// The first flag of a list that forbids measuring. While homing a missing reference is no
+/// obstacle.
 pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {
     flags.iter().find_map(|flag| {
         let (kind, text) = meaning(flag)?;

@@ -17,8 +17,8 @@ pub use mount::ZaberMount;
 pub use stage::ZaberStage;
 pub use wire::Port;
 
-/// Largest difference between a travel that is stated and that of the unit's limit: a microstep size that is wrong by 0.2 % scales every
-/// position.
+/// Largest difference between a travel that is stated and that of the unit's limit: a microstep
+/// size that is wrong by 0.2 % scales every position.
 const TRAVEL_TOLERANCE: f64 = 1e-3;
 
 /// Refuses a travel that is not the one stated.

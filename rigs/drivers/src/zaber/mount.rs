@@ -14,7 +14,8 @@ use wcal_core::rig_devices::MountRig;
 
 /// Longest reference search of a mount (wall time).
 const HOME: Duration = Duration::from_secs(60);
-/// Farthest that it may stand from its target, microsteps: above the play of a closed loop, below any angle that matters.
+/// Farthest that it may stand from its target, microsteps: above the play of a closed loop, below
+/// any angle that matters.
 const ARRIVAL_STEPS: i64 = 50;
 /// Pause between polls while it turns.
 const POLL: Duration = Duration::from_millis(5);
@@ -30,7 +31,8 @@ pub struct ZaberMount {
 }
 
 impl ZaberMount {
-    /// The mount of a rig on an open chain; `None` where the whisker is turned by hand. Moves nothing.
+    /// The mount of a rig on an open chain; `None` where the whisker is turned by hand. Moves
+    /// nothing.
     ///
     /// # Errors
     /// What the unit reports, or a travel that is not the one stated.
@@ -73,7 +75,8 @@ impl ZaberMount {
             .to_mm(i64::from(trajectory) as f64 * self.steps_per_trajectory as f64)
     }
 
-    /// Waits for the end of a motion and gives back where it ended; a mount that does not get there is stopped.
+    /// Waits for the end of a motion and gives back where it ended; a mount that does not get there
+    /// is stopped.
     fn until_standing(&mut self, allowed: Duration) -> Result<f64, DeviceError> {
         let deadline = Deadline::after(allowed, &self.interrupt);
         let result = loop {

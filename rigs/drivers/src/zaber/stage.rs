@@ -41,8 +41,8 @@ pub struct ZaberStage {
 }
 
 impl ZaberStage {
-    /// An axis of an open chain with its microstep size (from rig.toml: the protocol does not report it). Reads travel and speed; moves
-    /// nothing.
+    /// An axis of an open chain with its microstep size (from rig.toml: the protocol does not
+    /// report it). Reads travel and speed; moves nothing.
     ///
     /// # Errors
     /// When the unit does not answer or its limit is no number.

@@ -1,6 +1,7 @@
 //! Units of Zaber's protocols: microsteps, and speed and acceleration data that count them.
 //!
-//! Source: the protocol manuals' conversion `data = v / microstep * 1.6384` (firmware-notes/zaber-lsm100a.md).
+//! Source: the protocol manuals' conversion `data = v / microstep * 1.6384`
+//! (firmware-notes/zaber-lsm100a.md).
 
 /// Speed data per microstep per second.
 const SPEED_FACTOR: f64 = 1.6384;

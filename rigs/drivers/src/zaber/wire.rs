@@ -1,4 +1,5 @@
-//! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed out" and one deadline an exchange.
+//! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed
+//! out" and one deadline an exchange.
 
 use crate::{link, trouble};
 use serialport::{SerialPort, TTYPort};
@@ -31,12 +32,14 @@ impl std::fmt::Display for Port {
     }
 }
 
-/// A link that carries bytes. Sending and receiving end with the deadline, whatever the other end does.
+/// A link that carries bytes. Sending and receiving end with the deadline, whatever the other end
+/// does.
 pub trait ByteLink: std::fmt::Debug {
     /// Bytes that arrive, at least one.
     ///
     /// # Errors
-    /// `TimedOut` when none came, `BrokenPipe` when the other end is gone, else what the system says.
+    /// `TimedOut` when none came, `BrokenPipe` when the other end is gone, else what the system
+    /// says.
     fn receive(&mut self, into: &mut [u8], deadline: &Deadline) -> io::Result<usize>;
     /// Sends some of the bytes.
     ///
@@ -78,7 +81,8 @@ impl ByteLink for TTYPort {
     }
 }
 
-/// Opens a port of the system; a serial port exclusively, 8N1, without touching DTR or RTS (a pseudo-terminal has none).
+/// Opens a port of the system; a serial port exclusively, 8N1, without touching DTR or RTS (a
+/// pseudo-terminal has none).
 ///
 /// # Errors
 /// What the system reports; `ResourceBusy` where another process has the port.
@@ -107,7 +111,8 @@ pub fn connect(port: &Port, deadline: &Deadline) -> io::Result<Box<dyn ByteLink>
     }
 }
 
-/// An open link, buffered. Reading and writing end with the deadline of the exchange, however much the other end sends.
+/// An open link, buffered. Reading and writing end with the deadline of the exchange, however much
+/// the other end sends.
 #[derive(Debug)]
 pub struct Wire {
     link: Box<dyn ByteLink>,
@@ -161,7 +166,8 @@ impl Wire {
         self.link.pause(pause, deadline);
     }
 
-    /// Throws away what has arrived and what still arrives within `quiet`, for a tenth of a second at most.
+    /// Throws away what has arrived and what still arrives within `quiet`, for a tenth of a second
+    /// at most.
     pub fn drain(&mut self, quiet: Duration) {
         let before = (self.timeout, self.deadline.clone());
         self.timeout = Some(quiet);
@@ -183,7 +189,8 @@ impl Wire {
 impl Read for Wire {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         if self.at == self.buffer.len() {
-            // A unit that never stops sending does not prolong the exchange; what came while this program did not get to run is read.
+            // A unit that never stops sending does not prolong the exchange; what came while this
+            // program did not get to run is read.
             if self.deadline.is_over() && std::mem::replace(&mut self.looked, true) {
                 return Err(ErrorKind::TimedOut.into());
             }

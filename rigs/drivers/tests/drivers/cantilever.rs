@@ -1,10 +1,12 @@
-//! A wire for the bench of these tests: first-order compliance of the curved wire with a cubic term, quasi-static, frictionless.
+//! A wire for the bench of these tests: first-order compliance of the curved wire with a cubic
+//! term, quasi-static, frictionless.
 //!
 //! ```text
 //! m = arm F,   F = d / C (1 + CUBIC (d / reach)^2),   C = integral of |m_b|^2 / E I + m_t^2 / G J along s under a unit force
 //! ```
 //!
-//! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics of Materials").
+//! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics
+//! of Materials").
 
 use nalgebra::Vector3;
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};

@@ -40,7 +40,8 @@ impl Mount for NoMount {
     }
 }
 
-/// A bench whose `[interrogator]` has `extra` too; no cameras unless `extra` ends in a `[cameras]` table.
+/// A bench whose `[interrogator]` has `extra` too; no cameras unless `extra` ends in a `[cameras]`
+/// table.
 pub fn bench(extra: &str) -> VirtualBench {
     let cameras = if extra.contains("[cameras]") {
         ""

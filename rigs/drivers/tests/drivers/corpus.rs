@@ -1,4 +1,5 @@
-//! The sm130 byte corpus (tests/corpus, written by a program of its own): every framing variant, cut in every way.
+//! The sm130 byte corpus (tests/corpus, written by a program of its own): every framing variant,
+//! cut in every way.
 
 use serde_json::Value;
 use std::path::Path;
@@ -65,7 +66,8 @@ fn every_stream_of_the_corpus_decodes_however_it_is_cut() {
     }
 }
 
-/// Negative control: one wrong byte anywhere in a frame's checked fields costs that frame, never the others.
+/// Negative control: one wrong byte anywhere in a frame's checked fields costs that frame, never
+/// the others.
 #[test]
 fn a_wrong_byte_costs_at_most_its_own_frame() {
     let (_, _, bytes) = cases().into_iter().find(|c| c.0 == "token_inside").unwrap();

@@ -1,5 +1,6 @@
-//! The fault table: every fault of the virtual bench has a named outcome, a stage that stands, a session that opens, and
-//! the documented exit code. Two runs a fault: on the move, and at rest at another step.
+//! The fault table: every fault of the virtual bench has a named outcome, a stage that stands, a
+//! session that opens, and the documented exit code. Two runs a fault: on the move, and at rest at
+//! another step.
 
 use crate::common::{NoMount, PLAN, bench, order, rows};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +18,8 @@ use wcal_drivers::bench::faults::Fault;
 enum Outcome {
     /// It stops with a fault of this kind, exit code 1.
     Stops(Kind),
-    /// It goes on and finishes: nothing is lost, exit code 0 (3 where the computer itself was late).
+    /// It goes on and finishes: nothing is lost, exit code 0 (3 where the computer itself was
+    /// late).
     Survives,
     /// It finishes with exit code 3, and a warning says so.
     Warns(&'static str),
@@ -74,7 +76,8 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, moving: bool) {
             assert_eq!(recorded.exit_code(), 1);
         }
         (Outcome::Survives, Ending::Finished) => {
-            // A computer that is busy with other things delays scans, which is said; the fault itself leaves no warning.
+            // A computer that is busy with other things delays scans, which is said; the fault
+            // itself leaves no warning.
             let busy = |w: &String| {
                 w.contains(" scans late, by up to ")
                     || w.starts_with("0 rows with scans missing and ")
@@ -256,7 +259,8 @@ fn a_peak_without_a_value_is_counted_and_twenty_in_a_row_are_a_lost_peak() {
     );
 }
 
-/// The user wants an end while no reply comes: the sweep hears it at once, and tries to stop all the same.
+/// The user wants an end while no reply comes: the sweep hears it at once, and tries to stop all
+/// the same.
 #[test]
 fn an_interrupt_is_heard_while_a_question_waits() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
@@ -363,7 +367,8 @@ fn drifts_of_the_clock_and_of_the_signal_are_warned_of() {
         "",
         Outcome::Warns("clock drifts"),
     );
-    // Past the gate of 3 pm/s, and slow enough that no peak leaves its window of 0.7 nm while the sweep lasts.
+    // Past the gate of 3 pm/s, and slow enough that no peak leaves its window of 0.7 nm while the
+    // sweep lasts.
     several(
         Fault::SignalDrift { pm_per_s: 8.0 },
         "",

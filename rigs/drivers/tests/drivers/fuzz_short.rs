@@ -1,4 +1,5 @@
-//! The targets of `fuzz/` on a short random corpus: any bytes, no panic, and what holds for every input.
+//! The targets of `fuzz/` on a short random corpus: any bytes, no panic, and what holds for every
+//! input.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -19,7 +20,8 @@ fn items(bytes: &[u8], step: usize) -> Vec<String> {
     items
 }
 
-/// Bytes near the truth find more than noise does: a stream of the corpus, with some bytes replaced.
+/// Bytes near the truth find more than noise does: a stream of the corpus, with some bytes
+/// replaced.
 fn damaged_stream() -> impl Strategy<Value = Vec<u8>> {
     let corpus = include_bytes!("../corpus/token_inside.bin");
     vec((0..corpus.len(), any::<u8>()), 0..12).prop_map(|changes| {

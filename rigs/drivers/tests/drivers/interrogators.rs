@@ -226,7 +226,8 @@ fn pairs_are_of_one_trigger_and_their_skew_is_measured() {
     assert_eq!(pair.refused(), 0);
 }
 
-/// A scene that writes down what it is asked: first pixels trajectory, depth in 0.1 mm, board's attitude, camera; later ones their column.
+/// A scene that writes down what it is asked: first pixels trajectory, depth in 0.1 mm, board's
+/// attitude, camera; later ones their column.
 struct Told;
 
 impl Plant for Told {
@@ -307,7 +308,8 @@ fn pairs_past_the_limit_and_a_frozen_camera_are_refused() {
     assert!(frozen.is_some());
 }
 
-/// Records `bench_s` seconds at 2 kHz, ten times as fast as real time or as fast as the machine can, and counts what the file holds.
+/// Records `bench_s` seconds at 2 kHz, ten times as fast as real time or as fast as the machine
+/// can, and counts what the file holds.
 fn recorded_without_a_gap(bench_s: f64) -> u64 {
     let (bench, dir) = (self::bench("speed = 10"), tempfile::tempdir().unwrap());
     let path = dir.path().join("recording.mcap");
@@ -363,7 +365,8 @@ fn ten_minutes_at_two_kilohertz_are_recorded_without_a_gap() {
     assert!(recorded_without_a_gap(600.0) >= 1_200_000);
 }
 
-/// A unit on a port of its own: waits for `owed` bytes, sends `late`, and answers each further message with one of `more`.
+/// A unit on a port of its own: waits for `owed` bytes, sends `late`, and answers each further
+/// message with one of `more`.
 fn unit(owed: usize, late: Vec<u8>, more: Vec<Vec<u8>>) -> (String, std::thread::JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
@@ -382,7 +385,8 @@ fn unit(owed: usize, late: Vec<u8>, more: Vec<Vec<u8>>) -> (String, std::thread:
     (address, thread)
 }
 
-/// A command that was given up, here by an interrupt: its reply comes later, and answers no other command.
+/// A command that was given up, here by an interrupt: its reply comes later, and answers no other
+/// command.
 #[test]
 fn late_replies_of_interrogators_are_left_out() {
     let text = |t: &str| format!("{:010}{t}\n", t.len() + 1).into_bytes();

@@ -1,4 +1,5 @@
-//! What must hold however a sweep ends: limits, a stage that stands, each pose once, tables of what was measured.
+//! What must hold however a sweep ends: limits, a stage that stands, each pose once, tables of what
+//! was measured.
 
 use crate::common::{Disk, NoMount, PLAN, bench, go, order, rows};
 use std::collections::BTreeSet;

@@ -1,5 +1,7 @@
-//! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command moves the stage past a limit, no run ends with
-//! the stage moving or a stop unconfirmed, and the units keep the speeds that they had. Each run is its number's: `WCAL_PROPERTY_FIRST` and `WCAL_PROPERTY_RUNS` say which.
+//! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command
+//! moves the stage past a limit, no run ends with the stage moving or a stop unconfirmed, and the
+//! units keep the speeds that they had. Each run is its number's: `WCAL_PROPERTY_FIRST` and
+//! `WCAL_PROPERTY_RUNS` say which.
 
 use crate::cantilever::Cantilever;
 use crate::common::{Disk, NoMount};
@@ -198,7 +200,8 @@ fn run(
     }
 }
 
-/// The first wrong thing of a run: a command past a limit, a stage that moves or a stop that is not confirmed at the end, another speed.
+/// The first wrong thing of a run: a command past a limit, a stage that moves or a stop that is not
+/// confirmed at the end, another speed.
 fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Option<String> {
     let [low, high] = case.limits_mm;
     let past = |mm: f64| !(low - STEP_MM..=high + STEP_MM).contains(&mm);
@@ -220,7 +223,8 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
     {
         return Some(format!("the stop is not confirmed: {result:?}"));
     }
-    // Nothing is wrong with the stage: the wire is left free, unless its reference was still being searched.
+    // Nothing is wrong with the stage: the wire is left free, unless its reference was still being
+    // searched.
     if let (Trouble::FullDisk, Ok(RecordResult { sweep, .. })) = (case.trouble, result)
         && !moves.is_empty()
         && matches!(&sweep.ending, Ending::Stopped { stage, cause } if cause.device == "recorder" && *stage != StageEnd::Retracted)

@@ -14,7 +14,8 @@ mod limits_property;
 mod odd_numbers;
 mod tap;
 mod tapped;
-/// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
+/// `make test` runs these before all others in the machine's favour, and those beside them with
+/// `--skip keeps_time::`.
 #[path = "."]
 mod keeps_time {
     mod corpus;

@@ -1,4 +1,5 @@
-//! The stage driver against the virtual stage, over TCP and the pseudo-terminal, in good and bad weather.
+//! The stage driver against the virtual stage, over TCP and the pseudo-terminal, in good and bad
+//! weather.
 
 use crate::common::start;
 use std::cell::RefCell;
@@ -149,7 +150,8 @@ fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
     assert_eq!(stage.chain().borrow().repeats(), repeats);
 }
 
-/// Both protocols: a reply that comes when its question was given up answers no other question, then or later.
+/// Both protocols: a reply that comes when its question was given up answers no other question,
+/// then or later.
 #[test]
 fn a_late_reply_answers_its_own_question_alone() {
     for protocol in ["ascii", "binary"] {
@@ -294,8 +296,9 @@ fn two_thousand_commands_lose_no_reply() {
     assert!(commands_lose_no_reply(2000) < 10);
 }
 
-/// None goes unanswered (that would be an error); a machine that stands still for 0.4 s makes a reply late, and it is asked for
-/// again: 3 times in 100,000 on two busy cores. Run with `--ignored`.
+/// None goes unanswered (that would be an error); a machine that stands still for 0.4 s makes a
+/// reply late, and it is asked for again: 3 times in 100,000 on two busy cores. Run with
+/// `--ignored`.
 #[test]
 #[ignore = "takes a minute"]
 fn a_hundred_thousand_commands_lose_no_reply() {
@@ -323,7 +326,8 @@ fn mount_rig(address: u8) -> MountRig {
     }
 }
 
-/// The port has an exclusive lock, which the old handle holds: it goes first, while stage and mount of the lost link are still there.
+/// The port has an exclusive lock, which the old handle holds: it goes first, while stage and mount
+/// of the lost link are still there.
 #[test]
 fn a_serial_port_that_was_lost_is_opened_again() {
     let clock = HostClock::start(10.0);

@@ -1,4 +1,5 @@
-//! Sweeps against the virtual bench: good weather, interruptions, resuming, limits. Faults: faults.rs.
+//! Sweeps against the virtual bench: good weather, interruptions, resuming, limits. Faults:
+//! faults.rs.
 
 use crate::common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
@@ -72,8 +73,9 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
             row.samples
         );
     }
-    // Rows on the fly are where the stage was: their shifts lie on the settled curve. A row is the mean of ten scans of 1 pm: 0.3 pm; a stamp of
-    // the stage that is some milliseconds late is some tenths of a picometre at 1 mm/s, and tens of milliseconds on a busy computer.
+    // Rows on the fly are where the stage was: their shifts lie on the settled curve. A row is the
+    // mean of ten scans of 1 pm: 0.3 pm; a stamp of the stage that is some milliseconds late is
+    // some tenths of a picometre at 1 mm/s, and tens of milliseconds on a busy computer.
     let moving = data
         .rows
         .iter()
@@ -96,10 +98,12 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
         middle < 1.0 && worst < 5.0,
         "{middle} pm in the middle, {worst} pm at worst"
     );
-    // Negative control: a stage that is elsewhere by a tenth of a millimetre, as after a tenth of a second, is seen.
+    // Negative control: a stage that is elsewhere by a tenth of a millimetre, as after a tenth of a
+    // second, is seen.
     let elsewhere = off_pm(0.1);
     assert!(elsewhere[elsewhere.len() / 2] > 1.0, "{elsewhere:?}");
-    // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll (8 ms of wall time).
+    // The device clock is two minutes ahead of the host's; the delay between the devices is below
+    // the poll (8 ms of wall time).
     assert!(
         reduction.clocks[0].offset_s > 60.0,
         "{:?}",
@@ -276,8 +280,8 @@ impl Plant for Stalls {
     }
 }
 
-/// Neither its stage nor its interrogator is blamed for a bench that did not get to run: its time stood, and it knows for how long. A device
-/// that is silent while its bench runs is (faults.rs).
+/// Neither its stage nor its interrogator is blamed for a bench that did not get to run: its time
+/// stood, and it knows for how long. A device that is silent while its bench runs is (faults.rs).
 #[test]
 fn a_bench_that_does_not_run_lets_its_time_stand() {
     let text = format!(
@@ -300,7 +304,8 @@ fn a_bench_that_does_not_run_lets_its_time_stand() {
     assert!(found.is_some_and(|s| s > 2.5 * SPEED), "{found:?}");
 }
 
-/// Every settled pose has its pair of pictures, in the session and, the same bytes, in the recording; between them there are small ones.
+/// Every settled pose has its pair of pictures, in the session and, the same bytes, in the
+/// recording; between them there are small ones.
 #[test]
 fn settled_poses_have_their_pictures_and_reduce_rebuilds_them_bit_for_bit() {
     let bench = bench("\n[cameras]\ncount = 2\n");
@@ -331,7 +336,8 @@ fn settled_poses_have_their_pictures_and_reduce_rebuilds_them_bit_for_bit() {
         found
     };
     let before = all(&pictures);
-    // Each was exposed while its pose was held: after arrival and not long after the averaging window, whose end is t_s of the row.
+    // Each was exposed while its pose was held: after arrival and not long after the averaging
+    // window, whose end is t_s of the row.
     let table = String::from_utf8(before.last().unwrap().1.clone()).unwrap();
     for line in table.lines().skip(1) {
         let cells: Vec<&str> = line.split(',').collect();

@@ -1,5 +1,6 @@
-//! A tap on the line between the drivers and the virtual units: every command as the unit hears it, with its target in mm, and faults at
-//! commands of the test's choice. In this process, in bench time: nothing sleeps.
+//! A tap on the line between the drivers and the virtual units: every command as the unit hears it,
+//! with its target in mm, and faults at commands of the test's choice. In this process, in bench
+//! time: nothing sleeps.
 //!
 //! ```text
 //! drivers -> bytes -> Line (tap: log, faults) -> ascii::parse, Unit | BinaryUnit -> bytes -> drivers
@@ -31,7 +32,8 @@ const ON_THE_LINE_S: f64 = 1.5e-3;
 /// What a command asks of a unit.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Order {
-    /// To move to this position, mm of the unit's own scale; relative moves and those to an end are resolved.
+    /// To move to this position, mm of the unit's own scale; relative moves and those to an end are
+    /// resolved.
     Move(f64),
     /// To search the reference: to 0 mm.
     Home,
@@ -102,7 +104,8 @@ impl Tap {
         }
     }
 
-    /// The drivers of this bench, for `record` or on their own. The port of the rig is not looked at.
+    /// The drivers of this bench, for `record` or on their own. The port of the rig is not looked
+    /// at.
     pub fn devices(&self, interrupt: &Interrupt) -> TapDevices {
         let tap = self.clone();
         let connect = Rc::new(move |_: &_, _: &_| tap.open());
@@ -117,7 +120,8 @@ impl Tap {
         self.bench.pause(time);
     }
 
-    /// Something goes wrong at the command of this number, counted from 0 from the first opening on.
+    /// Something goes wrong at the command of this number, counted from 0 from the first opening
+    /// on.
     pub fn at(&self, command: usize, fault: TapFault) {
         self.state().faults.insert(command, fault);
     }

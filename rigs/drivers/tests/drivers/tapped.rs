@@ -1,4 +1,5 @@
-//! What the units are told in a sweep, byte by byte: order of the motions, speeds put back, lost ports, flags after a stall, T-series.
+//! What the units are told in a sweep, byte by byte: order of the motions, speeds put back, lost
+//! ports, flags after a stall, T-series.
 
 use crate::cantilever::Cantilever;
 use crate::common::{NoMount, PLAN, rows};

@@ -1,4 +1,5 @@
-//! The stage maker's own client (zaber-motion, from PyPI, in a virtual environment of its own) against the virtual stage.
+//! The stage maker's own client (zaber-motion, from PyPI, in a virtual environment of its own)
+//! against the virtual stage.
 
 use crate::common::start;
 use std::path::{Path, PathBuf};
@@ -28,8 +29,8 @@ fn python() -> PathBuf {
     python
 }
 
-/// TCP and PTY, with and without checksums; a lost reply as negative control. The client is told the addresses and asks
-/// for faults on its output.
+/// TCP and PTY, with and without checksums; a lost reply as negative control. The client is told
+/// the addresses and asks for faults on its output.
 #[test]
 #[ignore = "fetches zaber-motion from PyPI; `make peers` runs it"]
 fn the_makers_client_works_against_the_virtual_stage() {

@@ -1,4 +1,5 @@
-//! V4L2 cameras against kernel.c: the kernel's side of the interface, preloaded into this program (SIMULATED pictures, no unit).
+//! V4L2 cameras against kernel.c: the kernel's side of the interface, preloaded into this program
+//! (SIMULATED pictures, no unit).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::path::PathBuf;

@@ -1,11 +1,13 @@
-//! What is drawn: effects of a scenario with sizes in standard deviations of a session, plan, rate and pictures.
+//! What is drawn: effects of a scenario with sizes in standard deviations of a session, plan, rate
+//! and pictures.
 //!
 //! ```text
 //! size = smallest(plan) * sqrt(500 Hz / rate) * u,   ln u uniform in [0, ln 8]; one in four from there to the largest size that is usual
 //! ```
 //!
-//! `smallest` is what verify.json states for a session of the plan without an effect: the size found with 90 % power, some five standard
-//! deviations. So sizes lie between five and forty of them, and beyond where the model's own error shows.
+//! `smallest` is what verify.json states for a session of the plan without an effect: the size
+//! found with 90 % power, some five standard deviations. So sizes lie between five and forty of
+//! them, and beyond where the model's own error shows.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,7 +19,8 @@ pub const REFERENCE_HZ: f64 = 500.0;
 /// Largest size over the smallest detectable one, and the share of those beyond it.
 const SPAN: f64 = 8.0;
 const BEYOND: f64 = 0.25;
-/// A drift that begins halfway is left by a linear one as a quarter of its size (standard deviations over a session).
+/// A drift that begins halfway is left by a linear one as a quarter of its size (standard
+/// deviations over a session).
 const HALFWAY: f64 = 4.0;
 
 /// An effect that the bench can have.
@@ -28,7 +31,8 @@ pub struct Effect {
     key: &'static str,
     /// Size in the unit of verify.json over that of the scenario.
     per_key: f64,
-    /// Largest size that such a part has, in the scenario's unit; drawn up to here where the plan cannot show the effect.
+    /// Largest size that such a part has, in the scenario's unit; drawn up to here where the plan
+    /// cannot show the effect.
     largest: f64,
     /// Parameter of verify.json that is the size.
     parameter: &'static str,
@@ -82,7 +86,8 @@ pub const EFFECTS: [Effect; 10] = [
     effect("stage-scale", "stage_scale", 1.0, 0.02, "relative_scale"),
 ];
 
-/// Smallest detectable size of each effect in a session without one; none where the plan does not show it.
+/// Smallest detectable size of each effect in a session without one; none where the plan does not
+/// show it.
 pub type Smallest = BTreeMap<String, Option<f64>>;
 
 /// The sizes that a verify.json states.
@@ -234,8 +239,8 @@ pub fn reference(seed: u64, plan: &'static str) -> Draw {
     }
 }
 
-/// Draw `k` of a set. Of ten draws of a plan two are without an effect, two have two, one has something outside the catalogue, and five have one:
-/// each in turn.
+/// Draw `k` of a set. Of ten draws of a plan two are without an effect, two have two, one has
+/// something outside the catalogue, and five have one: each in turn.
 pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Smallest) -> Draw {
     let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(0x9e37_79b9).wrapping_add(k));
     let rate_hz = [200.0, 500.0, 1000.0, 2000.0][rng.random_range(0..4)];

@@ -1,10 +1,11 @@
-//! The exam of `wcal verify` on what the program records itself: scenarios drawn by seed, served by the virtual bench, swept, verified (SIMULATED).
+//! The exam of `wcal verify` on what the program records itself: scenarios drawn by seed, served by
+//! the virtual bench, swept, verified (SIMULATED).
 //!
-//! `cargo run --example bench_exam -- [--draws N] [--seed S] [--plan rich|paper-27|both] [--benches N] [--wcal PATH] [--keep DIR]
-//! [--json FILE]`
+//! `cargo run --example bench_exam -- [--draws N] [--seed S] [--plan rich|paper-27|both] [--benches N] [--wcal PATH] [--keep DIR] [--json FILE]`
 //!
-//! First a session of each plan without an effect tells the smallest detectable sizes; the others are drawn by them (draw.rs). `--benches` run
-//! beside each other. Sessions that `--keep` holds already are verified anew, not recorded again.
+//! First a session of each plan without an effect tells the smallest detectable sizes; the others
+//! are drawn by them (draw.rs). `--benches` run beside each other. Sessions that `--keep` holds
+//! already are verified anew, not recorded again.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

@@ -30,7 +30,8 @@ fn names(list: &Value) -> Names {
         .collect()
 }
 
-/// Whether the stated intervals hold what was put in; none where the answer is another law of the effect, with other parameters.
+/// Whether the stated intervals hold what was put in; none where the answer is another law of the
+/// effect, with other parameters.
 fn covers(effect: &Value, act: &Act) -> Option<Vec<bool>> {
     let inside = |(name, truth): (&str, f64)| {
         let own = effect["parameters"]
@@ -93,7 +94,8 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
         .flatten()
         .collect();
     let missed = covered.iter().filter(|c| !**c).count();
-    // A compensated shift has the noise of two gratings: settled rows average one second, rows in motion 20 ms.
+    // A compensated shift has the noise of two gratings: settled rows average one second, rows in
+    // motion 20 ms.
     let truth_pm = |samples: f64| (2.0 / samples).sqrt();
     let floor = |key: &str, samples: f64| Some(v["noise_floor"][key].as_f64()? / truth_pm(samples));
     let floors = [
@@ -136,7 +138,8 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
 /// Farthest ratio of a stated floor to the true one.
 const NEAR: f64 = 1.3;
 
-/// Prints the table: shares with exact 95 % bounds (Clopper-Pearson). A goal is met where the share reaches it, shown where its bound does.
+/// Prints the table: shares with exact 95 % bounds (Clopper-Pearson). A goal is met where the share
+/// reaches it, shown where its bound does.
 pub fn table(scores: &[Score]) -> Vec<Value> {
     let mut rows = Vec::new();
     let mut row = |name: &str, goal: Option<(bool, f64)>, hits: usize, of: usize| {

@@ -1,5 +1,6 @@
-//! A session of the program alone: `stage-sweep`, then `verify`. The bench is in the sweep's process, where nothing waits and a seed gives the
-//! same recording on every computer; with pictures it is `virtual-bench`, and `stereo-calibrate` and `stereo-shape` come before `verify`.
+//! A session of the program alone: `stage-sweep`, then `verify`. The bench is in the sweep's
+//! process, where nothing waits and a seed gives the same recording on every computer; with
+//! pictures it is `virtual-bench`, and `stereo-calibrate` and `stereo-shape` come before `verify`.
 
 use crate::Options;
 use crate::board_pictures::board_pictures;

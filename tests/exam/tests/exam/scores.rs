@@ -191,7 +191,8 @@ fn exam_runs_a_program_and_sums_up() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("stand-in");
-    // Says "adequate" to every session but the second, of which it leaves nothing, and is slow on the third.
+    // Says "adequate" to every session but the second, of which it leaves nothing, and is slow on
+    // the third.
     std::fs::write(
         &program,
         "#!/bin/sh\nmkdir -p \"$4\"\ncase \"$2\" in *case-002) exit 1;; *case-003) exec sleep 30;; esac\n\
@@ -325,7 +326,8 @@ fn answers_on_noise_are_scored_by_what_was_put_in() {
         draw_under(&request, noise, Make::Usual).unwrap()
     };
     let judge = |case: &Case, document: Value| score("c", case, &document, "", 0.0, Some(0));
-    // A gross reading: marked alone, by the list or by the note, or named as an outlier; not missed, not with others.
+    // A gross reading: marked alone, by the list or by the note, or named as an outlier; not
+    // missed, not with others.
     let gross = (0..)
         .map(|s| noisy(Noise::OneGross, s))
         .find(|c| c.truth.flagged[0].source == "points.csv");

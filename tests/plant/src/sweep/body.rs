@@ -1,4 +1,5 @@
-//! Rigid objects that a wire slides over: a convex outline in the plane (u, v), extruded along its own axis.
+//! Rigid objects that a wire slides over: a convex outline in the plane (u, v), extruded along its
+//! own axis.
 //!
 //! ```text
 //! ellipse       u^2/a^2 + v^2/b^2 = 1
@@ -70,7 +71,8 @@ impl Outline {
         }
     }
 
-    /// Signed distance (mm, positive outside) and outward normal at the nearest point of the outline.
+    /// Signed distance (mm, positive outside) and outward normal at the nearest point of the
+    /// outline.
     pub fn closest(&self, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
         match *self {
             Self::Ellipse { a_mm, b_mm } => ellipse(a_mm, b_mm, at),
@@ -106,7 +108,8 @@ impl Outline {
     }
 }
 
-/// Nearest point of an ellipse by its angle: Newton's iteration on `d/dt |(a cos t, b sin t) - p|^2 = 0` in the first quadrant, bracketed.
+/// Nearest point of an ellipse by its angle: Newton's iteration on
+/// `d/dt |(a cos t, b sin t) - p|^2 = 0` in the first quadrant, bracketed.
 fn ellipse(a: f64, b: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
     let p = at.abs();
     let (mut low, mut high) = (0.0, FRAC_PI_2);
@@ -184,7 +187,8 @@ impl Body {
         body
     }
 
-    /// Signed distance (mm) and outward normal of the surface at the point nearest to a place in the world; the ends are far away.
+    /// Signed distance (mm) and outward normal of the surface at the point nearest to a place in
+    /// the world; the ends are far away.
     pub fn closest(&self, place_mm: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let local = self.turn.tr_mul(&(place_mm - self.centre_mm));
         let (distance, n) = self.outline.closest(&Vector2::new(local.x, local.z));

@@ -1,8 +1,11 @@
-//! Hidden sweeps: a foreign wire slides over an object; where it touches is known at every reading. SIMULATED.
+//! Hidden sweeps: a foreign wire slides over an object; where it touches is known at every reading.
+//! SIMULATED.
 //!
-//! A sweep is drawn from its seed: wire (length, straight part, radius of the arc, diameter, modulus), linear map of the wavelengths with the
-//! zero and the noise of a bench, an extruded outline ([`body`]), the direction of the motion, friction, rate and speed. The equilibrium is
-//! that of [`slide`]. Draws that jam, snap, touch twice or are over at once are drawn again, and counted.
+//! A sweep is drawn from its seed: wire (length, straight part, radius of the arc, diameter,
+//! modulus), linear map of the wavelengths with the zero and the noise of a bench, an extruded
+//! outline ([`body`]), the direction of the motion, friction, rate and speed. The equilibrium is
+//! that of [`slide`]. Draws that jam, snap, touch twice or are over at once are drawn again, and
+//! counted.
 
 pub mod body;
 pub mod slide;
@@ -29,14 +32,17 @@ const FREE_READINGS: usize = 6;
 /// Longest way of a sweep, mm, and largest change of curvature at the root, 1/mm.
 const MAX_WAY_MM: f64 = 90.0;
 const MAX_BEND_PER_MM: f64 = 0.08;
-/// Fewer readings in contact are no sweep; nearer to the root nothing touches, mm; deeper there is a second contact, mm.
+/// Fewer readings in contact are no sweep; nearer to the root nothing touches, mm; deeper there is
+/// a second contact, mm.
 const MIN_TOUCHES: usize = 16;
 const MIN_ARC_MM: f64 = 12.0;
 const MAX_OVERLAP_MM: f64 = 0.03;
-/// Steps in which it is looked for where the wire slips off a body, and how deep the free wire lies there in the next body, mm.
+/// Steps in which it is looked for where the wire slips off a body, and how deep the free wire lies
+/// there in the next body, mm.
 const SNAP_STEP_MM: f64 = 0.5;
 const SNAP_DEPTH_MM: [f64; 2] = [1.0, 5.0];
-/// Radius of a needle, mm; relative standard deviation of another wire's diameter; time that a base stands where it turns, s.
+/// Radius of a needle, mm; relative standard deviation of another wire's diameter; time that a base
+/// stands where it turns, s.
 const NEEDLE_MM: f64 = 0.3;
 const OTHER_DIAMETER: f64 = 0.01;
 const HOLD_S: f64 = 0.5;
@@ -66,11 +72,13 @@ pub struct Scene {
     pub drift_pm: [f64; 2],
     /// Diameter of the wire that is swept over that of the bench's, on which the map was measured.
     pub thicker: f64,
-    /// Whether the base turns when two thirds of the readings in contact are taken, and goes back after a hold.
+    /// Whether the base turns when two thirds of the readings in contact are taken, and goes back
+    /// after a hold.
     pub returns: bool,
 }
 
-/// What is drawn of a sweep beside the usual: the bench follows from the seed alone, so that all kinds of a seed share a calibration.
+/// What is drawn of a sweep beside the usual: the bench follows from the seed alone, so that all
+/// kinds of a seed share a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SweepKind {
     /// Over ellipses and rounded boxes.
@@ -81,7 +89,8 @@ pub enum SweepKind {
     SmallEllipse,
     /// Past a round needle of 0.3 mm radius, across the motion.
     Needle,
-    /// One way by another wire than the calibration's: its diameter is off by 1 % (standard deviation), its stiffness by 4 %; its map is the same.
+    /// One way by another wire than the calibration's: its diameter is off by 1 % (standard
+    /// deviation), its stiffness by 4 %; its map is the same.
     OtherWire,
 }
 
@@ -196,7 +205,8 @@ impl Scene {
         .wire()
     }
 
-    /// With a second body, where the wire snaps onto it when it slips off the first; none where it does not slip off at once.
+    /// With a second body, where the wire snaps onto it when it slips off the first; none where it
+    /// does not slip off at once.
     fn with_body_beyond(mut self, rng: &mut impl Rng) -> Option<Self> {
         let wire = self.wire();
         let start = self.start(&wire)?;
@@ -435,7 +445,8 @@ impl SweepCase {
     /// Writes `session/` (27 poses), and the files of [`SweepCase::write_record`] into a folder.
     ///
     /// # Errors
-    /// [`PlantError::Write`] with the file that could not be written, and those of [`SweepCase::session`].
+    /// [`PlantError::Write`] with the file that could not be written, and those of
+    /// [`SweepCase::session`].
     pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
         self.session()?.write(&folder.join("session"))?;
         self.write_record(folder)

@@ -1,6 +1,8 @@
-//! A wire that slides over a body: one contact, Coulomb friction in the tangent plane, step by step along the motion.
+//! A wire that slides over a body: one contact, Coulomb friction in the tangent plane, step by step
+//! along the motion.
 //!
-//! Unknowns are the place P of the wire's axis at the contact, the normal force f and the arc length s; N(P) is the body's normal:
+//! Unknowns are the place P of the wire's axis at the contact, the normal force f and the arc
+//! length s; N(P) is the body's normal:
 //!
 //! ```text
 //! r(s; F) = P,   d(P) = a,   N . t = 0         r, t: wire under F applied at P (`rod`); d: distance from the body, a: the wire's radius
@@ -177,7 +179,8 @@ impl<'a> Slide<'a> {
         Ok((touch.normal_n > 0.0).then_some(touch))
     }
 
-    /// Force per normal force, and the share of the friction that acts, for a contact at a place of the axis and an arc length.
+    /// Force per normal force, and the share of the friction that acts, for a contact at a place of
+    /// the axis and an arc length.
     fn pull(&self, world_mm: &V3, s: f64, normal: &V3, last: &Touch) -> (V3, f64) {
         let slip = (world_mm - last.world_mm) - last.tangent * (s - last.arclength_mm);
         let slip = slip - normal * slip.dot(normal);
@@ -286,7 +289,8 @@ impl<'a> Slide<'a> {
         }
     }
 
-    /// How deep the wire lies in a body away from the contact, mm: more than a little means a second contact.
+    /// How deep the wire lies in a body away from the contact, mm: more than a little means a
+    /// second contact.
     pub fn overlap_mm(&self, body: &Body) -> f64 {
         let line = match &self.touch {
             None => {

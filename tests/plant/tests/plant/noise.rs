@@ -1,4 +1,5 @@
-//! Drawn noise has the property that its kind states, seen from the readings as written; white normal noise has not.
+//! Drawn noise has the property that its kind states, seen from the readings as written; white
+//! normal noise has not.
 
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -111,7 +112,8 @@ impl Read {
         correlation(&pairs)
     }
 
-    /// Correlation of readings in turn, and what first-order noise of the law has on the same instants.
+    /// Correlation of readings in turn, and what first-order noise of the law has on the same
+    /// instants.
     fn step_correlation(&self) -> (f64, f64) {
         let at = |i: usize| self.case.readings[i].planned.t_s;
         let pairs: Vec<(f64, f64)> = (1..self.pm.len())
@@ -128,7 +130,8 @@ impl Read {
         (correlation(&pairs), expected)
     }
 
-    /// Readings beyond the 99 % range of Student's t of the law, scaled to the white noise, and all; drift taken off.
+    /// Readings beyond the 99 % range of Student's t of the law, scaled to the white noise, and
+    /// all; drift taken off.
     fn tails(&self, dof: f64) -> (usize, usize) {
         let rows: Vec<_> = self
             .case
@@ -170,7 +173,8 @@ fn correlation(pairs: &[(f64, f64)]) -> f64 {
     sum(&|p| p.0 * p.1) / (sum(&|p| p.0 * p.0) * sum(&|p| p.1 * p.1)).sqrt()
 }
 
-/// Share beyond the 99 % range over a few sessions, each judged by its own degrees of freedom (or by these).
+/// Share beyond the 99 % range over a few sessions, each judged by its own degrees of freedom (or
+/// by these).
 fn tail_share(noise: Noise, judged_by: Option<f64>) -> f64 {
     let counts: Vec<(usize, usize)> = (0..6)
         .map(|seed| {
@@ -371,7 +375,8 @@ fn true_covariance_whitens_every_kind() {
         };
         let gross = !read.law().gross.is_empty();
         assert!((own - 1.0).abs() < limit, "{noise:?} {own}");
-        // Control: white noise alone does not explain what is not white (rounding may be small, t has the same variance).
+        // Control: white noise alone does not explain what is not white (rounding may be small, t
+        // has the same variance).
         let white = read.whitened(&Law::gaussian(&read.case.bench));
         let beyond = matches!(
             noise,

@@ -1,4 +1,5 @@
-//! The plant's wire against a closed solution, under refinement, and against the practice sessions' truth.
+//! The plant's wire against a closed solution, under refinement, and against the practice sessions'
+//! truth.
 
 use nalgebra::Vector3;
 use wcal_plant::bench::Bench;
@@ -11,8 +12,9 @@ fn straight(elements: [usize; 2]) -> Wire {
     wire
 }
 
-/// Elastica with the force normal to the wire at the contact, by quadrature of `EI b' = sqrt(2 F EI sin b)`:
-/// contact in the root's plane, and base moment, for an end turned by `turn` rad under force `force`.
+/// Elastica with the force normal to the wire at the contact, by quadrature of
+/// `EI b' = sqrt(2 F EI sin b)`: contact in the root's plane, and base moment, for an end turned by
+/// `turn` rad under force `force`.
 fn elastica(ei: f64, force: f64, turn: f64) -> ([f64; 2], f64) {
     let n = 20_000;
     let (mut along, mut across) = (0.0, 0.0);
@@ -114,8 +116,8 @@ fn tables_hold_one_part_in_a_hundred_thousand() {
     }
 }
 
-/// Rows copied from the practice sessions (simulated data, physics code of another hand): case, trajectory, stage
-/// in mm, direction, true moments in N mm.
+/// Rows copied from the practice sessions (simulated data, physics code of another hand): case,
+/// trajectory, stage in mm, direction, true moments in N mm.
 const PRACTICE: [(&str, usize, f64, i32, [f64; 2]); 28] = [
     ("case-003", 101, 4.648057, 1, [-0.546034, -0.25462]),
     ("case-003", 102, 4.918186, 1, [-0.055283, -0.631889]),

@@ -43,7 +43,8 @@ fn written_sessions_have_the_practice_form() {
         assert_eq!(case.truth.holdout_moments_nmm.len(), 54);
         let toml = std::fs::read_to_string(out.join("session.toml")).unwrap();
         assert!(toml.contains("id = \"case-001\"") && toml.matches("[[trajectory]]").count() == 15);
-        // Timing of the practice sessions: 2 mm/s between settled rows, the first after 3 s (paper 2 s).
+        // Timing of the practice sessions: 2 mm/s between settled rows, the first after 3 s (paper
+        // 2 s).
         let (dwell, stage): (f64, f64) =
             (points[1][8].parse().unwrap(), points[1][5].parse().unwrap());
         assert!((times[1] - times[0] - dwell - stage / 2.0).abs() < 2e-3);

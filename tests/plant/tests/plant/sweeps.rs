@@ -36,7 +36,8 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
         for (r, t) in touches {
             let (distance, normal) = case.scene.body.closest(&(t.axis_mm + r.base_mm));
             assert!((distance - wire.radius_mm()).abs() < 1e-6);
-            // Within the cone of the body's own normal; the wire lies along the surface, but at its tip.
+            // Within the cone of the body's own normal; the wire lies along the surface, but at its
+            // tip.
             let across = t.force_n - normal * t.force_n.dot(&normal);
             assert!(
                 t.normal_n > 0.0
@@ -44,7 +45,8 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
             );
             let tip = t.arclength_mm > wire.length_mm - 1e-6;
             assert!(tip && normal.dot(&t.tangent) < 1e-6 || normal.dot(&t.tangent).abs() < 1e-6);
-            // The rod's other solver, which knows no body, finds the same force for the same contact point (without friction).
+            // The rod's other solver, which knows no body, finds the same force for the same
+            // contact point (without friction).
             if case.scene.friction == 0.0 && !tip {
                 let start = wcal_plant::rod::Equilibrium {
                     force_n: t.force_n,

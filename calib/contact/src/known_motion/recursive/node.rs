@@ -1,4 +1,5 @@
-//! One node of the grid: a Gaussian in all that is not the arc length, updated reading by reading (equations in [`super`]).
+//! One node of the grid: a Gaussian in all that is not the arc length, updated reading by reading
+//! (equations in [`super`]).
 
 use crate::arc_posterior::normal_share;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
@@ -12,7 +13,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vecto
 const NOISY: f64 = 10.0;
 /// Largest moment of a wire pressed near its root, N mm: outliers that are anything lie below.
 const MAX_NMM: f64 = 3.0;
-/// Least inverse variance of a reading in units of that of its noise: a certain outlier has no weight.
+/// Least inverse variance of a reading in units of that of its noise: a certain outlier has no
+/// weight.
 const NO_WEIGHT: f64 = 1e-9;
 /// Onset and gap at which an iteration has settled, mm.
 const SETTLED_MM: f64 = 0.01;
@@ -21,7 +23,8 @@ const ITERATIONS: usize = 3;
 const FIRST_ITERATIONS: usize = 12;
 /// Halvings of a step that leads out of the wire's reach.
 const SHORTENED: i32 = 4;
-/// A reading so many standard deviations from first touch is on one side of it, and bounds so far from each other say something new, mm.
+/// A reading so many standard deviations from first touch is on one side of it, and bounds so far
+/// from each other say something new, mm.
 const NEAR_SDS: f64 = 4.0;
 const BOUND_STEP_MM: f64 = 0.1;
 /// Trial depths at the first reading, mm, each twice the one before.
@@ -50,7 +53,8 @@ pub(super) struct Reading<'a> {
 }
 
 impl Reading<'_> {
-    /// Place of the two unknowns of a creeping contact in the state, and how far one standard deviation of each moves the point, mm.
+    /// Place of the two unknowns of a creeping contact in the state, and how far one standard
+    /// deviation of each moves the point, mm.
     fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
         let [.., a, b] = self.row.shared_displacement_mm[..] else {
             return None;
@@ -59,7 +63,8 @@ impl Reading<'_> {
     }
 }
 
-/// Gaussian of (x, g, c, tau, b) given the arc length; while the lead is taken, b at the first loaded reading stands after it.
+/// Gaussian of (x, g, c, tau, b) given the arc length; while the lead is taken, b at the first
+/// loaded reading stands after it.
 #[derive(Debug, Clone)]
 pub(super) struct NodeFilter {
     pub s_mm: f64,
@@ -69,16 +74,19 @@ pub(super) struct NodeFilter {
     covariance: DMatrix<f64>,
     /// Logarithm of the probability per arc length, not normalised.
     pub ln: f64,
-    /// The same with the last reading taken as a regular one: where all nodes take it for an outlier, it says which is nearest to explaining it.
+    /// The same with the last reading taken as a regular one: where all nodes take it for an
+    /// outlier, it says which is nearest to explaining it.
     pub regular_ln: f64,
-    /// Chi-squared of the innovations so far: every reading as regular, and with the larger noise of the outliers.
+    /// Chi-squared of the innovations so far: every reading as regular, and with the larger noise
+    /// of the outliers.
     pub chi2: [f64; 2],
     /// Readings that were outliers, by probability; and that of the last.
     pub outlier: f64,
     pub last_outlier: f64,
     /// Displacement along the push at which a reading bounded the onset last, mm.
     bounded_mm: Option<f64>,
-    /// Contact's arc length and place at the reading before, where the wire was held: friction remembers them.
+    /// Contact's arc length and place at the reading before, where the wire was held: friction
+    /// remembers them.
     contact: Option<(f64, Vector3<f64>)>,
 }
 
@@ -105,8 +113,8 @@ fn ln_normal(squared: f64, determinant: f64) -> f64 {
     -0.5 * (squared + determinant.max(1e-300).ln()) - std::f64::consts::TAU.ln()
 }
 
-/// Expected inverse variance of a reading in units of that of its noise, and the logarithm of its density, from the logarithms of its three
-/// parts (regular, noisy, anything).
+/// Expected inverse variance of a reading in units of that of its noise, and the logarithm of its
+/// density, from the logarithms of its three parts (regular, noisy, anything).
 fn inverse_variance(parts: &[f64; 3]) -> (f64, f64) {
     let largest = parts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let ln = largest + parts.iter().map(|p| (p - largest).exp()).sum::<f64>().ln();
@@ -128,7 +136,8 @@ impl Linearised {
 }
 
 impl NodeFilter {
-    /// Before any reading; none where the push runs along the wire. `range_mm`: width of the uniform prior of the onset.
+    /// Before any reading; none where the push runs along the wire. `range_mm`: width of the
+    /// uniform prior of the onset.
     pub fn new(reading: &Reading<'_>, s_mm: f64, range_mm: f64) -> Option<Self> {
         let settings = reading.settings;
         let common = reading.row.shared_nmm.len();
@@ -162,7 +171,8 @@ impl NodeFilter {
         Some(())
     }
 
-    /// The first loaded reading: the onset that explains it best starts the iteration and is the middle of its prior.
+    /// The first loaded reading: the onset that explains it best starts the iteration and is the
+    /// middle of its prior.
     pub fn start(&mut self, reading: &Reading<'_>) {
         let y = Vector2::from(reading.row.moment_nmm);
         let trials = (0..TRIALS)
@@ -180,7 +190,8 @@ impl NodeFilter {
         self.bound_onset(-1.0, past, moved_mm2(reading));
     }
 
-    /// A further reading. One that may or may not be past first touch is taken both ways, and the two Gaussians are joined.
+    /// A further reading. One that may or may not be past first touch is taken both ways, and the
+    /// two Gaussians are joined.
     pub fn update(&mut self, reading: &Reading<'_>) {
         let depth_mm = self.depth_mm(reading);
         let blur_mm2 = moved_mm2(reading);
@@ -278,7 +289,8 @@ impl NodeFilter {
         if mu.coefficient <= 0.0 {
             return Some((free, rate));
         }
-        // Stick and slip from the reading before, or from first touch; the slope is that without friction.
+        // Stick and slip from the reading before, or from first touch; the slope is that without
+        // friction.
         let depth = (place - touch).dot(&reading.push);
         let start = (self.s_mm, place - reading.push * (depth - depth.min(1e-3)));
         let (mut s, from) = self
@@ -358,7 +370,8 @@ impl NodeFilter {
             column += rate * way;
         }
         for (j, changed) in field.changed.iter().enumerate() {
-            // Without friction: its change by another coefficient is what it is at the edge of the cone at most.
+            // Without friction: its change by another coefficient is what it is at the edge of the
+            // cone at most.
             let Some((there, here)) = changed.held(&place, 0.0).zip(field.held(&place, 0.0)) else {
                 continue;
             };
@@ -368,7 +381,8 @@ impl NodeFilter {
         found
             .slope
             .set_column(COMMON + common, &(rate * row.velocity_mm_s));
-        // Motion and table; where readings of one pose share a draw of the noise, they share these too.
+        // Motion and table; where readings of one pose share a draw of the noise, they share these
+        // too.
         let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
         let by_pose = rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2))
             + Matrix2::identity() * TABLE_SHARE.powi(2) * size2;
@@ -396,7 +410,8 @@ impl NodeFilter {
         block += correlated * (1.0 - rho * rho);
     }
 
-    /// Iterated Kalman update with the mixture of regular readings, noisy ones, and such that are anything.
+    /// Iterated Kalman update with the mixture of regular readings, noisy ones, and such that are
+    /// anything.
     fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
         let Some(mut at) = self.linearised(reading, &self.mean, held) else {
             return self.unexplained();
@@ -407,7 +422,8 @@ impl NodeFilter {
         let share = reading.settings.gross_share;
         let creep = reading.creep().map(|(at, _)| at);
         for n in 1..=iterations {
-            // Innovation at the prior mean by the slope at the present one; what moves the point (onset, gap, creep) acts on more than a line.
+            // Innovation at the prior mean by the slope at the present one; what moves the point
+            // (onset, gap, creep) acts on more than a line.
             let innovation = y - at.moment_nmm - &at.slope * &before
                 + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0)
                 + creep.map_or_else(Vector2::zeros, |k| {
@@ -416,7 +432,8 @@ impl NodeFilter {
             let to_state = &at.slope * &self.covariance;
             let known = &to_state * at.slope.transpose();
             let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);
-            // All of the reading's noise, the correlated part included: what an outlier has more of.
+            // All of the reading's noise, the correlated part included: what an outlier has more
+            // of.
             let noise = at.own + at.noise_of_draw(reading);
             let (regular, noisy) = (
                 known + at.own,
@@ -435,7 +452,8 @@ impl NodeFilter {
                 ln_share + ln_normal(squared_noisy, noisy.determinant()),
                 f64::NEG_INFINITY,
             ];
-            // A step by the other two alone: where the slope is still that of a distant state, a regular reading looks like anything.
+            // A step by the other two alone: where the slope is still that of a distant state, a
+            // regular reading looks like anything.
             let used = regular + noise * (1.0 / inverse_variance(&parts).0 - 1.0);
             let Some(inverse_used) = used.try_inverse() else {
                 return self.unexplained();
@@ -481,8 +499,8 @@ impl NodeFilter {
         (self.ln, self.regular_ln) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
     }
 
-    /// `p(x) <- p(x) Phi(past / w)`, `past = sign (x - x_k)`, moments matched (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for
-    /// Machine Learning", 2006, 3.9).
+    /// `p(x) <- p(x) Phi(past / w)`, `past = sign (x - x_k)`, moments matched (C. E. Rasmussen, C.
+    /// K. I. Williams, "Gaussian Processes for Machine Learning", 2006, 3.9).
     fn bound_onset(&mut self, sign: f64, past_mm: f64, blur_mm2: f64) {
         let scale = (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
         let past = past_mm / scale;
@@ -499,7 +517,8 @@ impl NodeFilter {
         self.covariance -= &column * column.transpose() * (ratio * (ratio + past));
     }
 
-    /// Before the lead, which goes back in time: b at the first loaded reading is kept beside the one that goes on.
+    /// Before the lead, which goes back in time: b at the first loaded reading is kept beside the
+    /// one that goes on.
     pub fn keep_correlated(&mut self) {
         let size = self.mean.len();
         let kept = |i: usize| if i < size { i } else { i - 2 };

@@ -1,9 +1,11 @@
 //! The parts of the noise, estimated from the residuals of a model.
 //!
-//! For given ratios theta (correlated part, its time constant, pose scatter) the readings are whitened and the model refitted; the ratios
-//! with the highest restricted likelihood (`likelihood`) are taken.
+//! For given ratios theta (correlated part, its time constant, pose scatter) the readings are
+//! whitened and the model refitted; the ratios with the highest restricted likelihood
+//! (`likelihood`) are taken.
 //!
-//! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
+//! A part is taken up where it gains more than chance would; what the design cannot tell is "not
+//! known", not zero.
 
 use super::inputs::NoiseInputs;
 use super::likelihood::{
@@ -19,20 +21,22 @@ use crate::method::distributions::sd_interval95;
 use wcal_core::order_statistics::median;
 use wcal_core::verify_document::NoisePart;
 
-/// Gain in -2 log restricted likelihood from which the correlated part (its size and its time constant) is taken up.
+/// Gain in -2 log restricted likelihood from which the correlated part (its size and its time
+/// constant) is taken up.
 pub fn correlated_gain() -> f64 {
     gain(NOISE_PART, 2)
 }
 
-/// The same where a test rejects independent readings: whether something is shared is decided, only what it is is open. What its two
-/// parameters cost (Akaike).
+/// The same where a test rejects independent readings: whether something is shared is decided, only
+/// what it is is open. What its two parameters cost (Akaike).
 pub const CORRELATED_PRICE: f64 = 2.0 * PRICE;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
 pub const MIN_HELD_REPEATS: usize = 6;
 /// Fewer readings do not tell a correlation.
 const MIN_CORRELATED: usize = 20;
 
-/// Logarithms of time constants that the readings can show: a typical spacing to half the whole time.
+/// Logarithms of time constants that the readings can show: a typical spacing to half the whole
+/// time.
 fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
     let typical = median(clock.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0))?;
     let whole = clock.last()? - clock.first()?;
@@ -43,8 +47,8 @@ fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
 /// Ratios of a shared part to the repeat noise that are searched.
 const RATIOS: [f64; 2] = [0.05, 30.0];
 
-/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count. A part that is correlated in time is
-/// taken up where it gains more than `correlated_gain`.
+/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that
+/// count. A part that is correlated in time is taken up where it gains more than `correlated_gain`.
 pub fn estimate(
     model: &MeanModel,
     inputs: &NoiseInputs,
@@ -71,7 +75,8 @@ pub fn estimate(
         estimate_variance_components(model, inputs, &relative(&law), correlated_gain)?;
     let mut law = law;
     if law.is_some() && weights.shared().is_some() {
-        // What readings share can look like a law of the spread: it must hold among whitened readings, too.
+        // What readings share can look like a law of the spread: it must hold among whitened
+        // readings, too.
         let (plain, c, p) = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
         if plain.shared().is_some() && fit_variance_function(model, inputs, &plain, seed).is_none()
         {
@@ -110,8 +115,8 @@ pub fn estimate(
     })
 }
 
-/// Excess kurtosis of values about zero, at least 0: a variance by f degrees of freedom is known as if by f / (1 + kurtosis / 2) of a Gaussian
-/// (O'Neill, Am. Stat. 68 (2014), 282).
+/// Excess kurtosis of values about zero, at least 0: a variance by f degrees of freedom is known as
+/// if by f / (1 + kurtosis / 2) of a Gaussian (O'Neill, Am. Stat. 68 (2014), 282).
 fn excess_kurtosis(values: &[f64]) -> f64 {
     let mean = |power: i32| values.iter().map(|z| z.powi(power)).sum::<f64>() / values.len() as f64;
     (mean(4) / mean(2).powi(2) - 3.0).max(0.0)
@@ -120,8 +125,8 @@ fn excess_kurtosis(values: &[f64]) -> f64 {
 /// Variances beside a typical average's that are searched for what averaging does not lower.
 const COMMON: [f64; 2] = [1e-2, 1e3];
 
-/// The part of the variance that averaging does not lower (restricted likelihood); 0 where all readings are averaged alike, or it is too
-/// small to be determined.
+/// The part of the variance that averaging does not lower (restricted likelihood); 0 where all
+/// readings are averaged alike, or it is too small to be determined.
 fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 {
     if inputs.averaged.is_empty() {
         return 0.0;
@@ -153,11 +158,13 @@ fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &W
 /// A shared part's estimate.
 type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
 
-/// Share of the session from which a time constant makes of the correlated part one course over it: half of the longest that is searched.
+/// Share of the session from which a time constant makes of the correlated part one course over it:
+/// half of the longest that is searched.
 pub const COURSE: f64 = 0.25;
 
-/// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all; where a part that is
-/// correlated in time gains what it costs, whether it is a course over the session. `noise` gives the spread and is where nothing suits better.
+/// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them:
+/// how well it can do at all; where a part that is correlated in time gains what it costs, whether
+/// it is a course over the session. `noise` gives the spread and is where nothing suits better.
 pub fn best_misfit(
     model: &MeanModel,
     inputs: &NoiseInputs,
@@ -214,13 +221,15 @@ pub fn best_misfit(
     Some((m, gains.then(|| best[1] >= tau[1] + (2.0 * COURSE).ln())))
 }
 
-/// Ratios around the best one that its interval is looked for in, as powers of the step; time constants beside the best.
+/// Ratios around the best one that its interval is looked for in, as powers of the step; time
+/// constants beside the best.
 const STEPS: std::ops::RangeInclusive<i32> = -16..=16;
 const STEP: f64 = 1.15;
 const TAUS: u8 = 6;
 
-/// 95 % interval of a shared part by profile likelihood: every ratio, time constant and repeat noise s that -2 log L calls as good as what one
-/// parameter gains by chance, `f (ln s^2 - ln s^2_best)^2 / 2` of it for s itself (f: degrees of freedom).
+/// 95 % interval of a shared part by profile likelihood: every ratio, time constant and repeat
+/// noise s that -2 log L calls as good as what one parameter gains by chance,
+/// `f (ln s^2 - ln s^2_best)^2 / 2` of it for s itself (f: degrees of freedom).
 fn profile_interval(
     points: impl Iterator<Item = (f64, RestrictedLikelihood)>,
     best: f64,
@@ -364,7 +373,8 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
     use std::sync::Arc;
 
-    /// SIMULATED readings of a straight line in two channels: repeat noise 1, and what is asked for.
+    /// SIMULATED readings of a straight line in two channels: repeat noise 1, and what is asked
+    /// for.
     struct Simulated {
         inputs: NoiseInputs,
         design: DMatrix<f64>,

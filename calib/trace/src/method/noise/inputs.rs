@@ -21,9 +21,11 @@ pub struct NoiseInputs {
     pub spread: Vec<(String, Vec<f64>)>,
     /// 1 / relative standard deviation that is known beforehand (few samples averaged).
     pub known: Vec<f64>,
-    /// Variance that each reading's average has by its number of samples, 1 for a typical settled one; empty where all are alike.
+    /// Variance that each reading's average has by its number of samples, 1 for a typical settled
+    /// one; empty where all are alike.
     pub averaged: Vec<f64>,
-    /// Step of the recorded values in each channel, in the unit of the measured values; none where they are not rounded coarsely.
+    /// Step of the recorded values in each channel, in the unit of the measured values; none where
+    /// they are not rounded coarsely.
     pub step: Vec<Option<f64>>,
 }
 
@@ -51,8 +53,8 @@ impl NoiseInputs {
         }
     }
 
-    /// 1 / relative standard deviation of readings by themselves, where the part that averaging does not lower has the variance `common`
-    /// beside 1 of a typical reading's average.
+    /// 1 / relative standard deviation of readings by themselves, where the part that averaging
+    /// does not lower has the variance `common` beside 1 of a typical reading's average.
     pub fn own(&self, common: f64) -> Vec<f64> {
         if self.averaged.is_empty() {
             return self.known.clone();

@@ -1,6 +1,7 @@
 //! Restricted likelihood of a noise model, every coefficient of the mean refitted.
 //!
-//! With p columns X in all, Sigma(theta) the covariance of the readings in units of the repeat noise, and r the whitened residual:
+//! With p columns X in all, Sigma(theta) the covariance of the readings in units of the repeat
+//! noise, and r the whitened residual:
 //!
 //! ```text
 //! -2 log L(theta) = (N - p) log(r' r) + log|Sigma(theta)| + log|X' Sigma^-1 X|          (parts of one mean model)
@@ -87,7 +88,8 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     let gram = (x.transpose() * &x) + DMatrix::identity(q, q) * RIDGE;
     let chol = gram.cholesky()?;
     let log_det: f64 = chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum();
-    // Projection off the design, I - X (X'X)^-1 X': the linear coefficients are refitted at every theta.
+    // Projection off the design, I - X (X'X)^-1 X': the linear coefficients are refitted at every
+    // theta.
     let off = |m: &DMatrix<f64>| m - &x * chol.solve(&(x.transpose() * m));
     let r = off(&y);
     let mut log_x = channels as f64 * (log_det + log_scale);
@@ -104,7 +106,8 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
         .collect();
     let m = live.len();
     if m > 0 {
-        // The determinant of X'X factorises: tangents enter by their part off the design (Schur complement).
+        // The determinant of X'X factorises: tangents enter by their part off the design (Schur
+        // complement).
         let size: Vec<f64> = live.iter().map(|t| t.norm()).collect();
         let small = DMatrix::from_fn(m, m, |a, b| live[a].dot(live[b]) / (size[a] * size[b]))
             + DMatrix::identity(m, m) * RIDGE;
@@ -135,7 +138,8 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     })
 }
 
-/// Lowest value of a function of a few variables by a shrinking star, from `start` with steps `step`.
+/// Lowest value of a function of a few variables by a shrinking star, from `start` with steps
+/// `step`.
 pub(super) fn pattern_search<const K: usize>(
     start: [f64; K],
     step: [f64; K],
@@ -179,8 +183,8 @@ pub(super) fn best_of<const K: usize>(
         .unwrap_or(([0.0; K], f64::INFINITY))
 }
 
-/// Whitened residuals in standard deviations, each over the share of its variance that the whole mean model leaves, channel by channel; only
-/// readings that count.
+/// Whitened residuals in standard deviations, each over the share of its variance that the whole
+/// mean model leaves, channel by channel; only readings that count.
 pub(super) fn studentised_residuals(model: &MeanModel, weights: &Weights, s: f64) -> Vec<f64> {
     studentised_by_channel(model, weights, s)
         .into_iter()
@@ -223,8 +227,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// How many of 60 SIMULATED sessions of Gaussian noise have heavy tails, where a driver lifts one reading of twelve: by a column, by a tangent, or
-    /// unknown to the model.
+    /// How many of 60 SIMULATED sessions of Gaussian noise have heavy tails, where a driver lifts
+    /// one reading of twelve: by a column, by a tangent, or unknown to the model.
     fn heavy(known: impl Fn(&DVector<f64>) -> (Vec<Vec<f64>>, Vec<DMatrix<f64>>)) -> usize {
         let n = 120;
         let design = DMatrix::from_fn(n, 2, |i, j| if j == 0 { 1.0 } else { (i % 7) as f64 });
@@ -265,7 +269,8 @@ mod tests {
             )
         });
         let unknown = heavy(|_| (Vec::new(), Vec::new()));
-        // At a level of 0.01 four or more come by chance once in 300 such tests. Control: what nothing knows looks heavy.
+        // At a level of 0.01 four or more come by chance once in 300 such tests. Control: what
+        // nothing knows looks heavy.
         assert!(
             column <= 3 && tangent <= 3 && unknown >= 50,
             "{column} {tangent} {unknown}"

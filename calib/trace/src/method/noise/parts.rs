@@ -17,15 +17,18 @@ use wcal_core::verify_document::NoisePart;
 pub struct Noise {
     /// Rows that count, their spread and what they share.
     pub weights: Weights,
-    /// Repeat noise `s`: standard deviation of a typical loaded reading by itself, in the unit of the measured values.
+    /// Repeat noise `s`: standard deviation of a typical loaded reading by itself, in the unit of
+    /// the measured values.
     pub repeat: NoisePart,
     /// What setting a pose adds; none where nothing tells it from repeat noise.
     pub pose: Option<NoisePart>,
-    /// Part correlated in time, and its time constant in units of the clock; none where the order in time is not known or none was found.
+    /// Part correlated in time, and its time constant in units of the clock; none where the order
+    /// in time is not known or none was found.
     pub correlated: Option<(NoisePart, f64)>,
     /// The spread's law.
     pub law: Option<SpreadModel>,
-    /// Variance that averaging does not lower, beside 1 of a typical reading's average; 0 where all readings are averaged alike.
+    /// Variance that averaging does not lower, beside 1 of a typical reading's average; 0 where all
+    /// readings are averaged alike.
     pub common: f64,
     /// Tails of the standardised residuals.
     pub tails: Option<Tails>,
@@ -108,7 +111,8 @@ impl Noise {
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }
 
-    /// Standard deviation of each of those readings at a repeated pose and at another time, in the unit of the measured values.
+    /// Standard deviation of each of those readings at a repeated pose and at another time, in the
+    /// unit of the measured values.
     pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let weights = self.weights_of(inputs);
         (0..inputs.settings.len())

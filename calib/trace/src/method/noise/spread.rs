@@ -1,7 +1,9 @@
-//! Does the spread of the readings change with the stimulus? A score test with a permutation p-value, and the variance model.
+//! Does the spread of the readings change with the stimulus? A score test with a permutation
+//! p-value, and the variance model.
 //!
-//! Breusch & Pagan, Econometrica 47 (1979): the squared residuals are regressed on the stimulus. Their cube root stands in for them
-//! (Wilson & Hilferty 1931), nearly normal where squares have heavy tails. The variance model is Harvey's (Econometrica 44, 1976).
+//! Breusch & Pagan, Econometrica 47 (1979): the squared residuals are regressed on the stimulus.
+//! Their cube root stands in for them (Wilson & Hilferty 1931), nearly normal where squares have
+//! heavy tails. The variance model is Harvey's (Econometrica 44, 1976).
 
 use crate::levels::NORMAL_95;
 use rand::SeedableRng;
@@ -53,7 +55,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// Fits log sd = a + b z by Fisher scoring; returns b, its standard error and the negative log likelihood.
+/// Fits log sd = a + b z by Fisher scoring; returns b, its standard error and the negative log
+/// likelihood.
 fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     let n = residual.len() as f64;
     let z = centred(z);
@@ -86,8 +89,9 @@ fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     (b, (0.5 / zz).sqrt(), nll)
 }
 
-/// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in half ranges; `x` as
-/// measured, where a power of it may be the law; `draws` permutations. None with too few readings or a constant stimulus.
+/// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in
+/// half ranges; `x` as measured, where a power of it may be the law; `draws` permutations. None
+/// with too few readings or a constant stimulus.
 pub fn heteroscedasticity_test(
     residual: &[f64],
     x: Option<&[f64]>,
@@ -99,7 +103,8 @@ pub fn heteroscedasticity_test(
         return None;
     }
     let z = centred(u);
-    // The cube root of a squared Gaussian is nearly Gaussian (Wilson & Hilferty): a correlation of it is not ruled by single residuals.
+    // The cube root of a squared Gaussian is nearly Gaussian (Wilson & Hilferty): a correlation of
+    // it is not ruled by single residuals.
     let mut size = centred(
         &residual
             .iter()
@@ -112,8 +117,9 @@ pub fn heteroscedasticity_test(
     }
     let correlation = dot(&z, &size) / scale;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0057_9ead);
-    // Under the null every order of the residuals is as likely: no law of the noise is assumed. Drawn until enough reach the score, or to the
-    // end (Besag & Clifford, Biometrika 78 (1991) 301): either way p is valid, and a large one is soon known.
+    // Under the null every order of the residuals is as likely: no law of the noise is assumed.
+    // Drawn until enough reach the score, or to the end (Besag & Clifford, Biometrika 78 (1991)
+    // 301): either way p is valid, and a large one is soon known.
     let (mut reached, mut drawn) = (0, 0);
     while drawn < draws && reached < ENOUGH {
         size.shuffle(&mut rng);

@@ -1,17 +1,20 @@
 //! Tails of the noise, and readings that no tails explain.
 //!
-//! Standardised residuals z are taken as Student's t with `nu` degrees of freedom and scale `sigma` (nu = infinity: Gaussian). To judge the
-//! k largest, the fit must not see how large they are and must not forget that they are there: they enter as censored at the largest of
-//! the others, c (type II censoring; Lawless, "Statistical Models and Methods for Lifetime Data", 2nd ed., ch. 3):
+//! Standardised residuals z are taken as Student's t with `nu` degrees of freedom and scale `sigma`
+//! (nu = infinity: Gaussian). To judge the k largest, the fit must not see how large they are and
+//! must not forget that they are there: they enter as censored at the largest of the others, c
+//! (type II censoring; Lawless, "Statistical Models and Methods for Lifetime Data", 2nd ed., ch.
+//! 3):
 //!
 //! ```text
 //! log L(nu, sigma) = sum over the others of log f(z / sigma) / sigma  +  k log P(|t_nu| > c / sigma)
 //! p_k = P(at least k of N values exceed the k-th largest) = binomial tail with P(|t_nu| > z_k / sigma)
 //! ```
 //!
-//! `nu` is not known: p_k is averaged over it with the likelihood of the others as weight, a Gaussian of large odds before. Heavy tails are earned by
-//! several values: a single one far outside others that are Gaussian does not make the noise heavy-tailed. Of the Gaussian the scale is not known either:
-//! its largest values are those of an externally studentised t.
+//! `nu` is not known: p_k is averaged over it with the likelihood of the others as weight, a
+//! Gaussian of large odds before. Heavy tails are earned by several values: a single one far
+//! outside others that are Gaussian does not make the noise heavy-tailed. Of the Gaussian the scale
+//! is not known either: its largest values are those of an externally studentised t.
 
 use super::likelihood::pattern_search;
 use crate::levels::{GAUSSIAN_ODDS, gain, gain_at_bound};
@@ -64,7 +67,8 @@ fn log_norm(nu: f64) -> f64 {
     }
 }
 
-/// Log likelihood of sorted sizes `z` (rising) with `censored` values beyond the last, and the scale that maximises it.
+/// Log likelihood of sorted sizes `z` (rising) with `censored` values beyond the last, and the
+/// scale that maximises it.
 fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
     let last = z.last().copied().unwrap_or(0.0);
     let at = |sigma: f64| -> f64 {
@@ -166,8 +170,9 @@ pub struct ExtremeValues {
 /// Degrees of freedom from which others say how large the noise is.
 const MIN_DOF: usize = 3;
 
-/// Looks for outlying values among `residuals` of a fit with `dof` degrees of freedom, at most `most` of them: from the most downwards, the first number
-/// whose p-value is below its share of `level`.
+/// Looks for outlying values among `residuals` of a fit with `dof` degrees of freedom, at most
+/// `most` of them: from the most downwards, the first number whose p-value is below its share of
+/// `level`.
 pub fn extreme_values(
     residuals: &[f64],
     most: usize,
@@ -234,7 +239,8 @@ mod tests {
         }
     }
 
-    /// Share of `samples` in which something is flagged although nothing was added; degrees of freedom in turn.
+    /// Share of `samples` in which something is flagged although nothing was added; degrees of
+    /// freedom in turn.
     fn flagged(nus: &[Option<f64>], n: usize, level: f64, samples: u64) -> f64 {
         let nu = |s: u64| nus[s as usize % nus.len()];
         let hits = (0..samples)
@@ -245,7 +251,8 @@ mod tests {
 
     #[test]
     fn heavy_tails_are_not_flagged_and_a_gross_reading_is_alone() {
-        // Of 300 tables: the level where the noise is Gaussian, and what tails cost that few values do not show.
+        // Of 300 tables: the level where the noise is Gaussian, and what tails cost that few values
+        // do not show.
         for (nu, n, most) in [
             (None, 22, 0.017),
             (None, 60, 0.017),
@@ -255,7 +262,8 @@ mod tests {
             let rate = flagged(&[nu], n, 2e-3, 300);
             assert!(rate <= most, "{nu:?} {n}: {rate}");
         }
-        // Of tails by their odds, for which p is exact, all looks together spend the level: 78 of 1200 are beyond chance at 0.01.
+        // Of tails by their odds, for which p is exact, all looks together spend the level: 78 of
+        // 1200 are beyond chance at 0.01.
         let mut nus = NU.map(|nu| Some(nu).filter(|nu| nu.is_finite())).to_vec();
         nus.resize(NU.len() + GAUSSIAN_ODDS as usize, None);
         for n in [22, 60] {

@@ -1,4 +1,5 @@
-//! The readings' noise: how large it is from reading to reading and what neighbouring readings share of it.
+//! The readings' noise: how large it is from reading to reading and what neighbouring readings
+//! share of it.
 //!
 //! In one channel the noise of reading i is
 //!
@@ -7,10 +8,12 @@
 //! cov(c(t), c(t')) = exp(-|t - t'| / tau)                (first-order Gauss-Markov process)
 //! ```
 //!
-//! with `s` the repeat noise, `h` its law (1 for a typical loaded reading), `c` noise correlated in time, and `p` what setting a pose adds:
-//! one draw for all readings k(i) that were taken without moving in between; `g` is 0 at rest, where no pose is set. Whitening is the
-//! innovation form of the Kalman filter with the two states (c, p): linear in the data, unit lower triangular up to scale, O(readings).
-//! (Harvey, "Forecasting, Structural Time Series Models and the Kalman Filter", 1989, ch. 3.)
+//! with `s` the repeat noise, `h` its law (1 for a typical loaded reading), `c` noise correlated in
+//! time, and `p` what setting a pose adds: one draw for all readings k(i) that were taken without
+//! moving in between; `g` is 0 at rest, where no pose is set. Whitening is the innovation form of
+//! the Kalman filter with the two states (c, p): linear in the data, unit lower triangular up to
+//! scale, O(readings). (Harvey, "Forecasting, Structural Time Series Models and the Kalman Filter",
+//! 1989, ch. 3.)
 
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
@@ -25,7 +28,8 @@ pub struct SharedNoise {
     pub settings: Arc<Vec<usize>>,
     /// Whether setting a pose enters the reading (not at rest).
     pub posed: Arc<Vec<bool>>,
-    /// Standard deviation and time constant (in units of the clock) of the part that is correlated in time.
+    /// Standard deviation and time constant (in units of the clock) of the part that is correlated
+    /// in time.
     pub correlated: Option<[f64; 2]>,
     /// Standard deviation of what setting a pose adds.
     pub pose: f64,
@@ -46,7 +50,8 @@ struct Innovation {
     scale: f64,
 }
 
-/// Rows that count, their standard deviations and what they share: everything that turns readings into white ones.
+/// Rows that count, their standard deviations and what they share: everything that turns readings
+/// into white ones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weights {
     /// 1 / h; 0 for readings that can never count.
@@ -63,7 +68,8 @@ impl Weights {
         Self::independent(vec![1.0; n])
     }
 
-    /// Independent readings with these weights (1 / relative standard deviation; 0 = does not count).
+    /// Independent readings with these weights (1 / relative standard deviation; 0 = does not
+    /// count).
     pub fn independent(relative: Vec<f64>) -> Self {
         Self {
             own: relative.clone(),
@@ -151,7 +157,8 @@ impl Weights {
         self.shared.as_ref()
     }
 
-    /// Standard deviation of a new reading at a new pose and another time, in units of `s`, for each reading's law.
+    /// Standard deviation of a new reading at a new pose and another time, in units of `s`, for
+    /// each reading's law.
     pub fn total_sd(&self, i: usize) -> f64 {
         let own = if self.own[i] > 0.0 {
             1.0 / self.own[i]
@@ -200,7 +207,8 @@ impl Weights {
                 *v = 0.0;
                 continue;
             }
-            // Innovation: what the readings before did not let expect; its standard deviation makes it white.
+            // Innovation: what the readings before did not let expect; its standard deviation makes
+            // it white.
             let surprise = *v - correlated - f.posed * pose;
             correlated += f.gain[0] * surprise;
             pose += f.gain[1] * surprise;
@@ -208,7 +216,8 @@ impl Weights {
         }
     }
 
-    /// Makes of white values readings with this noise: the inverse of whitening, readings that do not count stay zero.
+    /// Makes of white values readings with this noise: the inverse of whitening, readings that do
+    /// not count stay zero.
     pub fn colour(&self, column: &mut [f64]) {
         let (mut correlated, mut pose) = (0.0, 0.0);
         for (v, f) in column.iter_mut().zip(&self.filter) {
@@ -248,7 +257,8 @@ impl Weights {
         let own: f64 = share.iter().map(|v| v * v).sum();
         let Some(s) = &self.shared else { return own };
         let [sd, tau] = s.correlated.unwrap_or([0.0, 1.0]);
-        // Sum over pairs of an exponential: each reading carries on the decayed sum of those before it.
+        // Sum over pairs of an exponential: each reading carries on the decayed sum of those before
+        // it.
         let (mut before, mut correlated, mut clock) = (0.0, 0.0, s.clock[0]);
         let mut poses: BTreeMap<usize, f64> = BTreeMap::new();
         for (i, (v, weight)) in share.iter().zip(&self.relative).enumerate() {
@@ -296,7 +306,8 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             } else {
                 (shared.clock[i] - shared.clock[i - 1]).max(0.0)
             };
-            // Prediction: the correlated part forgets with the time between, a repeated pose is another draw.
+            // Prediction: the correlated part forgets with the time between, a repeated pose is
+            // another draw.
             let decay = (-dt / tau).exp();
             let new_setting = i == 0 || shared.settings[i] != shared.settings[i - 1];
             cc = decay * decay * cc + (1.0 - decay * decay) * stationary;
@@ -314,7 +325,8 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
                     scale: 0.0,
                 };
             }
-            // Update: covariance of the states with the reading, gain, and their remaining covariance.
+            // Update: covariance of the states with the reading, gain, and their remaining
+            // covariance.
             let (c, p) = (cc + posed * cp, cp + posed * pp);
             let variance = c + posed * p + relative[i].powi(-2);
             let gain = [c / variance, p / variance];

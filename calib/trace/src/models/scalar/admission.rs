@@ -6,7 +6,8 @@ use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
 
-/// Fewer readings than this, or than two beyond the coefficients, are refused: a line through three points has one degree of freedom.
+/// Fewer readings than this, or than two beyond the coefficients, are refused: a line through three
+/// points has one degree of freedom.
 const MIN_ROWS: usize = 4;
 /// The search takes at most this many readings of a session; all are predicted.
 const MAX_ROWS: usize = 1000;
@@ -86,14 +87,16 @@ pub fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
 
 /// Factors of a decimal point in the wrong place.
 const DECIMALS: [f64; 6] = [10.0, 0.1, 100.0, 0.01, 1e3, 1e-3];
-/// Standard deviations beyond which a reading contradicts the others, and within which it agrees once the decimal point is moved.
+/// Standard deviations beyond which a reading contradicts the others, and within which it agrees
+/// once the decimal point is moved.
 const CONTRADICTS: f64 = 20.0;
 const AGREES: f64 = 4.0;
 /// More levels than this are no table that was typed.
 const MAX_LEVELS: usize = 200;
 
-/// A level all of whose readings contradict the declared law of the others, and agree with it once the decimal point of stimulus or responses is moved.
-/// A single reading between others, and one that contradicts its repeats, is an outlier like any other.
+/// A level all of whose readings contradict the declared law of the others, and agree with it once
+/// the decimal point of stimulus or responses is moved. A single reading between others, and one
+/// that contradicts its repeats, is an outlier like any other.
 fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     let (degree, axis) = match declared {
         Declared::Polynomial(0) => return None,
@@ -138,8 +141,9 @@ fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
 /// Parts of the stimulus that are sampled alike.
 const BINS: usize = 40;
 
-/// At most [`MAX_ROWS`] readings for the search, chosen by strata (part of the stimulus, direction, cycle) so that nothing that alternates
-/// from row to row is lost; in each stratum spread evenly over the session from its own place. All rows carry their place.
+/// At most [`MAX_ROWS`] readings for the search, chosen by strata (part of the stimulus, direction,
+/// cycle) so that nothing that alternates from row to row is lost; in each stratum spread evenly
+/// over the session from its own place. All rows carry their place.
 pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     let total = rows.len();
     if total <= MAX_ROWS {
@@ -168,7 +172,8 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     for (s, members) in strata.values().enumerate() {
         let share = ((members.len() * MAX_ROWS) as f64 / total as f64).max(1.0) as usize;
         let stride = members.len() as f64 / share as f64;
-        // The golden ratio's multiples lie evenly between 0 and 1: no two strata keep the same phase.
+        // The golden ratio's multiples lie evenly between 0 and 1: no two strata keep the same
+        // phase.
         let phase = (s as f64 * 0.618_034).fract();
         for j in 0..share {
             kept[members[(((j as f64 + phase) * stride) as usize).min(members.len() - 1)]] = true;

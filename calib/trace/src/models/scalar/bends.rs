@@ -1,12 +1,14 @@
-//! Bends compete for one shape by the error of readings that are left out in turn, each with its parameters refitted.
+//! Bends compete for one shape by the error of readings that are left out in turn, each with its
+//! parameters refitted.
 //!
 //! ```text
 //! D = sum e'^2 - e^2,   sd(D) = 2 sqrt(d' C d),  d = e' - e         e, e': left-out errors of the best bend and of another one; C: covariance of the noise
 //! ```
 //!
-//! Were the other one true, it would fall behind by D > z sd(D) in one session of a hundred; in one of a thousand beside correlated noise, whose time constant
-//! comes from the same readings. There a smooth difference d is as uncertain as the noise's slow part, and where the stimulus only rises such noise is a bend
-//! by another name: a verdict does not choose between them.
+//! Were the other one true, it would fall behind by D > z sd(D) in one session of a hundred; in one
+//! of a thousand beside correlated noise, whose time constant comes from the same readings. There a
+//! smooth difference d is as uncertain as the noise's slow part, and where the stimulus only rises
+//! such noise is a bend by another name: a verdict does not choose between them.
 
 use super::effects::POLYNOMIAL;
 use super::frame::Declared;
@@ -32,14 +34,15 @@ const MUCH_MORE: f64 = 4.0;
 /// Share of the squares left out that another description may leave.
 const MATTERS: f64 = 0.5;
 
-/// Errors of readings that are left out in turn, in units of their noise; none where a fold has no fit.
+/// Errors of readings that are left out in turn, in units of their noise; none where a fold has no
+/// fit.
 struct LeftOut {
     errors: Vec<f64>,
 }
 
 impl LeftOut {
-    /// With a model of `terms` that starts from their values, on readings taken for independent; without those beyond the stimuli that
-    /// are kept where `inside`.
+    /// With a model of `terms` that starts from their values, on readings taken for independent;
+    /// without those beyond the stimuli that are kept where `inside`.
     fn of(
         system: &ScalarSystem,
         terms: &[EffectTerm],
@@ -67,7 +70,8 @@ impl LeftOut {
         self.errors.iter().map(|e| e * e).sum()
     }
 
-    /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the errors.
+    /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the
+    /// errors.
     fn is_behind(&self, best: &Self, noise: &DMatrix<f64>, z: f64) -> bool {
         let difference =
             DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
@@ -86,7 +90,8 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
         .iter()
         .filter(|t| system.effects[t.effect].bend)
         .count();
-    // A smooth curve is a bend, and a wave or another bend for what remains of it: pieces of a law that the catalogue does not have.
+    // A smooth curve is a bend, and a wave or another bend for what remains of it: pieces of a law
+    // that the catalogue does not have.
     let of_stimulus = |t: &&EffectTerm| {
         let of = &system.effects[t.effect];
         of.bend || of.waves_of_stimulus.contains(&of.effect.law(t.law).name)
@@ -158,7 +163,8 @@ fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
     lack || left.is_some_and(|d| driver(&d.covariate))
 }
 
-/// Bends in one place: what stands beside them, readings taken for independent, and how they are left out.
+/// Bends in one place: what stands beside them, readings taken for independent, and how they are
+/// left out.
 struct Contest<'a> {
     system: &'a ScalarSystem,
     of: &'a Hypothesis,
@@ -169,7 +175,8 @@ struct Contest<'a> {
     noise: DMatrix<f64>,
     /// Standard deviations of D beyond which a bend falls.
     z: f64,
-    /// Readings beyond the stimuli that are kept do not count: there a straight piece goes on, and a polynomial swings.
+    /// Readings beyond the stimuli that are kept do not count: there a straight piece goes on, and
+    /// a polynomial swings.
     inside: bool,
 }
 
@@ -258,7 +265,8 @@ impl<'a> Contest<'a> {
         }
     }
 
-    /// The bends that the readings do not speak against, one law of each. The plainest stands alone where none predicts better.
+    /// The bends that the readings do not speak against, one law of each. The plainest stands alone
+    /// where none predicts better.
     fn outcome(&self) -> Outcome {
         let mut all = self.bends();
         all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
@@ -297,8 +305,8 @@ struct Outcome {
     competed: Vec<Vec<usize>>,
 }
 
-/// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them, or any
-/// of what laws `in_pieces` leave.
+/// A polynomial of the least degree that no higher one beats on readings left out, where it takes
+/// most of what the laws of the stimulus leave of them, or any of what laws `in_pieces` leave.
 fn prefer_polynomial(
     system: &ScalarSystem,
     explained: &mut Explained,

@@ -1,10 +1,12 @@
-//! Names that the design identifies: readings that are equal in every input (stimulus, direction) make a cell, and residuals are split between and
-//! within cells (`method::lack_of_fit`).
+//! Names that the design identifies: readings that are equal in every input (stimulus, direction)
+//! make a cell, and residuals are split between and within cells (`method::lack_of_fit`).
 //!
-//! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus can all take it. So each has to earn its
-//! gain where it says something by itself (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
-//! a law over time or order within cells, beside their pure error; a law of the stimulus between cells, beside what it leaves among them.
-//! And a name is none that rests on one level or one cycle: what a single place shows is a matter of that place.
+//! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus
+//! can all take it. So each has to earn its gain where it says something by itself (two-stratum
+//! analysis of variance; Fisher, "Design of Experiments", ch. IV): a law over time or order within
+//! cells, beside their pure error; a law of the stimulus between cells, beside what it leaves among
+//! them. And a name is none that rests on one level or one cycle: what a single place shows is a
+//! matter of that place.
 
 use super::floor::{level_keys, protocol_keys, replicate_keys};
 use super::frame::ScalarRow;
@@ -50,7 +52,8 @@ struct Strata {
 }
 
 impl Strata {
-    /// A term gains where it says something by itself: within cells, or for a law of the stimulus between them.
+    /// A term gains where it says something by itself: within cells, or for a law of the stimulus
+    /// between them.
     fn explains_between_strata(
         &self,
         fits: [&Fit; 2],
@@ -72,11 +75,13 @@ impl Strata {
 }
 
 impl ScalarSystem {
-    /// A law over time or over the order of the readings: it says nothing of a cell, and everything of when its readings were taken.
+    /// A law over time or over the order of the readings: it says nothing of a cell, and everything
+    /// of when its readings were taken.
     fn runs_with_the_clock(&self, term: &EffectTerm) -> bool {
         let effect = &self.catalogue()[term.effect];
         let law = effect.law(term.law);
-        // Laws with memory of the stimulus need the time, but follow the protocol; the settling of an earlier load does not.
+        // Laws with memory of the stimulus need the time, but follow the protocol; the settling of
+        // an earlier load does not.
         let by_stimulus = effect.has_memory && law.name != "settling";
         !by_stimulus
             && law.needs.iter().any(|n| {
@@ -128,8 +133,8 @@ impl ScalarSystem {
         [within].into_iter().chain(between).collect()
     }
 
-    /// The first term of `h` that this design does not identify: it gains nothing where it says something by itself, or it rests on one
-    /// level or one cycle.
+    /// The first term of `h` that this design does not identify: it gains nothing where it says
+    /// something by itself, or it rests on one level or one cycle.
     pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
         let cycles = self.cycles(&h.weights);
@@ -187,8 +192,8 @@ impl ScalarSystem {
         })
     }
 
-    /// The plainer effect that `term` looks like, where that one in its place is not contradicted: both together explain no more than it alone,
-    /// or more than `term` alone.
+    /// The plainer effect that `term` looks like, where that one in its place is not contradicted:
+    /// both together explain no more than it alone, or more than `term` alone.
     fn not_told_from(
         &self,
         others: &[EffectTerm],
@@ -215,8 +220,9 @@ impl ScalarSystem {
         (!gains(&alone) || gains(&h.fit)).then_some(plainer)
     }
 
-    /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
-    /// number of places make of a slow bend over time a fast wave over the stimulus.
+    /// A shape that is none of the effect describes the readings as well (Akaike, two parameters)
+    /// in place of `term`, by any of its laws: stimuli in steps of a fixed number of places make of
+    /// a slow bend over time a fast wave over the stimulus.
     fn spans_too_few_periods(
         &self,
         others: &[EffectTerm],
@@ -243,12 +249,14 @@ impl ScalarSystem {
     /// Strata of the design; none where no cell is repeated.
     fn strata(&self, h: &Hypothesis) -> Option<Strata> {
         let cells = replicate_keys(&self.frame);
-        // With a memory in time the readings of a cell differ in their past, too: they are no repeats.
+        // With a memory in time the readings of a cell differ in their past, too: they are no
+        // repeats.
         let remembers = h.fit.terms.iter().any(|t| self.remembers_in_time(t));
         if remembers || !repeated(&cells, h.weights.relative()) {
             return None;
         }
-        // A law of the clock that follows stimulus and way repeats with the protocol, whether the way has a column or not.
+        // A law of the clock that follows stimulus and way repeats with the protocol, whether the
+        // way has a column or not.
         let protocol = protocol_keys(&self.frame);
         let protocol = if repeated(&protocol, h.weights.relative()) {
             protocol
@@ -258,9 +266,10 @@ impl ScalarSystem {
         Some(Strata { cells, protocol })
     }
 
-    /// Rows that count, by the settings of what drives `term`: a further column, else the stimulus; and its value in a row. A load that is not
-    /// there drives nothing: most rows of an axis that is loaded by itself are none of its levels. Empty below two, without one of which the
-    /// design says nothing of the term.
+    /// Rows that count, by the settings of what drives `term`: a further column, else the stimulus;
+    /// and its value in a row. A load that is not there drives nothing: most rows of an axis that
+    /// is loaded by itself are none of its levels. Empty below two, without one of which the design
+    /// says nothing of the term.
     fn driving_levels(
         &self,
         term: &EffectTerm,
@@ -282,7 +291,8 @@ impl ScalarSystem {
         (rows, value)
     }
 
-    /// Rows that count, by cycle; empty below four: without one of three a law loses a third of its readings.
+    /// Rows that count, by cycle; empty below four: without one of three a law loses a third of its
+    /// readings.
     fn cycles(&self, weights: &Weights) -> Vec<Vec<usize>> {
         const MIN_CYCLES: usize = 4;
         let keys: Vec<u64> = self.frame.groups.iter().map(|g| u64::from(*g)).collect();
@@ -294,7 +304,8 @@ impl ScalarSystem {
         }
     }
 
-    /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.
+    /// What the omnibus test still sees is a law of the clock alone, which the search did not take
+    /// because cells do not bear it out.
     pub fn is_time_confounded(&self, found: &SearchResult) -> bool {
         let (best, test) = (&found.best, &found.last_test);
         if test.generic() || !repeated(&protocol_keys(&self.frame), best.weights.relative()) {
@@ -305,7 +316,8 @@ impl ScalarSystem {
         strongest.is_some_and(|(_, s)| self.runs_with_the_clock(&s.term))
     }
 
-    /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.
+    /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the
+    /// protocol.
     pub fn is_block_effect(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
         let cells = protocol_keys(&self.frame);
         if !repeated(&cells, h.weights.relative()) {

@@ -1,11 +1,13 @@
-//! The noise floor: pure error of replicates, else differences of neighbours. Readings that share part of their noise differ by less than
-//! they scatter, and how much less depends on how far apart in time they were taken:
+//! The noise floor: pure error of replicates, else differences of neighbours. Readings that share
+//! part of their noise differ by less than they scatter, and how much less depends on how far apart
+//! in time they were taken:
 //!
 //! ```text
 //! sum over sets of (r - mean)^2 = s^2 sum over sets of (tr C - 1'C 1 / n),      floor^2 = s^2 (1 + shared)
 //! ```
 //!
-//! with C the covariance of a set's readings in units of the repeat noise s^2 (`method::noise::whitening`).
+//! with C the covariance of a set's readings in units of the repeat noise s^2
+//! (`method::noise::whitening`).
 
 use super::frame::Frame;
 use super::sequence::ways;
@@ -28,12 +30,14 @@ pub struct Floor {
 /// Fewer degrees of freedom than this do not make a floor.
 const MIN_DOF: usize = 8;
 
-/// One key for readings that ought to agree: every input is set alike (stimulus, further columns that were set, direction).
+/// One key for readings that ought to agree: every input is set alike (stimulus, further columns
+/// that were set, direction).
 pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, frame.direction.as_deref())
 }
 
-/// Keys of readings that repeat each other: set alike, or, where none is, at one place on either way.
+/// Keys of readings that repeat each other: set alike, or, where none is, at one place on either
+/// way.
 pub fn repeat_keys(frame: &Frame) -> Vec<u64> {
     let keys = replicate_keys(frame);
     let settings = keys.iter().max().map_or(0, |k| 1 + *k as usize);
@@ -44,7 +48,8 @@ pub fn repeat_keys(frame: &Frame) -> Vec<u64> {
     }
 }
 
-/// The same by the way of the stimulus in the order of the table, where that is known: what repeats with the protocol.
+/// The same by the way of the stimulus in the order of the table, where that is known: what repeats
+/// with the protocol.
 pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
     let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.setting));
     keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
@@ -68,7 +73,8 @@ pub fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
 
 fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
     let n = frame.rows.len();
-    // A column that is another at every reading is watched, not set: it says nothing of what ought to agree.
+    // A column that is another at every reading is watched, not set: it says nothing of what ought
+    // to agree.
     let set = |of: &Vec<usize>| 2 * (of.iter().max().map_or(0, |m| m + 1)) <= n;
     let columns: Vec<Vec<usize>> = frame
         .covariates
@@ -93,7 +99,8 @@ fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
         .collect()
 }
 
-/// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
+/// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of
+/// it.
 pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Option<Floor> {
     let frame = &system.frame;
     let shape = noise.weights_of(&system.noise_inputs());
@@ -109,7 +116,8 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
         .collect();
     let dof: usize = cells.iter().map(|cell| cell.len() - 1).sum();
     let whole = (1.0 + noise.shared_variance()).sqrt();
-    // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM F.2.2.1).
+    // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM
+    // F.2.2.1).
     let step = system
         .noise_inputs()
         .step
@@ -124,7 +132,8 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     if dof >= MIN_DOF {
         return Some(floor(scatter.repeat_sd(cells.into_iter())?, "replicates"));
     }
-    // Neighbours in time differ by their noise; where the order is not known, neighbours in the stimulus.
+    // Neighbours in time differ by their noise; where the order is not known, neighbours in the
+    // stimulus.
     let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
     if !frame.ordered {
         rows.sort_by(|&a, &b| frame.u[a].total_cmp(&frame.u[b]));

@@ -1,4 +1,5 @@
-//! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
+//! The rows of a transducer or axis session in the order in which they were taken, with normalised
+//! covariates.
 
 pub use super::row::ScalarRow;
 use super::row::{all, range};
@@ -31,7 +32,8 @@ pub enum Declared {
 }
 
 impl Declared {
-    /// A sentence about stimulus and response in the words of the session's kind: an axis has commanded and measured positions.
+    /// A sentence about stimulus and response in the words of the session's kind: an axis has
+    /// commanded and measured positions.
     pub fn format_text(self, sentence: &str) -> String {
         match self {
             Self::Polynomial(_) => sentence.to_owned(),
@@ -65,7 +67,8 @@ impl ScalarData<'_> {
         }
     }
 
-    /// Rows of the session's sealed table in this form, still sealed; none of another kind of session.
+    /// Rows of the session's sealed table in this form, still sealed; none of another kind of
+    /// session.
     pub fn sealed(rows: SealedRows) -> Sealed<ScalarRow> {
         match rows {
             SealedRows::Transducer(rows) => rows.convert(|row| (&row).into()),
@@ -111,7 +114,8 @@ impl ScalarData<'_> {
     }
 }
 
-/// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for prediction.
+/// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for
+/// prediction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scaling {
     /// Middle of the stimulus.
@@ -126,14 +130,16 @@ pub struct Scaling {
     pub covariates: Vec<[f64; 2]>,
     /// Readings of the points table, those that the search left out among them.
     pub count: usize,
-    /// Share of the scatter of the stimulus within its settings that is its reading's alone (1 - reliability); 0 in a calibration: a new reading
-    /// has no setting.
+    /// Share of the scatter of the stimulus within its settings that is its reading's alone (1 -
+    /// reliability); 0 in a calibration: a new reading has no setting.
     #[serde(skip)]
     pub unreliability: f64,
-    /// Places of an axis that were all read more than once, rising, as commanded: those of a table of errors.
+    /// Places of an axis that were all read more than once, rising, as commanded: those of a table
+    /// of errors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub places: Vec<f64>,
-    /// A full turn in the stimulus's unit, where the readings go around: its two ends are one place.
+    /// A full turn in the stimulus's unit, where the readings go around: its two ends are one
+    /// place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turn: Option<f64>,
     /// Absolute zero in the stimulus's unit, where that is one of temperature.
@@ -176,9 +182,11 @@ pub struct Frame {
     pub declared: Declared,
     /// Group of each row.
     pub groups: Vec<u32>,
-    /// The order of the rows is that of the measurement: time stamps say so, or nothing speaks against it.
+    /// The order of the rows is that of the measurement: time stamps say so, or nothing speaks
+    /// against it.
     pub ordered: bool,
-    /// The stimulus is the number of the reading, of a constant quantity: nothing was set, and the order alone can drive anything.
+    /// The stimulus is the number of the reading, of a constant quantity: nothing was set, and the
+    /// order alone can drive anything.
     pub counts_readings: bool,
     /// Rows that no fit sees: what needs enough readings to fit does not apply to them.
     pub new_rows: bool,
@@ -218,7 +226,8 @@ impl Scaling {
         }
     }
 
-    /// The same with the scatter of the stimulus's reading, where a response follows it; an axis is commanded to its places.
+    /// The same with the scatter of the stimulus's reading, where a response follows it; an axis is
+    /// commanded to its places.
     pub fn with_unreliability(self, rows: &[ScalarRow], declared: Declared) -> Self {
         let Declared::Polynomial(1..) = declared else {
             return self;
@@ -369,7 +378,8 @@ impl Frame {
             .is_some_and(|turn| 2.0 * self.scaling.half < 1.001 * turn)
     }
 
-    /// The stimulus only rises, or only falls, from reading to reading: the clock and the stimulus are one line, and what follows one follows the other.
+    /// The stimulus only rises, or only falls, from reading to reading: the clock and the stimulus
+    /// are one line, and what follows one follows the other.
     pub fn swept_once(&self) -> bool {
         let steps = || self.u.windows(2).map(|p| p[1] - p[0]);
         !self.counts_readings
@@ -392,7 +402,8 @@ impl Frame {
         ways.iter().all(|w| w.abs() > ONE_WAY) && ways.windows(2).any(|w| w[0] * w[1] < 0.0)
     }
 
-    /// The directions, times `before` until the stimulus first moves: of new rows they are what they say.
+    /// The directions, times `before` until the stimulus first moves: of new rows they are what
+    /// they say.
     pub fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
         let mut direction = self.direction.clone()?;
         let still = self

@@ -34,7 +34,8 @@ use wcal_core::order_statistics::median;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor};
 use wcal_core::{ResidualRecord, Sealed};
 
-/// Predictions at every row, in the system's own values, with half widths of 95 % intervals and how many standard deviations those are.
+/// Predictions at every row, in the system's own values, with half widths of 95 % intervals and how
+/// many standard deviations those are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScalarPredictions {
     value: DVector<f64>,
@@ -50,7 +51,8 @@ impl ScalarSystem {
         self.frame.declared == Declared::Axis
     }
 
-    /// The declared model as a polynomial in the stimulus (none for an axis), and the accepted one where it is one of higher degree.
+    /// The declared model as a polynomial in the stimulus (none for an axis), and the accepted one
+    /// where it is one of higher degree.
     pub(super) fn polynomials(
         &self,
         base: &Hypothesis,
@@ -256,7 +258,8 @@ impl SessionModel for ScalarSystem {
         })
     }
 
-    /// A law of the clock that cells do not bear out is none. A period that wanders leaves its own traces along what it runs over; the reason says that it is not steady.
+    /// A law of the clock that cells do not bear out is none. A period that wanders leaves its own
+    /// traces along what it runs over; the reason says that it is not steady.
     fn residual_explained(&self, found: &SearchResult) -> bool {
         if self.is_time_confounded(found) {
             return true;
@@ -369,7 +372,8 @@ impl SessionModel for ScalarSystem {
             Grouping::Stimuli
         };
         let mut folds = folds(&self.frame, grouping);
-        // What shows at one place alone (a count that starts again) is not predicted where that is omitted.
+        // What shows at one place alone (a count that starts again) is not predicted where that is
+        // omitted.
         let local = |t: &EffectTerm| self.effects[t.effect].shows_on_one_level;
         let slots = accepted.fit.slots(self.catalogue());
         for (_, slots) in accepted
@@ -400,7 +404,8 @@ impl SessionModel for ScalarSystem {
         _floor_sd: f64,
     ) -> ScalarModel {
         let lack = [base, accepted].map(|h| self.pure_error(h));
-        // Where the fit takes its readings for independent, its variance holds what they share already.
+        // Where the fit takes its readings for independent, its variance holds what they share
+        // already.
         let shared = accepted
             .weights
             .shared()

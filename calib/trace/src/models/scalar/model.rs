@@ -1,4 +1,5 @@
-//! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions at new readings.
+//! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions
+//! at new readings.
 
 use super::effects::scalar_catalogue;
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
@@ -16,7 +17,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::observation::Role;
 
-/// An accepted effect with its fitted values (units of the catalogue: half ranges, durations, cycles).
+/// An accepted effect with its fitted values (units of the catalogue: half ranges, durations,
+/// cycles).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTerm {
     /// Identifier of docs/src/formats.md.
@@ -53,7 +55,8 @@ pub struct ScalarModel {
     pub response_unit: String,
     /// Names of further covariates.
     pub covariates: Vec<String>,
-    /// Columns of the table that the session was imported from, by their names in the session; `COLUMN*FACTOR` where a factor applies.
+    /// Columns of the table that the session was imported from, by their names in the session;
+    /// `COLUMN*FACTOR` where a factor applies.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub columns: BTreeMap<String, String>,
     /// Declared model: `{"polynomial": degree}` or `"axis"`.
@@ -149,7 +152,8 @@ const ONLY_THAT_SESSION: &str =
 const MAX_DEGREE: usize = 2;
 
 impl ScalarModel {
-    /// Checks that the parts belong together and every effect is of this version's catalogue, before anything is computed with them.
+    /// Checks that the parts belong together and every effect is of this version's catalogue,
+    /// before anything is computed with them.
     ///
     /// # Errors
     /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
@@ -225,7 +229,8 @@ impl ScalarModel {
         square(&self.covariance, slots, slots)
     }
 
-    /// The model of an accepted explanation; `polynomial` and lack of fit are carried for the reader.
+    /// The model of an accepted explanation; `polynomial` and lack of fit are carried for the
+    /// reader.
     pub fn of(
         system: &ScalarSystem,
         accepted: &Hypothesis,
@@ -237,7 +242,8 @@ impl ScalarModel {
         let (frame, names) = (&system.frame, &system.names);
         let axis = frame.declared == Declared::Axis;
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
-        // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further reading anywhere between them does not.
+        // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further
+        // reading anywhere between them does not.
         let step = system
             .noise_inputs()
             .step
@@ -357,10 +363,12 @@ impl ScalarModel {
         needs.iter().find_map(lacks)
     }
 
-    /// Predicts at `rows` (their `y` is not used), in their order. Memory effects run over the rows in the order of their times.
+    /// Predicts at `rows` (their `y` is not used), in their order. Memory effects run over the rows
+    /// in the order of their times.
     ///
     /// # Errors
-    /// Where the rows lack a column that an accepted effect needs, or the model's parts do not belong together.
+    /// Where the rows lack a column that an accepted effect needs, or the model's parts do not
+    /// belong together.
     pub fn predict(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         // Each row finds its way back by its place here, whatever its line in the file.
         let numbered: Vec<ScalarRow> = rows
@@ -426,8 +434,9 @@ impl ScalarModel {
         Ok(out)
     }
 
-    /// Stimuli at which `rows` would have read their `y`, with half widths of 95 % intervals; for models in which every reading stands
-    /// alone and the response rises or falls throughout. Readings beyond the fitted responses are marked invalid, at the range's end.
+    /// Stimuli at which `rows` would have read their `y`, with half widths of 95 % intervals; for
+    /// models in which every reading stands alone and the response rises or falls throughout.
+    /// Readings beyond the fitted responses are marked invalid, at the range's end.
     ///
     /// # Errors
     /// As [`Self::predict`], and where the response does not determine the stimulus.

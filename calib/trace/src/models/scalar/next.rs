@@ -9,8 +9,9 @@ use wcal_core::verify_document::NextMeasurement;
 /// More repetitions than this are not worth proposing.
 const MAX_REPEATS: usize = 10;
 
-/// Repetitions after which the nearest rival falls behind the limit with 90 % probability: what the two fits predict differs by d noise
-/// standard deviations in norm, and grows with the root of the repetitions.
+/// Repetitions after which the nearest rival falls behind the limit with 90 % probability: what the
+/// two fits predict differs by d noise standard deviations in norm, and grows with the root of the
+/// repetitions.
 pub fn next_measurement(
     system: &ScalarSystem,
     best: &Hypothesis,

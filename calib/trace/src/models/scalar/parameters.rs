@@ -12,7 +12,8 @@ use crate::method::inference::{covariance, t95};
 use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
 
-/// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.
+/// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1")
+/// leave no trace, so that 1/1^2 is 1.
 pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
     let plain = |unit: &str| matches!(unit.trim(), "" | "1");
     let whole = |unit: &str| {
@@ -43,7 +44,8 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
     out
 }
 
-/// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of `cross-axis`.
+/// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of
+/// `cross-axis`.
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
     let half = if s.half > 0.0 { s.half } else { 1.0 };
@@ -197,8 +199,8 @@ pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
     Some(system.catalogue()[term.effect].law(term.law).linear.len() + 1)
 }
 
-/// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of the same 95 % interval (Student's t with k - 1 degrees of
-/// freedom); 0 where they have one zero.
+/// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of
+/// the same 95 % interval (Student's t with k - 1 degrees of freedom); 0 where they have one zero.
 pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
     let is_zero = |t: &EffectTerm| system.catalogue()[t.effect].id == ZERO_BY_SERIES;
     let slots = fit.terms.iter().zip(fit.slots(system.catalogue()));
@@ -213,8 +215,9 @@ pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
     (square + sum * sum) / dof * (1.0 + 1.0 / (dof + 1.0)) * (t95(dof) / NORMAL_95).powi(2)
 }
 
-/// How far nonlinear value `slot` can move down and up until its sum of squares, with the coefficients that suit it, rises by what a 95 %
-/// interval of the likelihood allows: chi-squared of one degree of freedom. Readings weigh as in the fit.
+/// How far nonlinear value `slot` can move down and up until its sum of squares, with the
+/// coefficients that suit it, rises by what a 95 % interval of the likelihood allows: chi-squared
+/// of one degree of freedom. Readings weigh as in the fit.
 fn reach95(
     system: &ScalarSystem,
     Hypothesis { fit, weights, .. }: &Hypothesis,

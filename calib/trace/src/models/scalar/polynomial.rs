@@ -23,7 +23,8 @@ fn two_product(a: f64, b: f64) -> (f64, f64) {
     (p, a.mul_add(b, -p))
 }
 
-/// y - sum b_k x^k with the products and sums compensated (Ogita, Rump & Oishi 2005), so that refinement has something to work on.
+/// y - sum b_k x^k with the products and sums compensated (Ogita, Rump & Oishi 2005), so that
+/// refinement has something to work on.
 fn residual(y: f64, powers: &[f64], b: &[f64]) -> f64 {
     let (mut sum, mut low) = (y, 0.0);
     for (p, c) in powers.iter().zip(b) {
@@ -36,7 +37,8 @@ fn residual(y: f64, powers: &[f64], b: &[f64]) -> f64 {
     sum + low
 }
 
-/// Fits a polynomial of `degree` with weights (1 / relative sd). None with too few readings or too few different stimuli.
+/// Fits a polynomial of `degree` with weights (1 / relative sd). None with too few readings or too
+/// few different stimuli.
 pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Option<Polynomial> {
     let n = weights.iter().filter(|w| **w > 0.0).count();
     let q = degree + 1;

@@ -31,10 +31,12 @@ pub enum Grouping {
 
 /// Blocks of a series that are left out.
 const BLOCKS: usize = 10;
-/// Level at which neighbours count as sharing something; one in a hundred series is omitted in blocks for nothing.
+/// Level at which neighbours count as sharing something; one in a hundred series is omitted in
+/// blocks for nothing.
 const NEIGHBOURS_LEVEL: f64 = 0.01;
 
-/// Neighbours in a session whose order is known share what the accepted model leaves (lag-one correlation).
+/// Neighbours in a session whose order is known share what the accepted model leaves (lag-one
+/// correlation).
 pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool {
     if !system.frame.ordered || system.frame.rows.len() < 2 * BLOCKS {
         return false;
@@ -143,8 +145,9 @@ impl Fitted {
     }
 }
 
-/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`. `noise_sd`: of each reading. None where the
-/// design has no solution there or is not the one that was fitted.
+/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`.
+/// `noise_sd`: of each reading. None where the design has no solution there or is not the one that
+/// was fitted.
 pub fn predict(
     system: &ScalarSystem,
     fitted: &Fitted,

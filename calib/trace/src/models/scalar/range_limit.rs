@@ -1,5 +1,6 @@
-//! Readings at a limit of the read-out: where the last settings of the stimulus all read the same value, the extreme one, although the law of the
-//! others goes on, the reading is censored. It is no measurement of the stimulus (Tobin 1958), and what it scatters by is no noise.
+//! Readings at a limit of the read-out: where the last settings of the stimulus all read the same
+//! value, the extreme one, although the law of the others goes on, the reading is censored. It is
+//! no measurement of the stimulus (Tobin 1958), and what it scatters by is no noise.
 
 use super::frame::{Declared, ScalarRow};
 use crate::method::settings::{means, settings};
@@ -7,7 +8,8 @@ use wcal_core::order_statistics::median;
 use wcal_core::repeats::decimal_step;
 use wcal_core::text::number;
 
-/// What the law of the other settings goes on by beyond the limit, in resolvable steps: a coarse gauge repeats itself, too.
+/// What the law of the other settings goes on by beyond the limit, in resolvable steps: a coarse
+/// gauge repeats itself, too.
 const BEYOND_STEPS: f64 = 6.0;
 /// Fewest readings at the limit of one setting alone.
 const MIN_REPEATS: usize = 3;
@@ -74,7 +76,8 @@ fn at_end(
     let count = setting.iter().max()? + 1;
     let mut of: Vec<Vec<usize>> = vec![Vec::new(); count];
     setting.iter().enumerate().for_each(|(i, &k)| of[k].push(i));
-    // Settings from either end of the stimulus that read nothing else, and one more that reads it now and then.
+    // Settings from either end of the stimulus that read nothing else, and one more that reads it
+    // now and then.
     let all = |k: usize| of[k].iter().all(|&i| y[i] == value);
     let any = |k: usize| of[k].iter().any(|&i| y[i] == value);
     let upper = all(count - 1);

@@ -1,11 +1,13 @@
-//! A stimulus that moved while it was recorded in steps (whole degrees): between its changes it is known better than its record.
+//! A stimulus that moved while it was recorded in steps (whole degrees): between its changes it is
+//! known better than its record.
 //!
 //! ```text
 //! x = (x_k + x_k+1) / 2 midway between the last reading of one value and the first of the next,   evenly from reading to reading in between
 //! ```
 //!
-//! A record that is cut to its digits lies half a step off throughout, which the zero takes up. An operator with memory smooths the steps, too: it is no
-//! finding where the moving stimulus does as well.
+//! A record that is cut to its digits lies half a step off throughout, which the zero takes up. An
+//! operator with memory smooths the steps, too: it is no finding where the moving stimulus does as
+//! well.
 
 use super::system::ScalarSystem;
 use crate::method::admissible::REFIT_STEPS;
@@ -20,7 +22,8 @@ const NEXT_TO_NOTHING: f64 = 1.0 / 3.0;
 const AS_WELL: f64 = 1.5;
 
 impl ScalarSystem {
-    /// The same readings at a stimulus that moved evenly between the changes of its record; none where that has no steps.
+    /// The same readings at a stimulus that moved evenly between the changes of its record; none
+    /// where that has no steps.
     fn moving_between_steps(&self) -> Option<Self> {
         let (frame, n) = (&self.frame, self.frame.u.len());
         let runs: Vec<&[usize]> = frame.setting.chunk_by(|a, b| a == b).collect();
@@ -42,8 +45,8 @@ impl ScalarSystem {
         Some(moving)
     }
 
-    /// A term that follows the clock or the way of the stimulus gains next to nothing where that moved between the steps of its record, and without it the
-    /// readings are explained as well.
+    /// A term that follows the clock or the way of the stimulus gains next to nothing where that
+    /// moved between the steps of its record, and without it the readings are explained as well.
     pub(super) fn smooths_steps(&self, h: &Hypothesis, without: &Hypothesis) -> bool {
         let Some(moving) = self.moving_between_steps() else {
             return false;

@@ -25,7 +25,8 @@ pub struct ScalarRow {
     pub cycle: Option<u32>,
     /// Further covariates.
     pub covariates: Vec<f64>,
-    /// Place among all readings of the session, where not all of them are fitted; none: as they come.
+    /// Place among all readings of the session, where not all of them are fitted; none: as they
+    /// come.
     pub place: Option<usize>,
 }
 

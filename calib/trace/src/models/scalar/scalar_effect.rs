@@ -8,9 +8,11 @@ use crate::effect::{Effect, EffectModel, Values};
 pub struct ScalarEffect {
     /// Name and laws.
     pub effect: Effect,
-    /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
+    /// Why the effect cannot be seen in readings that have every column it needs; none where it
+    /// can.
     pub not_observable: fn(&Frame) -> Option<String>,
-    /// A bend: a law of the stimulus alone that does not repeat along it. Bends compete for one shape.
+    /// A bend: a law of the stimulus alone that does not repeat along it. Bends compete for one
+    /// shape.
     pub bend: bool,
     /// The power of the stimulus that it adds to a polynomial of one degree less.
     pub degree: Option<usize>,
@@ -18,11 +20,14 @@ pub struct ScalarEffect {
     pub shows_on_one_level: bool,
     /// Laws whose columns are functions of the stimulus alone, although they are no bend.
     pub waves_of_stimulus: &'static [&'static str],
-    /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
+    /// A plainer effect that a law of this one looks like on these readings: it is named only where
+    /// that one is contradicted.
     pub looks_like: fn(&EffectModel, &Frame) -> Option<&'static str>,
-    /// Values of a law's only shape that are none of this effect: where one of them describes the readings better, the effect is not named.
+    /// Values of a law's only shape that are none of this effect: where one of them describes the
+    /// readings better, the effect is not named.
     pub spans_too_few_periods: &'static [f64],
-    /// Changes the effective stimulus of every reading, in half ranges; false where the law does not apply.
+    /// Changes the effective stimulus of every reading, in half ranges; false where the law does
+    /// not apply.
     pub warp: fn(&Values, &Frame, &mut [f64]) -> bool,
     /// Columns (one value a reading) with free coefficients; none where the law does not apply.
     pub columns: fn(&Values, &Frame) -> Option<Vec<Vec<f64>>>,

@@ -4,8 +4,9 @@ use super::row::{ScalarRow, all, range};
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
-/// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
-/// stands among its repetitions then says nothing of when it was taken.
+/// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or
+/// might have been: where a reading stands among its repetitions then says nothing of when it was
+/// taken.
 pub(super) fn sorted_with_repetitions(setting: &[usize]) -> bool {
     let rises = setting.windows(2).all(|p| p[1] >= p[0]);
     let falls = setting.windows(2).all(|p| p[1] <= p[0]);
@@ -43,7 +44,8 @@ pub(super) fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) ->
     (up >= least && found.len() - up >= least).then_some(found)
 }
 
-/// The same, cycle by cycle: the way back to where a series begins is none of its readings' ways. Cycles in turns are one sequence.
+/// The same, cycle by cycle: the way back to where a series begins is none of its readings' ways.
+/// Cycles in turns are one sequence.
 fn ways_of_cycles(rows: &[ScalarRow], setting: &[usize]) -> Vec<f64> {
     let runs: Vec<&[ScalarRow]> = rows.chunk_by(|a, b| a.cycle == b.cycle).collect();
     let distinct: BTreeSet<Option<u32>> = rows.iter().map(|r| r.cycle).collect();
@@ -65,7 +67,8 @@ fn to_and_fro(setting: &[usize]) -> bool {
     strokes.all(|stroke| stroke.len() >= MIN_STROKE)
 }
 
-/// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
+/// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn
+/// is read once on either way.
 pub fn ways(setting: &[usize]) -> Vec<f64> {
     let step = |k: usize| {
         setting

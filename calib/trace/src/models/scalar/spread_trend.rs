@@ -1,4 +1,5 @@
-//! A spread of the readings that follows the stimulus: tested on the search's residuals, and the search made again with it.
+//! A spread of the readings that follows the stimulus: tested on the search's residuals, and the
+//! search made again with it.
 
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
@@ -14,7 +15,8 @@ const PERMUTATIONS: usize = 4999;
 /// Largest share of rounding in the variance.
 const MAX_ROUNDING: f64 = 0.1;
 
-/// Residuals of a fit, each divided by the share of its variance that the fit leaves; weighed by stated uncertainties alone.
+/// Residuals of a fit, each divided by the share of its variance that the fit leaves; weighed by
+/// stated uncertainties alone.
 fn standardised(system: &ScalarSystem, h: &Hypothesis) -> Vec<f64> {
     let law = system.noise_inputs().known;
     let basis = nuisance_basis(&h.fit);
@@ -29,7 +31,8 @@ fn standardised(system: &ScalarSystem, h: &Hypothesis) -> Vec<f64> {
 /// Trend of the spread along the stimulus.
 pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Spread> {
     let frame = &system.frame;
-    // Rounding is a function of the value: where it is much of the noise, readings are near or far as their marks lie, and no order is as likely.
+    // Rounding is a function of the value: where it is much of the noise, readings are near or far
+    // as their marks lie, and no order is as likely.
     let step = system
         .noise_inputs()
         .step
@@ -62,8 +65,8 @@ pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> O
     Some(spread)
 }
 
-/// The same readings with the spread that `accepted` leaves; none where that is what they have. A spread that does not outlive the effects which a
-/// search with it adds is given up for good.
+/// The same readings with the spread that `accepted` leaves; none where that is what they have. A
+/// spread that does not outlive the effects which a search with it adds is given up for good.
 pub(super) fn with_spread_of(
     system: &ScalarSystem,
     accepted: &Hypothesis,

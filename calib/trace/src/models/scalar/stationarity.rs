@@ -25,7 +25,8 @@ pub const UNSTEADY: f64 = 3.0;
 /// Readings in a half below which the comparison says nothing.
 const MIN_HALF: usize = 15;
 
-/// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
+/// Refits the accepted explanation on each half, in the order of its variable. None without a
+/// periodic effect.
 pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
     let free = |t: &EffectTerm| system.catalogue()[t.effect].id == PERIODIC && !t.values.is_empty();
     let place = h.fit.terms.iter().position(free)?;

@@ -1,4 +1,5 @@
-//! What the unit of the stimulus and the read-out's range say: a full turn, absolute zero, and where a count starts again.
+//! What the unit of the stimulus and the read-out's range say: a full turn, absolute zero, and
+//! where a count starts again.
 
 use super::row::{ScalarRow, range};
 use std::f64::consts::TAU;
@@ -16,7 +17,8 @@ fn turn_in(unit: &str) -> Option<f64> {
     })
 }
 
-/// A full turn, where readings in `levels` places over `span` go around once: the next place after the last is the first again.
+/// A full turn, where readings in `levels` places over `span` go around once: the next place after
+/// the last is the first again.
 pub(super) fn full_turn(unit: &str, span: f64, levels: usize) -> Option<f64> {
     turn_in(unit).filter(|turn| levels > 2 && span > turn * (1.0 - 1.5 / levels as f64))
 }
@@ -42,8 +44,9 @@ fn moduli() -> impl Iterator<Item = f64> {
 /// Steps up to this many times the typical one are steps of the same slope.
 const SAME_SLOPE: f64 = 3.0;
 
-/// Where a count starts again, rising: jumps by its whole range after which the responses go on as before, between two places of the stimulus, or at one
-/// whose readings lie on both sides. Empty where none does.
+/// Where a count starts again, rising: jumps by its whole range after which the responses go on as
+/// before, between two places of the stimulus, or at one whose readings lie on both sides. Empty
+/// where none does.
 pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
     let mut all: Vec<(f64, f64)> = rows.iter().map(|r| (r.x, r.y)).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -89,7 +92,8 @@ pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
     moduli().find_map(of).unwrap_or_default()
 }
 
-/// How often the count of each reading has started again. At a place whose readings lie on both sides each is recognised by its neighbours.
+/// How often the count of each reading has started again. At a place whose readings lie on both
+/// sides each is recognised by its neighbours.
 pub(super) fn times_wrapped(rows: &[ScalarRow], wraps: &[f64]) -> Vec<f64> {
     let [low, high] = range(rows.iter().map(|r| r.y));
     let of = |r: &ScalarRow| {

@@ -1,4 +1,5 @@
-//! A transducer or axis session as a system: stimulus -> effects on the stimulus -> declared model -> additive effects.
+//! A transducer or axis session as a system: stimulus -> effects on the stimulus -> declared model
+//! -> additive effects.
 
 use super::admission::number;
 use super::effects;
@@ -52,7 +53,8 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
     (!met).then_some(why)
 }
 
-/// Why no law of the clock shows in a single series of rising loads (ASTM E74, ISO 376 and DKD-R 6-1 turn directions for that reason).
+/// Why no law of the clock shows in a single series of rising loads (ASTM E74, ISO 376 and DKD-R
+/// 6-1 turn directions for that reason).
 pub(super) const SWEPT_ONCE: &str = "the stimulus only rises or only falls, so that what follows the time follows the stimulus, too: take a falling series, or the stimuli in another order";
 /// Why nothing bends over a full turn.
 const ONE_PLACE: &str = "the stimulus goes around once: 0 and a full turn are one place";
@@ -80,11 +82,13 @@ pub struct ScalarSystem {
     pub(super) spread: Option<Spread>,
     /// A trend was found and did not outlive the effects that were found with it.
     pub(super) given_up_spread: bool,
-    /// Far offset that the axis's known part enters with, added to every measured value (0 for transducers), see `design`.
+    /// Far offset that the axis's known part enters with, added to every measured value (0 for
+    /// transducers), see `design`.
     pub(super) offset: f64,
 }
 
-/// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
+/// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law
+/// of the spread.
 pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
     law.scale(frame)
         .iter()
@@ -92,11 +96,13 @@ pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64)
         .collect()
 }
 
-/// Least and largest stated variance beside a typical one; a reference mass of nothing is no reading without noise.
+/// Least and largest stated variance beside a typical one; a reference mass of nothing is no
+/// reading without noise.
 const STATED: [f64; 2] = [1e-2, 1e6];
 
-/// Stated variances of the stimuli beside a typical one: the shape of what the reference adds to the noise (ISO/TS 28037, the slope taken as one over the
-/// range). Empty where they are not stated, or all alike.
+/// Stated variances of the stimuli beside a typical one: the shape of what the reference adds to
+/// the noise (ISO/TS 28037, the slope taken as one over the range). Empty where they are not
+/// stated, or all alike.
 fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
     let Some(sd) = all(rows, |r| r.x_sd) else {
         return Vec::new();
@@ -111,7 +117,8 @@ fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
     }
 }
 
-/// Stimuli that a further power of a smooth curve takes, and most of them: higher ones swing between the places.
+/// Stimuli that a further power of a smooth curve takes, and most of them: higher ones swing
+/// between the places.
 const READINGS_A_POWER: usize = 3;
 const MAX_POWERS: usize = 5;
 
@@ -149,7 +156,8 @@ impl ScalarSystem {
         }
     }
 
-    /// With the session's names, every reading of its points table that measures, and the limits at which the others stand.
+    /// With the session's names, every reading of its points table that measures, and the limits at
+    /// which the others stand.
     pub fn of_session(
         mut self,
         names: Names,
@@ -160,7 +168,8 @@ impl ScalarSystem {
         self
     }
 
-    /// The same effects seen on every row of the session, unsealed ones behind the others; far offset and law of the spread kept.
+    /// The same effects seen on every row of the session, unsealed ones behind the others; far
+    /// offset and law of the spread kept.
     pub fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
         let mut unsealed = unsealed.to_vec();
         // They go on behind, unless the clock says otherwise.
@@ -267,8 +276,9 @@ impl MeasurementModel for ScalarSystem {
                     .map(|k| read.iter().map(|v| v.powi(k as i32)).collect())
                     .collect()
             }
-            // measured - commanded = constant + (x_eff - x): the second part has no free coefficient. Seen from a far point it
-            // rides on the constant's column, with a coefficient of one to within error / offset = 1e-5.
+            // measured - commanded = constant + (x_eff - x): the second part has no free
+            // coefficient. Seen from a far point it rides on the constant's column, with a
+            // coefficient of one to within error / offset = 1e-5.
             Declared::Axis => {
                 let um = 1e3 * frame.scaling.half / self.offset;
                 vec![
@@ -388,7 +398,8 @@ impl MeasurementModel for ScalarSystem {
                 ));
             }
         }
-        // The first of drivers that say the same is named: a column that counts the readings says it last.
+        // The first of drivers that say the same is named: a column that counts the readings says
+        // it last.
         if frame.counts_readings {
             out.rotate_left(1);
         }
@@ -399,7 +410,8 @@ impl MeasurementModel for ScalarSystem {
         let frame = &self.frame;
         let n = frame.rows.len();
         let values: Vec<f64> = frame.rows.iter().map(|r| r.y).collect();
-        // The order of the rows stands in for a clock where nothing speaks against it; a break between sweeps shows in the time constant.
+        // The order of the rows stands in for a clock where nothing speaks against it; a break
+        // between sweeps shows in the time constant.
         let timed = frame.rows.iter().all(|r| r.t_s.is_some());
         let clock = if timed {
             Some(frame.rows.iter().filter_map(|r| r.t_s).collect())

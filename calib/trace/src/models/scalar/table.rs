@@ -1,4 +1,5 @@
-//! Where no law describes the errors of an axis and repeats show that they belong to its places: a table of them.
+//! Where no law describes the errors of an axis and repeats show that they belong to its places: a
+//! table of them.
 
 use super::effects::ERROR_TABLE;
 use super::frame::Declared;
@@ -67,7 +68,8 @@ fn refitted(system: &ScalarSystem, terms: &[EffectTerm], base: &Hypothesis) -> O
     })
 }
 
-/// The plainest table that no richer one beats: by place, with one reversal value for all, with one for each place.
+/// The plainest table that no richer one beats: by place, with one reversal value for all, with one
+/// for each place.
 fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypothesis> {
     let of = |law: usize| EffectTerm {
         effect,
@@ -96,7 +98,8 @@ fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypo
     improves_on_laws(&base.fit, &kept.fit).then_some(kept)
 }
 
-/// What the table leaves may follow the clock or another column: effects that the omnibus test asks for and that earn their gain in cells.
+/// What the table leaves may follow the clock or another column: effects that the omnibus test asks
+/// for and that earn their gain in cells.
 fn extended(
     system: &ScalarSystem,
     table: Hypothesis,

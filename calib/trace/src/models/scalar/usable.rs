@@ -1,4 +1,5 @@
-//! Can an accepted model serve as a calibration: does the response depend on the stimulus, and can its own rows be predicted by it?
+//! Can an accepted model serve as a calibration: does the response depend on the stimulus, and can
+//! its own rows be predicted by it?
 
 use super::frame::Declared;
 use super::model::ScalarModel;
@@ -12,8 +13,9 @@ use crate::method::linear::Basis;
 use crate::method::min_p::f_test;
 use nalgebra::DVector;
 
-/// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted. A quadratic
-/// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
+/// The response does not depend on the stimulus: F test of every term of the stimulus at once,
+/// beside whatever else was fitted. A quadratic or cubic term that was accepted is one of them, and
+/// so is a wave over the stimulus.
 pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let Declared::Polynomial(degree @ 1..) = system.frame.declared else {
         return None;
@@ -49,7 +51,8 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
         .then(|| format!("The response {depends} (p = {chance}): there is no sensitivity to calibrate. A correction or deviation of the stimulus needs none: deviation = true under [transducer] of session.toml states that it is one."))
 }
 
-/// Columns of the design that are functions of the stimulus: the declared powers, and those of effects that act through the stimulus alone.
+/// Columns of the design that are functions of the stimulus: the declared powers, and those of
+/// effects that act through the stimulus alone.
 fn columns_of_stimulus(system: &ScalarSystem, fit: &Fit, degree: usize) -> Vec<usize> {
     let acts = |t: &EffectTerm| {
         system.effects[t.effect].of_stimulus(system.catalogue()[t.effect].law(t.law))
@@ -73,7 +76,8 @@ pub(super) fn domain_error(system: &ScalarSystem, h: &Hypothesis) -> Option<Stri
     ))
 }
 
-/// Fewer readings than this show little beside their law; a certificate of five pressures is one of them.
+/// Fewer readings than this show little beside their law; a certificate of five pressures is one of
+/// them.
 const FEW: usize = 8;
 
 /// What the accepted law rests on and no reading tests.
@@ -84,7 +88,8 @@ pub(super) fn untested(system: &ScalarSystem, h: &Hypothesis) -> Vec<String> {
     let (n, levels) = (system.frame.rows.len(), system.frame.levels());
     let of_stimulus = 1 + columns_of_stimulus(system, &h.fit, degree).len();
     let mut out = Vec::new();
-    // As many settings as coefficients: the curve goes through all of them, whatever it does between them.
+    // As many settings as coefficients: the curve goes through all of them, whatever it does
+    // between them.
     if levels == of_stimulus && degree > 0 {
         out.push(format!(
             "{levels} stimuli determine the {levels} coefficients and test nothing of the law between them: a bend there does harm and does not \

@@ -1,4 +1,5 @@
-//! `verify` for kinds "transducer" and "axis": admission of the data, the procedure, and what reports and calibration need of it.
+//! `verify` for kinds "transducer" and "axis": admission of the data, the procedure, and what
+//! reports and calibration need of it.
 
 use super::admission::{number, thin};
 use super::frame::{Frame, Names, ScalarData, ScalarRow, Scaling};
@@ -42,7 +43,8 @@ pub struct ScalarVerification {
     pub residual_sd: [f64; 2],
     /// Explanations that were refitted, best first.
     pub evidence: Vec<RankedHypothesis>,
-    /// The omnibus test's families (catalogue, generic, serial) on the declared and on the best model; none where the data were refused.
+    /// The omnibus test's families (catalogue, generic, serial) on the declared and on the best
+    /// model; none where the data were refused.
     pub gates: Option<[[f64; 3]; 2]>,
     /// Every reading of the session, unsealed ones among them; none where the data were refused.
     pub whole: Option<ScalarSystem>,

@@ -1,4 +1,5 @@
-//! Branches of equilibria, continued from first touch and kept: their neighbours are solved in a few steps from them.
+//! Branches of equilibria, continued from first touch and kept: their neighbours are solved in a
+//! few steps from them.
 
 use crate::whisker::rod_parameters::RodParameters;
 use std::sync::{Arc, Mutex};
@@ -6,7 +7,8 @@ use wcal_rod::Anchor;
 
 /// Walked wires kept a line.
 const KEPT: usize = 12;
-/// Wires farther from every known one than this are continued from first touch; nearer ones are first tried from the known one.
+/// Wires farther from every known one than this are continued from first touch; nearer ones are
+/// first tried from the known one.
 const NEAR: f64 = 2.0;
 
 /// Equilibria of one wire along one line.

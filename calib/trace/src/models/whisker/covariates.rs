@@ -1,4 +1,5 @@
-//! What a residual that nothing explains may follow: the columns of a whisker's session, and what can be made of them.
+//! What a residual that nothing explains may follow: the columns of a whisker's session, and what
+//! can be made of them.
 //!
 //! ```text
 //! largest moment   max over s <= t of |m(s)|                  what has yielded keeps the set of it
@@ -8,7 +9,8 @@
 use super::path::Reading;
 use super::system::WhiskerSystem;
 
-/// Readings on each side between which a rate is taken: few for a fast room, many for a noisy thermometer; and readings before.
+/// Readings on each side between which a rate is taken: few for a fast room, many for a noisy
+/// thermometer; and readings before.
 const SIDES: [[usize; 2]; 5] = [[3, 0], [10, 0], [10, 10], [30, 0], [30, 30]];
 
 /// The columns, by name; a name may have several.
@@ -64,7 +66,8 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
     out
 }
 
-/// Rate of the temperature, deg C/s, over `side` readings on both sides of the one `before` each: what a reading's own noise has in them cancels.
+/// Rate of the temperature, deg C/s, over `side` readings on both sides of the one `before` each:
+/// what a reading's own noise has in them cancels.
 fn rates(readings: &[Reading], [side, before]: [usize; 2]) -> Vec<f64> {
     let last = readings.len() - 1;
     let rate = |i: usize| {

@@ -14,9 +14,11 @@ use std::collections::BTreeMap;
 pub struct Floor {
     /// Standard deviation of a loaded reading at a repeated pose, pm.
     pub sd_pm: f64,
-    /// The same of readings that were averaged over far fewer samples (in motion), pm; none where all are averaged alike.
+    /// The same of readings that were averaged over far fewer samples (in motion), pm; none where
+    /// all are averaged alike.
     pub moving_pm: Option<f64>,
-    /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves between neighbouring poses).
+    /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves
+    /// between neighbouring poses).
     pub source: &'static str,
     /// Degrees of freedom of the rest readings' repetitions.
     pub rest_dof: f64,
@@ -29,8 +31,9 @@ const NEAR_SHARE: f64 = 0.05;
 /// Gaps between sorted positions that part poses are this many times those within one.
 const GAP_RATIO: f64 = 3.0;
 
-/// Number of the pose of each reading: equal for readings that agree in trajectory, direction, speed and seating, and in position within a
-/// tolerance that follows from the positions themselves (repeated poses cluster: gaps within a cluster are far smaller than between).
+/// Number of the pose of each reading: equal for readings that agree in trajectory, direction,
+/// speed and seating, and in position within a tolerance that follows from the positions themselves
+/// (repeated poses cluster: gaps within a cluster are far smaller than between).
 pub fn poses(readings: &[Reading]) -> Vec<usize> {
     let mut approaches: BTreeMap<(u32, u32, bool, i64, i64), Vec<usize>> = BTreeMap::new();
     for (i, r) in readings.iter().enumerate() {
@@ -82,7 +85,8 @@ fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
     jump.map_or(exact, |k| (gaps[k - 1] * gaps[k]).sqrt())
 }
 
-/// Residuals by pose among the typical readings at rest, or loaded; settings held through count once, by their mean.
+/// Residuals by pose among the typical readings at rest, or loaded; settings held through count
+/// once, by their mean.
 fn by_pose(
     system: &WhiskerSystem,
     h: &Hypothesis,
@@ -122,8 +126,9 @@ fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
     Part { ss, dof }
 }
 
-/// What `h` leaves of loaded poses against how well a pose that is set again reproduces; none where too few were, or where readings share noise in
-/// time: poses that follow each other then differ by less than those that do not. No parameter is counted, so that F errs to the small side: rest
+/// What `h` leaves of loaded poses against how well a pose that is set again reproduces; none where
+/// too few were, or where readings share noise in time: poses that follow each other then differ by
+/// less than those that do not. No parameter is counted, so that F errs to the small side: rest
 /// readings, which are in no pose, take some.
 pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> {
     if h.weights
@@ -144,8 +149,8 @@ pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> 
         .flatten()
 }
 
-/// The floor under the noise of the accepted model. `left`: something remains that the model does not explain, so its residuals are no noise
-/// and only replicates tell the floor.
+/// The floor under the noise of the accepted model. `left`: something remains that the model does
+/// not explain, so its residuals are no noise and only replicates tell the floor.
 pub fn noise_floor(
     system: &WhiskerSystem,
     h: &Hypothesis,

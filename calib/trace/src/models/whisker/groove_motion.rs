@@ -1,12 +1,15 @@
-//! A session as one sees it who knows how the groove moves but not where it is: moments through a calibration, and ways along the trajectories.
+//! A session as one sees it who knows how the groove moves but not where it is: moments through a
+//! calibration, and ways along the trajectories.
 //!
-//! What a calibration does not know is alike for all its readings. With theta = (coefficients, values of the effects) and
-//! `cov(theta) = F F'`, each column f of F is one common unknown of unit variance; where the truth is theta + f instead of theta,
+//! What a calibration does not know is alike for all its readings. With theta = (coefficients,
+//! values of the effects) and `cov(theta) = F F'`, each column f of F is one common unknown of unit
+//! variance; where the truth is theta + f instead of theta,
 //!
-//! `y - m_true = m(theta) - m(theta + f)` (moments), `x(theta + f) - x(theta)` (way of the stage), another wire (rod and friction).
+//! `y - m_true = m(theta) - m(theta + f)` (moments), `x(theta + f) - x(theta)` (way of the stage),
+//! another wire (rod and friction).
 //!
-//! F is triangular with the values of the wire's effects first, so that only the first columns need another wire. The remainder is the
-//! reading's own noise, `K^-1 s^2 K^-T`.
+//! F is triangular with the values of the wire's effects first, so that only the first columns need
+//! another wire. The remainder is the reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
 use super::rod_parameters::RodParameters;
@@ -72,11 +75,13 @@ const MAX_CORRELATED: f64 = 0.98;
 pub struct GrooveMotion {
     /// Wire.
     pub wire: AcceptedWire,
-    /// The wire by one standard deviation of each of the first common unknowns; the others leave it as it is.
+    /// The wire by one standard deviation of each of the first common unknowns; the others leave it
+    /// as it is.
     pub changed: Vec<AcceptedWire>,
     /// Readings on trajectories, in order of time.
     pub readings: Vec<ReadingWithMotion>,
-    /// Share of the variance of the readings' noise that is correlated in time, and its time constant, s; none where none was found.
+    /// Share of the variance of the readings' noise that is correlated in time, and its time
+    /// constant, s; none where none was found.
     pub correlated: Option<[f64; 2]>,
 }
 
@@ -186,8 +191,9 @@ fn calibrate_readings(
     ))
 }
 
-/// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
-/// position would take theirs from the groove's place: the system must have none.
+/// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the
+/// wire cannot be bent. Rows without a stage position would take theirs from the groove's place:
+/// the system must have none.
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let (
         SensedReadings {
@@ -251,7 +257,8 @@ fn nominal(rod: Rod) -> AcceptedWire {
     }
 }
 
-/// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
+/// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for
+/// each moment.
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
@@ -333,7 +340,8 @@ fn readings(
     out
 }
 
-/// The model whose values are off by what stands behind the coefficients in `by`; they stay in their ranges.
+/// The model whose values are off by what stands behind the coefficients in `by`; they stay in
+/// their ranges.
 fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
     let mut moved = model.clone();
     let laws = model.terms();

@@ -42,8 +42,8 @@ fn scored_readings(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
         .collect()
 }
 
-/// Through sensitivity and accepted effects; those that act on the pose act on the moments that it is judged by. None where the rod has no
-/// equilibrium at the poses.
+/// Through sensitivity and accepted effects; those that act on the pose act on the moments that it
+/// is judged by. None where the rod has no equilibrium at the poses.
 pub fn of_model(
     system: &WhiskerSystem,
     model: &PhysicalModel,

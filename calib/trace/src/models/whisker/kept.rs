@@ -1,4 +1,5 @@
-//! Results by key, all forgotten where there are too many: refits visit hundreds of parameter values, and only a short memory is of use.
+//! Results by key, all forgotten where there are too many: refits visit hundreds of parameter
+//! values, and only a short memory is of use.
 
 use std::collections::HashMap;
 use std::hash::Hash;

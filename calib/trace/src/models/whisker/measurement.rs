@@ -34,7 +34,8 @@ use wcal_core::{ResidualRecord, Sealed};
 const WHITENING_CHANGED: f64 = 1.1;
 /// Change of the stage's clock from which the search is made again, s.
 const CLOCK_CHANGED_S: f64 = 2e-4;
-/// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
+/// Ratio of the pictures' scatter to what they state from which the statement is not believed:
+/// chance reaches 1.2 with 27 pairs.
 const OVERSTATED: f64 = 1.25;
 /// No pair is believed to be better than this share of what it states.
 const MIN_OWN_SHARE: f64 = 0.2;
@@ -59,14 +60,16 @@ const QUANTITIES: [Quantity; 3] = [
     },
 ];
 
-/// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the system that was fitted.
+/// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the
+/// system that was fitted.
 fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
     let Some(own) = before.pictures().map(Pictures::independent_variance_share) else {
         return system;
     };
     let chi = reduced_chi(fit, before.picture_scale());
     let sd = fit.readings_variance().sqrt();
-    // Worse than stated, by whatever: everything counts less. Better: only what scatters can be, and one variance holds for all values.
+    // Worse than stated, by whatever: everything counts less. Better: only what scatters can be,
+    // and one variance holds for all values.
     if own * chi > OVERSTATED {
         system
             .with_own_share(1.0)
@@ -158,7 +161,8 @@ impl SessionModel for WhiskerSystem {
         Some(reweight_pictures(system.clone(), &base.fit, &system))
     }
 
-    /// An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
+    /// An effect that was not declared hides how much noise the channels share, and how good the
+    /// pictures are beside it.
     fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
@@ -265,7 +269,8 @@ impl SessionModel for WhiskerSystem {
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
         let (r, p) = (&self.path.readings[reading], &predictions.readings[reading]);
         let moment = Vector2::from(p.moment_nmm) - Vector2::from(p.pose_moment_nmm);
-        // Two errors of one reading: in the sensor's unit from the pose, in moments from the wavelengths.
+        // Two errors of one reading: in the sensor's unit from the pose, in moments from the
+        // wavelengths.
         let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm);
         let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
         HeldOut {
@@ -358,7 +363,8 @@ impl SessionModel for WhiskerSystem {
     }
 }
 
-/// Pairs of pictures, which join the fit: what they say of an explanation is in its sum of squares already, and they refute none by themselves.
+/// Pairs of pictures, which join the fit: what they say of an explanation is in its sum of squares
+/// already, and they refute none by themselves.
 pub(super) struct PicturePairs;
 
 impl Witness<WhiskerSystem> for PicturePairs {
@@ -390,8 +396,8 @@ impl Witness<WhiskerSystem> for PicturePairs {
     }
 }
 
-/// What the pictures say of the accepted model, and which of both decided for its effects: by the falls of the misfit of wavelengths and pictures,
-/// in variances.
+/// What the pictures say of the accepted model, and which of both decided for its effects: by the
+/// falls of the misfit of wavelengths and pictures, in variances.
 fn picture_note(
     system: &WhiskerSystem,
     found: &SearchResult,

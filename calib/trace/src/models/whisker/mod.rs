@@ -1,4 +1,5 @@
-//! The whisker's measurement model: pose -> rod -> moment -> memory -> wavelength, and what the procedure asks of it.
+//! The whisker's measurement model: pose -> rod -> moment -> memory -> wavelength, and what the
+//! procedure asks of it.
 
 mod admission;
 mod branch_cache;

@@ -45,7 +45,8 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
 
 /// Loading, unloading after the deepest pose, fast passes and long dwells on every trajectory.
 fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
-    // The later session begins in the surroundings in which this one ended; its temperature is not ours to choose.
+    // The later session begins in the surroundings in which this one ended; its temperature is not
+    // ours to choose.
     let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else {
         return Vec::new();
     };
@@ -124,8 +125,9 @@ fn design_at(
     Some(design.rows(index, 1).into_owned())
 }
 
-/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted. They come from a later
-/// session with its own zero, known from a rest reading before each. `seen`: by how much the pictures that are there separate them.
+/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b
+/// is refitted. They come from a later session with its own zero, known from a rest reading before
+/// each. `seen`: by how much the pictures that are there separate them.
 fn separation(
     b: &Fit,
     present: &DMatrix<f64>,
@@ -174,14 +176,15 @@ fn separation(
         / variance
 }
 
-/// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.
+/// A proposal and, for each rival, the gap between the best explanation's prediction and the
+/// rival's and the rival's design there.
 struct Evaluated {
     proposal: usize,
     against: Vec<(DMatrix<f64>, DMatrix<f64>)>,
 }
 
-/// The poses that separate the best explanation from `rivals`, and the power expected from them: the chance that none of them
-/// survives where the best one is true (Bonferroni's lower bound).
+/// The poses that separate the best explanation from `rivals`, and the power expected from them:
+/// the chance that none of them survives where the best one is true (Bonferroni's lower bound).
 pub fn next_measurement(
     system: &WhiskerSystem,
     best: &Hypothesis,

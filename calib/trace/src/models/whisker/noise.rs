@@ -1,4 +1,5 @@
-//! What the noise of a whisker session can depend on: its clock, which poses were held, load and depth, and how its values were written.
+//! What the noise of a whisker session can depend on: its clock, which poses were held, load and
+//! depth, and how its values were written.
 
 use crate::method::noise::NoiseInputs;
 use crate::whisker::path::{Reading, WhiskerPath, averaged_readings};
@@ -10,7 +11,8 @@ use wcal_core::order_statistics::median;
 const SAME_MM: f64 = 5e-5;
 /// A reading with this many times the typical noise of averaging counts less.
 const FEW_SAMPLES: f64 = 10.0;
-/// Steps of recorded wavelengths that are looked for, pm, coarsest first; finer ones are far below any noise.
+/// Steps of recorded wavelengths that are looked for, pm, coarsest first; finer ones are far below
+/// any noise.
 const STEPS_PM: [f64; 6] = [1000.0, 100.0, 10.0, 1.0, 0.1, 0.01];
 
 /// The inputs of the noise model.
@@ -48,7 +50,8 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
     }
 }
 
-/// Whether the stage did not move between two readings: the same place, and where dwells are known the later one's covers the time between.
+/// Whether the stage did not move between two readings: the same place, and where dwells are known
+/// the later one's covers the time between.
 fn held(a: &Reading, b: &Reading, time: bool) -> bool {
     let same = a.line == b.line
         && a.seating == b.seating
@@ -59,7 +62,8 @@ fn held(a: &Reading, b: &Reading, time: bool) -> bool {
     same && settled && stayed && a.direction * b.direction >= 0.0
 }
 
-/// Readings whose place is not known do not count; those with larger known sample noise count less: the common part is not known yet, so only the worst ones feel it.
+/// Readings whose place is not known do not count; those with larger known sample noise count less:
+/// the common part is not known yet, so only the worst ones feel it.
 fn known(readings: &[Reading]) -> Vec<f64> {
     let own: Vec<f64> = readings
         .iter()
@@ -77,7 +81,8 @@ fn known(readings: &[Reading]) -> Vec<f64> {
     own.iter().zip(readings).map(of).collect()
 }
 
-/// Coarsest step of which all recorded wavelengths of a channel are multiples, pm; none where they are written finely.
+/// Coarsest step of which all recorded wavelengths of a channel are multiples, pm; none where they
+/// are written finely.
 pub(super) fn step_pm(data: &WhiskerData, channel: usize) -> Option<f64> {
     let first = data.rows.first()?.shift_pm[channel];
     let on = |step: f64| {

@@ -27,10 +27,11 @@ pub struct Reading {
     pub dwell_s: f64,
     /// Time for which the groove stays after `t_s`: the rest of the averaging window, s.
     pub stays_s: f64,
-    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant. Freed of its sensor's
-    /// noise where the session's walk is known.
+    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes
+    /// up any constant. Freed of its sensor's noise where the session's walk is known.
     pub rise_degc: f64,
-    /// The same as the other readings have it: free of this reading's own noise, which compensation brings into its shifts.
+    /// The same as the other readings have it: free of this reading's own noise, which compensation
+    /// brings into its shifts.
     pub temperature_loo_degc: f64,
     /// Compensated shifts, pm.
     pub shift_pm: [f64; 2],
@@ -38,7 +39,8 @@ pub struct Reading {
     pub sample_sd_pm: [f64; 2],
     /// Samples averaged, where the session says so.
     pub samples: Option<u32>,
-    /// The same for how readings' noise compares: of a session that does not say so, in units of a settled reading's.
+    /// The same for how readings' noise compares: of a session that does not say so, in units of a
+    /// settled reading's.
     pub averaged: Option<f64>,
     /// Trajectory identifier (0 at rest without one).
     pub group: u32,
@@ -48,7 +50,8 @@ pub struct Reading {
     pub holdout: bool,
     /// Seating of the whisker: 0 in the first session.
     pub seating: u32,
-    /// The stage sped up or slowed down, or its answer came late: where it was is not known well enough.
+    /// The stage sped up or slowed down, or its answer came late: where it was is not known well
+    /// enough.
     pub unsteady: bool,
 }
 
@@ -106,7 +109,8 @@ pub struct WhiskerPath {
 }
 
 impl WhiskerPath {
-    /// One column a seating after the first, 1 at its readings: the zero of each seating is its own.
+    /// One column a seating after the first, 1 at its readings: the zero of each seating is its
+    /// own.
     pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
         let of = |k: u32| {
             self.readings
@@ -133,14 +137,16 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
     out
 }
 
-/// Temperature of a reading, deg C: of its reference grating where there is one, else of the wire's sensor.
+/// Temperature of a reading, deg C: of its reference grating where there is one, else of the wire's
+/// sensor.
 fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
     row.reference_shift_pm
         .and_then(|shift_pm| fbg.rise_degc(shift_pm))
         .or(row.temperature_degc)
 }
 
-/// Where the readout's columns of time and temperature are zero: at the means of the session's readings, wherever its clock and its thermometer begin.
+/// Where the readout's columns of time and temperature are zero: at the means of the session's
+/// readings, wherever its clock and its thermometer begin.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct ReadoutOrigin {
     /// Time, s.
@@ -169,8 +175,8 @@ const AVERAGED_ALIKE: f64 = 1.5;
 /// How long a reading was averaged, whether it is loaded, and whether it had settled.
 type Averaged = (Option<f64>, bool, bool);
 
-/// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
-/// number is missing.
+/// Variances that averages have by their numbers of samples, 1 for a typical settled loaded
+/// reading; empty where all are alike or a number is missing.
 fn averaging_variance(readings: &[Averaged]) -> Vec<f64> {
     let Some(typical) = typical(readings) else {
         return Vec::new();
@@ -213,7 +219,8 @@ fn settled(row: &WhiskerRow) -> bool {
     row.dwell_s.is_some_and(|d| d > 0.0)
 }
 
-/// How long a row was averaged: its samples, or, where `moving_variance` is known instead, in units of a settled one's.
+/// How long a row was averaged: its samples, or, where `moving_variance` is known instead, in units
+/// of a settled one's.
 fn averaged(row: &WhiskerRow, moving_variance: Option<f64>) -> Option<f64> {
     let by_reference = moving_variance.map(|v| if settled(row) { 1.0 } else { 1.0 / v });
     row.samples.map(|n| f64::from(n.max(1))).or(by_reference)
@@ -221,11 +228,14 @@ fn averaged(row: &WhiskerRow, moving_variance: Option<f64>) -> Option<f64> {
 
 /// Variances of a moving reading's noise that are tried, 1 for a settled one's: two a decade.
 const MOVING_VARIANCES: [f64; 6] = [3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-/// Rise of twice the log likelihood from which they are unlike: chance gives as much once in a thousand sessions.
+/// Rise of twice the log likelihood from which they are unlike: chance gives as much once in a
+/// thousand sessions.
 const UNLIKE: f64 = 10.8;
 
-/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter. All gratings of a row are averaged alike,
-/// and no moment moves the reference: where the rows do not say how many samples they average, its noise shows how much less a moving row is.
+/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does
+/// not scatter. All gratings of a row are averaged alike, and no moment moves the reference: where
+/// the rows do not say how many samples they average, its noise shows how much less a moving row
+/// is.
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let walk = |moving_variance: Option<f64>| {
         let sizes: Vec<Averaged> = rows
@@ -282,7 +292,8 @@ fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
 }
 
 impl WhiskerPath {
-    /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the temperature is freed of its noise.
+    /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the
+    /// temperature is freed of its noise.
     pub fn new(
         rows: &[&WhiskerRow],
         trajectories: &[Trajectory],
@@ -392,15 +403,18 @@ impl WhiskerPath {
 
 /// Fewest readings of a stroke whose speed is known.
 const MIN_STROKE: usize = 4;
-/// Difference from the stroke's speed from which a reading was taken on a ramp, or beside a late answer of the stage.
+/// Difference from the stroke's speed from which a reading was taken on a ramp, or beside a late
+/// answer of the stage.
 const STEADY: f64 = 0.05;
-/// A stage that is unsteady more often than this is moved by hand: no reading is better than the others.
+/// A stage that is unsteady more often than this is moved by hand: no reading is better than the
+/// others.
 const MAX_UNSTEADY: f64 = 0.4;
 
 /// Ratios of the speed between two readings and their own from which both belong to one motion.
 const ONE_MOTION: [f64; 2] = [0.3, 2.0];
 
-/// Whether two neighbours were read in one motion: passes one after the other have the way back and the dwells between them.
+/// Whether two neighbours were read in one motion: passes one after the other have the way back and
+/// the dwells between them.
 fn one_motion(a: &Reading, b: &Reading) -> bool {
     let same =
         a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
@@ -413,8 +427,9 @@ fn one_motion(a: &Reading, b: &Reading) -> bool {
     same && (ONE_MOTION[0]..=ONE_MOTION[1]).contains(&ratio)
 }
 
-/// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
-/// speed, which is wrong on a ramp and where an answer came late.
+/// Marks readings on the fly whose speed is not that of their stroke: between two answers of the
+/// stage its position is interpolated at one speed, which is wrong on a ramp and where an answer
+/// came late.
 fn exclude_ramps(readings: &mut [Reading]) {
     let (mut off, mut on_the_fly) = (Vec::new(), 0_usize);
     let mut start = 0;
@@ -445,7 +460,8 @@ fn exclude_ramps(readings: &mut [Reading]) {
     }
 }
 
-/// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady one's place is interpolated.
+/// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady
+/// one's place is interpolated.
 fn places(readings: &[Reading]) -> Vec<f64> {
     // Number of the motion that each reading belongs to.
     let mut motions = vec![0; readings.len()];
@@ -472,7 +488,8 @@ fn places(readings: &[Reading]) -> Vec<f64> {
     (0..readings.len()).map(of).collect()
 }
 
-/// A settled reading lies in a dwell: its arrival is a node, and so is the end of its averaging window. Changing lines, the groove leaves the wire.
+/// A settled reading lies in a dwell: its arrival is a node, and so is the end of its averaging
+/// window. Changing lines, the groove leaves the wire.
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
     let places_mm = places(readings);
@@ -551,8 +568,8 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
     use wcal_core::observation::FbgSpec;
 
-    /// Of twenty sessions, each of 40 strokes of eight settled and twelve moving rows whose noise is `sd` times as large: what their reference grating
-    /// says of the variance.
+    /// Of twenty sessions, each of 40 strokes of eight settled and twelve moving rows whose noise
+    /// is `sd` times as large: what their reference grating says of the variance.
     fn moving_variances(sd: f64) -> Vec<Option<f64>> {
         let fbg = FbgSpec {
             temperature_pm_per_degc: Some([10.0, 10.0]),
@@ -631,7 +648,8 @@ mod tests {
 
     #[test]
     fn a_late_answer_of_the_stage_is_marked_and_its_place_interpolated() {
-        // 2 mm/s, read every 0.1 s; the fourth answer came late: the stage seems to have stood back.
+        // 2 mm/s, read every 0.1 s; the fourth answer came late: the stage seems to have stood
+        // back.
         let mut stroke: Vec<Reading> = (0..8)
             .map(|k| reading(0.1 * f64::from(k), 0.2 * f64::from(k), 2.0))
             .collect();

@@ -1,6 +1,8 @@
-//! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
+//! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and
+//! its inverse.
 //!
-//! Readout of a reading: `y = B' c(m, v)`, with `c = [1, m1, m2, zeros of seatings, effect columns]`, coefficients `B` and the effects'
+//! Readout of a reading: `y = B' c(m, v)`, with
+//! `c = [1, m1, m2, zeros of seatings, effect columns]`, coefficients `B` and the effects'
 //! nonlinear values `v`; the inverse is `m = f(y; B, v)`, its uncertainty in `uncertainty`.
 
 use super::system::WhiskerSystem;
@@ -43,7 +45,8 @@ pub struct CorrelatedReadings {
     pub time_constant_s: f64,
 }
 
-/// How the variance of a reading depends on the samples n that it averages: `(common + samples / n) / (common + 1)` of a typical one's.
+/// How the variance of a reading depends on the samples n that it averages:
+/// `(common + samples / n) / (common + 1)` of a typical one's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Averaging {
     /// Samples of a typical loaded reading.
@@ -55,33 +58,39 @@ pub struct Averaging {
 /// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PhysicalModel {
-    /// Coefficients, one row a design column (zero, the two moments, zeros of later seatings, effect columns), one column a channel.
+    /// Coefficients, one row a design column (zero, the two moments, zeros of later seatings,
+    /// effect columns), one column a channel.
     pub coefficients: Vec<[f64; 2]>,
     /// Covariance of the coefficients, channel by channel, and of the nonlinear values after them.
     pub covariance: Vec<Vec<f64>>,
     /// Standard deviation of a typical loaded reading at a repeated pose, pm.
     pub noise_sd_pm: f64,
-    /// The part of the readings' noise that is correlated in time (first-order Gauss-Markov process), for predictions; absent where it
-    /// predicts no better.
+    /// The part of the readings' noise that is correlated in time (first-order Gauss-Markov
+    /// process), for predictions; absent where it predicts no better.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlated_noise: Option<CorrelatedReadings>,
-    /// What the readings' noise is the noise of; absent where the session does not say how many samples it averaged.
+    /// What the readings' noise is the noise of; absent where the session does not say how many
+    /// samples it averaged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub averaging: Option<Averaging>,
-    /// By how much the session's stage clock was set to agree with the readings', s: its positions are those of so much later.
+    /// By how much the session's stage clock was set to agree with the readings', s: its positions
+    /// are those of so much later.
     #[serde(default)]
     pub stage_clock_s: f64,
-    /// Where the effects' columns of time and temperature are zero; files of before these were stored have them from 0.
+    /// Where the effects' columns of time and temperature are zero; files of before these were
+    /// stored have them from 0.
     #[serde(default)]
     pub readout_origin: ReadoutOrigin,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
-    /// Seatings that the fit saw; each after the first has its own zero, and new readings belong to the last.
+    /// Seatings that the fit saw; each after the first has its own zero, and new readings belong to
+    /// the last.
     #[serde(default = "one")]
     pub seatings: u32,
     /// Gratings.
     pub fbg: FbgSpec,
-    /// Largest moment, N mm, that the fitted readings reach; beyond 1.1 times it the calibration is not valid.
+    /// Largest moment, N mm, that the fitted readings reach; beyond 1.1 times it the calibration is
+    /// not valid.
     pub largest_moment_nmm: f64,
 }
 
@@ -123,7 +132,8 @@ impl PhysicalModel {
                 }
             })
             .collect();
-        // From the engine's channels, whose noise is uncorrelated and of one variance, to the gratings'.
+        // From the engine's channels, whose noise is uncorrelated and of one variance, to the
+        // gratings'.
         let pm = system.channels_pm();
         let coefficients = &fit.coefficients * &pm;
         let (count, size) = (coefficients.nrows(), coefficients.len());
@@ -152,8 +162,9 @@ impl PhysicalModel {
         }
     }
 
-    /// With the correlated part of the readings' noise, where there is a clock to which it belongs, and how the variance of a reading depends on
-    /// the samples that it averages, where the session says how many.
+    /// With the correlated part of the readings' noise, where there is a clock to which it belongs,
+    /// and how the variance of a reading depends on the samples that it averages, where the session
+    /// says how many.
     pub fn with_noise(self, system: &WhiskerSystem, noise: &Noise) -> Self {
         let (pose, factor) = (noise.pose.map_or(0.0, |p| p.value), system.noise_factor());
         let part = noise
@@ -176,7 +187,8 @@ impl PhysicalModel {
         }
     }
 
-    /// Variances of a path's readings beside 1 of a typical reading of the calibration's own session.
+    /// Variances of a path's readings beside 1 of a typical reading of the calibration's own
+    /// session.
     pub fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
         // Noise of samples falls with their number; what they share does not.
         let of = |r: &Reading| match (self.averaging, r.samples) {
@@ -191,7 +203,8 @@ impl PhysicalModel {
         Matrix2::from_fn(|c, j| self.coefficients[j + 1][c])
     }
 
-    /// Checks that the parts belong together and every effect is of this version's catalogue, before anything is computed with them.
+    /// Checks that the parts belong together and every effect is of this version's catalogue,
+    /// before anything is computed with them.
     ///
     /// # Errors
     /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
@@ -219,7 +232,8 @@ impl PhysicalModel {
             columns += law.linear.len();
             values += a.values.len();
         }
-        // Each seating after the first has its own column: reject a mounting count inconsistent with the coefficients.
+        // Each seating after the first has its own column: reject a mounting count inconsistent
+        // with the coefficients.
         let count = self.coefficients.len();
         let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
         if seatings.is_none() {
@@ -317,7 +331,8 @@ impl PhysicalModel {
             .collect()
     }
 
-    /// The first accepted effect that needs a column which `path` lacks to infer moments, and that column.
+    /// The first accepted effect that needs a column which `path` lacks to infer moments, and that
+    /// column.
     pub fn missing_column(&self, path: &WhiskerPath) -> Option<(&str, &'static str)> {
         let lacks = |need: &LawRequirement| match need {
             LawRequirement::Temperature => {
@@ -360,8 +375,9 @@ impl PhysicalModel {
         path.readout_columns(self.seatings, terms, &self.readout_origin, sensed)
     }
 
-    /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
-    /// poses are known (base less sensed, N mm); without it the effects run over the readings' own history.
+    /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take
+    /// from each reading's moment where the poses are known (base less sensed, N mm); without it
+    /// the effects run over the readings' own history.
     ///
     /// Memory is a small correction, so plain fixed-point iteration undoes it.
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
@@ -418,8 +434,9 @@ impl PhysicalModel {
             .collect()
     }
 
-    /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls: where a bent readout never gives the
-    /// shift, the moment at its fold, the closest one, comes out. The slope is taken by differences because effects add columns.
+    /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls:
+    /// where a bent readout never gives the shift, the moment at its fold, the closest one, comes
+    /// out. The slope is taken by differences because effects add columns.
     pub(super) fn sensed(
         &self,
         terms: &[ActiveEffect],
@@ -482,7 +499,8 @@ pub(super) fn is_below_noise(sensed: &[f64; 2], sd: &[f64; 2]) -> bool {
 
 /// Finds base moments whose memory gives the sensed ones, by fixed point over the whole history.
 ///
-/// Where nothing is sensed beyond noise, a dead zone hides the moment: the reading keeps what it shows.
+/// Where nothing is sensed beyond noise, a dead zone hides the moment: the reading keeps what it
+/// shows.
 pub(super) fn undo_memory(
     terms: &[ActiveEffect],
     path: &WhiskerPath,

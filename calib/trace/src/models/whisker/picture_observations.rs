@@ -1,4 +1,5 @@
-//! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all pairs share (`pictures`).
+//! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all
+//! pairs share (`pictures`).
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::sync::Arc;
@@ -18,7 +19,8 @@ pub struct PairObservation {
     pub stations_mm: Vec<Vector3<f64>>,
     /// Place among the pairs in order of time, 0 to 1.
     pub place: f64,
-    /// How stereo-shape says that a wrong board and a tag glued askew move it; empty where it does not say.
+    /// How stereo-shape says that a wrong board and a tag glued askew move it; empty where it does
+    /// not say.
     pub derivatives: Arc<Derivatives>,
 }
 
@@ -67,18 +69,20 @@ pub(super) struct Pair {
     pub(super) normals: Vec<[Vector3<f64>; 2]>,
     /// Inverse Cholesky factor of the picture's own errors.
     pub(super) whitening: DMatrix<f64>,
-    /// Variance of the groove's position, its own errors and shared ones, summed over the axes, mm^2.
+    /// Variance of the groove's position, its own errors and shared ones, summed over the axes,
+    /// mm^2.
     pub(super) groove_mm2: f64,
     /// First of its values among all.
     pub(super) first: usize,
 }
 
-/// Stations of the centre line that count at most, spread evenly from root to tip: past the contact the wire is free, and its tail shows
-/// the slope there with the longest lever.
+/// Stations of the centre line that count at most, spread evenly from root to tip: past the contact
+/// the wire is free, and its tail shows the slope there with the longest lever.
 const MAX_STATIONS: usize = 12;
 /// Nearer to the root than this the wire is in its seat and tells nothing, mm.
 const MIN_STATION_MM: f64 = 4.0;
-/// Part of the stated error below which nothing is believed, mm: rounding of the file and of the rod.
+/// Part of the stated error below which nothing is believed, mm: rounding of the file and of the
+/// rod.
 const FLOOR_MM: f64 = 1e-3;
 /// No board is known better, as a share of its size: 0.01 mm in 100 mm of an etched or printed one.
 const BOARD_TOLERANCE: f64 = 1e-4;
@@ -117,7 +121,8 @@ fn moved(column: &ErrorColumn, kept: &[usize]) -> PairChange {
     }
 }
 
-/// A pair's observations with their own errors, and the derivatives by the shared parameters, values x parameters.
+/// A pair's observations with their own errors, and the derivatives by the shared parameters,
+/// values x parameters.
 pub(super) fn observe(
     document: &PairDocument,
     groove: &GrooveDocument,
@@ -157,7 +162,8 @@ pub(super) fn observe(
                 let v = values(&moved(column, &kept), &normals);
                 own += &v * v.transpose();
             }
-            // Sealed pairs were fitted by themselves; where their list is another they are compared, never weighed.
+            // Sealed pairs were fitted by themselves; where their list is another they are
+            // compared, never weighed.
             for (j, column) in errors
                 .shared
                 .iter()
@@ -231,7 +237,8 @@ fn setup(errors: &PairErrors, kept: &[usize], shapes: &SessionShapes) -> Derivat
     }
 }
 
-/// Covariance of the groove's position: as stated, else from the standard deviations: along the wire it is the tag's, across the wire's.
+/// Covariance of the groove's position: as stated, else from the standard deviations: along the
+/// wire it is the tag's, across the wire's.
 fn position_covariance(groove: &GrooveDocument, tangent: &Vector3<f64>) -> Matrix3<f64> {
     let floor = FLOOR_MM * FLOOR_MM;
     if let Some(covariance) = groove.covariance_mm2 {
@@ -244,8 +251,8 @@ fn position_covariance(groove: &GrooveDocument, tangent: &Vector3<f64>) -> Matri
     (Matrix3::identity() - projector) * across + projector * along
 }
 
-/// Covariance of (groove, arc length) of a pair without `errors`: the foot point on the wire is as good as the groove along the wire and,
-/// across it, as the wire across.
+/// Covariance of (groove, arc length) of a pair without `errors`: the foot point on the wire is as
+/// good as the groove along the wire and, across it, as the wire across.
 fn stated(
     groove: &GrooveDocument,
     position: &Matrix3<f64>,
@@ -312,7 +319,8 @@ fn tangent_at(document: &PairDocument, groove: &GrooveDocument) -> Vector3<f64> 
     along.unwrap_or_else(Vector3::x)
 }
 
-/// The shared covariance; a board and a rig tag that stereo-shape takes as known are known to their tolerances.
+/// The shared covariance; a board and a rig tag that stereo-shape takes as known are known to their
+/// tolerances.
 pub(super) fn with_tolerances(shapes: &SessionShapes) -> Vec<Vec<f64>> {
     let mut covariance = shapes.covariance.clone();
     for (k, parameter) in shapes.parameters.iter().enumerate() {
@@ -328,8 +336,8 @@ pub(super) fn with_tolerances(shapes: &SessionShapes) -> Vec<Vec<f64>> {
     covariance
 }
 
-/// `C^(1/2)`: columns are independent errors of one standard deviation; parameters of no variance are taken as known. The common shifts
-/// stand behind the parameters.
+/// `C^(1/2)`: columns are independent errors of one standard deviation; parameters of no variance
+/// are taken as known. The common shifts stand behind the parameters.
 pub(super) fn root_of(covariance: &[Vec<f64>]) -> DMatrix<f64> {
     let n = covariance.len();
     if n == 0 {

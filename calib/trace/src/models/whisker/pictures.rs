@@ -1,6 +1,7 @@
 //! The second witness: what pairs of pictures show of the poses, beside the wavelengths.
 //!
-//! A pair shows `z_i` = (groove position, contact arc length, centre line across at some stations); the rod predicts it as `g_i`:
+//! A pair shows `z_i` = (groove position, contact arc length, centre line across at some stations);
+//! the rod predicts it as `g_i`:
 //!
 //! ```text
 //! z_i - g_i(terms) = e_i + S_i q,      cov(e_i) = N_i = O_i O_i' + floor^2 I,     cov(q) = C          (errors of shapes.json)
@@ -8,14 +9,17 @@
 //! w = (I + A A')^(-1/2) u = u + A M A' u,     M = V ((1 + s^2)^(-1/2) - 1) / s^2 V',     A' A = V s^2 V'
 //! ```
 //!
-//! so that `w` is white once the errors `q` that all pairs share (cameras, tags, light) are integrated out. Pairs whose readings do not
-//! count are zero in `w` and have no part in `M`. Source: JCGM 102:2011, 6.2; the symmetric root keeps one value a row.
+//! so that `w` is white once the errors `q` that all pairs share (cameras, tags, light) are
+//! integrated out. Pairs whose readings do not count are zero in `w` and have no part in `M`.
+//! Source: JCGM 102:2011, 6.2; the symmetric root keeps one value a row.
 //!
-//! Where the pairs scatter less than they state, their own errors are smaller: `N_i` becomes `f^2 N_i` with f from the residuals. What all
-//! pairs share does not scatter and stays as it is stated.
+//! Where the pairs scatter less than they state, their own errors are smaller: `N_i` becomes
+//! `f^2 N_i` with f from the residuals. What all pairs share does not scatter and stays as it is
+//! stated.
 //!
-//! A pair without `errors` shows the contact alone. Nobody says which part of its stated covariance all pairs share, so all of it may be:
-//! it counts once as the pair's own and once more as one shift of every such pair.
+//! A pair without `errors` shows the contact alone. Nobody says which part of its stated covariance
+//! all pairs share, so all of it may be: it counts once as the pair's own and once more as one
+//! shift of every such pair.
 
 use super::kept::Kept;
 use super::path::WhiskerPath;
@@ -111,7 +115,8 @@ impl Pictures {
 
     /// The same pairs with `share` of the own errors that they state.
     pub fn with_own_share(&self, share: f64) -> Self {
-        // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size and weigh more.
+        // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size
+        // and weigh more.
         let stretch = self.independent_variance_share / share;
         let smaller = |p: &Pair| Pair {
             whitening: &p.whitening * stretch,
@@ -147,7 +152,8 @@ impl Pictures {
         self.pairs.is_empty()
     }
 
-    /// Distance of the contact from where it is seen that the stated covariances give, root mean square, mm.
+    /// Distance of the contact from where it is seen that the stated covariances give, root mean
+    /// square, mm.
     pub fn contact_floor_mm(&self) -> f64 {
         (self.pairs.iter().map(|p| p.groove_mm2).sum::<f64>() / self.pairs.len().max(1) as f64)
             .sqrt()

@@ -1,13 +1,14 @@
 //! Which effects a plan can distinguish, before anything is measured.
 //!
-//! The signature of an effect is the derivative of the predicted readings by its parameter, off K and the zero. With orthonormal bases A, B of
-//! what two effects can do at given shapes,
+//! The signature of an effect is the derivative of the predicted readings by its parameter, off K
+//! and the zero. With orthonormal bases A, B of what two effects can do at given shapes,
 //!
 //! ```text
 //! c(A, B) = |A' B| / sqrt(dim A)        1: whatever A does, B can imitate
 //! ```
 //!
-//! A and B cannot be distinguished where every shape of A is imitated by some shape of B (`c > 0.995`), whatever the noise.
+//! A and B cannot be distinguished where every shape of A is imitated by some shape of B
+//! (`c > 0.995`), whatever the noise.
 
 use super::system::WhiskerSystem;
 use crate::error::TraceError;
@@ -19,7 +20,8 @@ use wcal_core::WhiskerData;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::plan_check_document::{Addition, PlanCheck, PlannedEffect};
 
-/// Sensitivity of a typical sensor, pm/(N mm): signatures off K do not depend on it but for their scale.
+/// Sensitivity of a typical sensor, pm/(N mm): signatures off K do not depend on it but for their
+/// scale.
 const TYPICAL_PM_PER_NMM: [[f64; 2]; 2] = [[75.0, 6.0], [-6.0, 75.0]];
 
 /// Checks the plan whose rows `data` holds; their shifts are not used.

@@ -22,7 +22,8 @@ pub struct Predicted {
     pub shift_sd_pm: [f64; 2],
     /// Base moment predicted from the pose, N mm.
     pub pose_moment_nmm: [f64; 2],
-    /// Distance of the contact that the cameras saw from the one that the pose predicts, mm; none without a picture.
+    /// Distance of the contact that the cameras saw from the one that the pose predicts, mm; none
+    /// without a picture.
     pub contact_error_mm: Option<f64>,
 }
 
@@ -35,7 +36,8 @@ pub struct Predictions {
     pub sensitivity: Matrix2<f64>,
 }
 
-/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each in the engine's channels; none where the model has no solution.
+/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the
+/// noise of each in the engine's channels; none where the model has no solution.
 pub fn predict(
     system: &WhiskerSystem,
     h: &Hypothesis,

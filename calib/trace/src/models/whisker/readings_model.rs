@@ -14,7 +14,8 @@ use std::sync::Arc;
 use wcal_rod::interpolated_point;
 
 impl WhiskerPath {
-    /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments, zeros of seatings, those of effects.
+    /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments,
+    /// zeros of seatings, those of effects.
     pub(super) fn readout_columns(
         &self,
         seatings: u32,
@@ -35,7 +36,8 @@ impl WhiskerPath {
 }
 
 impl WhiskerSystem {
-    /// What the pairs would show under `terms`, in their order; none where the model has no solution.
+    /// What the pairs would show under `terms`, in their order; none where the model has no
+    /// solution.
     pub fn predict_pictures(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
         let Some(pictures) = &self.pictures else {
             return Some(Vec::new());
@@ -88,7 +90,8 @@ impl WhiskerSystem {
         self.pictures.as_deref()
     }
 
-    /// The same readings with pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
+    /// The same readings with pictures whose stated standard deviation weighs as much as `sd` of a
+    /// reading, in the engine's channels.
     pub fn with_picture_scale(mut self, sd: f64) -> Self {
         self.picture_scale = sd;
         self

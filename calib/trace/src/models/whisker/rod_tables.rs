@@ -1,4 +1,5 @@
-//! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
+//! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip
+//! branches.
 
 use crate::whisker::branch_cache::BranchCache;
 use crate::whisker::kept::Kept;
@@ -31,14 +32,16 @@ pub struct RodTables {
     slips: Kept<Key, Vec<Option<SlipTable>>>,
 }
 
-/// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod, tests/acceptance/order.rs).
+/// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod,
+/// tests/acceptance/order.rs).
 const MESH_MM: f64 = 4.0;
 /// Grid of the tables, mm: interpolation is right to 1e-4 of the moment there (tests).
 const GRID_MM: f64 = 0.8;
 /// Room past the last reading for effects that shift the stage, mm.
 const MARGIN_MM: f64 = 0.6;
 
-/// At most this many distinct positions a line, on average, are solved one by one: a table has some twenty.
+/// At most this many distinct positions a line, on average, are solved one by one: a table has some
+/// twenty.
 const SPARSE_POSITIONS: usize = 6;
 
 fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
@@ -189,7 +192,8 @@ impl RodTables {
         table
     }
 
-    /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where it goes all the way.
+    /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where
+    /// it goes all the way.
     fn followed(
         &self,
         rod: &Rod,
@@ -283,14 +287,15 @@ impl RodTables {
             slip.rows
                 .push(self.slip_row(rod, &line.point(*x), &free, &slip.ratios));
         }
-        // At first touch the force vanishes but its direction does not: the contact's place tends to the next one's.
+        // At first touch the force vanishes but its direction does not: the contact's place tends
+        // to the next one's.
         let [first, second] = [1, 2].map(|i| &slip.rows[i].arclength_mm);
         slip.rows[0].arclength_mm = first.iter().zip(second).map(|(a, b)| 2.0 * a - b).collect();
         Some(slip)
     }
 
-    /// The slip branches at one position of the groove. Where friction leaves the wire no equilibrium, a branch goes on straight, as far as no
-    /// contact is held there.
+    /// The slip branches at one position of the groove. Where friction leaves the wire no
+    /// equilibrium, a branch goes on straight, as far as no contact is held there.
     fn slip_row(
         &self,
         rod: &Rod,
@@ -332,7 +337,8 @@ impl RodTables {
         }
     }
 
-    /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
+    /// Moments without friction at every node, N mm: from the tables, or solved one by one where
+    /// that is less work.
     fn frictionless(
         &self,
         nodes: &[Node],
@@ -350,7 +356,8 @@ impl RodTables {
         nodes.iter().zip(xs_mm).map(at).collect()
     }
 
-    /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage positions.
+    /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage
+    /// positions.
     pub fn moments(
         &self,
         nodes: &[Node],
@@ -372,7 +379,8 @@ impl RodTables {
                 return None;
             }
             let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));
-            // The fine table carries the size, the coarse one only the difference that friction makes.
+            // The fine table carries the size, the coarse one only the difference that friction
+            // makes.
             Some([0, 1].map(|c| frictionless[k][c] + with[c] - without[c]))
         };
         (0..nodes.len()).map(moment).collect()
@@ -433,7 +441,8 @@ struct FrictionContact {
     ratio: f64,
 }
 
-/// Contact under friction along the path: it sticks inside the cone and slips at its edge; none where the wire is free.
+/// Contact under friction along the path: it sticks inside the cone and slips at its edge; none
+/// where the wire is free.
 fn stick_slip(
     slips: &[Option<SlipTable>],
     nodes: &[Node],

@@ -18,13 +18,15 @@ pub struct SeatingVariation {
     pub zero_sd_pm: [f64; 2],
     /// The same over both channels with its 95 % interval, pm; the zeros' own errors are in it.
     pub session: NoisePart,
-    /// p-value of one K for all seatings against one K a seating (F test, every effect of the accepted model kept).
+    /// p-value of one K for all seatings against one K a seating (F test, every effect of the
+    /// accepted model kept).
     pub sensitivity_p: f64,
     /// Root mean square of the seatings' changes of K over the norm of K.
     pub sensitivity_change: f64,
 }
 
-/// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be fitted.
+/// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be
+/// fitted.
 pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVariation> {
     let count = system.seatings();
     let later = count as usize - 1;

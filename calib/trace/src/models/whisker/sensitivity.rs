@@ -1,11 +1,13 @@
-//! Do the gratings respond to the load at all? Dead, stuck and alike gratings are named before anything is fitted to them.
+//! Do the gratings respond to the load at all? Dead, stuck and alike gratings are named before
+//! anything is fitted to them.
 //!
 //! ```text
 //! rho_k: canonical correlations of the shifts Y (readings x 2) and the moments M (readings x 2), both less a course in time
 //! -(n - 1 - (p + q + 1)/2) ln(1 - rho_2^2) ~ chi^2(1)   where the gratings show one direction of the load only
 //! ```
 //!
-//! M. S. Bartlett, J. R. Stat. Soc. Suppl. 9 (1947) 176: test of the smallest canonical correlation.
+//! M. S. Bartlett, J. R. Stat. Soc. Suppl. 9 (1947) 176: test of the smallest canonical
+//! correlation.
 
 use super::system::WhiskerSystem;
 use super::twin_check::label_nmm;
@@ -19,12 +21,14 @@ use wcal_core::order_statistics::{mad_sd, median};
 
 /// Fewest loaded readings from which a response can be determined.
 const MIN_LOADED: usize = 9;
-/// A value farther than this many robust deviations from the median is clipped: a gross reading is no reason to miss a response.
+/// A value farther than this many robust deviations from the median is clipped: a gross reading is
+/// no reason to miss a response.
 const CLIP: f64 = 8.0;
 /// Smallest share of a direction that is there at all: poses in one plane load one direction.
 const SAME_DIRECTION: f64 = 1e-3;
 
-/// Why the session's gratings cannot carry a calibration; none where they respond to the load in two directions.
+/// Why the session's gratings cannot carry a calibration; none where they respond to the load in
+/// two directions.
 ///
 /// # Errors
 /// Where the wire's description cannot be used.
@@ -49,7 +53,8 @@ pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
     constant(system).or_else(of_either)
 }
 
-/// Moments of an outside twin at every reading, 0 at rest, N mm; none where it does not label all of them.
+/// Moments of an outside twin at every reading, 0 at rest, N mm; none where it does not label all
+/// of them.
 fn labels(system: &WhiskerSystem) -> Option<Vec<[f64; 2]>> {
     (0..system.path.readings.len())
         .map(|i| label_nmm(&system.data, system.row(i)))
@@ -90,7 +95,8 @@ fn constant(system: &WhiskerSystem) -> Option<String> {
 /// Gratings whose readings do not follow the load, or follow one direction of it only.
 fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
     let n = moments.len();
-    // A zero that drifts, one a seating, and the temperature (a dead grating that is compensated follows it) are no response.
+    // A zero that drifts, one a seating, and the temperature (a dead grating that is compensated
+    // follows it) are no response.
     let mut course = Basis::default();
     for power in 0..3 {
         course.push(&DVector::from_fn(n, |i, _| {
@@ -143,11 +149,13 @@ fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) 
     if y.len() <= from {
         return Some(1.0);
     }
-    // Of orthonormal bases, canonical correlations are the singular values of Q_y' Q_m (Bjorck & Golub 1973).
+    // Of orthonormal bases, canonical correlations are the singular values of Q_y' Q_m (Bjorck &
+    // Golub 1973).
     let cross = DMatrix::from_fn(y.len(), load.len(), |a, b| y[a].dot(&load[b]));
     let rho = cross.singular_values();
     let (p, q) = (y.len() as f64, load.len() as f64);
-    // Wilks' Lambda of the remaining correlations; Bartlett's factor brings it near chi-squared in small samples.
+    // Wilks' Lambda of the remaining correlations; Bartlett's factor brings it near chi-squared in
+    // small samples.
     let left: f64 = rho
         .iter()
         .skip(from)

@@ -13,8 +13,8 @@ use wcal_rod::{Equilibrium, Rod};
 const MAX_GAP_MM: f64 = 2.0;
 
 impl RodTables {
-    /// Frictionless equilibria at the nodes, each solved for, none at a node where the wire is free; none where the branch ends before one
-    /// of them.
+    /// Frictionless equilibria at the nodes, each solved for, none at a node where the wire is
+    /// free; none where the branch ends before one of them.
     pub(crate) fn solved_contacts(
         &self,
         nodes: &[Node],
@@ -44,7 +44,8 @@ impl RodTables {
         })
     }
 
-    /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before one of them.
+    /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before
+    /// one of them.
     pub(crate) fn solved_moments(
         &self,
         nodes: &[Node],
@@ -119,7 +120,8 @@ impl RodTables {
         )
     }
 
-    /// Equilibria at `xs_mm` in small steps from the nearest wire whose branch is known; none where that is not near enough.
+    /// Equilibria at `xs_mm` in small steps from the nearest wire whose branch is known; none where
+    /// that is not near enough.
     pub(crate) fn warm_start(
         &self,
         rod: &Rod,

@@ -1,8 +1,10 @@
-//! The stage's clock against the interrogator's: in motion a reading belongs to x + v delta, delta the same for the whole session.
+//! The stage's clock against the interrogator's: in motion a reading belongs to x + v delta, delta
+//! the same for the whole session.
 //!
-//! A stage answers with its position, and the answer is stamped when it arrives: 1 to 3 ms after the position was taken (some 25 characters
-//! at 115,200 baud; none on a network). A delta within that is how the session was recorded, no effect: it is fitted beside K and the zero, and what it leaves open
-//! is in the interval of a time lag.
+//! A stage answers with its position, and the answer is stamped when it arrives: 1 to 3 ms after
+//! the position was taken (some 25 characters at 115,200 baud; none on a network). A delta within
+//! that is how the session was recorded, no effect: it is fitted beside K and the zero, and what it
+//! leaves open is in the interval of a time lag.
 
 use super::system::WhiskerSystem;
 use crate::levels::{NEGLIGIBLE, z};
@@ -12,15 +14,18 @@ use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::stack_with;
 use crate::method::signature::nuisance_basis;
 
-/// Alignments beyond this are no matter of stamps, s: the answer's characters and what a unit takes for them.
+/// Alignments beyond this are no matter of stamps, s: the answer's characters and what a unit takes
+/// for them.
 const MAX_CLOCK_S: f64 = 3e-3;
-/// Standard deviation of the alignment of both clocks, s: root mean square of a delay that is uniform up to the largest, sqrt(1/3).
+/// Standard deviation of the alignment of both clocks, s: root mean square of a delay that is
+/// uniform up to the largest, sqrt(1/3).
 pub(super) const CLOCK_SD_S: f64 = 0.577_350_269_189_625_8 * MAX_CLOCK_S;
 /// Step of the derivative, s.
 const STEP_S: f64 = 1e-3;
 
-/// The alignment that `h` leaves in the readings, added to the system's own; the system's own where nothing more is known or it is no
-/// alignment. `lagged`: the explanation has a time lag, which takes up any alignment.
+/// The alignment that `h` leaves in the readings, added to the system's own; the system's own where
+/// nothing more is known or it is no alignment. `lagged`: the explanation has a time lag, which
+/// takes up any alignment.
 pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
     let before_s = system.stage_clock_s();
     if lagged || !system.is_read_in_motion() {

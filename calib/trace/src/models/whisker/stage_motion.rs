@@ -1,5 +1,5 @@
-//! The groove's way between two readings, from their positions and speeds: the stage moves at the speed of one of them and then, or
-//! before, at that of the other.
+//! The groove's way between two readings, from their positions and speeds: the stage moves at the
+//! speed of one of them and then, or before, at that of the other.
 //!
 //! ```text
 //! x1 - x0 = v0 a + v1 (dt - a),   0 <= a <= dt        (ramps of the stage are far shorter than the time between readings)
@@ -21,7 +21,8 @@ pub struct MotionSegment {
 /// A way that is longer or shorter by this share than the speeds allow is another one.
 const FITS: f64 = 0.1;
 
-/// The way from node `k` to the next at positions `xs_mm`; none where the recorded positions and speeds do not say it.
+/// The way from node `k` to the next at positions `xs_mm`; none where the recorded positions and
+/// speeds do not say it.
 pub(super) fn motion_between(
     path: &WhiskerPath,
     xs_mm: &[f64],
@@ -93,7 +94,8 @@ pub(super) fn motion_between(
     ])
 }
 
-/// From a settled pose to a stroke that begins on its other side: the stage went there at the stroke's speed and stood until it began.
+/// From a settled pose to a stroke that begins on its other side: the stage went there at the
+/// stroke's speed and stood until it began.
 fn motion_with_reversal(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if a.moving || !b.moving {
@@ -125,7 +127,8 @@ fn motion_with_reversal(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<V
     })
 }
 
-/// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose positions are read better than speeds are.
+/// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose
+/// positions are read better than speeds are.
 fn speed(path: &WhiskerPath, k: usize) -> f64 {
     let own = |node: &Node| node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
     let node = &path.nodes[k];

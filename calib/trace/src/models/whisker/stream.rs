@@ -1,4 +1,5 @@
-//! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
+//! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a
+//! stream.
 
 use super::groove_motion::covariance_root;
 use super::physical::{PhysicalModel, VALID_SHARE, is_below_noise};
@@ -27,7 +28,8 @@ impl EffectMemories {
             .fold(base, |m, memory| memory.sensed(dt_s, m))
     }
 
-    /// The base moment that is sensed so, remembered from now on. One below `visible`, the noise's standard deviations, keeps what it shows.
+    /// The base moment that is sensed so, remembered from now on. One below `visible`, the noise's
+    /// standard deviations, keeps what it shows.
     fn base(&mut self, dt_s: Option<f64>, sensed: [f64; 2], visible: [f64; 2]) -> [f64; 2] {
         let mut base = sensed;
         // Memory is a small correction: plain fixed-point iteration undoes it, as for a table.
@@ -52,11 +54,13 @@ impl EffectMemories {
     }
 }
 
-/// A calibration with accepted effects that takes readings one by one. New readings belong to the last seating that it saw.
+/// A calibration with accepted effects that takes readings one by one. New readings belong to the
+/// last seating that it saw.
 pub struct PhysicalStream {
     model: PhysicalModel,
     effects: EffectMemories,
-    /// Each uncertain value: its place in the covariance, the step, and the effects with the value one step lower and higher.
+    /// Each uncertain value: its place in the covariance, the step, and the effects with the value
+    /// one step lower and higher.
     moved: Vec<(usize, f64, [EffectMemories; 2])>,
     inverse: Matrix2<f64>,
     last_s: Option<f64>,
@@ -201,7 +205,8 @@ mod tests {
             [-0.4, 0.2],
             [0.6, -1.0],
         ];
-        // Four values: size and time of creep, size and width of hysteresis, play of the dead zone (five).
+        // Four values: size and time of creep, size and width of hysteresis, play of the dead zone
+        // (five).
         let (q, sd) = (coefficients.len() * 2, [0.004, 0.8, 0.003, 0.01, 0.002]);
         let mut covariance = vec![vec![0.0; q + sd.len()]; q + sd.len()];
         sd.iter()
@@ -287,7 +292,8 @@ mod tests {
             .for_each(|v| *v = 0.0);
         let stated = of_table(&model, &shifts);
         let by_noise = of_table(&without, &shifts);
-        // The spread of the answers when the values are drawn from their covariance; nothing else varies.
+        // The spread of the answers when the values are drawn from their covariance; nothing else
+        // varies.
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let draws = 400;
         let mut squares = vec![[0.0; 2]; shifts.len()];

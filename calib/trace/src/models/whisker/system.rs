@@ -1,4 +1,5 @@
-//! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
+//! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at
+//! every stage.
 
 use super::pictures::Pictures;
 use super::whisker_effect::{ActiveEffect, Observers};
@@ -57,7 +58,8 @@ fn cloned_rows(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
     Arc::new(rows.iter().map(|r| (*r).clone()).collect())
 }
 
-/// The readings in the channels of a mixture, which is never singular: a unit matrix with one direction stretched.
+/// The readings in the channels of a mixture, which is never singular: a unit matrix with one
+/// direction stretched.
 fn measured_in(path: &WhiskerPath, whitening: &Matrix2<f64>) -> DMatrix<f64> {
     let shifts = DMatrix::from_fn(path.readings.len(), 2, |i, c| path.readings[i].shift_pm[c]);
     shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity))
@@ -67,7 +69,8 @@ pub(super) fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(2, 2, m.as_slice())
 }
 
-/// Effective stage positions of a path's nodes, mm, and the rod, without what only `unseen` see; the stage's clock set by `stage_clock_s`.
+/// Effective stage positions of a path's nodes, mm, and the rod, without what only `unseen` see;
+/// the stage's clock set by `stage_clock_s`.
 pub(super) fn effective_poses(
     path: &WhiskerPath,
     active: &[ActiveEffect],
@@ -80,7 +83,8 @@ pub(super) fn effective_poses(
     };
     let mut xs: Vec<f64> = path.nodes.iter().map(stamped).collect();
     let mut rod_parameters = RodParameters::default();
-    // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
+    // In the order of the catalogue, which is that of the signal: the reading lags behind a groove
+    // that lags behind the screw.
     let mut acting: Vec<&ActiveEffect> = active
         .iter()
         .filter(|a| a.effect.observers != unseen)
@@ -116,7 +120,8 @@ impl WhiskerSystem {
         Ok(Self { pictures, ..blank })
     }
 
-    /// The same rod with other rows, none deeper than those that it was made for, and without pictures.
+    /// The same rod with other rows, none deeper than those that it was made for, and without
+    /// pictures.
     pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
         Self::assemble(
             &self.data,
@@ -130,7 +135,8 @@ impl WhiskerSystem {
         .without_effects(&self.refuted)
     }
 
-    /// The same system without effects that another measurement of the instrument refutes, by identifier.
+    /// The same system without effects that another measurement of the instrument refutes, by
+    /// identifier.
     pub fn without_effects(self, refuted: &[String]) -> Self {
         Self {
             refuted: refuted.into(),
@@ -291,11 +297,14 @@ impl WhiskerSystem {
         Some((pick(&sensed), pick(&base)))
     }
 
-    /// The same readings in channels whose noise is uncorrelated and of one variance, as far as `fit` shows it.
+    /// The same readings in channels whose noise is uncorrelated and of one variance, as far as
+    /// `fit` shows it.
     ///
-    /// Both gratings are compensated with one reference reading, so its noise, `k_T` times the temperature's, is in both: their covariance
-    /// is `s^2 I + k_T k_T' s_T^2`. Across `k_T` nothing is shared, which gives `s`; the temperature's walk gives `s_T`. K, zero and every
-    /// column have coefficients of their own in each channel, so a mixture of channels is the same model.
+    /// Both gratings are compensated with one reference reading, so its noise, `k_T` times the
+    /// temperature's, is in both: their covariance is `s^2 I + k_T k_T' s_T^2`. Across `k_T`
+    /// nothing is shared, which gives `s`; the temperature's walk gives `s_T`. K, zero and every
+    /// column have coefficients of their own in each channel, so a mixture of channels is the same
+    /// model.
     pub fn whitened(self, fit: &Fit) -> Self {
         let whitening = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
         self.in_channels(whitening)
@@ -326,7 +335,8 @@ impl WhiskerSystem {
         self.path.columns.speeds && !averaged_readings(&self.path.readings).is_empty()
     }
 
-    /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none where no reference noise is shared.
+    /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none
+    /// where no reference noise is shared.
     fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
         let compensated = self.data.fbg.needs_reference()
             && self

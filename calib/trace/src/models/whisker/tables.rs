@@ -1,4 +1,5 @@
-//! Moments along one line on a grid of stage position: frictionless, and the slip branches beside it.
+//! Moments along one line on a grid of stage position: frictionless, and the slip branches beside
+//! it.
 
 /// Values on a uniform grid of stage position.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,7 +73,8 @@ pub(crate) struct SlipRow {
     pub arclength_mm: Vec<f64>,
     /// Moments, N mm.
     pub moments_nmm: Vec<[f64; 2]>,
-    /// Least and largest ratio with an equilibrium: friction beyond it lets the wire snap out of the groove.
+    /// Least and largest ratio with an equilibrium: friction beyond it lets the wire snap out of
+    /// the groove.
     pub held: [f64; 2],
 }
 
@@ -87,7 +89,8 @@ impl SlipRow {
     }
 }
 
-/// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with room to fit.
+/// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with
+/// room to fit.
 pub(crate) const MAX_RATIO: f64 = 0.72;
 pub(crate) const RATIO_STEPS: usize = 4;
 
@@ -97,7 +100,8 @@ impl SlipTable {
         let (j, w) = bracket(x, self.rows.len());
         let dr = self.ratios[1] - self.ratios[0];
         let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
-        // Tensor product of four-point Lagrange weights: cubic in the stage's position and in the ratio.
+        // Tensor product of four-point Lagrange weights: cubic in the stage's position and in the
+        // ratio.
         let mut sum = 0.0;
         for (a, wa) in w.iter().enumerate() {
             for (b, vb) in v.iter().enumerate() {
@@ -124,7 +128,8 @@ impl SlipTable {
             .all(|r| (r.held[0]..=r.held[1]).contains(&ratio))
     }
 
-    /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is monotone in the ratio.
+    /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is
+    /// monotone in the ratio.
     pub(crate) fn ratio_at(&self, x_mm: f64, s_mm: f64, limit: f64) -> f64 {
         let rising = self.arclength(x_mm, limit) >= self.arclength(x_mm, -limit);
         let (mut lo, mut hi) = (-limit, limit);
@@ -139,7 +144,8 @@ impl SlipTable {
         0.5 * (lo + hi)
     }
 
-    /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along it.
+    /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along
+    /// it.
     pub(crate) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
         let (a, b) = (
             self.arclength(x_mm, -friction),
@@ -153,7 +159,8 @@ impl SlipTable {
 mod tests {
     use super::*;
 
-    /// Where friction lets the wire snap out of the groove at the deeper of two positions, no contact is held between them.
+    /// Where friction lets the wire snap out of the groove at the deeper of two positions, no
+    /// contact is held between them.
     #[test]
     fn a_lost_branch_holds_nothing() {
         let row = SlipRow::untouched(40.0, 2 * RATIO_STEPS + 1);

@@ -1,8 +1,11 @@
-//! The reference grating's own noise, separated from the temperature: a random walk seen through white noise.
+//! The reference grating's own noise, separated from the temperature: a random walk seen through
+//! white noise.
 //!
-//! Both sensing gratings are compensated with one reference reading, so its noise is in both residuals and, with the opposite sign, in the
-//! temperature that they are compared with: an error in variables, not an effect. Local level model and fixed-interval smoother: Harvey,
-//! "Forecasting, Structural Time Series Models and the Kalman Filter" (1989), ch. 4; the ratio of variances by maximum likelihood.
+//! Both sensing gratings are compensated with one reference reading, so its noise is in both
+//! residuals and, with the opposite sign, in the temperature that they are compared with: an error
+//! in variables, not an effect. Local level model and fixed-interval smoother: Harvey,
+//! "Forecasting, Structural Time Series Models and the Kalman Filter" (1989), ch. 4; the ratio of
+//! variances by maximum likelihood.
 
 use wcal_core::order_statistics::median;
 
@@ -17,7 +20,8 @@ pub struct RandomWalkModel {
     pub(super) noise_sd: f64,
     /// -2 log likelihood.
     pub(super) misfit: f64,
-    /// Variance of a moving reading's noise, 1 for a settled one's, where this tells it and not the session.
+    /// Variance of a moving reading's noise, 1 for a settled one's, where this tells it and not the
+    /// session.
     pub(super) moving_variance: Option<f64>,
 }
 
@@ -36,7 +40,8 @@ struct Filtered {
     levels: Vec<(f64, f64)>,
     /// Variance of each level before its reading.
     before: Vec<f64>,
-    /// -2 log likelihood with the noise's variance concentrated out; infinite where nothing scatters.
+    /// -2 log likelihood with the noise's variance concentrated out; infinite where nothing
+    /// scatters.
     misfit: f64,
     pub(super) noise_sd: f64,
 }
@@ -46,8 +51,8 @@ fn steps_s(t_s: &[f64]) -> Vec<f64> {
 }
 
 impl RandomWalkModel {
-    /// The walk of `values` at times `t_s` (s, rising), `variances` those of their noise, 1 for a typical one; none where they are too few
-    /// or do not scatter.
+    /// The walk of `values` at times `t_s` (s, rising), `variances` those of their noise, 1 for a
+    /// typical one; none where they are too few or do not scatter.
     pub fn of(t_s: &[f64], values: &[f64], variances: &[f64]) -> Option<Self> {
         let typical = median(steps_s(t_s)).filter(|s| *s > 0.0)?;
         if values.len() < MIN_READINGS {
@@ -173,7 +178,8 @@ mod tests {
         vec![1.0; values.len()]
     }
 
-    /// Every third reading is averaged over a hundredth of the samples: the noise stated is that of the others, and the level leans on them.
+    /// Every third reading is averaged over a hundredth of the samples: the noise stated is that of
+    /// the others, and the level leans on them.
     #[test]
     fn readings_of_few_samples_count_less() {
         let (mut sds, mut weighed, mut unweighed) = (Vec::new(), 0.0, 0.0);
@@ -252,10 +258,12 @@ mod tests {
             slow_rms.push(rms(&slow, &truth));
             let (t, truth, readings) = seen(20.0, seed);
             let fast = smoothed(&t, &readings);
-            // Noise of a twentieth of a step is hardly distinguished from none: what is taken for it stays a small part of a step.
+            // Noise of a twentieth of a step is hardly distinguished from none: what is taken for
+            // it stays a small part of a step.
             assert!(rms(&fast, &truth) < 3.0, "{}", rms(&fast, &truth));
         }
-        // With the ratio known the smoother's steady state has variance step_sd / 2; its ends and the ratio's own error add to it.
+        // With the ratio known the smoother's steady state has variance step_sd / 2; its ends and
+        // the ratio's own error add to it.
         let mean = slow_rms.iter().sum::<f64>() / 20.0;
         assert!(
             (0.025f64.sqrt()..1.3 * 0.025f64.sqrt()).contains(&mean),

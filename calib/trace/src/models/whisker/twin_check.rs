@@ -1,10 +1,12 @@
 //! Twin check: labels of an outside twin against the rod at the same poses, point by point.
 //!
-//! A cable twin may differ from the rod smoothly (discretisation, diameter); a label that leaves the smooth relation is on another
-//! branch. The relation is fitted robustly, so the faulty labels do not pull it.
+//! A cable twin may differ from the rod smoothly (discretisation, diameter); a label that leaves
+//! the smooth relation is on another branch. The relation is fitted robustly, so the faulty labels
+//! do not pull it.
 //!
-//! Labels and rod are two measurements of one moment: the linear part between them is one, or the labels are of another unit, sign or axes. In
-//! complex numbers, with m a moment and l its label (least squares over good labels, Kabsch 1976),
+//! Labels and rod are two measurements of one moment: the linear part between them is one, or the
+//! labels are of another unit, sign or axes. In complex numbers, with m a moment and l its label
+//! (least squares over good labels, Kabsch 1976),
 //!
 //! ```text
 //! l = c m,  arg c = arg sum conj(m) l         turned, by half a turn where the sign is the reaction's
@@ -50,13 +52,16 @@ pub struct LabelReport {
 
 /// A label this many robust standard deviations off is another equilibrium.
 const BRANCH_DEVIATION: f64 = 8.0;
-/// The smooth difference may be this share of the moment before it counts as a discretisation fault.
+/// The smooth difference may be this share of the moment before it counts as a discretisation
+/// fault.
 const SMOOTH_SHARE: f64 = 0.03;
 /// Factors between common units (N m, N mm, mN m, kgf mm) would show as such a ratio.
 const UNIT_RATIO: f64 = 5.0;
-/// A wire is not clamped worse than this about its own axis: labels that are turned further have other axes, deg.
+/// A wire is not clamped worse than this about its own axis: labels that are turned further have
+/// other axes, deg.
 const TURNED_DEG: f64 = 10.0;
-/// Share of the least-squares agreement by which mirrored axes must beat turned ones; moments along one direction do not distinguish the two.
+/// Share of the least-squares agreement by which mirrored axes must beat turned ones; moments along
+/// one direction do not distinguish the two.
 const MIRRORED: f64 = 1.02;
 
 /// Checks every label of the session.
@@ -115,7 +120,8 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
         };
         let label = checks[i].label_nmm;
         checks[i].fault = if checks[i].deviation > BRANCH_DEVIATION {
-            // A wire that left the groove carries almost nothing; one on another branch carries a moment of another direction.
+            // A wire that left the groove carries almost nothing; one on another branch carries a
+            // moment of another direction.
             Some(if size(label) < 0.1 * size(rod) {
                 "contact-lost"
             } else {
@@ -188,7 +194,8 @@ fn size(m: [f64; 2]) -> f64 {
     m[0].hypot(m[1])
 }
 
-/// Robust (iteratively reweighted) regression of each label component on the rod's moments and their size.
+/// Robust (iteratively reweighted) regression of each label component on the rod's moments and
+/// their size.
 fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
     let rows = loaded.len();
     let design = DMatrix::from_fn(rows, 4, |r, j| {
@@ -249,7 +256,8 @@ fn collect(checks: &[LabelCheck], ratio: f64, axes: &str) -> Vec<TwinFault> {
         .collect()
 }
 
-/// What is wrong with the labels of a session's outside twin, by the rod at the same poses; nothing without one.
+/// What is wrong with the labels of a session's outside twin, by the rod at the same poses; nothing
+/// without one.
 ///
 /// # Errors
 /// Where the session has no rod.
@@ -261,7 +269,8 @@ pub fn label_faults(data: &WhiskerData) -> Result<Vec<TwinFault>, TraceError> {
     Ok(check_labels(data, &system.path, &system.rod_tables).faults)
 }
 
-/// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends the wire there.
+/// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends
+/// the wire there.
 pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
     let label = data
         .twin
@@ -271,7 +280,8 @@ pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
     label.or((row.role == Role::Rest).then_some([0.0; 2]))
 }
 
-/// Moments at the readings of `path` with the outside labels as they are: none where a reading has no label.
+/// Moments at the readings of `path` with the outside labels as they are: none where a reading has
+/// no label.
 pub fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
     path.rows
         .iter()

@@ -1,9 +1,10 @@
 //! How uncertain an inferred moment is.
 //!
-//! The inverse `m = f(y; B, v)` has the uncertainty of its noise and of everything that was fitted (GUM 5.2.2, correlated
-//! inputs):
-//! `cov(m) = K^-1 (s^2 I) K^-T + G C G'`, `G = [dm/dB, dm/dv]`, `dm/dB_(c,k) = -K^-1 e_c c_k`, `dm/dv` by differences over the whole history
-//! (memory carries a value's error from reading to reading), `C` the joint covariance of `B` (channel by channel) and `v`.
+//! The inverse `m = f(y; B, v)` has the uncertainty of its noise and of everything that was fitted
+//! (GUM 5.2.2, correlated inputs): `cov(m) = K^-1 (s^2 I) K^-T + G C G'`, `G = [dm/dB, dm/dv]`,
+//! `dm/dB_(c,k) = -K^-1 e_c c_k`, `dm/dv` by differences over the whole history (memory carries a
+//! value's error from reading to reading), `C` the joint covariance of `B` (channel by channel) and
+//! `v`.
 
 use super::physical::{PhysicalModel, undo_memory};
 use super::whisker_effect::ActiveEffect;
@@ -14,8 +15,8 @@ use nalgebra::{DMatrix, Matrix2};
 pub(super) const VALUE_STEP: f64 = 0.1;
 
 impl PhysicalModel {
-    /// The nonlinear values that have a covariance, in its order after the coefficients: place in it and standard deviation. Files of before
-    /// these were stored have none.
+    /// The nonlinear values that have a covariance, in its order after the coefficients: place in
+    /// it and standard deviation. Files of before these were stored have none.
     pub(super) fn uncertain_values(&self) -> Vec<(usize, f64)> {
         (2 * self.coefficients.len()..self.covariance.len())
             .map(|k| (k, self.covariance[k][k].max(0.0).sqrt()))
@@ -23,9 +24,10 @@ impl PhysicalModel {
             .collect()
     }
 
-    /// How each reading's moment moves with everything that was fitted, N mm per unit of it: two rows a reading, coefficients channel by
-    /// channel and then the values of [`Self::uncertain_values`] (those without a covariance stay 0). And what a reading must exceed to show
-    /// anything: standard deviations by noise and coefficients, N mm.
+    /// How each reading's moment moves with everything that was fitted, N mm per unit of it: two
+    /// rows a reading, coefficients channel by channel and then the values of
+    /// [`Self::uncertain_values`] (those without a covariance stay 0). And what a reading must
+    /// exceed to show anything: standard deviations by noise and coefficients, N mm.
     pub(super) fn gradients(
         &self,
         terms: &[ActiveEffect],
@@ -46,7 +48,8 @@ impl PhysicalModel {
             .zip(noise_sd_pm)
             .map(|(g, s)| self.sd_nmm(inverse, g, *s))
             .collect();
-        // Central differences through the whole history: memory carries a value's error from reading to reading.
+        // Central differences through the whole history: memory carries a value's error from
+        // reading to reading.
         for (place, sd) in self.uncertain_values() {
             let step = VALUE_STEP * sd;
             let [low, high] = [-step, step].map(|by| {
@@ -62,7 +65,8 @@ impl PhysicalModel {
         (gradients, visible)
     }
 
-    /// The part of a gradient that the coefficients make, from the readout's columns at the reading.
+    /// The part of a gradient that the coefficients make, from the readout's columns at the
+    /// reading.
     pub(super) fn of_coefficients(&self, inverse: &Matrix2<f64>, row: &[f64]) -> DMatrix<f64> {
         let q = self.coefficients.len();
         let mut g = DMatrix::zeros(2, self.covariance.len());

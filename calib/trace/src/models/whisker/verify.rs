@@ -1,4 +1,5 @@
-//! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
+//! `verify` for kind "whisker": admission of the data, the procedure, and what reports and
+//! calibration need of it.
 
 use super::measurement::PicturePairs;
 use super::rod_parameters::RodParameters;

@@ -1,4 +1,5 @@
-//! Where an effect of the whisker acts: on the pose, the rod, the sensor, the pictures, or as columns of the readout.
+//! Where an effect of the whisker acts: on the pose, the rod, the sensor, the pictures, or as
+//! columns of the readout.
 
 use super::path::{ReadoutOrigin, WhiskerPath};
 use super::picture_observations::PairObservation;
@@ -7,7 +8,8 @@ use crate::effect::{Effect, EffectModel, EffectTerm, Values};
 
 /// A sensor whose answer depends on what came before.
 pub trait Memory: Send {
-    /// What is sensed of a moment (N mm) `dt_s` after the one before, none at the first; nothing is remembered.
+    /// What is sensed of a moment (N mm) `dt_s` after the one before, none at the first; nothing is
+    /// remembered.
     fn sensed(&self, dt_s: Option<f64>, moment_nmm: [f64; 2]) -> [f64; 2];
     /// Remembers that moment.
     fn accept(&mut self, dt_s: Option<f64>, moment_nmm: [f64; 2]);
@@ -39,11 +41,13 @@ pub struct WhiskerEffect {
     pub pose: fn(&Values, &WhiskerPath, &mut [f64]),
     /// Changes the mechanics of wire, root and groove.
     pub rod: fn(&Values, &mut RodParameters),
-    /// What the gratings sense of moments that come one after the other; none where they sense them as they are.
+    /// What the gratings sense of moments that come one after the other; none where they sense them
+    /// as they are.
     pub memory: Option<BeginMemory>,
     /// Changes what pairs of pictures show: faults of the cameras' setup.
     pub pictures: fn(&Values, &mut [PairObservation]),
-    /// Readout columns (one value a reading) whose coefficients are free in each channel, from the sensed moments, N mm.
+    /// Readout columns (one value a reading) whose coefficients are free in each channel, from the
+    /// sensed moments, N mm.
     pub columns: ReadoutColumns,
 }
 

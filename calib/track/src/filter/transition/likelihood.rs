@@ -1,4 +1,5 @@
-//! Likelihood of a transition: how well a path of the contact between two samples explains the moments.
+//! Likelihood of a transition: how well a path of the contact between two samples explains the
+//! moments.
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
@@ -56,8 +57,9 @@ impl TransitionModel<'_> {
             + (self.settings.constraint_sd_share * travel_mm).powi(2)
     }
 
-    /// D, mm: slip over the object across the wire times its share of the whole slip. The force has the tangential part f against the slip,
-    /// so that along the force, unlike along the normal, the touched point moves by f D.
+    /// D, mm: slip over the object across the wire times its share of the whole slip. The force has
+    /// the tangential part f against the slip, so that along the force, unlike along the normal,
+    /// the touched point moves by f D.
     fn friction_shift_mm(
         &self,
         from: &ContactState<'_>,
@@ -84,7 +86,8 @@ impl TransitionModel<'_> {
         }
     }
 
-    /// Residual e_1 of the rigid-body constraint from a contact before to node `j` now, with derivatives and variance.
+    /// Residual e_1 of the rigid-body constraint from a contact before to node `j` now, with
+    /// derivatives and variance.
     pub(super) fn constraint(
         &self,
         from: &ContactState<'_>,
@@ -105,12 +108,14 @@ impl TransitionModel<'_> {
         };
         let out = normal.dot(&path);
         let off = out + step.drag * shift;
-        // Derivatives by the offsets: of the point, and of the mean normal, which turns half as much.
+        // Derivatives by the offsets: of the point, and of the mean normal, which turns half as
+        // much.
         let by_now = normal.dot(&point_slope) + 0.5 * normal_slope.dot(&path);
         let by_before = -normal.dot(&from.point_slope) + 0.5 * from.normal_slope.dot(&path);
         let compliances = from.compliance_mm_per_nmm.powi(2) + to.compliance_mm_per_nmm.powi(2);
         let slip_mm = path - normal * out;
-        // On a curved surface the mean normal is exact only where the curvature is constant: an error in proportion to turn and slip.
+        // On a curved surface the mean normal is exact only where the curvature is constant: an
+        // error in proportion to turn and slip.
         let bent = (to.normal - from.normal).norm_squared()
             * slip_mm.norm_squared()
             * s.turn_share

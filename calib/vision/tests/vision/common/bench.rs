@@ -1,5 +1,6 @@
-//! A bench drawn by the tests themselves (simulated pictures): two cameras, a base tag, wires with a highlight across them, uneven
-//! background, blur, tone curve and noise. The wires' shapes are known to the micrometre.
+//! A bench drawn by the tests themselves (simulated pictures): two cameras, a base tag, wires with
+//! a highlight across them, uneven background, blur, tone curve and noise. The wires' shapes are
+//! known to the micrometre.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -27,7 +28,8 @@ pub struct Style {
     pub texture_dn: f64,
     pub blur_px: f64,
     pub noise_dn: f64,
-    /// Arc lengths between which a block 3 mm wide hides the wire from both cameras, mm; equal: none.
+    /// Arc lengths between which a block 3 mm wide hides the wire from both cameras, mm; equal:
+    /// none.
     pub covered_mm: [f64; 2],
 }
 
@@ -85,7 +87,8 @@ pub fn camera_from_base(camera: usize) -> Isometry3<f64> {
     ) * Isometry3::translation(-24.0, 0.0, 8.0)
 }
 
-/// A wire from the root: nominal shape and a smooth bend that grows from `seed`; points every 0.05 mm.
+/// A wire from the root: nominal shape and a smooth bend that grows from `seed`; points every 0.05
+/// mm.
 pub fn wire(seed: u64) -> Vec<Vector3<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, 0.008).unwrap();

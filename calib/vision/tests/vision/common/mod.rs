@@ -1,4 +1,5 @@
-//! A small renderer for tests (simulated pictures): area sampling by 6x6 points a pixel, Gaussian blur, Gaussian noise.
+//! A small renderer for tests (simulated pictures): area sampling by 6x6 points a pixel, Gaussian
+//! blur, Gaussian noise.
 
 pub mod bench;
 
@@ -17,7 +18,8 @@ pub fn fixture(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// Draws `level(x, y)` (DN at continuous pixel coordinates, pixel centres at integers) with blur and noise.
+/// Draws `level(x, y)` (DN at continuous pixel coordinates, pixel centres at integers) with blur
+/// and noise.
 pub fn draw(
     width: usize,
     height: usize,

@@ -22,7 +22,8 @@ fn camera_with(lens: &'static dyn Lens) -> Camera {
     }
 }
 
-/// Largest difference of the analytic derivatives from central differences, over the derivative's own size.
+/// Largest difference of the analytic derivatives from central differences, over the derivative's
+/// own size.
 fn worst_difference(camera: &Camera, p: Vector3<f64>) -> f64 {
     let (_, by_point, by_camera) = camera.project_with_jacobian(&p).unwrap();
     let mut worst = 0.0f64;
@@ -121,7 +122,8 @@ fn a_fisheye_sees_behind_its_plane() {
     );
 }
 
-/// The fisheye as the equation in OpenCV's documentation gives it, worked out by hand for theta = 45 degrees along x.
+/// The fisheye as the equation in OpenCV's documentation gives it, worked out by hand for theta =
+/// 45 degrees along x.
 #[test]
 fn the_fisheye_is_opencvs() {
     let fisheye = camera_with(FISHEYE);

@@ -8,8 +8,8 @@ use wcal_vision::shape::curve_fit::{LineObservation, Prior};
 use wcal_vision::shape::socp_start::socp_initial_curve;
 use wcal_vision::stereo::StereoCameras;
 
-/// Sights of the true curve seen from a start 0.3 mm off at its end: none in a gap of 8 mm, and a stretch of one picture on a line
-/// that lies `wrong_px` beside the wire.
+/// Sights of the true curve seen from a start 0.3 mm off at its end: none in a gap of 8 mm, and a
+/// stretch of one picture on a line that lies `wrong_px` beside the wire.
 fn setting(
     wrong_px: f64,
 ) -> (

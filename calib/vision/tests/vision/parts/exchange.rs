@@ -56,7 +56,8 @@ fn same(a: &StereoDocument, b: &StereoDocument) -> bool {
         })
 }
 
-/// Kalibr's cameras are the document's, but for k3: four coefficients fitted to the five show each direction within a tenth of a pixel.
+/// Kalibr's cameras are the document's, but for k3: four coefficients fitted to the five show each
+/// direction within a tenth of a pixel.
 fn assert_as_kalibr_has_it(found: &StereoDocument, document: &StereoDocument) {
     let [cameras, kalibr] = [document, found].map(|d| d.stereo_cameras().unwrap().cameras);
     let mut farthest = 0.0f64;

@@ -33,7 +33,8 @@ fn pairs_by_equal_names() {
     assert!(pairs.iter().all(|p| p.left.is_some() && p.right.is_some()));
 }
 
-/// The camera's own number stands last, first or in between; a run's number, or a clock of each camera, stands beside the frame's.
+/// The camera's own number stands last, first or in between; a run's number, or a clock of each
+/// camera, stands beside the frame's.
 #[test]
 fn pairs_by_the_number_that_varies() {
     for (left, right) in [
@@ -116,7 +117,8 @@ fn patterns() {
         }
     }
     assert!(yes > 1000 && no > 1000, "{yes} {no}");
-    // Many stars before a letter that is not there: a search that tries every way takes longer than the universe is old.
+    // Many stars before a letter that is not there: a search that tries every way takes longer than
+    // the universe is old.
     let stars = [b"*a".repeat(40), b"*b".to_vec()].concat();
     assert!(!matches_pattern(&stars, &b"a".repeat(200)));
 }

@@ -1,4 +1,5 @@
-//! The line of a T-series unit: questions, replies and what is passed over, opened anew where it is lost.
+//! The line of a T-series unit: questions, replies and what is passed over, opened anew where it is
+//! lost.
 
 use crate::zaber::wire::{Connect, Port, Wire, closed};
 use std::collections::BTreeSet;
@@ -17,7 +18,8 @@ pub(super) const QUIET: Duration = Duration::from_millis(20);
 const UNKNOWN: i32 = 64;
 /// Error of a unit that did not find its home switch.
 const CANNOT_HOME: i32 = 1;
-/// Their replies come when the motion has ended, or not at all on a disturbed line: status and position say the same.
+/// Their replies come when the motion has ended, or not at all on a disturbed line: status and
+/// position say the same.
 const MOTIONS: [u8; 4] = [
     command::HOME,
     command::MOVE_ABSOLUTE,
@@ -255,7 +257,8 @@ impl BinaryLine {
         answer: u8,
         deadline: &Deadline,
     ) -> Result<i32, DeviceError> {
-        // Replies carry no number: one that is late would answer the next question of its kind, and every one after that.
+        // Replies carry no number: one that is late would answer the next question of its kind, and
+        // every one after that.
         if self.owed {
             self.catch_up(deadline)?;
         }
@@ -279,7 +282,8 @@ impl BinaryLine {
         }
     }
 
-    /// Passes over the replies that are still under way: a unit answers in order, so that none follows the echo.
+    /// Passes over the replies that are still under way: a unit answers in order, so that none
+    /// follows the echo.
     pub(super) fn catch_up(&mut self, deadline: &Deadline) -> Result<(), DeviceError> {
         self.echo = self.echo.wrapping_add(1) & 0xffff;
         self.send(command::ECHO_DATA, self.echo, deadline)?;

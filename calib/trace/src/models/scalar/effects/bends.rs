@@ -1,4 +1,5 @@
-//! Bends: laws of the stimulus alone. They compete for one shape, so each is judged beside the others (`scalar::bends`).
+//! Bends: laws of the stimulus alone. They compete for one shape, so each is judged beside the
+//! others (`scalar::bends`).
 
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Frame;
@@ -6,12 +7,14 @@ use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Identifier of the polynomial that is taken where no plainer law does.
 pub const POLYNOMIAL: &str = "nonlinearity-polynomial";
-/// Highest degree of that polynomial: beyond it equal steps of the stimulus make it swing between the places (Runge).
+/// Highest degree of that polynomial: beyond it equal steps of the stimulus make it swing between
+/// the places (Runge).
 const MAX_DEGREE: usize = 9;
 
 /// Law of an odd response.
 const ABOUT_ZERO: &str = "power-3-about-zero";
-/// Within this share of the half range zero is inside: the cubic's own part is a third of it and more.
+/// Within this share of the half range zero is inside: the cubic's own part is a third of it and
+/// more.
 const TWO_SIDED: f64 = 0.5;
 /// Further out than this from the middle, zero is no part of what was measured.
 const FAR: f64 = 1.2;
@@ -19,7 +22,8 @@ const FAR: f64 = 1.2;
 /// Fewer stimuli than this do not say whether a polynomial holds between them.
 const MIN_PLACES: usize = 6;
 
-/// A term in the square of the stimulus, about the middle of the range (NIST/SEMATECH e-Handbook 4.6.1, load cell).
+/// A term in the square of the stimulus, about the middle of the range (NIST/SEMATECH e-Handbook
+/// 4.6.1, load cell).
 pub fn nonlinearity_quadratic() -> ScalarEffect {
     ScalarEffect {
         bend: true,
@@ -33,7 +37,8 @@ pub fn nonlinearity_quadratic() -> ScalarEffect {
     }
 }
 
-/// A term in the cube of the stimulus, about the middle of the range, or about zero (an odd response).
+/// A term in the cube of the stimulus, about the middle of the range, or about zero (an odd
+/// response).
 ///
 /// ```text
 /// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has its own coefficient
@@ -53,7 +58,8 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
             } else {
                 0.0
             };
-            // About the middle of the range both laws are one; far outside it nothing says that zero is the centre.
+            // About the middle of the range both laws are one; far outside it nothing says that
+            // zero is the centre.
             if values.law() == ABOUT_ZERO && !frame.new_rows && !(1e-3..FAR).contains(&centre.abs())
             {
                 return None;
@@ -73,7 +79,8 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
 
 /// A polynomial of a higher degree: the powers that the declared one lacks, all at once.
 ///
-/// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a separate finding.
+/// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a separate
+/// finding.
 pub fn polynomial(declared: usize) -> ScalarEffect {
     const NAMES: [&str; MAX_DEGREE + 1] = [
         "", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8",
@@ -97,7 +104,8 @@ pub fn polynomial(declared: usize) -> ScalarEffect {
             )
         },
         ..Effect {
-            // Any bend is one of these: they are no rivals of a law, and are tried only where every law fails.
+            // Any bend is one of these: they are no rivals of a law, and are tried only where every
+            // law fails.
             refinements: (3..=MAX_DEGREE).map(to).collect(),
             ..Effect::new(
                 POLYNOMIAL,
@@ -109,7 +117,8 @@ pub fn polynomial(declared: usize) -> ScalarEffect {
     }
 }
 
-/// The sensitivity changes at a knee by the share `gained`, on the side that lies away from stimulus zero; false where the knee has no such side.
+/// The sensitivity changes at a knee by the share `gained`, on the side that lies away from
+/// stimulus zero; false where the knee has no such side.
 fn hinge(values: &Values, frame: &Frame, u: &mut [f64], gained: f64) -> bool {
     let knee = values.of("knee");
     let upper = values.law() == "upper-knee";
@@ -146,8 +155,8 @@ fn hinges(share: &'static str, range: [f64; 2]) -> Vec<EffectModel> {
     ]
 }
 
-/// Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all (limit stop or full-scale limit, piecewise
-/// linear).
+/// Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all
+/// (limit stop or full-scale limit, piecewise linear).
 pub fn saturation() -> ScalarEffect {
     ScalarEffect {
         bend: true,
@@ -179,7 +188,8 @@ pub fn knee() -> ScalarEffect {
     }
 }
 
-/// Dead zone: near zero next to nothing of the slope remains (play or threshold, piecewise linear). A slope that is merely smaller there is a knee.
+/// Dead zone: near zero next to nothing of the slope remains (play or threshold, piecewise linear).
+/// A slope that is merely smaller there is a knee.
 pub fn dead_zone() -> ScalarEffect {
     let about_zero = law("about-zero")
         .needing(&[LawRequirement::Slope])

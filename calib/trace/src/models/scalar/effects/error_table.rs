@@ -1,5 +1,6 @@
-//! A table of errors by place, and by direction: what ISO 230-2 calls the mean positional deviations at each target, and reversal values. No
-//! law of the place; it stands where repeats show that the errors belong to the places and no law describes them.
+//! A table of errors by place, and by direction: what ISO 230-2 calls the mean positional
+//! deviations at each target, and reversal values. No law of the place; it stands where repeats
+//! show that the errors belong to the places and no law describes them.
 //!
 //! ```text
 //! error(x) = sum_k h_k(x) (a_k + b_k [falling])        h_k: 1 at place k, 0 at its neighbours, straight between
@@ -53,7 +54,8 @@ pub fn error_table(places: &[f64]) -> ScalarEffect {
             Some(out)
         },
         ..Effect {
-            // Any law of the place is one of these tables: they are no rivals of it, and are tried only where every law fails.
+            // Any law of the place is one of these tables: they are no rivals of it, and are tried
+            // only where every law fails.
             refinements: vec![deviations("by-place"), both],
             ..Effect::new(
                 ERROR_TABLE,

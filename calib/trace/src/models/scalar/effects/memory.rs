@@ -1,6 +1,7 @@
 //! Operators with memory over the sequence of readings.
 
-/// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in equilibrium.
+/// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in
+/// equilibrium.
 pub fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     relaxed_from(u.first().copied().unwrap_or(0.0), u, time, tau)
 }
@@ -25,21 +26,24 @@ pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     out
 }
 
-/// The same of a stimulus that jumps between readings, each time at that share of the interval: it was held until then, and is from then on.
+/// The same of a stimulus that jumps between readings, each time at that share of the interval: it
+/// was held until then, and is from then on.
 pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f64> {
     let mut out = u.to_vec();
     for k in 1..u.len() {
         let x = (time[k] - time[k - 1]) / tau;
-        // Before the interval's beginning, where an estimate scatters about it: not beyond what can be written.
+        // Before the interval's beginning, where an estimate scatters about it: not beyond what can
+        // be written.
         let at_step = u[k - 1] + (out[k - 1] - u[k - 1]) * (-moment * x).min(300.0).exp();
         out[k] = u[k] + (at_step - u[k]) * (-(1.0 - moment) * x).exp();
     }
     out
 }
 
-/// Relative standard deviation of what remains of a relaxation at the first reading after the stimulus jumped, at a moment between two readings that
-/// nothing tells (all alike: m from 0 to 1, `e^{m x}`, `x` the interval in time constants). The stimulus jumps where it is held before and after;
-/// the largest jump counts. 0 where it moves evenly.
+/// Relative standard deviation of what remains of a relaxation at the first reading after the
+/// stimulus jumped, at a moment between two readings that nothing tells (all alike: m from 0 to 1,
+/// `e^{m x}`, `x` the interval in time constants). The stimulus jumps where it is held before and
+/// after; the largest jump counts. 0 where it moves evenly.
 pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
     let held = |k: usize| u[k] == u[k - 1];
     let jumps = (2..u.len().saturating_sub(1)).filter(|&k| !held(k) && held(k - 1) && held(k + 1));
@@ -53,7 +57,8 @@ pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
     variance.max(0.0).sqrt() / mean
 }
 
-/// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward the other end it is taken up at first.
+/// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward
+/// the other end it is taken up at first.
 pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
     let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
     u.iter()
@@ -79,8 +84,8 @@ pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The stimulus at an earlier time, linear between readings; before the first one it stood still, or, `moving`, went on as it does after it:
-/// u(t0 - d) = 2 u(t0) - u(t0 + d).
+/// The stimulus at an earlier time, linear between readings; before the first one it stood still,
+/// or, `moving`, went on as it does after it: u(t0 - d) = 2 u(t0) - u(t0 + d).
 pub fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
     let Some((&first, &begun)) = u.first().zip(time.first()) else {
         return Vec::new();

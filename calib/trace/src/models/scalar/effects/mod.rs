@@ -1,7 +1,8 @@
 //! The catalogue of the scalar kinds: an effect is a function, in the file of what it acts on.
 //!
-//! Parameters are in half ranges of the stimulus, durations of the session and cycles over the range, so that grids and ranges hold for
-//! any unit; `scalar::parameters` turns them into the session's units.
+//! Parameters are in half ranges of the stimulus, durations of the session and cycles over the
+//! range, so that grids and ranges hold for any unit; `scalar::parameters` turns them into the
+//! session's units.
 
 mod bends;
 mod error_table;

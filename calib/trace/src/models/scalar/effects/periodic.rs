@@ -8,7 +8,8 @@ use std::f64::consts::TAU;
 /// Identifier of the periodic effect.
 pub const PERIODIC: &str = "periodic";
 
-/// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the best between them.
+/// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the
+/// best between them.
 const GRID: [f64; 197] = {
     let mut grid = [0.0; 197];
     let mut k = 0;
@@ -22,7 +23,8 @@ const GRID: [f64; 197] = {
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
 const MIN_CYCLES: f64 = 2.0;
 
-/// Cycles of bends that never repeat, so near each other that one of them follows any bend to a tenth of its size.
+/// Cycles of bends that never repeat, so near each other that one of them follows any bend to a
+/// tenth of its size.
 const SQUIGGLES: [f64; 14] = [
     0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.85,
 ];
@@ -102,7 +104,8 @@ fn waves(phase: impl Iterator<Item = f64> + Clone) -> Vec<Vec<f64>> {
         .into()
 }
 
-/// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it is a function of the stimulus.
+/// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it
+/// is a function of the stimulus.
 const LOCKED: f64 = 0.95;
 
 /// Share of the variance of `u` that a sine and a cosine of `phase` explain.
@@ -127,7 +130,8 @@ const MIN_STROKES: usize = 5;
 /// Degree of the polynomial of the stimulus that stands for whatever repeats with the strokes.
 const STROKE_DEGREE: usize = 6;
 
-/// A polynomial of the stimulus for each direction explains sine and cosine: the wave or its fundamental repeats with the strokes.
+/// A polynomial of the stimulus for each direction explains sine and cosine: the wave or its
+/// fundamental repeats with the strokes.
 fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
     let Some(direction) = frame.direction.as_ref() else {
         return false;
@@ -160,7 +164,8 @@ const SAME: f64 = 0.9999;
 /// Fewer places than this do not show a period.
 const MIN_PLACES: usize = 12;
 
-/// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
+/// The covariate of a law, from 0 to 1, and how many different places it has; none where another
+/// law covers it.
 fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     // New rows are not searched: they follow the law that was fitted.
     // A column that counts the readings stands in for a clock only where there is none.

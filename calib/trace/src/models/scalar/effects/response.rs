@@ -18,8 +18,8 @@ pub fn drift() -> ScalarEffect {
     }
 }
 
-/// Temperature moves the zero, the sensitivity (OIML R 60), or both: where the lines of all temperatures meet need not be the stimulus zero (a pH
-/// electrode's isopotential point).
+/// Temperature moves the zero, the sensitivity (OIML R 60), or both: where the lines of all
+/// temperatures meet need not be the stimulus zero (a pH electrode's isopotential point).
 pub fn temperature() -> ScalarEffect {
     let warm = |name| law(name).needing(&[LawRequirement::Temperature]);
     let (zero, slope) = (
@@ -71,8 +71,9 @@ const OF_STIMULUS: [f64; 99] = places(-1.0, 2.0);
 /// A shift of fewer readings than this at either end is not a step but a matter of single readings.
 const MIN_EACH_SIDE: usize = 3;
 
-/// Step: from some reading, or from some stimulus on, every response is shifted; a change point in time, in the order of the readings where the
-/// table has no times, or along the stimulus (another range of the read-out, a weight that was exchanged).
+/// Step: from some reading, or from some stimulus on, every response is shifted; a change point in
+/// time, in the order of the readings where the table has no times, or along the stimulus (another
+/// range of the read-out, a weight that was exchanged).
 pub fn step() -> ScalarEffect {
     let once = law("once").needing(&[LawRequirement::Clock]).shape(
         "place",
@@ -119,8 +120,8 @@ pub fn outliers() -> ScalarEffect {
     .into()
 }
 
-/// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance model of Harvey 1976. It has no mean:
-/// `scalar::spread_test` finds it.
+/// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance
+/// model of Harvey 1976. It has no mean: `scalar::spread_test` finds it.
 pub fn heteroscedastic_noise() -> ScalarEffect {
     ScalarEffect {
         not_observable: |frame| {
@@ -135,8 +136,8 @@ pub fn heteroscedastic_noise() -> ScalarEffect {
     }
 }
 
-/// A further covariate acts on the response: linear cross-sensitivity, one law for each of the table's `count`; the names stand in the
-/// session.
+/// A further covariate acts on the response: linear cross-sensitivity, one law for each of the
+/// table's `count`; the names stand in the session.
 pub fn cross_axis(count: usize) -> ScalarEffect {
     let one = law("covariate")
         .needing(&[LawRequirement::Covariate])

@@ -19,7 +19,8 @@ fn logarithms(values: &[f64]) -> Option<Vec<f64>> {
     (low > 0.0 && high > MIN_RATIO * low).then(|| sizes.iter().map(|v| v.ln()).collect())
 }
 
-/// Whether the response is straighter on its own logarithmic scale (true), or over the logarithm of the stimulus (false).
+/// Whether the response is straighter on its own logarithmic scale (true), or over the logarithm of
+/// the stimulus (false).
 fn straighter(frame: &Frame, of_response: bool) -> bool {
     let (x, y): (Vec<f64>, Vec<f64>) = frame.rows.iter().map(|r| (r.x, r.y)).unzip();
     let plain = correlation(&x, &y).abs();
@@ -31,8 +32,9 @@ fn straighter(frame: &Frame, of_response: bool) -> bool {
     bent.is_some_and(|r| r.abs() > plain)
 }
 
-/// A characteristic over decades: exponential in the stimulus or in the inverse absolute temperature (thermistor, IEC 60539-1: R = R0 exp(B/T - B/T0)),
-/// or in proportion to the logarithm of the stimulus (Nernst electrode, gas sensor; Steinhart & Hart 1968 in ln R).
+/// A characteristic over decades: exponential in the stimulus or in the inverse absolute
+/// temperature (thermistor, IEC 60539-1: R = R0 exp(B/T - B/T0)), or in proportion to the logarithm
+/// of the stimulus (Nernst electrode, gas sensor; Steinhart & Hart 1968 in ln R).
 pub fn logarithmic_scale() -> ScalarEffect {
     let exponential = law("exponential")
         .shape(
@@ -99,7 +101,8 @@ pub fn logarithmic_scale() -> ScalarEffect {
     }
 }
 
-/// The term of a platinum thermometer below 0 degC (IEC 60751: R = R0 (1 + A t + B t^2 + C (t - 100) t^3)).
+/// The term of a platinum thermometer below 0 degC (IEC 60751: R = R0 (1 + A t + B t^2 + C
+/// (t - 100) t^3)).
 pub fn callendar_van_dusen() -> ScalarEffect {
     ScalarEffect {
         bend: true,

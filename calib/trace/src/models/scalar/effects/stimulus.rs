@@ -7,8 +7,9 @@ use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
 
-/// Scale error: the response follows x (1 + e), a sensitivity or lead error (systematic deviation of ISO 230-2); a free slope takes it up
-/// whole. `sloped`: the declared model follows the stimulus.
+/// Scale error: the response follows x (1 + e), a sensitivity or lead error (systematic deviation
+/// of ISO 230-2); a free slope takes it up whole. `sloped`: the declared model follows the
+/// stimulus.
 pub fn scale(sloped: bool) -> ScalarEffect {
     let relative = if sloped {
         law("relative").amplitude("relative_scale", "1", [-0.999, 1e5], 1e-3)
@@ -41,8 +42,8 @@ pub fn scale(sloped: bool) -> ScalarEffect {
     }
 }
 
-/// Creep: the response goes on moving after the stimulus has changed, onward or (negative, recovery) back: one Prony term driven by the
-/// stimulus, or the settling of an earlier load.
+/// Creep: the response goes on moving after the stimulus has changed, onward or (negative,
+/// recovery) back: one Prony term driven by the stimulus, or the settling of an earlier load.
 pub fn creep() -> ScalarEffect {
     let prony = law("prony")
         .needing(&[LawRequirement::Time])
@@ -62,7 +63,8 @@ pub fn creep() -> ScalarEffect {
             &[0.02, 0.05, 0.1, 0.2, 0.4],
         )
         .column("size_at_start", "response");
-    // The test of OIML R 60 begins with the load: put on at the first reading, the sensor at rest before.
+    // The test of OIML R 60 begins with the load: put on at the first reading, the sensor at rest
+    // before.
     let from_rest = EffectModel {
         name: "prony-from-rest",
         ..prony.clone()
@@ -104,7 +106,8 @@ pub fn creep() -> ScalarEffect {
                     .collect(),
             ])
         },
-        // After a jump it is an exponential all the same: how much of it passed before the first reading, none of them shows.
+        // After a jump it is an exponential all the same: how much of it passed before the first
+        // reading, none of them shows.
         systematic_sd: |values, frame, parameter| match (&frame.time, parameter) {
             (Some(time), "creep_fraction") => {
                 let unseen = spread_of_jumps(&frame.u, time, values.of("time_constant"));
@@ -125,8 +128,9 @@ pub fn creep() -> ScalarEffect {
     }
 }
 
-/// How much of a loop lies between the state before the first move and that of its direction: nothing says where a record begins. A virgin sensor is
-/// halfway, one that was unloaded before the zero reading is on the other branch.
+/// How much of a loop lies between the state before the first move and that of its direction:
+/// nothing says where a record begins. A virgin sensor is halfway, one that was unloaded before the
+/// zero reading is on the other branch.
 fn begun(values: &Values<'_>) -> f64 {
     match values.law() {
         law if law.ends_with("-from-rest") => 0.5,
@@ -135,8 +139,10 @@ fn begun(values: &Values<'_>) -> f64 {
     }
 }
 
-/// Hysteresis: the response depends on whether the stimulus was rising or falling: Coulomb friction by direction, a loop that closes at both ends of the
-/// range (elastic hysteresis; DKD-R 6-1, ISO 376 reversibility), or Bouc-Wen with n = 1 (Wen 1976). An axis counts a mere offset by direction as backlash.
+/// Hysteresis: the response depends on whether the stimulus was rising or falling: Coulomb friction
+/// by direction, a loop that closes at both ends of the range (elastic hysteresis; DKD-R 6-1, ISO
+/// 376 reversibility), or Bouc-Wen with n = 1 (Wen 1976). An axis counts a mere offset by direction
+/// as backlash.
 ///
 /// ```text
 /// closed loop: (1 - u^2) d (h + s u)        u: stimulus in half ranges, d: +1 rising, -1 falling, h: half the loop at the middle
@@ -219,8 +225,8 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
     }
 }
 
-/// Backlash: after a reversal the output stays until the play is taken up (play operator). Of an axis an offset by direction is backlash, too
-/// (reversal value B of ISO 230-2).
+/// Backlash: after a reversal the output stays until the play is taken up (play operator). Of an
+/// axis an offset by direction is backlash, too (reversal value B of ISO 230-2).
 pub fn backlash(declared: Declared) -> ScalarEffect {
     let taken_up = |name| {
         let both = law(name).needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
@@ -272,9 +278,10 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
 /// What ends the name of a lag whose state at the first reading is free.
 const FROM_ANY_STATE: &str = "-from-any-state";
 
-/// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a first-order low pass. What the stimulus did before
-/// the first reading is not known: it stood still, it moved as it does after it, or it left the low pass in any state r0. Nor is what it did between
-/// readings: it moved evenly, or jumped.
+/// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a
+/// first-order low pass. What the stimulus did before the first reading is not known: it stood
+/// still, it moved as it does after it, or it left the low pass in any state r0. Nor is what it did
+/// between readings: it moved evenly, or jumped.
 ///
 /// ```text
 /// r(t) = r_still(t) + (r0 - u0) exp(-(t - t0) / tau)          r' = (u - r) / tau

@@ -3,8 +3,8 @@
 use crate::effect::{Effect, LawRequirement, law};
 use crate::whisker::whisker_effect::{Memory, WhiskerEffect};
 
-/// Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included. Linear viscoelasticity, one or two Prony
-/// terms or a spectrum that gives log-time creep.
+/// Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included.
+/// Linear viscoelasticity, one or two Prony terms or a spectrum that gives log-time creep.
 pub fn creep() -> WhiskerEffect {
     const GRID: &[f64] = &[1.0, 10.0, 100.0, 1000.0];
     let (share, seconds) = ([0.0, 0.3], [0.3, 3000.0]);
@@ -20,7 +20,8 @@ pub fn creep() -> WhiskerEffect {
         .shape("second_time_constant_s", "s", seconds, GRID);
     WhiskerEffect {
         memory: Some(|values| {
-            // Weights and time constants; equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
+            // Weights and time constants; equal weights on constants spaced by half decades make
+            // creep in log time from 1 s to about an hour.
             let spectrum: Vec<(f64, f64)> = if values.law() == "log-time" {
                 let share = values.of("creep_fraction") / 8.0;
                 (0..8).map(|k| (share, 10f64.powf(0.5 * f64::from(k)))).collect()
@@ -45,10 +46,12 @@ pub fn creep() -> WhiskerEffect {
     }
 }
 
-/// State of an element after a step: its state, the moments before and after, the time between, its time constant or width.
+/// State of an element after a step: its state, the moments before and after, the time between, its
+/// time constant or width.
 type NextState = dyn Fn([f64; 2], [[f64; 2]; 2], Option<f64>, f64) -> [f64; 2] + Send;
 
-/// Elements side by side: what is sensed is the moment and, weighted, the state of each, which follows the moment with a memory.
+/// Elements side by side: what is sensed is the moment and, weighted, the state of each, which
+/// follows the moment with a memory.
 struct Elements {
     /// Weight, and time constant or width.
     elements: Vec<(f64, f64)>,
@@ -146,8 +149,9 @@ impl Memory for DeadZoneState {
     fn accept(&mut self, _dt_s: Option<f64>, _moment_nmm: [f64; 2]) {}
 }
 
-/// Rate-independent memory of the moment: Bouc-Wen with n = 1 (Wen 1976) and play operators (Prandtl-Ishlinskii), in the plane as a body
-/// dragged on a rope. Readings taken while loading only show it too: the wire comes back unloaded between them.
+/// Rate-independent memory of the moment: Bouc-Wen with n = 1 (Wen 1976) and play operators
+/// (Prandtl-Ishlinskii), in the plane as a body dragged on a rope. Readings taken while loading
+/// only show it too: the wire comes back unloaded between them.
 pub fn hysteresis() -> WhiskerEffect {
     let (size, narrow, wide) = ([-0.3, 0.3], [0.01, 1.0], [0.01, 2.0]);
     let one = |name, width, grid| {

@@ -4,7 +4,8 @@ use crate::effect::{EffectModel, LawRequirement, law};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 use nalgebra::Vector3;
 
-/// The cameras moved against each other after their calibration: everything that they see is displaced as one rigid body, in their frame.
+/// The cameras moved against each other after their calibration: everything that they see is
+/// displaced as one rigid body, in their frame.
 ///
 /// ```text
 /// r' = r + t + w x (r - c)        t: shift, w: small turn, c: the mean of the grooves, so that both parts stand for themselves
@@ -56,8 +57,9 @@ fn rigid(name: &'static str) -> EffectModel {
         .amplitude("turn_z_rad", "rad", turn, 0.005)
 }
 
-/// The calibration board is not as large as stated: a stereo pair has the scale of its board, and every length that the cameras measure is
-/// off by one factor (Hartley & Zisserman, Multiple View Geometry, ch. 10.2).
+/// The calibration board is not as large as stated: a stereo pair has the scale of its board, and
+/// every length that the cameras measure is off by one factor (Hartley & Zisserman, Multiple View
+/// Geometry, ch. 10.2).
 pub fn board_scale() -> WhiskerEffect {
     let one_factor = law("one-factor").needing(&[LawRequirement::Pictures]);
     WhiskerEffect {
@@ -83,7 +85,8 @@ pub fn board_scale() -> WhiskerEffect {
     }
 }
 
-/// The rig tag is glued askew: the tag says where along the wire the groove is, the wire's own pictures say where across.
+/// The rig tag is glued askew: the tag says where along the wire the groove is, the wire's own
+/// pictures say where across.
 pub fn rig_tag() -> WhiskerEffect {
     let rigid = law("rigid")
         .needing(&[LawRequirement::Pictures])
@@ -113,7 +116,8 @@ pub fn rig_tag() -> WhiskerEffect {
     }
 }
 
-/// The pictures' clock is off the stage's: a pair taken while the stage moves shows the groove at x + v tau.
+/// The pictures' clock is off the stage's: a pair taken while the stage moves shows the groove at
+/// x + v tau.
 pub fn picture_clock() -> WhiskerEffect {
     let offset = law("offset").needing(&[LawRequirement::Pictures, LawRequirement::MovingPictures]);
     WhiskerEffect {

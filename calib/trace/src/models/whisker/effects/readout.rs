@@ -3,15 +3,17 @@
 use crate::effect::{Effect, LawRequirement, law};
 use crate::whisker::whisker_effect::WhiskerEffect;
 
-/// Five times what is usual at most (4 % of full scale), which leaves room for its standard deviation: more is no grating's nonlinearity.
+/// Five times what is usual at most (4 % of full scale), which leaves room for its standard
+/// deviation: more is no grating's nonlinearity.
 const MAX_SHARE: f64 = 0.2;
 
-/// Rest of the temperature compensation, dk (T - T0) in each channel: difference of the temperature coefficients, tens of pm/K where bonded
-/// to polymer.
+/// Rest of the temperature compensation, dk (T - T0) in each channel: difference of the temperature
+/// coefficients, tens of pm/K where bonded to polymer.
 pub fn temperature_mismatch() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Temperature]);
     WhiskerEffect {
-        // Of the other readings: this one's own noise is in its compensated shifts as well, and would pull the coefficient.
+        // Of the other readings: this one's own noise is in its compensated shifts as well, and
+        // would pull the coefficient.
         columns: |_, path, origin, _| {
             vec![
                 path.readings
@@ -48,10 +50,11 @@ pub fn zero_drift() -> WhiskerEffect {
     }
 }
 
-/// Rest readings of another zero than the loaded ones: `y = y0 + z` at rest, `y = y0 + K m` under load.
+/// Rest readings of another zero than the loaded ones: `y = y0 + z` at rest, `y = y0 + K m` under
+/// load.
 ///
-/// A rest reading that was taken on another day, after a remount or before the wire was seated says nothing of the zero that the loaded
-/// readings have: packaging and bond settle at first load.
+/// A rest reading that was taken on another day, after a remount or before the wire was seated says
+/// nothing of the zero that the loaded readings have: packaging and bond settle at first load.
 pub fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[LawRequirement::RestReadings]);
     WhiskerEffect {

@@ -6,14 +6,15 @@ use crate::whisker::path::WhiskerPath;
 use crate::whisker::stage_motion::{MotionSegment, motion_between};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 
-/// Lost motion: after a reversal the groove stays until the play is taken up. X-LSM100A states < 12 um between screw and nut, with encoder
-/// (device notes).
+/// Lost motion: after a reversal the groove stays until the play is taken up. X-LSM100A states < 12
+/// um between screw and nut, with encoder (device notes).
 pub fn stage_backlash() -> WhiskerEffect {
     let play = |name| law(name).amplitude("backlash_mm", "mm", [0.0, 0.3], 0.01);
     WhiskerEffect {
         pose: |values, path, xs_mm| {
             let play = values.of("backlash_mm");
-            // Loading reads true where the axis was referenced that way; centred play is off by half on either side.
+            // Loading reads true where the axis was referenced that way; centred play is off by
+            // half on either side.
             let shift = if values.law() == "play-from-loading" {
                 0.0
             } else {
@@ -55,7 +56,8 @@ pub fn stage_scale() -> WhiskerEffect {
     }
 }
 
-/// Periodic error, A sin(2 pi x / pitch) + B cos(2 pi x / pitch). LSM100A: screw lead 0.6096 mm a turn (device notes).
+/// Periodic error, A sin(2 pi x / pitch) + B cos(2 pi x / pitch). LSM100A: screw lead 0.6096 mm a
+/// turn (device notes).
 pub fn stage_periodic() -> WhiskerEffect {
     let screw = law("screw")
         .amplitude("sine_mm", "mm", [-0.1, 0.1], 0.005)
@@ -78,7 +80,8 @@ pub fn stage_periodic() -> WhiskerEffect {
     }
 }
 
-/// A delay between stage and wavelengths: the clocks' offset, a transport delay, or the low-pass filter of an interrogator or of a bond.
+/// A delay between stage and wavelengths: the clocks' offset, a transport delay, or the low-pass
+/// filter of an interrogator or of a bond.
 ///
 /// ```text
 /// delay          the reading belongs to x(t - tau)

@@ -4,8 +4,9 @@ use crate::effect::{LawRequirement, law};
 use crate::whisker::whisker_effect::WhiskerEffect;
 use wcal_rod::Softening;
 
-/// Friction along the wire in the V-groove: stick inside the cone, slip at its edge, with the history of the whole path. Coulomb friction at
-/// a point contact; a groove of half angle a raises the coefficient by up to 1/sin a.
+/// Friction along the wire in the V-groove: stick inside the cone, slip at its edge, with the
+/// history of the whole path. Coulomb friction at a point contact; a groove of half angle a raises
+/// the coefficient by up to 1/sin a.
 pub fn groove_friction() -> WhiskerEffect {
     let coulomb = |name| law(name).amplitude("friction_coefficient", "1", [0.0, 0.7], 0.15);
     let two_speed = coulomb("coulomb-two-speed").shape("moving_share", "1", [0.2, 1.5], &[0.75]);
@@ -24,7 +25,8 @@ pub fn groove_friction() -> WhiskerEffect {
     }
 }
 
-/// Constant offset of the groove in the rig frame (three components; one along the wire is weak): mounting tolerance of the rig.
+/// Constant offset of the groove in the rig frame (three components; one along the wire is weak):
+/// mounting tolerance of the rig.
 pub fn contact_offset() -> WhiskerEffect {
     let rigid = law("rigid")
         .amplitude("offset_x_mm", "mm", [-2.0, 2.0], 0.1)
@@ -44,7 +46,8 @@ pub fn contact_offset() -> WhiskerEffect {
     }
 }
 
-/// Compliance of the root: potting or mount gives way, and it turns by C m about the transverse axes.
+/// Compliance of the root: potting or mount gives way, and it turns by C m about the transverse
+/// axes.
 pub fn base_compliance() -> WhiskerEffect {
     let unit = "rad/(N mm)";
     let isotropic = law("isotropic").amplitude("compliance_rad_per_nmm", unit, [0.0, 0.2], 0.005);
@@ -66,8 +69,8 @@ pub fn base_compliance() -> WhiskerEffect {
     }
 }
 
-/// Superelastic softening past a yield curvature: NiTi transforms at 0.4-1 % surface strain; section law of a plateau in
-/// docs/src/method.md.
+/// Superelastic softening past a yield curvature: NiTi transforms at 0.4-1 % surface strain;
+/// section law of a plateau in docs/src/method.md.
 pub fn superelastic_softening() -> WhiskerEffect {
     let softening = |name, most| {
         law(name)
@@ -139,8 +142,8 @@ pub fn gravity() -> WhiskerEffect {
     }
 }
 
-/// The wire at rest is not as declared: its straight part is longer or shorter, its arc flatter or narrower (bending tolerance). The free
-/// tail in the pictures shows it with no load.
+/// The wire at rest is not as declared: its straight part is longer or shorter, its arc flatter or
+/// narrower (bending tolerance). The free tail in the pictures shows it with no load.
 pub fn rest_shape() -> WhiskerEffect {
     let bent = law("straight-and-arc")
         .needing(&[LawRequirement::Pictures, LawRequirement::StraightArc])

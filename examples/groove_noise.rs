@@ -16,15 +16,15 @@
 
 use anyhow::{Context, Result, bail};
 use wcal_calibration::WhiskerCalibration;
-use wcal_contact::groove_comparison::Compared;
-use wcal_contact::session_groove::compared;
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_exam::clopper_pearson;
 use wcal_plant::session::draw_under;
 use wcal_plant::{CaseKind, Design, Make, Noise, Request};
-use wcal_trace::verify::VerifyRequest;
-use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
+use wcal_track::groove_comparison::Compared;
+use wcal_track::session_groove::compared;
+use wcal_verify::verify::VerifyRequest;
+use wcal_verify::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 struct Options {
     draws: u64,

@@ -12,10 +12,10 @@ use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::{MapDocument, RestZero};
 use wcal_core::text::chance;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
-use wcal_map::{FitOptions, MapTraining, document, fit_map, test_rest};
+use wcal_gpr::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
-use wcal_trace::whisker::sensitivity::lost_sensitivity;
-use wcal_trace::whisker::twin_check::label_faults;
+use wcal_verify::whisker::sensitivity::lost_sensitivity;
+use wcal_verify::whisker::twin_check::label_faults;
 
 /// Arguments of `wcal fit-gpr`.
 #[derive(Debug, Args)]

@@ -3,8 +3,8 @@
 use anyhow::bail;
 use clap::ValueEnum;
 use wcal_core::WhiskerData;
-use wcal_trace::whisker::WhiskerSystem;
-use wcal_trace::whisker::twin_check::label_nmm;
+use wcal_verify::whisker::WhiskerSystem;
+use wcal_verify::whisker::twin_check::label_nmm;
 
 /// Where the moments of the readings come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

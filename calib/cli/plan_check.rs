@@ -12,7 +12,7 @@ use wcal_acquisition::rig::Rig;
 use wcal_core::plan_check_document::PlanCheck;
 use wcal_core::{SessionData, WhiskerData};
 use wcal_session::load;
-use wcal_trace::whisker::plan_check::plan_check;
+use wcal_verify::whisker::plan_check::plan_check;
 
 /// What the readings of a grating determine before any effect: the sensitivity to two moments, and
 /// a zero.

@@ -6,9 +6,9 @@ use wcal_report::{
     EvidenceRow, Fact, GateTest, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::method::search_result::RankedHypothesis;
-use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
-use wcal_trace::whisker::WhiskerVerification;
+use wcal_verify::method::search_result::RankedHypothesis;
+use wcal_verify::scalar::{Declared, ScalarData, ScalarVerification};
+use wcal_verify::whisker::WhiskerVerification;
 
 fn versions() -> Vec<Fact> {
     vec![Fact::new("wcal", env!("CARGO_PKG_VERSION"))]

@@ -19,7 +19,7 @@ fn schemas_and_reference_are_made_from_the_types() {
         schema::<wcal_acquisition::run_file::RunFile>("run", "run.json"),
         schema::<StereoDocument>("stereo", "stereo.json"),
         schema::<ShapesDocument>("shapes", "shapes.json"),
-        schema::<wcal_contact::track_document::TrackDocument>("track", "track.json"),
+        schema::<wcal_track::track_document::TrackDocument>("track", "track.json"),
         schema::<wcal_drivers::bench::Addresses>("bench", "wcal virtual-bench"),
         schema::<import::ImportDocument<'_>>("import", "wcal import --json"),
         schema::<verify::check::CheckDocument<'_>>("check", "wcal verify --check --json"),

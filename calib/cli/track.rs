@@ -16,15 +16,15 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
-use wcal_contact::groove_comparison::contact_sentence;
-use wcal_contact::table_source::median_step_s;
-use wcal_contact::trust::WhiskerModel;
-pub use wcal_contact::trust::filters_for;
 use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
+use wcal_network::Tracker;
+use wcal_network::model_file::{load, read_card};
 use wcal_session::sweep_session::SweepSession;
-use wcal_track::Tracker;
-use wcal_track::model_file::{load, read_card};
+use wcal_track::groove_comparison::contact_sentence;
+use wcal_track::table_source::median_step_s;
+use wcal_track::trust::WhiskerModel;
+pub use wcal_track::trust::filters_for;
 
 /// Where readings come from.
 enum Source {

@@ -18,11 +18,6 @@ use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WireParts, provenance, seal,
 };
-use wcal_contact::contact_validation::{
-    contact_comparison, groove_places, left_out_places, loaded,
-};
-use wcal_contact::groove_comparison::{calibration_contact, groove_tracking};
-use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
 use wcal_core::verify_document::{
     CalibrationContact, CalibrationJudgement, HoldoutOutcome, Verdict, VerifyDocument,
@@ -31,11 +26,14 @@ use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, Whisker
 use wcal_report::ReportInput;
 use wcal_session::sweep_session::SweepSession;
 use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
-use wcal_trace::method::options::{Options, ProgressListener};
-use wcal_trace::scalar::{ScalarData, ScalarModel, verify_scalar};
-use wcal_trace::verify::conclusion::asserts_validity;
-use wcal_trace::verify::{VerifyRequest, Witness};
-use wcal_trace::whisker::{
+use wcal_track::contact_validation::{contact_comparison, groove_places, left_out_places, loaded};
+use wcal_track::groove_comparison::{calibration_contact, groove_tracking};
+use wcal_track::sweep_witness::SweepWitness;
+use wcal_verify::method::options::{Options, ProgressListener};
+use wcal_verify::scalar::{ScalarData, ScalarModel, verify_scalar};
+use wcal_verify::verify::conclusion::asserts_validity;
+use wcal_verify::verify::{VerifyRequest, Witness};
+use wcal_verify::whisker::{
     PhysicalModel, Verified, WhiskerSystem, WhiskerVerification, verify_whisker,
 };
 

@@ -16,7 +16,7 @@ use std::hint::black_box;
 use wcal_lab::dataset::thread_s;
 use wcal_lab::model_file::{compact, paper, runnable};
 use wcal_lab::network::TrainableNet;
-use wcal_track::network::{FeatureExtractor, KvCache, knots};
+use wcal_network::network::{FeatureExtractor, KvCache, knots};
 
 /// Nodes of the curve that the shipped networks' inputs are made of.
 const NODES: usize = 130;

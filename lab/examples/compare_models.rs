@@ -19,8 +19,8 @@ use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{Card, load};
 use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
 use wcal_lab_sweeps::{SweepPlan, Turn, objects};
-use wcal_sim::Mesh;
-use wcal_track::Tracker;
+use wcal_mesh::Mesh;
+use wcal_network::Tracker;
 
 type Failure = Box<dyn std::error::Error>;
 type Series = BTreeMap<String, Vec<SweepSeries>>;

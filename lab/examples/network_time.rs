@@ -16,7 +16,7 @@ use std::time::Instant;
 use wcal_lab::model_file::{paper, runnable};
 use wcal_lab::network::TrainableNet;
 use wcal_lab::network::attention_bias;
-use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, WhiskerNet};
+use wcal_network::network::{FeatureExtractor, KvCache, NetworkConfig, WhiskerNet};
 
 /// As in `wcal-lab`: a step's tensors are given back and asked for again, page by page, by the
 /// system's own allocator.

@@ -13,8 +13,8 @@ use wcal_lab::dataset::thread_s;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::load;
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_track::network::FeatureExtractor;
-use wcal_track::{Sample, Tracker};
+use wcal_network::network::FeatureExtractor;
+use wcal_network::{Sample, Tracker};
 
 /// As in `wcal`.
 #[global_allocator]

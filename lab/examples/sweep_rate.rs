@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::rod_engine::LINKS;
 use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan, objects};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);

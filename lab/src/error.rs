@@ -5,13 +5,13 @@ use std::path::PathBuf;
 pub enum LabError {
     /// An object or a plan of sweeps.
     #[error(transparent)]
-    Sim(#[from] wcal_sim::SimError),
+    Sim(#[from] wcal_mesh::MeshError),
     /// MuJoCo.
     #[error(transparent)]
     Mujoco(#[from] wcal_mujoco::TwinError),
     /// A model or a filter.
     #[error(transparent)]
-    Track(#[from] wcal_track::TrackError),
+    Track(#[from] wcal_network::NetworkError),
     /// Readings put through a calibration.
     #[error(transparent)]
     Calibration(#[from] wcal_calibration::CalibrationError),
@@ -27,7 +27,7 @@ pub enum LabError {
         /// Object.
         name: String,
         /// Why not.
-        source: wcal_sim::SimError,
+        source: wcal_mesh::MeshError,
     },
     /// A file could not be read or written.
     #[error("{action} {}: {detail}", path.display())]

@@ -8,11 +8,11 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use wcal_sim::Mesh;
-use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
-use wcal_track::inverse::StaticInverse;
-use wcal_track::network::Prediction;
-use wcal_track::tracker::{Sample, Tracker};
+use wcal_mesh::Mesh;
+use wcal_network::filter::{BayesFilter, BayesSettings, FilterBank};
+use wcal_network::inverse::StaticInverse;
+use wcal_network::network::Prediction;
+use wcal_network::tracker::{Sample, Tracker};
 
 /// An estimate at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]

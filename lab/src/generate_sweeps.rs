@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::rod_engine::{LINKS, Run};
 use wcal_lab_sweeps::{RodEngine, Sample, Sweep, SweepPlan, Verdict};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// What to simulate.
 #[derive(Debug, Clone)]

@@ -1,5 +1,5 @@
 //! What a training writes: `model.safetensors` with the weights and `model.json`, the card that
-//! says what it is and what made it. `wcal_track::model_file` reads what a tracker needs of it.
+//! says what it is and what made it. `wcal_network::model_file` reads what a tracker needs of it.
 
 use crate::LabError;
 use crate::network::TrainableNet;
@@ -18,12 +18,12 @@ use wcal_core::files::{FileError, write_atomic};
 use wcal_core::observation::{WHISKER_RANGES, WhiskerSpec};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
-use wcal_track::Tracker;
-use wcal_track::filter::FILTER_RANGES;
-use wcal_track::inverse::{GRID_RANGES, InverseGrid, StaticInverse};
-use wcal_track::model_file::{CARD, CARD_RANGES, FORMAT, OTHER_RANGES, WEIGHTS};
-use wcal_track::network::{FeatureExtractor, NETWORK_RANGES, NetworkConfig, WhiskerNet, knots};
-use wcal_track::sd_factors::SdFactors;
+use wcal_network::Tracker;
+use wcal_network::filter::FILTER_RANGES;
+use wcal_network::inverse::{GRID_RANGES, InverseGrid, StaticInverse};
+use wcal_network::model_file::{CARD, CARD_RANGES, FORMAT, OTHER_RANGES, WEIGHTS};
+use wcal_network::network::{FeatureExtractor, NETWORK_RANGES, NetworkConfig, WhiskerNet, knots};
+use wcal_network::sd_factors::SdFactors;
 
 /// Numbers of a card that tell how it was trained.
 const RANGES: &[Range] = &[
@@ -178,7 +178,7 @@ pub fn save(folder: &Path, net: &TrainableNet, card: &mut Card) -> Result<(), La
 /// # Errors
 /// Where a file is missing, of another version, or differs from the weights.
 pub fn read_card(folder: &Path) -> Result<Card, LabError> {
-    wcal_track::model_file::read_card(folder)?;
+    wcal_network::model_file::read_card(folder)?;
     let path = folder.join(CARD);
     let text = wcal_core::files::read_text(&path).map_err(LabError::file("reading", &path))?;
     let ranges = [
@@ -201,7 +201,7 @@ pub fn read_card(folder: &Path) -> Result<Card, LabError> {
 /// Where a file is missing, truncated, of another version, or differs from the card.
 pub fn load(folder: &Path) -> Result<(Tracker, Card), LabError> {
     let card = read_card(folder)?;
-    let (mut tracker, _) = wcal_track::model_file::load(folder)?;
+    let (mut tracker, _) = wcal_network::model_file::load(folder)?;
     tracker.sd_factors = card.sd_factors.map(SdFactors::constant);
     Ok((tracker, card))
 }

@@ -16,7 +16,7 @@
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::Serialize;
-use wcal_track::sd_factors::SdFactors;
+use wcal_network::sd_factors::SdFactors;
 
 /// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of
 /// freedom).
@@ -209,7 +209,7 @@ pub struct Detection {
 }
 
 /// Factors on stated standard deviations from estimates with their own covariances, in groups of
-/// equal number by the spread (`wcal_track::sd_factors`).
+/// equal number by the spread (`wcal_network::sd_factors`).
 pub fn calibrated(all: &[EstimateError]) -> SdFactors {
     let mut stated: Vec<(f64, EstimateError)> = all
         .iter()

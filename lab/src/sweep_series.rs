@@ -7,7 +7,7 @@ use crate::tare::Tare;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// The contact nearest to the base; where several count as one (`count_contacts`), their mean
 /// weighted by the forces.

@@ -18,9 +18,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_sim::Mesh;
-use wcal_track::inverse::StaticInverse;
-use wcal_track::network::NetworkConfig;
+use wcal_mesh::Mesh;
+use wcal_network::inverse::StaticInverse;
+use wcal_network::network::NetworkConfig;
 use window::{Window, WindowMaker};
 
 mod checkpoint;

@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wcal_lab_sweeps::objects::TEST_NAMES;
-use wcal_track::Tracker;
-use wcal_track::filter::{BayesSettings, FilterBank};
-use wcal_track::inverse::StaticInverse;
-use wcal_track::model_file::FORMAT;
-use wcal_track::network::NetworkConfig;
-use wcal_track::sd_factors::SdFactors;
+use wcal_network::Tracker;
+use wcal_network::filter::{BayesSettings, FilterBank};
+use wcal_network::inverse::StaticInverse;
+use wcal_network::model_file::FORMAT;
+use wcal_network::network::NetworkConfig;
+use wcal_network::sd_factors::SdFactors;
 
 pub(crate) mod cost;
 mod request;

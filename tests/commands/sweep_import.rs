@@ -9,7 +9,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_lab::SweepSeries;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// Shifts by moments, nm/(N mm).
 const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];

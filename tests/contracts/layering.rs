@@ -9,27 +9,27 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
     Some(match name {
         "wcal-core" => &[],
         "wcal-acquisition" => &["wcal-core", "wcal-session"],
-        "wcal-session" | "wcal-rod" | "wcal-map" | "wcal-report" | "wcal-vision" => &["wcal-core"],
-        "wcal-sim" => &["wcal-core"],
-        "wcal-lab-sweeps" => &["wcal-core", "wcal-mujoco", "wcal-rod", "wcal-sim"],
-        "wcal-mujoco" => &["wcal-core", "wcal-rod", "wcal-sim"],
+        "wcal-session" | "wcal-rod" | "wcal-gpr" | "wcal-report" | "wcal-vision" => &["wcal-core"],
+        "wcal-mesh" => &["wcal-core"],
+        "wcal-lab-sweeps" => &["wcal-core", "wcal-mujoco", "wcal-rod", "wcal-mesh"],
+        "wcal-mujoco" => &["wcal-core", "wcal-rod", "wcal-mesh"],
         // A program: wcal speaks to it, nothing depends on it.
         "wcal-mujoco-engine" => &["wcal-mujoco"],
-        "wcal-track" => &["wcal-core", "wcal-rod"],
-        "wcal-contact" => &[
+        "wcal-network" => &["wcal-core", "wcal-rod"],
+        "wcal-track" => &[
             "wcal-core",
             "wcal-session",
             "wcal-acquisition",
             "wcal-rod",
-            "wcal-trace",
+            "wcal-verify",
             "wcal-calibration",
-            "wcal-sim",
-            "wcal-track",
+            "wcal-mesh",
+            "wcal-network",
         ],
-        "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
+        "wcal-verify" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-gpr"],
         // A device needs its entry of the rig, no session.
         "wcal-drivers" => &["wcal-core"],
-        "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-map", "wcal-trace"],
+        "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-gpr", "wcal-verify"],
         // The virtual bench's wire: physics that shares no code with the fitter.
         "wcal-bench" => &[],
         // Test support: nothing that ships has it.
@@ -42,12 +42,12 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-session",
             "wcal-acquisition",
             "wcal-calibration",
-            "wcal-contact",
-            "wcal-map",
+            "wcal-track",
+            "wcal-gpr",
             "wcal-mujoco",
             "wcal-lab-sweeps",
-            "wcal-sim",
-            "wcal-track",
+            "wcal-mesh",
+            "wcal-network",
             "wcal-plant",
             "wcal-exam",
         ],
@@ -57,15 +57,15 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-acquisition",
             "wcal-drivers",
             "wcal-rod",
-            "wcal-map",
-            "wcal-trace",
+            "wcal-gpr",
+            "wcal-verify",
             "wcal-calibration",
             "wcal-report",
             "wcal-vision",
-            "wcal-sim",
+            "wcal-mesh",
             "wcal-mujoco",
+            "wcal-network",
             "wcal-track",
-            "wcal-contact",
             "wcal-bench",
         ],
         _ => return None,
@@ -194,7 +194,7 @@ fn a_wrong_direction_is_seen() {
     graph
         .entry("wcal-core".into())
         .or_default()
-        .insert("wcal-trace".into());
+        .insert("wcal-verify".into());
     graph
         .entry("wcal-drivers".into())
         .or_default()
@@ -204,7 +204,7 @@ fn a_wrong_direction_is_seen() {
         .or_default()
         .insert("wcal-drivers".into());
     graph
-        .entry("wcal-trace".into())
+        .entry("wcal-verify".into())
         .or_default()
         .insert("wcal-calibration".into());
     graph
@@ -217,23 +217,23 @@ fn a_wrong_direction_is_seen() {
         .insert("mujoco-rs".into());
     // The simulated world knows no MuJoCo, and neither does what is trained on it.
     graph
-        .entry("wcal-sim".into())
+        .entry("wcal-mesh".into())
         .or_default()
         .insert("wcal-mujoco".into());
     graph
-        .entry("wcal-track".into())
+        .entry("wcal-network".into())
         .or_default()
         .insert("wcal-mujoco".into());
     let found = violations(&graph);
     let expected = [
         "wcal-acquisition -> wcal-drivers",
-        "wcal-core -> wcal-trace",
+        "wcal-core -> wcal-verify",
         "wcal-drivers -> wcal-session",
         "wcal-mujoco -> mujoco-rs",
         "wcal-report -> opencv",
-        "wcal-sim -> wcal-mujoco",
-        "wcal-trace -> wcal-calibration",
-        "wcal-track -> wcal-mujoco",
+        "wcal-mesh -> wcal-mujoco",
+        "wcal-verify -> wcal-calibration",
+        "wcal-network -> wcal-mujoco",
     ];
     assert_eq!(found, expected);
 }

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Map peers: the same candidates by scikit-learn on fixtures/whiskerfbg, timed beside wcal-map.
+"""Map peers: the same candidates by scikit-learn on fixtures/whiskerfbg, timed beside wcal-gpr.
 
 Installs numpy, scipy and scikit-learn in tests/peers/.venv on the first run. Prints a table, and writes JSON rows for
 peers.json to the file named by --out (stdout without it). Single thread on both sides. wcal's numbers come from its
@@ -128,7 +128,7 @@ def run_peer():
 
 
 def run_ours():
-    """wcal-map's criterion benches: lines of JSON among their output."""
+    """wcal-gpr's criterion benches: lines of JSON among their output."""
     out = []
     for bench in ("fit", "stream"):
         command = ["cargo", "bench", "--workspace", "--bench", bench]

@@ -5,12 +5,12 @@ use std::path::Path;
 use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
-use wcal_trace::scalar::ScalarSystem;
-use wcal_trace::verify::HeldOut;
-use wcal_trace::verify::session_model::Quantity;
-use wcal_trace::verify::{SessionModel, SessionText};
-use wcal_trace::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
-use wcal_trace::whisker::{WhiskerSystem, judgement};
+use wcal_verify::scalar::ScalarSystem;
+use wcal_verify::verify::HeldOut;
+use wcal_verify::verify::session_model::Quantity;
+use wcal_verify::verify::{SessionModel, SessionText};
+use wcal_verify::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
+use wcal_verify::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.
 pub trait Calibration {

@@ -15,10 +15,10 @@ use wcal_core::{
     CalibrationFile, CalibrationFrame, MomentAxes, Provenance, VerificationStatus, WhiskerSpec,
     WireFrame,
 };
-use wcal_map::MapArtefact;
+use wcal_gpr::MapArtefact;
 use wcal_session::LoadedSession;
-use wcal_trace::scalar::ScalarModel;
-use wcal_trace::whisker::PhysicalModel;
+use wcal_verify::scalar::ScalarModel;
+use wcal_verify::whisker::PhysicalModel;
 
 /// The model in a calibration, distinguished by `kind`.
 #[allow(clippy::large_enum_variant, reason = "one a program run")]

@@ -41,10 +41,10 @@ pub enum CalibrationError {
     Table(#[from] SessionError),
     /// The model inside is damaged, or of another version.
     #[error(transparent)]
-    Map(#[from] wcal_map::MapError),
+    Map(#[from] wcal_gpr::MapError),
     /// The model inside is damaged, of another version, or cannot answer.
     #[error(transparent)]
-    Model(#[from] wcal_trace::scalar::ModelError),
+    Model(#[from] wcal_verify::scalar::ModelError),
 }
 
 impl From<InputError> for CalibrationError {

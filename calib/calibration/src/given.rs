@@ -7,7 +7,7 @@ use std::path::Path;
 use wcal_core::verify_document::CalibrationJudgement;
 use wcal_core::{CalibrationFile, InputFile, Purpose, VerificationStatus};
 use wcal_session::LoadedSession;
-use wcal_trace::verify::judgement::judge;
+use wcal_verify::verify::judgement::judge;
 
 /// A calibration and which of the session's readings it can be judged on.
 pub struct GivenCalibration {

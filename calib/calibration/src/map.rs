@@ -8,11 +8,11 @@ use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerSpec};
-use wcal_map::{MapArtefact, MapPredictor, OutputMap};
+use wcal_gpr::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
-use wcal_trace::verify::HeldOut;
-use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
-use wcal_trace::whisker::{WhiskerSystem, judgement};
+use wcal_verify::verify::HeldOut;
+use wcal_verify::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
+use wcal_verify::whisker::{WhiskerSystem, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
      moment_1_half95_nmm,moment_2_half95_nmm,fbg_1_fitted_pm,fbg_2_fitted_pm,outside_valid_region,outside_by_pm\n";

@@ -10,10 +10,10 @@ use std::path::Path;
 use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
 use wcal_session::{SessionWarning, load_table};
-use wcal_trace::verify::HeldOut;
-use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
-use wcal_trace::whisker::path::WhiskerPath;
-use wcal_trace::whisker::{PhysicalModel, PhysicalStream, WhiskerSystem, judgement};
+use wcal_verify::verify::HeldOut;
+use wcal_verify::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
+use wcal_verify::whisker::path::WhiskerPath;
+use wcal_verify::whisker::{PhysicalModel, PhysicalStream, WhiskerSystem, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n";
 

@@ -8,8 +8,8 @@ use std::path::Path;
 use wcal_core::observation::Role;
 use wcal_core::text::number;
 use wcal_session::{TextTable, TextTableLayout, asked_name, read_text_table};
-use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
-use wcal_trace::verify::HeldOut;
+use wcal_verify::scalar::{ScalarModel, ScalarRow, judgement};
+use wcal_verify::verify::HeldOut;
 
 /// A table's columns by the session's names; a table that has none of such a name may have the
 /// column that the session's table was made of.

@@ -10,11 +10,11 @@ use anyhow::{Context, bail, ensure};
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use toml::Value;
+use wcal_mesh::Mesh;
+use wcal_mesh::mesh_file::as_stl;
 use wcal_session::motion_table;
 use wcal_session::sweep_session::{KIND, PLACED_SD_MM, pose_of};
 use wcal_session::{TextTable, read_text_table};
-use wcal_sim::Mesh;
-use wcal_sim::mesh_file::as_stl;
 
 const POSES: &str = "base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 

@@ -4,11 +4,11 @@ use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_contact::reading::MotionAccuracy;
-use wcal_contact::sliding::FrictionPrior;
-use wcal_contact::track_document::{TrackDocument, WhiskerDocument};
-use wcal_contact::track_table::TrackFiles;
-use wcal_contact::whisker_track::Outcome;
+use wcal_track::reading::MotionAccuracy;
+use wcal_track::sliding::FrictionPrior;
+use wcal_track::track_document::{TrackDocument, WhiskerDocument};
+use wcal_track::track_table::TrackFiles;
+use wcal_track::whisker_track::Outcome;
 
 /// Arguments of `wcal track`.
 #[derive(Debug, Args)]

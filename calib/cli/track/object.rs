@@ -2,9 +2,9 @@
 
 use anyhow::Result;
 use std::path::Path;
-use wcal_contact::mesh_score::{KnownObject, MeshScore};
+use wcal_mesh::Mesh;
 use wcal_session::sweep_session::SweepSession;
-use wcal_sim::Mesh;
+use wcal_track::mesh_score::{KnownObject, MeshScore};
 
 /// Contacts farther than this from a mesh whose place is known do not belong to it, mm, in the
 /// median.

@@ -3,7 +3,7 @@
 use crate::output::{check_beside, check_file, first_line};
 use anyhow::{Context, Result};
 use std::path::Path;
-use wcal_contact::track_table::{TrackFiles, companion};
+use wcal_track::track_table::{TrackFiles, companion};
 
 /// Summary beside the table.
 const SUMMARY: &str = ".json";

@@ -8,26 +8,26 @@ use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
-use wcal_contact::ContactError;
-use wcal_contact::calibrated_wire::CalibratedWire;
-use wcal_contact::estimator::Estimator;
-use wcal_contact::known_groove::KnownGroove;
-use wcal_contact::reading::Reading;
-use wcal_contact::regimes::{ANY_OBJECT, SWEPT_OBJECT};
-use wcal_contact::session_groove::{SessionGroove, without_groove};
-use wcal_contact::table_source::TableSource;
-use wcal_contact::track::Input;
-use wcal_contact::track_document::{
-    AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
-};
-use wcal_contact::tracker::ContactTracker;
-use wcal_contact::trust::WhiskerModel;
-use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
-use wcal_contact::zero::{FreeStart, beginning};
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
 use wcal_session::motion_table::{LoggedMotion, has_motion, read};
 use wcal_session::sweep_session::SweepSession;
-use wcal_trace::whisker::WhiskerSystem;
+use wcal_track::TrackError;
+use wcal_track::calibrated_wire::CalibratedWire;
+use wcal_track::estimator::Estimator;
+use wcal_track::known_groove::KnownGroove;
+use wcal_track::reading::Reading;
+use wcal_track::regimes::{ANY_OBJECT, SWEPT_OBJECT};
+use wcal_track::session_groove::{SessionGroove, without_groove};
+use wcal_track::table_source::TableSource;
+use wcal_track::track::Input;
+use wcal_track::track_document::{
+    AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
+};
+use wcal_track::tracker::ContactTracker;
+use wcal_track::trust::WhiskerModel;
+use wcal_track::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use wcal_track::zero::{FreeStart, beginning};
+use wcal_verify::whisker::WhiskerSystem;
 
 /// Readings and what locates their contacts.
 pub struct Prepared<'a> {
@@ -288,8 +288,8 @@ pub fn track(
     let source = of
         .readings
         .into_iter()
-        .map(|r| Ok::<_, ContactError>(Input::Reading(0, Box::new(r))));
-    wcal_contact::track::track(source, std::slice::from_mut(&mut track), &mut files)?;
+        .map(|r| Ok::<_, TrackError>(Input::Reading(0, Box::new(r))));
+    wcal_track::track::track(source, std::slice::from_mut(&mut track), &mut files)?;
 
     let found = track.findings();
     let (mut whisker, mut log) = (found.document, of.log);

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use wcal_core::{InputFile, SessionData, SessionKind};
 use wcal_session::{Finding, LoadedSession, Severity, attach_holdout, examine, load};
-use wcal_trace::whisker::sensitivity::lost_sensitivity;
+use wcal_verify::whisker::sensitivity::lost_sensitivity;
 
 /// Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be used. A session
 /// that cannot be read is a finding, too.

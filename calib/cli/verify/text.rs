@@ -7,9 +7,9 @@ use wcal_core::ResidualRecord;
 use wcal_core::text::{brief, chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
 use wcal_report::ReportInput;
-use wcal_trace::scalar::ScalarData;
-use wcal_trace::verify::Assessment;
-use wcal_trace::whisker::WhiskerVerification;
+use wcal_verify::scalar::ScalarData;
+use wcal_verify::verify::Assessment;
+use wcal_verify::whisker::WhiskerVerification;
 
 /// Every reading with what both models say of it, in the order of the tables.
 pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<String> {

@@ -10,8 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use errors::{
-    CalibrationContact, CalibrationJudgement, ContactComparison, ContactError, ContactUncertainty,
-    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome,
+    CalibrationContact, CalibrationJudgement, ContactComparison, ContactUncertainty,
+    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, TrackError,
     TrajectoryContact,
 };
 pub use findings::{

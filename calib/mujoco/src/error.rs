@@ -1,13 +1,13 @@
 //! Errors of the MuJoCo twin.
 
-use wcal_sim::SimError;
+use wcal_mesh::MeshError;
 
 /// What went wrong with the engine or what it was given.
 #[derive(Debug, thiserror::Error)]
 pub enum TwinError {
     /// An object, a plan, a value or a file.
     #[error(transparent)]
-    Sim(#[from] SimError),
+    Sim(#[from] MeshError),
     /// The MuJoCo engine is missing or refuses.
     #[error("MuJoCo engine: {0}")]
     Engine(String),
@@ -23,7 +23,7 @@ impl TwinError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Sim(SimError::Value {
+        Self::Sim(MeshError::Value {
             what: what.to_owned(),
             expected: expected.into(),
             found: found.into(),

@@ -9,8 +9,8 @@ use crate::mjcf::{MjcfOptions, Touch, WorldParts, convex_parts, mjcf_among};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_sim::SimError;
-use wcal_sim::stl::Stl;
+use wcal_mesh::MeshError;
+use wcal_mesh::stl::Stl;
 
 /// Which twin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +51,7 @@ pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
     parts!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18)
         .into_iter()
         .map(|bytes| {
-            let wrong = |found| TwinError::from(SimError::Engine(format!("groove_tip: {found}")));
+            let wrong = |found| TwinError::from(MeshError::Engine(format!("groove_tip: {found}")));
             let stl = Stl::parse(bytes).map_err(wrong)?;
             Ok(stl
                 .points

@@ -4,7 +4,7 @@ use crate::input::{Fact, IndexEntry, ReportInput};
 use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
-use wcal_core::verify_document::ContactError;
+use wcal_core::verify_document::TrackError;
 
 /// Badge of simulated data.
 const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
@@ -117,12 +117,12 @@ fn banner(input: &ReportInput) -> String {
     }
     if let Some(c) = &input.verify.contact {
         let cell = |head: &str, mm: &str| format!("<div><dt>{head}</dt><dd>{mm}</dd></div>");
-        let interval = |e: &ContactError| {
+        let interval = |e: &TrackError| {
             e.interval95.map_or(String::new(), |[low, high]| {
                 format!(" [{low:.2}, {high:.2}]")
             })
         };
-        let error = |e: &ContactError| format!("{:.2} mm{}", e.rms_mm, interval(e));
+        let error = |e: &TrackError| format!("{:.2} mm{}", e.rms_mm, interval(e));
         let _ = write!(
             out,
             "<dl><div class=\"wide\"><dt>contact{}</dt><dd>{} readings of {} trajectories, each left out in turn</dd></div>{}{}{}</dl>",

@@ -1,12 +1,37 @@
-use std::path::PathBuf;
-use wcal_core::text::brief;
+use std::path::{Path, PathBuf};
+use wcal_calibration::CalibrationError;
+use wcal_network::NetworkError;
+use wcal_session::{InputError, SessionError};
 
-/// Errors from a model to tracks.
+/// Why contacts cannot be tracked.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
-    /// A wire that cannot be bent.
-    #[error("whisker: {0}")]
-    Rod(#[from] wcal_rod::RodError),
+    /// A network, a filter or a wire that cannot be used.
+    #[error(transparent)]
+    Track(#[from] NetworkError),
+    /// A calibration that cannot be used.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
+    /// A session that cannot be explained.
+    #[error(transparent)]
+    Trace(#[from] wcal_verify::VerifyError),
+    /// A mesh that cannot be used.
+    #[error(transparent)]
+    Mesh(#[from] wcal_mesh::MeshError),
+    /// A table that cannot be read.
+    #[error(transparent)]
+    Table(#[from] SessionError),
+    /// A stream that cannot be used.
+    #[error(transparent)]
+    Stream(#[from] wcal_acquisition::AcquisitionError),
+    /// In a file.
+    #[error("{place}: {source}")]
+    In {
+        /// Which.
+        place: String,
+        /// What is wrong there.
+        source: Box<Self>,
+    },
     /// A file could not be read or written.
     #[error("{action} {}: {detail}", path.display())]
     File {
@@ -20,7 +45,7 @@ pub enum TrackError {
     /// A value that cannot be used.
     #[error("{what}: expected {expected}, found {found}")]
     Value {
-        /// Which.
+        /// Which, and where.
         what: String,
         /// What it may be.
         expected: String,
@@ -29,17 +54,35 @@ pub enum TrackError {
     },
 }
 
+impl From<InputError> for TrackError {
+    fn from(error: InputError) -> Self {
+        Self::Table(error.into())
+    }
+}
+
+impl From<wcal_rod::RodError> for TrackError {
+    fn from(error: wcal_rod::RodError) -> Self {
+        Self::Track(error.into())
+    }
+}
+
 impl TrackError {
     /// For `map_err` on file operations.
-    pub fn file<E: std::fmt::Display>(
-        action: &'static str,
-        path: &std::path::Path,
-    ) -> impl FnOnce(E) -> Self {
+    pub fn file<E: std::fmt::Display>(action: &'static str, path: &Path) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
         move |e| Self::File {
             action,
             path,
-            detail: brief(&e.to_string()),
+            detail: e.to_string(),
+        }
+    }
+
+    /// For `map_err`: the file in which it happened.
+    pub fn in_file<E: Into<Self>>(path: &Path) -> impl FnOnce(E) -> Self {
+        let place = path.display().to_string();
+        move |e| Self::In {
+            place,
+            source: Box::new(e.into()),
         }
     }
 
@@ -51,8 +94,8 @@ impl TrackError {
     ) -> Self {
         Self::Value {
             what: what.into(),
-            expected: brief(&expected.into()),
-            found: brief(&found.into()),
+            expected: expected.into(),
+            found: found.into(),
         }
     }
 }

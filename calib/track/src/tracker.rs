@@ -1,207 +1,345 @@
-//! Tracks sample by sample.
-//!
-//! With outputs f_k (interpolated from the knots), o (3 numbers), floor e and mixture g of the
-//! network, and posteriors b, b' of the two filters:
+//! Contacts along a known motion, fed reading by reading by a table, a recording, a live stream or
+//! a session; no network.
 //!
 //! ```text
-//! w_k ~ exp(f_k) (b_k + sigmoid(g) (b'_k - b_k) + exp(e - 4) / K),   sum w = 1
-//! p = sum w_k p_k + o,   C = f(t)^2 (sum w_k (p_k - p)(p_k - p)^T + s_min^2 I),   t = sqrt(trace)        (`sd_factors`)
-//! n ~ sum w_k n_k,   P(contact), P(several | contact): sigmoids
+//! stream      a reading is answered at once, from those up to it                                   (contact_so_far)
+//! record      answers are stated in the end, each from all readings of its contact                 (whole_contact)
+//! no motion   of a stream: the arc of the wire that the moments of a loaded reading allow          (static_arc)
 //! ```
 //!
-//! so that the answer stays on what the moments allow; the network corrects the filters' posterior.
+//! Noise of a stream: a row's own is that of the no-contact prefix through the filter; the
+//! calibration's noise from pose to pose is a draw that rows of one pose share, forgotten over half
+//! a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
 
-use crate::error::TrackError;
-use crate::filter::FilterBank;
-use crate::inverse::StaticInverse;
-use crate::network::{
-    FeatureExtractor, INITIAL_LOG_FLOOR, KvCache, NetworkConfig, PLACE_SCALE_MM, Prediction, Token,
-    WhiskerNet, knot_weights, knots,
+use crate::TrackError;
+use crate::calibrated_wire::{Assumed, CalibratedWire};
+use crate::contact_so_far::ContactSoFar;
+use crate::estimator::{Contact, Estimator, Findings};
+use crate::known_motion::{
+    CorrelatedNoise, MotionRow, MotionUnknown, Segmenter, Settings, Step, check_row,
 };
-use crate::sd_factors::SdFactors;
+use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
+use crate::regimes::{GAIN, POINT, RegimeWeights};
+use crate::static_arc::StaticArc;
+use crate::track_document::{
+    AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT,
+};
+use crate::whole_contact::{Known, WholeContact, located};
+use crate::zero::WHITE;
+use std::collections::BTreeMap;
+use wcal_core::stream::Flags;
 
-/// A trained network with what it needs to answer.
-#[derive(Debug, Clone)]
-pub struct Tracker {
-    /// Sizes.
-    pub config: NetworkConfig,
-    /// Layers.
-    pub net: WhiskerNet,
-    /// Curve of solutions.
-    pub inverse: StaticInverse,
-    /// The filters below the network.
-    pub filters: FilterBank,
-    /// Factors on the stated standard deviations: base's speed not known, and known.
-    pub sd_factors: [SdFactors; 2],
+/// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
+const POSE_MM: f64 = 0.5;
+/// A contact goes on over rows without moments or motion for so long, s: the displacement is known
+/// again after them.
+const MAX_LOST_S: f64 = 1.0;
+
+/// A contact of which no reading follows.
+struct Ended {
+    document: ContactDocument,
+    /// For people.
+    said: Vec<String>,
+    doubted: bool,
 }
 
-/// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known
-/// (mm/s).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
-    /// Time, s.
-    pub t_s: f64,
-    /// Moments y and z, N mm.
-    pub moment_nmm: [f64; 2],
-    /// Speed, mm/s.
-    pub base_mm_s: Option<f64>,
+/// The estimator of one whisker.
+pub struct ContactTracker {
+    of: Assumed,
+    accuracy: MotionAccuracy,
+    /// Of a stream: the contact at hand, and the time of the last row (s) with its number of common
+    /// unknowns.
+    segmenter: Segmenter,
+    contact: Option<ContactSoFar>,
+    last: Option<(f64, usize)>,
+    /// Of a record: readings along their motion, all answers until they are stated, and contacts.
+    is_record: bool,
+    known: Vec<Known>,
+    answers: Vec<Contact>,
+    contacts: Vec<WholeContact>,
+    /// For readings whose motion is not known, and how many there are by why; of a stream those
+    /// that are loaded.
+    alone: StaticArc,
+    lost: BTreeMap<&'static str, u64>,
+    readings: usize,
+    /// Rows of a stream that slide, and at which moments and motion do not belong together.
+    slid: u64,
+    disagreeing: u64,
+    ended: Vec<Ended>,
 }
 
-impl Tracker {
-    /// # Errors
-    /// Where network and curve do not fit each other.
-    pub fn check(&self) -> Result<(), TrackError> {
-        let nodes = self.inverse.nodes.len();
-        let (nodes, width) = (
-            knots(nodes).len(),
-            FeatureExtractor::width(nodes, self.config.two_filters),
-        );
-        self.config.check_filters(&self.filters)?;
-        if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
-            let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
-            return Err(TrackError::value(
-                "network",
-                format!("{width} inputs, {nodes} knots"),
-                found,
+impl ContactTracker {
+    /// Of a whisker's wire, by readings that are answered in the end; `prior`: how a contact may
+    /// move on what it touches.
+    pub fn of_record(wire: CalibratedWire, accuracy: MotionAccuracy, prior: RegimeWeights) -> Self {
+        Self {
+            is_record: true,
+            ..Self::of_stream(wire, accuracy, prior)
+        }
+    }
+
+    /// Of a session, whose trajectories are pieces of the motion that take turns, each past one
+    /// point of the groove.
+    pub fn of_session(wire: CalibratedWire, correlated: Option<CorrelatedNoise>) -> Self {
+        let accuracy = MotionAccuracy {
+            moved_sd_mm: 0.0,
+            clock_sd_s: 0.0,
+        };
+        let mut own = Self::of_record(wire, accuracy, POINT);
+        own.of.settings.correlated = correlated;
+        own
+    }
+
+    /// By readings that are answered at once.
+    pub fn of_stream(wire: CalibratedWire, accuracy: MotionAccuracy, prior: RegimeWeights) -> Self {
+        Self {
+            segmenter: Segmenter::new(&wire.field),
+            contact: None,
+            last: None,
+            is_record: false,
+            known: Vec::new(),
+            answers: Vec::new(),
+            contacts: Vec::new(),
+            alone: StaticArc::new(wire.clone()),
+            lost: BTreeMap::new(),
+            readings: 0,
+            slid: 0,
+            disagreeing: 0,
+            ended: Vec::new(),
+            of: Assumed {
+                settings: wire.settings(&accuracy),
+                wire,
+                prior,
+            },
+            accuracy,
+        }
+    }
+
+    /// Of a record, each with all of its readings, and what is assumed of them.
+    pub(crate) fn whole_contacts(&self) -> (&Assumed, &[WholeContact]) {
+        (&self.of, &self.contacts)
+    }
+
+    /// Whether readings had a motion.
+    fn is_along(&self) -> bool {
+        self.is_record || self.last.is_some()
+    }
+
+    /// A reading of a stream whose motion is known.
+    fn along(
+        &mut self,
+        row: MotionRow,
+        m: &Moments,
+        motion: &RowMotion,
+    ) -> Result<Contact, TrackError> {
+        let (last_s, shared) = self
+            .last
+            .unwrap_or((f64::NEG_INFINITY, row.shared_nmm.len()));
+        check_row(&row, last_s, shared, "reading of a stream")?;
+        self.last = Some((row.t_s, shared));
+        if row.t_s - last_s > MAX_LOST_S {
+            self.segmenter.interrupt();
+        }
+        // What is not the row's own noise is the draw of its pose, which the posterior carries.
+        let by_pose = CorrelatedNoise::ByPose {
+            covariance_nmm2: m.pose_nmm2,
+            length_mm: POSE_MM,
+        };
+        let settings = Settings {
+            correlated: Some(by_pose),
+            ..self.of.settings
+        };
+        let mut row = MotionRow {
+            free_nmm2: None,
+            ..row
+        };
+        let noise_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2 * WHITE * WHITE);
+        let mut own = MotionRow {
+            noise_nmm2,
+            ..row.clone()
+        };
+        let is_loaded = settings.is_loaded(&own);
+        let step = self
+            .segmenter
+            .push(&mut own, motion.piece, motion.push, is_loaded);
+        row.contact_segment = own.contact_segment;
+        match step {
+            Step::Within => self
+                .contact
+                .iter_mut()
+                .for_each(|c| c.push(&self.of.wire.field, &own)),
+            Step::Begins(beginning) => {
+                self.end();
+                self.contact = ContactSoFar::begin(&self.of, settings, beginning);
+            }
+            Step::Outside => self.end(),
+        }
+        let Some(contact) = &mut self.contact else {
+            return Ok(Contact::default());
+        };
+        let stated = contact.stated(&self.of, &row, (is_loaded, m.pose_nmm2))?;
+        self.disagreeing += u64::from(stated.flags.has(Flags::MOTION_DISAGREES));
+        self.slid += u64::from(stated.flags.has(Flags::SLIDING_ASSUMED));
+        Ok(stated)
+    }
+
+    /// Ends the contact at hand.
+    fn end(&mut self) {
+        let long_enough = self.segmenter.take_ended().is_some();
+        let Some(contact) = self.contact.take().filter(|_| long_enough) else {
+            return;
+        };
+        let document = contact.document();
+        let said = contact
+            .innovations()
+            .sentence()
+            .map(|said| format!("{said}; marked motion-disagrees in status"));
+        let doubted = document.disagreement.is_some();
+        self.ended.push(Ended {
+            document,
+            said: said.into_iter().collect(),
+            doubted,
+        });
+    }
+
+    fn messages(&self) -> Vec<String> {
+        let (mut all, readings) = (Vec::new(), self.readings);
+        if self.slid > 0 {
+            all.push(format!(
+                "warning: {} of {readings} rows: no fixed point of the object explains the moments, a contact that slides does; where it ends is not seen \
+                 yet; marked sliding-assumed in status",
+                self.slid
             ));
         }
-        Ok(())
-    }
-
-    /// A stream from its beginning.
-    pub fn stream(&self) -> TrackerStream<'_> {
-        self.stream_with(self.filters)
-    }
-
-    /// A stream from its beginning with other filters (measurement noise).
-    pub fn stream_with(&self, filters: FilterBank) -> TrackerStream<'_> {
-        TrackerStream {
-            tracker: self,
-            features: FeatureExtractor::new(&self.inverse, filters),
-            cache: KvCache::default(),
-            last_s: None,
-        }
-    }
-
-    fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
-        let k = self.config.nodes;
-        let off = &out[k..k + 3];
-        let contact = 1.0 / (1.0 + (-out[k + 3]).exp());
-        let several = (1.0 / (1.0 + (-f64::from(out[k + 4])).exp())) as f32;
-        if k == 0 {
-            // The paper's head states no spread.
-            let point_mm = [0, 1, 2].map(|i| off[i] * PLACE_SCALE_MM as f32);
-            return Prediction {
-                contact,
-                several,
-                point_mm,
-                covariance_mm2: [[0.0; 3]; 3],
-                weights: Vec::new(),
-                normal: [0.0; 3],
-            };
-        }
-        // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over
-        // the K nodes.
-        let floor = (out[k + 5] + INITIAL_LOG_FLOOR).exp() / token.posterior.len() as f32;
-        let factors = knot_weights(token.posterior.len())
-            .into_iter()
-            .map(|(knot, u)| match out[..k].get(knot + 1) {
-                Some(next) => out[knot] * (1.0 - u) + next * u,
-                None => out[knot],
+        let lost: u64 = self.lost.values().sum();
+        if lost > 0 {
+            let why: Vec<String> = self
+                .lost
+                .iter()
+                .map(|(name, n)| format!("{name} {n}"))
+                .collect();
+            let why = why.join(", ");
+            all.push(match self.is_record {
+                true => format!("the motion of {lost} of {readings} readings is not known ({why}); marked motion-lost in status"),
+                false => format!(
+                    "warning: the motion of {lost} of {readings} rows, which are loaded, is not known ({why}; --motion, --model): each has the arc that its \
+                     moments allow; marked motion-lost in status"
+                ),
             });
-        let mut posterior = token.posterior.clone();
-        if self.config.two_filters {
-            let share = 1.0 / (1.0 + (-out[k + 6]).exp());
-            posterior
-                .iter_mut()
-                .zip(&token.posterior_frictionless)
-                .for_each(|(b, frictionless)| *b += (frictionless - *b) * share);
         }
-        let mut weights: Vec<f32> = factors
-            .zip(&posterior)
-            .map(|(f, b)| f + (b + floor).ln())
-            .collect();
-        // Softmax, the maximum subtracted against overflow.
-        let max = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        weights.iter_mut().for_each(|w| *w = (*w - max).exp());
-        let total: f32 = weights.iter().sum();
-        weights.iter_mut().for_each(|w| *w /= total);
-        let mut mean = [0.0_f32; 3];
-        for (w, p) in weights.iter().zip(&token.points_mm) {
-            (0..3).for_each(|i| mean[i] += w * p[i]);
+        let warning = if self.is_record { "" } else { "warning: " };
+        let said = self
+            .ended
+            .iter()
+            .enumerate()
+            .flat_map(|(n, e)| e.said.iter().map(move |said| (n, said)));
+        all.extend(said.map(|(n, said)| format!("{warning}contact {n}: {said}")));
+        let by_gain_mm = self
+            .ended
+            .iter()
+            .filter_map(|e| e.document.mm_by_gain_percent)
+            .fold(0.0, f64::max);
+        if by_gain_mm > 0.0 {
+            all.push(format!(
+                "{GAIN}; 1 % of gain moves a contact by up to {by_gain_mm:.2} mm"
+            ));
+        } else if !self.is_record && !self.ended.is_empty() {
+            all.push(GAIN.to_owned());
         }
-        let mut normal = [0.0_f32; 3];
-        for (w, n) in weights.iter().zip(&token.normals) {
-            (0..3).for_each(|i| normal[i] += w * n[i]);
+        if self.ended.is_empty() && self.is_along() {
+            let none =
+                "no contact: no reading is loaded beyond its noise where the motion is known";
+            all.push(none.to_owned());
         }
-        let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
-        let normal = normal.map(|x| x / size);
-        // Second moment of the posterior on the curve, widened by the calibrated factor of its
-        // spread.
-        let mut covariance = [[0.0; 3]; 3];
-        for (w, p) in weights.iter().zip(&token.points_mm) {
-            for i in 0..3 {
-                for j in 0..3 {
-                    covariance[i][j] += w * (p[i] - mean[i]) * (p[j] - mean[j]);
+        all
+    }
+}
+
+impl Estimator for ContactTracker {
+    fn assumes(&self) -> String {
+        self.of.wire.assumes()
+    }
+
+    fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, TrackError> {
+        let number = self.readings;
+        self.readings += 1;
+        let row = self.of.wire.row(reading, &self.accuracy);
+        let lost = &mut self.lost;
+        let mut lose = |why: MotionUnknown| *lost.entry(why.name()).or_default() += 1;
+        let contact = match (&reading.moments, reading.motion, row) {
+            (Some(m), Ok(motion), Some(row)) if self.is_record => {
+                self.known.push(Known::new(number, row, m, &motion));
+                Contact::default()
+            }
+            (Some(m), Ok(motion), Some(row)) => self.along(row, m, &motion)?,
+            (_, Err(why), _) if self.is_record => {
+                lose(why);
+                Contact {
+                    flags: Flags::MOTION_LOST,
+                    ..Contact::default()
                 }
             }
+            (Some(m), Err(why), _) if !reading.in_prefix => {
+                let contact = self.alone.estimate_contact(m)?;
+                contact.estimate.iter().for_each(|_| lose(why));
+                contact
+            }
+            _ => Contact::default(),
+        };
+        if self.is_record {
+            self.answers.push(contact);
+            return Ok(Vec::new());
         }
-        let mut trace = 0.0;
-        for (i, row) in covariance.iter_mut().enumerate() {
-            row[i] += MIN_SD_MM * MIN_SD_MM;
-            trace += row[i];
+        Ok(vec![contact])
+    }
+
+    fn finish(&mut self) -> Result<Vec<Contact>, TrackError> {
+        self.segmenter.interrupt();
+        self.end();
+        self.contacts = located(&self.of, std::mem::take(&mut self.known))?;
+        for (n, contact) in self.contacts.iter().enumerate() {
+            for (k, number) in contact.numbers.iter().enumerate() {
+                let stated = contact.stated(k, &mut self.alone)?;
+                self.answers[*number] = Contact {
+                    number: Some(n as u64),
+                    ..stated
+                };
+            }
+            let (document, said) = (contact.document(), contact.sentences());
+            self.ended.push(Ended {
+                document,
+                said,
+                doubted: !contact.flags().none(),
+            });
         }
-        let factor = self.sd_factors[usize::from(base_known)]
-            .at(f64::from(trace).sqrt())
-            .powi(2) as f32;
-        covariance
-            .as_flattened_mut()
-            .iter_mut()
-            .for_each(|x| *x *= factor);
-        let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
-        Prediction {
-            contact,
-            several,
-            point_mm,
-            covariance_mm2: covariance,
-            weights,
-            normal,
+        Ok(std::mem::take(&mut self.answers))
+    }
+
+    fn findings(&self) -> Findings {
+        let (is_lost, is_stream) = (!self.lost.is_empty(), !self.is_record);
+        let (method, place) = match self.is_along() {
+            true => (Method::KnownMotion, AXIS_OF_WIRE),
+            false => (Method::StaticArc, POINT_OF_OBJECT),
+        };
+        let contacts: Vec<ContactDocument> =
+            self.ended.iter().map(|e| e.document.clone()).collect();
+        let span_s = |c: &ContactDocument| Some([c.from_s?, c.to_s?]);
+        Findings {
+            messages: self.messages(),
+            lost: is_lost && self.is_record,
+            doubt: self.ended.iter().any(|e| e.doubted)
+                || is_stream && (self.disagreeing > 0 || is_lost),
+            spans_s: (is_stream && self.is_along())
+                .then(|| contacts.iter().filter_map(span_s).collect()),
+            document: EstimatorDocument {
+                method: Some(method),
+                place: Some(place),
+                lost_rows: Some(self.lost.clone()),
+                disagreeing_rows: is_stream.then_some(self.disagreeing),
+                contacts: Some(contacts),
+                ..EstimatorDocument::default()
+            },
+            ..Findings::default()
         }
     }
-}
-
-/// Standard deviation added for errors that the curve's nodes do not represent, mm.
-const MIN_SD_MM: f32 = 0.1;
-
-/// The stream of one whisker.
-#[derive(Debug, Clone)]
-pub struct TrackerStream<'a> {
-    tracker: &'a Tracker,
-    features: FeatureExtractor<'a>,
-    cache: KvCache,
-    last_s: Option<f64>,
-}
-
-impl TrackerStream<'_> {
-    /// The answer at a sample.
-    pub fn push(&mut self, sample: &Sample) -> Prediction {
-        let dt_s = self.last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
-        self.last_s = Some(sample.t_s);
-        let token = self
-            .features
-            .push(dt_s, sample.moment_nmm, sample.base_mm_s);
-        let Tracker { config, net, .. } = self.tracker;
-        let out = net.step(&token.inputs, sample.t_s, config.context, &mut self.cache);
-        self.tracker
-            .answer(&token, &out, sample.base_mm_s.is_some())
-    }
-}
-
-/// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
-pub const SWEEP_STEP_S: f64 = 0.1;
-
-/// Shortest and longest time between samples that a network was trained with, s, from the factors
-/// of its training.
-pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
-    time_factor.map(|f| f * SWEEP_STEP_S)
 }

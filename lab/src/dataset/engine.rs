@@ -9,7 +9,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::rod_comparison::ComparisonSum;
 use wcal_lab_sweeps::rod_engine::{LINKS, Run};
 use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// One sweep with what it gave; `None` where its plane misses the object.
 pub type Outcome = (u64, Option<(Sweep, Run)>);

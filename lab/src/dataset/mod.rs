@@ -23,7 +23,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::{canonical_json, sha256_hex};
 use wcal_lab_sweeps::SweepPlan;
 use wcal_lab_sweeps::rod_comparison::ComparisonSum;
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// Sweeps in a shard.
 pub const BLOCK: u64 = 25;

@@ -13,9 +13,9 @@ use wcal_lab_sweeps::convex::Convex;
 use wcal_lab_sweeps::rod_comparison::ComparisonSum;
 use wcal_lab_sweeps::rod_engine::{LINKS, RodEngine, Run};
 use wcal_lab_sweeps::{Sweep, SweepPlan};
+use wcal_mesh::{Mesh, MeshError};
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::{MujocoEngine, TwinError};
-use wcal_sim::{Mesh, SimError};
 
 /// Folder of the convex parts, in the dataset's.
 const CONVEX: &str = "convex";
@@ -57,7 +57,7 @@ impl MujocoSweeps {
         }
         let found = match Convex::of(mesh, folder) {
             // An object that cannot be decomposed: its sweeps are rejected, the others' go on.
-            Err(e @ (TwinError::Sim(SimError::Mesh { .. }) | TwinError::EngineDied(_))) => {
+            Err(e @ (TwinError::Sim(MeshError::Mesh { .. }) | TwinError::EngineDied(_))) => {
                 Err(format!("no convex parts: {e}"))
             }
             other => Ok(Arc::new(other?.corners())),

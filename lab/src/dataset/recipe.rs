@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// Name of the file.
 const FILE: &str = "recipe.json";

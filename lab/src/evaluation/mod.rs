@@ -20,8 +20,8 @@ use crate::model_file::Card;
 use crate::sweep_series::SweepSeries;
 use document::{Bootstrap, Means, MethodRow, Simulation};
 use request::meshes;
-use wcal_track::filter::BayesSettings;
-use wcal_track::{InverseGrid, StaticInverse};
+use wcal_network::filter::BayesSettings;
+use wcal_network::{InverseGrid, StaticInverse};
 
 /// The best method, whose errors stand for the tracker.
 const BEST: &str = "network, speed known";

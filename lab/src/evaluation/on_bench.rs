@@ -9,7 +9,7 @@ use crate::evaluation::virtual_bench::VirtualBench;
 use crate::generate_sweeps::{SweepRequest, generate_sweeps};
 use crate::sweep_series::SweepSeries;
 use std::collections::BTreeMap;
-use wcal_track::Tracker;
+use wcal_network::Tracker;
 
 /// Sweeps that were trained on have small seeds: the same number must not draw the same sweeps
 /// here.

@@ -10,9 +10,9 @@ use wcal_calibration::CalibrationModel;
 use wcal_core::provenance::Provenance;
 use wcal_core::verify_document::{GrooveTracking, Verdict};
 use wcal_lab_sweeps::objects;
-use wcal_sim::Mesh;
-use wcal_track::Tracker;
-use wcal_track::filter::FilterBank;
+use wcal_mesh::Mesh;
+use wcal_network::Tracker;
+use wcal_network::filter::FilterBank;
 
 /// What is evaluated.
 #[derive(Debug, Clone, Copy)]

@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
 use wcal_lab_sweeps::objects::{TEST_NAMES, built_in};
 use wcal_lab_sweeps::{SweepPlan, Turn};
-use wcal_sim::Mesh;
-use wcal_track::Tracker;
-use wcal_track::filter::BayesSettings;
+use wcal_mesh::Mesh;
+use wcal_network::Tracker;
+use wcal_network::filter::BayesSettings;
 
 /// Seeds of these sweeps are no training's.
 const SEED: u64 = 0x7465_7374_6f62_6a73;
@@ -56,7 +56,7 @@ pub fn table(
     let meshes: BTreeMap<String, Mesh> = TEST_NAMES
         .iter()
         .map(|name| Ok(((*name).to_owned(), built_in(name)?)))
-        .collect::<Result<_, wcal_sim::SimError>>()?;
+        .collect::<Result<_, wcal_mesh::MeshError>>()?;
     let multi_mu = BayesSettings::multi_mu();
     let methods = [
         ("network", true, Method::Network(tracker, true)),

@@ -5,7 +5,7 @@
 //! Short, Test Long: Attention with Linear Biases", ICLR 2022.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use wcal_track::network::time_bias_slope;
+use wcal_network::network::time_bias_slope;
 
 /// Bias of attention for series with these times (s): later tokens and those beyond the context are
 /// masked.

@@ -1,4 +1,4 @@
-//! The network as it is trained: the layers of `wcal_track::network::model` as tensors with
+//! The network as it is trained: the layers of `wcal_network::network::model` as tensors with
 //! gradients.
 
 mod attention_bias;

@@ -9,7 +9,7 @@ use burn::tensor::activation::gelu;
 use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Device, Tensor};
-use wcal_track::network::NetworkConfig;
+use wcal_network::network::NetworkConfig;
 
 /// One layer: attention and feed-forward part, each after a normalisation.
 #[derive(Module, Debug)]

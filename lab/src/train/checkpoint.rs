@@ -8,7 +8,7 @@ use burn::optim::ModuleOptimizer;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use wcal_track::network::NetworkConfig;
+use wcal_network::network::NetworkConfig;
 
 /// Where a training stands after a pass.
 pub(super) struct State {

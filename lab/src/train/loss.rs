@@ -16,7 +16,7 @@ use burn::tensor::activation::{log_sigmoid, log_softmax, sigmoid};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use wcal_track::network::{INITIAL_LOG_FLOOR, NetworkConfig, PLACE_SCALE_MM, knot_weights};
+use wcal_network::network::{INITIAL_LOG_FLOOR, NetworkConfig, PLACE_SCALE_MM, knot_weights};
 
 /// Errors above which the loss is linear instead of quadratic, mm: to the true contact, and to the
 /// surface.
@@ -174,8 +174,8 @@ mod tests {
     use crate::model_file::{preset, runnable};
     use std::collections::BTreeMap;
     use wcal_lab_sweeps::objects;
-    use wcal_track::sd_factors::SdFactors;
-    use wcal_track::tracker::{Sample, Tracker};
+    use wcal_network::sd_factors::SdFactors;
+    use wcal_network::tracker::{Sample, Tracker};
 
     /// What a training makes small is the error of what a stream answers, with one filter below the
     /// network and with two.

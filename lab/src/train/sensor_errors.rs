@@ -8,7 +8,7 @@ use super::settings::TrainSettings;
 use crate::sweep_series::SweepSeries;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use wcal_track::filter::FilterBank;
+use wcal_network::filter::FilterBank;
 
 /// Share of series without noise and drift.
 const CLEAN_FRACTION: f64 = 0.4;

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::ranges::Range;
-use wcal_track::filter::{BayesSettings, FilterBank};
+use wcal_network::filter::{BayesSettings, FilterBank};
 
 /// Numbers that a training may state.
 pub const TRAINING_RANGES: &[Range] = &[

@@ -7,10 +7,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use wcal_sim::Mesh;
-use wcal_track::inverse::StaticInverse;
-use wcal_track::network::{FeatureExtractor, NetworkConfig, features};
-use wcal_track::tracker::SWEEP_STEP_S;
+use wcal_mesh::Mesh;
+use wcal_network::inverse::StaticInverse;
+use wcal_network::network::{FeatureExtractor, NetworkConfig, features};
+use wcal_network::tracker::SWEEP_STEP_S;
 
 /// A window of a series, ready for the network.
 pub(super) struct Window<'a> {
@@ -195,7 +195,7 @@ pub(super) mod tests {
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
     use wcal_lab_sweeps::{SweepPlan, objects};
-    use wcal_track::inverse::InverseGrid;
+    use wcal_network::inverse::InverseGrid;
 
     /// A coarse table, and a sweep over a built-in object.
     pub(crate) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {

@@ -5,7 +5,7 @@ use crate::train::TrainSettings;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// What is made of what.
 #[derive(Debug, Clone)]

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_track::filter::FilterBank;
+use wcal_network::filter::FilterBank;
 
 /// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a
 /// split by sweeps).

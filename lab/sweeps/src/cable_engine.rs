@@ -19,10 +19,10 @@ use crate::rod_engine::{LINKS, Run, event};
 use crate::sweep::{ENGINE_DIED, Event, HOLD_S, MovingObject, Sample, Sweep, SweepPlan, Verdict};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use wcal_core::observation::WhiskerSpec;
+use wcal_mesh::Mesh;
 use wcal_mujoco::engine::protocol::{Frame, Request};
 use wcal_mujoco::mjcf::{MjcfOptions, WorldParts, convex_parts, mjcf_among};
 use wcal_mujoco::{MujocoEngine, TwinError};
-use wcal_sim::Mesh;
 
 /// Share of steps with a change between touching and free past which a sample chatters, and of such
 /// samples past which a sweep does.

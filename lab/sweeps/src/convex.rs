@@ -14,9 +14,9 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
+use wcal_mesh::{Mesh, MeshError};
 use wcal_mujoco::engine::protocol::Decompose;
 use wcal_mujoco::{MujocoEngine, TwinError};
-use wcal_sim::{Mesh, SimError};
 
 /// CoACD's largest concavity (share of the size), most parts and seed.
 const THRESHOLD: f64 = 0.03;
@@ -62,9 +62,9 @@ impl Convex {
             beyond_mm,
             short_mm,
         };
-        std::fs::create_dir_all(folder).map_err(SimError::io("creating", folder))?;
+        std::fs::create_dir_all(folder).map_err(MeshError::io("creating", folder))?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
-        let refused = |e: FileError| SimError::Io {
+        let refused = |e: FileError| MeshError::Io {
             action: e.action,
             path: e.path,
             cause: e.source,
@@ -159,7 +159,7 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
 fn hull(name: &str, part: &[[f64; 3]]) -> Result<TriMesh, TwinError> {
     let refuse = |found: String| {
         let (object, expected) = (name.to_owned(), "convex parts with a volume");
-        TwinError::Sim(SimError::Mesh {
+        TwinError::Sim(MeshError::Mesh {
             object,
             expected,
             found,

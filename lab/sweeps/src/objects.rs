@@ -3,7 +3,7 @@
 
 use crate::solids::{half_circle, polygon, prism, revolved, ring, rock, smooth};
 use std::path::Path;
-use wcal_sim::{Mesh, SimError};
+use wcal_mesh::{Mesh, MeshError};
 
 pub use crate::test_objects::TEST_NAMES;
 
@@ -27,7 +27,7 @@ pub const NAMES: [&str; 12] = [
 ///
 /// # Errors
 /// Where there is neither, or the mesh cannot be used.
-pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, SimError> {
+pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, MeshError> {
     match (built_in(name), meshes) {
         (Err(_), Some(folder)) => Mesh::read(&folder.join(format!("{name}.stl"))),
         (found, _) => found,
@@ -38,7 +38,7 @@ pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, SimError> {
 ///
 /// # Errors
 /// Where there is none of that name.
-pub fn built_in(name: &str) -> Result<Mesh, SimError> {
+pub fn built_in(name: &str) -> Result<Mesh, MeshError> {
     let (points, triangles) = match name {
         "ball" => revolved(&half_circle(30.0, 48)),
         "block" => prism(
@@ -77,7 +77,7 @@ pub fn built_in(name: &str) -> Result<Mesh, SimError> {
             [28.0, 70.0],
         ])),
         "wedge" => prism(&[[-30.0, -20.0], [40.0, -20.0], [-30.0, 30.0]], 60.0),
-        _ => crate::test_objects::parts(name).ok_or_else(|| SimError::Value {
+        _ => crate::test_objects::parts(name).ok_or_else(|| MeshError::Value {
             what: "built-in object".to_owned(),
             expected: format!(
                 "one of {}, or of the test objects {}",

@@ -13,9 +13,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use wcal_core::observation::WhiskerSpec;
+use wcal_mesh::MeshError;
 use wcal_mujoco::engine::fluid::FluidLoads;
 use wcal_rod::Softening;
-use wcal_sim::SimError;
 
 const GRAVITY_M_S2: f64 = 9.806_65;
 
@@ -87,7 +87,7 @@ impl Default for PhysicsPlan {
 impl PhysicsPlan {
     /// # Errors
     /// Where a value cannot be.
-    pub fn check(&self) -> Result<(), SimError> {
+    pub fn check(&self) -> Result<(), MeshError> {
         let within = |what, [low, high]: [f64; 2], least: f64, most: f64| {
             if low >= least && high >= low && high <= most {
                 return Ok(());
@@ -96,7 +96,7 @@ impl PhysicsPlan {
                 format!("{least} <= low <= high <= {most}"),
                 format!("[{low}, {high}]"),
             );
-            Err(SimError::Value {
+            Err(MeshError::Value {
                 what: String::from(what),
                 expected,
                 found,
@@ -114,7 +114,7 @@ impl PhysicsPlan {
             within("softening_onset_per_m", onset, 1.0, 1000.0)?;
         }
         if self.medium == Medium::None && (self.weight || self.current_mm_s[1] > 0.0) {
-            return Err(SimError::Value {
+            return Err(MeshError::Value {
                 what: "medium".to_owned(),
                 expected: "\"air\" or \"water\" where weight or current_mm_s is given".to_owned(),
                 found: "\"none\"".to_owned(),
@@ -239,8 +239,8 @@ mod tests {
     use crate::contact::{ContactRod, Surface};
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
+    use wcal_mesh::ClosestPoint;
     use wcal_rod::{Section, Shape};
-    use wcal_sim::ClosestPoint;
 
     fn straight() -> WhiskerSpec {
         WhiskerSpec {

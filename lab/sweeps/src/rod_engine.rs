@@ -14,9 +14,9 @@ use crate::physics::{fluid_loads, loads_n_per_mm, node_velocities, with_physics}
 use crate::sweep::{Event, MovingObject, Sample, Sweep, SweepPlan, Verdict};
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
+use wcal_mesh::{ClosestPoint, Mesh, MeshError};
 use wcal_mujoco::engine::fluid::FluidLoads;
 use wcal_rod::{Section, Shape};
-use wcal_sim::{ClosestPoint, Mesh, SimError};
 
 /// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's
 /// (tests/sim/physics.rs).
@@ -86,8 +86,8 @@ impl RodEngine {
     ///
     /// # Errors
     /// Where its rest shape cannot be used.
-    pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, SimError> {
-        let refuse = |e: wcal_rod::RodError| SimError::Value {
+    pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, MeshError> {
+        let refuse = |e: wcal_rod::RodError| MeshError::Value {
             what: "whisker".to_owned(),
             expected: "a wire that can be bent".to_owned(),
             found: e.to_string(),

@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::f64::consts::FRAC_PI_2;
 use wcal_core::ranges::{self, Range};
-use wcal_sim::{ClosestPoint, Mesh, SimError};
+use wcal_mesh::{ClosestPoint, Mesh, MeshError};
 
 /// How sweeps are drawn (docs/src/system.md: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -117,8 +117,8 @@ impl SweepPlan {
     ///
     /// # Errors
     /// Where it is no such file, or a value cannot be.
-    pub fn from_toml(text: &str) -> Result<Self, SimError> {
-        let plan: Self = wcal_core::document::toml_as(text).map_err(|e| SimError::Value {
+    pub fn from_toml(text: &str) -> Result<Self, MeshError> {
+        let plan: Self = wcal_core::document::toml_as(text).map_err(|e| MeshError::Value {
             what: "sweep plan".to_owned(),
             expected: "the keys of a plan".to_owned(),
             found: e.to_string(),
@@ -129,7 +129,7 @@ impl SweepPlan {
 
     /// # Errors
     /// Where a value cannot be.
-    pub fn check(&self) -> Result<(), SimError> {
+    pub fn check(&self) -> Result<(), MeshError> {
         ranges::check_value(self, &[RANGES])?;
         for (what, r) in [
             ("speed_mm_s", self.speed_mm_s),
@@ -138,7 +138,7 @@ impl SweepPlan {
         ] {
             if !(r[1] >= r[0]) {
                 let expected = "low <= high".to_owned();
-                return Err(SimError::Value {
+                return Err(MeshError::Value {
                     what: what.to_owned(),
                     expected,
                     found: format!("{r:?}"),
@@ -152,7 +152,7 @@ impl SweepPlan {
             if !(count <= MAX_STEPS) {
                 let expected =
                     format!("at most {MAX_STEPS} samples and steps of the base in a sweep");
-                return Err(SimError::Value {
+                return Err(MeshError::Value {
                     what: what.to_owned(),
                     expected,
                     found: format!("{count:.0}"),

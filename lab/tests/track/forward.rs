@@ -9,9 +9,9 @@ use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{preset, put_weights, read_card, runnable};
 use wcal_lab::network::{TrainableNet, attention_bias};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_track::StaticInverse;
-use wcal_track::filter::{BayesSettings, FilterBank};
-use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig};
+use wcal_network::StaticInverse;
+use wcal_network::filter::{BayesSettings, FilterBank};
+use wcal_network::network::{FeatureExtractor, KvCache, NetworkConfig};
 
 /// Inputs and times (s) of two sweeps, more than the network's context.
 fn recorded(inverse: &StaticInverse, filters: FilterBank) -> (Vec<Vec<f32>>, Vec<f64>) {

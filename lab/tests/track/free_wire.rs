@@ -9,8 +9,8 @@ use wcal_lab::dataset::{Dataset, RodSweeps};
 use wcal_lab::model_file::load;
 use wcal_lab::sweep_series::{self, SweepSeries};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_track::filter::{BayesFilter, BayesSettings};
-use wcal_track::{InverseGrid, Sample, StaticInverse, Tracker};
+use wcal_network::filter::{BayesFilter, BayesSettings};
+use wcal_network::{InverseGrid, Sample, StaticInverse, Tracker};
 
 const ROWS: usize = 600;
 const RATE_HZ: f64 = 10.0;

@@ -8,9 +8,9 @@ use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::sweep_series::{self, SweepSeries};
 use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_sim::Mesh;
-use wcal_track::filter::BayesSettings;
-use wcal_track::{InverseGrid, StaticInverse};
+use wcal_mesh::Mesh;
+use wcal_network::filter::BayesSettings;
+use wcal_network::{InverseGrid, StaticInverse};
 
 const SWEEPS: usize = 6;
 const SEED: u64 = 9;

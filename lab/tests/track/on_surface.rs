@@ -11,10 +11,10 @@ use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{preset, runnable};
 use wcal_lab::train::{TrainSettings, TrainingData, train};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_sim::Mesh;
-use wcal_track::Tracker;
-use wcal_track::network::NetworkConfig;
-use wcal_track::sd_factors::SdFactors;
+use wcal_mesh::Mesh;
+use wcal_network::Tracker;
+use wcal_network::network::NetworkConfig;
+use wcal_network::sd_factors::SdFactors;
 
 type Meshes = BTreeMap<String, Mesh>;
 

@@ -8,14 +8,14 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
-use wcal_contact::known_motion::MotionRow;
-use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_lab::SweepSample;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab_sweeps::SweepPlan;
 use wcal_lab_sweeps::objects::built_in;
 use wcal_rod::Shape;
+use wcal_track::known_motion::MotionRow;
+use wcal_track::sliding::{SlidingContact, TouchedWire, locate_sliding};
 
 const OBJECTS: [&str; 8] = [
     "ball",

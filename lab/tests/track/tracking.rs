@@ -15,11 +15,11 @@ use wcal_lab::sweep_series::{self, SweepSeries};
 use wcal_lab::train::{TrainSettings, TrainingData, best, train};
 use wcal_lab::train_model::{Seconds, TrainingCost};
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
-use wcal_track::model_file::FORMAT;
-use wcal_track::network::NetworkConfig;
-use wcal_track::sd_factors::SdFactors;
-use wcal_track::{InverseGrid, Sample, StaticInverse, Tracker};
+use wcal_network::filter::{BayesFilter, BayesSettings, FilterBank};
+use wcal_network::model_file::FORMAT;
+use wcal_network::network::NetworkConfig;
+use wcal_network::sd_factors::SdFactors;
+use wcal_network::{InverseGrid, Sample, StaticInverse, Tracker};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()
@@ -162,7 +162,7 @@ fn the_curve_holds_a_tip_whose_force_leans() {
             continue;
         };
         fine().solutions(instant.moment_nmm, &mut solutions);
-        let nearest = |all: &[wcal_track::InverseSolution]| {
+        let nearest = |all: &[wcal_network::InverseSolution]| {
             all.iter()
                 .map(|c| (c.point_mm - contact.point_mm).norm())
                 .fold(f64::INFINITY, f64::min)

@@ -5,8 +5,8 @@ use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_plant::shapes::{Cameras, Fault, shapes_json};
 use wcal_plant::{CaseKind, Design, Effect, Kind, Request, draw};
-use wcal_trace::verify::VerifyRequest;
-use wcal_trace::whisker::{Verified, verify_whisker};
+use wcal_verify::verify::VerifyRequest;
+use wcal_verify::whisker::{Verified, verify_whisker};
 
 /// A groove that sits 0.1 mm off.
 pub fn offset() -> Effect {

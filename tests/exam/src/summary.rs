@@ -152,7 +152,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.verdict == "unknown-effect",
             Side::None,
         ),
-        // What the program's error budget (`levels.rs` of wcal-trace) allows.
+        // What the program's error budget (`levels.rs` of wcal-verify) allows.
         share(
             "every noise: nulls not called adequate",
             "<= 2.5 %",

@@ -109,7 +109,7 @@ pub struct CalibrationJudgement {
 
 /// Error of contacts by one model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct ContactError {
+pub struct TrackError {
     /// Distance in space from where the contact is known to be, root mean square, mm.
     pub rms_mm: f64,
     /// Its 95 % interval, mm (jackknife over trajectories, of the logarithm); null where fewer than
@@ -136,9 +136,9 @@ pub struct TrajectoryContact {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactComparison {
     /// Declared model.
-    pub before: ContactError,
+    pub before: TrackError,
     /// Accepted model.
-    pub after: ContactError,
+    pub after: TrackError,
     /// After less before, mm.
     #[serde(default)]
     pub difference_mm: f64,

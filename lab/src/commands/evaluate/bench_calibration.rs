@@ -9,7 +9,7 @@ use wcal::output::OutputFolder;
 use wcal::verify::{self, verify_session};
 use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::SessionData;
-use wcal_map::{FitOptions, fit_map};
+use wcal_gpr::{FitOptions, fit_map};
 
 /// Calibrates the session; the results of `verify` go into a folder beside it.
 pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {

@@ -12,9 +12,9 @@ use wcal_core::format;
 use wcal_core::observation::{RestShape, WHISKER_RANGES, WhiskerSpec};
 use wcal_core::ranges::{self, Range};
 use wcal_lab_sweeps::objects;
+use wcal_mesh::Mesh;
 use wcal_mujoco::mjcf::{MjcfOptions, Touch};
 use wcal_session::SESSION_FORMAT;
-use wcal_sim::Mesh;
 
 #[derive(Debug, Deserialize)]
 struct WhiskerFile {

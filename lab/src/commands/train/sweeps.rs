@@ -16,7 +16,7 @@ use wcal::picture_output::write;
 use wcal::progress::Progress;
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::{SweepPlan, objects};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 /// Sweeps to train on.
 pub struct Sweeps {

@@ -9,7 +9,7 @@ use super::configuration::Configuration;
 use super::rod::ContactRod;
 use super::surface::Surface;
 use nalgebra::Vector3;
-use wcal_sim::ClosestPoint;
+use wcal_mesh::ClosestPoint;
 
 /// Sine of the angle below which a wire runs along the surface.
 const ALONG_SINE: f64 = 0.1;

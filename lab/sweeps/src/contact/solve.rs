@@ -14,7 +14,7 @@ use super::friction::FrictionContact;
 use super::rod::ContactRod;
 use super::surface::{Contact, ContactState, Surface};
 use nalgebra::{Matrix3, Vector3};
-use wcal_sim::ClosestPoint;
+use wcal_mesh::ClosestPoint;
 
 /// Balance is reached below this turn of a link, rad, and this overlap, mm.
 const TURN_RAD: f64 = 1e-7;

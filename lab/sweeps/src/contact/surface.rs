@@ -3,7 +3,7 @@
 use super::configuration::Configuration;
 
 use nalgebra::Vector3;
-use wcal_sim::ClosestPoint;
+use wcal_mesh::ClosestPoint;
 
 /// A body in the frame of the wire's root.
 pub trait Surface {

@@ -3,8 +3,8 @@
 use super::{bent, bent_shape, spec};
 use nalgebra::{Matrix3, Vector3};
 use wcal_lab_sweeps::contact::{Configuration, Contact, ContactRod, ContactState, Surface};
+use wcal_mesh::ClosestPoint;
 use wcal_rod::{DiscreteRod, Guess, Section, Shape, Tangential};
-use wcal_sim::ClosestPoint;
 
 /// Half space below `z = height_mm`.
 struct Floor {

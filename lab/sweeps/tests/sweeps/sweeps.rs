@@ -6,7 +6,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::rod_engine::{LINKS, Run};
 use wcal_lab_sweeps::sweep::Event;
 use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan, Turn, Verdict, objects};
-use wcal_sim::Mesh;
+use wcal_mesh::Mesh;
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()

@@ -1,0 +1,17 @@
+//! What `wcal-gpr` promises, through its public interface.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod artefact;
+mod coverage;
+mod kernel;
+mod leave_out;
+mod rest;
+mod support;
+mod whiskerfbg;

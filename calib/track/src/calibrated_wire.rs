@@ -1,0 +1,211 @@
+//! The wire of a whisker as its calibration has it: every way to locate a contact bends this one.
+
+use crate::TrackError;
+use crate::known_motion::{Friction, MomentField, MotionRow, Settings};
+use crate::reading::{Moments, MotionAccuracy, Reading};
+use crate::regimes::RegimeWeights;
+use crate::sliding::{FrictionPrior, TouchedWire};
+use nalgebra::{Matrix2, Vector3};
+use std::sync::Arc;
+use wcal_core::WireFrame;
+use wcal_core::observation::MomentAxes;
+use wcal_network::{InverseGrid, StaticInverse};
+use wcal_rod::Rod;
+use wcal_verify::whisker::groove_motion::AcceptedWire;
+
+/// A wire, in the frame of its wire.
+#[derive(Clone)]
+pub struct CalibratedWire {
+    /// Its moments where it is held at one point.
+    pub field: Arc<MomentField>,
+    rod: Rod,
+    diameter_mm: f64,
+    /// Relative standard deviation of the diameter of the wire that is tracked; none where it is
+    /// the calibration's own, whose stiffness is in the scale of the moments.
+    tolerance: Option<f64>,
+    /// On what touches it.
+    friction: FrictionPrior,
+}
+
+/// A wire with what is assumed of its contacts.
+pub(crate) struct Assumed {
+    /// Wire.
+    pub wire: CalibratedWire,
+    /// Of a fixed point.
+    pub settings: Settings,
+    /// Of how a contact may move.
+    pub prior: RegimeWeights,
+}
+
+/// The moments of a wire with its accepted mechanics.
+fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
+    let friction = match wire.friction {
+        mu if mu > 0.0 => Friction {
+            coefficient: mu,
+            moving_share: wire.moving_share,
+        },
+        _ => Friction::NONE,
+    };
+    MomentField::new(&wire.rod, axes, friction)
+}
+
+impl CalibratedWire {
+    /// With the wire by one standard deviation of each of the readings' first common unknowns;
+    /// `diameter_mm` is the declared one.
+    pub fn new(wire: &AcceptedWire, changed: &[AcceptedWire], diameter_mm: f64) -> Self {
+        let base = (&WireFrame::default(), &MomentAxes::default());
+        Self::of_session((wire, changed), base, diameter_mm)
+    }
+
+    /// The wire of a session in a frame, or, where the rod of an accepted one cannot be turned, by
+    /// its own axes.
+    pub fn of_session(
+        (wire, changed): (&AcceptedWire, &[AcceptedWire]),
+        (frame, axes): (&WireFrame, &MomentAxes),
+        diameter_mm: f64,
+    ) -> Self {
+        let field = |wire: &AcceptedWire| match wire
+            .rod
+            .turned(&frame.rotation())
+            .filter(|_| !frame.is_base())
+        {
+            Some(rod) => moment_field(
+                &AcceptedWire {
+                    rod,
+                    ..wire.clone()
+                },
+                &MomentAxes::default(),
+            ),
+            None => moment_field(wire, axes),
+        };
+        let field = Arc::new(field(wire).with_changed(changed.iter().map(field).collect()));
+        Self {
+            field,
+            rod: wire.rod.clone(),
+            diameter_mm,
+            tolerance: None,
+            friction: FrictionPrior::default(),
+        }
+    }
+
+    /// Of a rod without friction whose errors are those of the readings alone.
+    pub fn of_rod(rod: Rod, diameter_mm: f64) -> Self {
+        let wire = AcceptedWire {
+            rod,
+            friction: 0.0,
+            moving_share: 1.0,
+            offset_mm: Vector3::zeros(),
+        };
+        Self::new(&wire, &[], diameter_mm)
+    }
+
+    /// Of another wire than the calibration's, whose diameter has a relative standard deviation.
+    pub fn with_tolerance(self, diameter_share: Option<f64>) -> Self {
+        Self {
+            tolerance: diameter_share,
+            ..self
+        }
+    }
+
+    /// With what is known of its friction on an object that it slides over.
+    pub fn with_friction(self, friction: FrictionPrior) -> Self {
+        Self { friction, ..self }
+    }
+
+    /// Relative standard deviation of the stiffness, which goes with the fourth power of the
+    /// diameter.
+    pub fn stiffness_sd(&self) -> f64 {
+        4.0 * self.tolerance.unwrap_or(0.0)
+    }
+
+    /// What regions assume of it, with a bar between: `wire=calibrated` or the diameter's relative
+    /// standard deviation, and the friction.
+    pub fn assumes(&self) -> String {
+        let wire = self.tolerance.map_or_else(
+            || "wire=calibrated".to_owned(),
+            |sd| format!("diameter-sd={sd}"),
+        );
+        format!("{wire}|friction={}", self.friction)
+    }
+
+    /// Columns of what all readings of a record share, N mm by one standard deviation of each: the
+    /// calibration's unknowns, the zero, and the stiffness of another wire, which scales all
+    /// moments of a held wire.
+    pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
+        let zero = m
+            .zero_nmm2
+            .cholesky()
+            .map_or_else(Matrix2::zeros, |c| c.l());
+        // A zero that is known is no unknown.
+        let zero = zero
+            .column_iter()
+            .filter(|_| m.zero_nmm2 != Matrix2::zeros())
+            .map(|c| [c[0], c[1]])
+            .collect::<Vec<_>>();
+        let stiffness =
+            (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
+        m.shared_nmm
+            .iter()
+            .copied()
+            .chain(zero)
+            .chain(stiffness)
+            .collect()
+    }
+
+    /// A reading along its motion, where its moments and motion are known; without its own noise it
+    /// has that from pose to pose.
+    pub fn row(&self, reading: &Reading, accuracy: &MotionAccuracy) -> Option<MotionRow> {
+        let (m, motion) = (reading.moments.as_ref()?, reading.motion.as_ref().ok()?);
+        Some(MotionRow {
+            t_s: reading.t_s,
+            moment_nmm: m.moment_nmm,
+            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2) * m.inefficiency.max(1.0),
+            free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
+            shared_displacement_mm: reading.shared_displacement_mm.clone(),
+            shared_nmm: self.shared_columns(m),
+            moved_mm: motion.moved_mm,
+            turn: motion.turn,
+            velocity_mm_s: motion.velocity_mm_s,
+            moved_sd_mm: accuracy.moved_sd_mm,
+            free: reading.in_prefix,
+            contact_segment: reading.visit,
+        })
+    }
+
+    /// What is assumed of a contact at a fixed point.
+    pub fn settings(&self, accuracy: &MotionAccuracy) -> Settings {
+        let (clock_sd_s, stiffness_sd) = (accuracy.clock_sd_s, self.stiffness_sd());
+        Settings {
+            clock_sd_s,
+            stiffness_sd,
+            ..Settings::default()
+        }
+    }
+
+    /// As one that is touched at one place, whatever touches it.
+    ///
+    /// # Errors
+    /// Where it cannot be bent.
+    pub fn touched(&self) -> Result<TouchedWire, TrackError> {
+        let mut touched = TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?;
+        touched.friction = self.friction;
+        Ok(touched)
+    }
+
+    /// The places that moments alone allow.
+    ///
+    /// # Errors
+    /// As for `touched`.
+    pub fn static_inverse(&self) -> Result<StaticInverse, TrackError> {
+        Ok(StaticInverse::of_rod(
+            &self.rod,
+            self.diameter_mm,
+            InverseGrid::coarse(),
+        )?)
+    }
+
+    /// Middle of the free wire, mm.
+    pub fn middle_mm(&self) -> Vector3<f64> {
+        self.field.free(0.5 * self.field.length_mm()).0
+    }
+}

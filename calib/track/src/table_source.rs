@@ -1,0 +1,212 @@
+//! Readings of a table: moments through a calibration, and the motion by a log or by the poses in
+//! its rows.
+
+use crate::TrackError;
+use crate::groove_table::known_places;
+use crate::known_groove::{KnownPlace, velocities};
+use crate::reading::{Moments, Reading, RowMotion};
+use nalgebra::{Matrix2, Vector2, Vector3};
+use std::path::Path;
+use wcal_calibration::{SensedRow, SensedTable, WhiskerCalibration};
+use wcal_core::order_statistics::median;
+use wcal_core::stream::Flags;
+use wcal_core::{CalibrationNoise, WhiskerSpec};
+use wcal_network::stream::BasePose;
+use wcal_session::motion_table::{LoggedMotion, is_motion_column};
+use wcal_session::{Motion, SessionWarning, TextTableLayout, WarningKind, read_text_table};
+use wcal_verify::whisker::groove_motion::AcceptedWire;
+
+/// A step this many times the median is a gap.
+const GAP_STEPS: f64 = 4.0;
+
+/// A table through a calibration.
+pub struct TableSource {
+    rows: Vec<SensedRow>,
+    /// What the calibration's errors are made of, where it says.
+    noise: CalibrationNoise,
+    /// Whether the calibration needs the strain-isolated grating in every row.
+    needs_reference: bool,
+    /// The wire as the calibration has it, and by one standard deviation of each of the first
+    /// common unknowns.
+    pub wire: AcceptedWire,
+    /// See `wire`.
+    pub changed: Vec<AcceptedWire>,
+    /// What is odd about the table, motion columns aside.
+    pub warnings: Vec<SessionWarning>,
+    /// Readings with a known groove.
+    pub places: Vec<KnownPlace>,
+}
+
+impl TableSource {
+    /// Reads a table; times go forward, and the reference is there where the calibration needs one.
+    ///
+    /// # Errors
+    /// Where the table cannot be used, by line.
+    pub fn read(
+        path: &Path,
+        (calibration, noise): (&dyn WhiskerCalibration, CalibrationNoise),
+        whisker: &WhiskerSpec,
+    ) -> Result<Self, TrackError> {
+        let SensedTable {
+            rows,
+            wire,
+            changed,
+            warnings,
+        } = calibration.sensed(path, whisker)?;
+        let of_motion = |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
+        let needs_reference = calibration.fbg().needs_reference();
+        let mut last_s = f64::NEG_INFINITY;
+        for row in &rows {
+            let what = || format!("{}: line {}: t_s", path.display(), row.line);
+            let t_s = row
+                .t_s
+                .ok_or_else(|| TrackError::value(what(), "a time", "none"))?;
+            if !(t_s > last_s) {
+                let expected = format!("a later time than {last_s}");
+                return Err(TrackError::value(what(), expected, t_s.to_string()));
+            }
+            last_s = t_s;
+        }
+        if needs_reference && !rows.iter().any(|m| m.reference) {
+            let what = format!("{}: fbg_ref_nm", path.display());
+            const EXPECTED: &str = "the strain-isolated grating, since the calibration compensates temperature with it";
+            return Err(TrackError::value(what, EXPECTED, "none"));
+        }
+        let warnings = warnings.into_iter().filter(|w| !of_motion(w)).collect();
+        let places = known_places(path)?;
+        Ok(Self {
+            rows,
+            noise,
+            needs_reference,
+            wire,
+            changed,
+            warnings,
+            places,
+        })
+    }
+
+    /// First and last time, s; none without readings.
+    pub fn span_s(&self) -> Option<[f64; 2]> {
+        Some([self.rows.first()?.t_s?, self.rows.last()?.t_s?])
+    }
+
+    /// Readings of whose motion nothing is known.
+    pub fn alone(&self) -> Vec<Reading> {
+        self.rows.iter().map(|row| self.reading(row)).collect()
+    }
+
+    /// Readings along a log; `middle_mm` is the middle of the free wire, whose velocity counts.
+    pub fn along(&self, logged: &LoggedMotion, middle_mm: &Vector3<f64>) -> Vec<Reading> {
+        let one = |row: &SensedRow| {
+            let motion = logged.log.at(row.t_s.unwrap_or_default(), middle_mm);
+            let known = motion.as_ref().ok();
+            Reading {
+                base: known.filter(|_| logged.posed).map(base_pose),
+                base_mm_s: known.map(|m| -m.velocity_mm_s.z),
+                velocity_mm_s: known.map(|m| -m.velocity_mm_s),
+                motion: motion.map(RowMotion::from),
+                ..self.reading(row)
+            }
+        };
+        self.rows.iter().map(one).collect()
+    }
+
+    /// Readings as a network takes them: along the poses of the table's own columns, else with a
+    /// speed along +z, else past a known groove; a long step is a gap.
+    pub fn past_object(
+        &self,
+        poses: Option<&LoggedMotion>,
+        base_mm_s: Option<f64>,
+    ) -> Vec<Reading> {
+        let step_s = median(
+            self.rows
+                .windows(2)
+                .filter_map(|w| Some(w[1].t_s? - w[0].t_s?)),
+        );
+        let longest_s = step_s.map_or(f64::INFINITY, |step_s| GAP_STEPS * step_s);
+        let past_groove = velocities(&self.places, GAP_STEPS * step_s.unwrap_or_default());
+        let readings = poses.map_or_else(
+            || self.alone(),
+            |poses| self.along(poses, &Vector3::zeros()),
+        );
+        let mut last_s = f64::INFINITY;
+        let one = |(row, plain): (&SensedRow, Reading)| {
+            let gap = plain.t_s - std::mem::replace(&mut last_s, plain.t_s) > longest_s;
+            let known = plain.velocity_mm_s.or(past_groove.get(&row.line).copied());
+            Reading {
+                flags: if gap {
+                    Flags::GAP.with(plain.flags)
+                } else {
+                    plain.flags
+                },
+                base_mm_s: plain.base_mm_s.or(base_mm_s),
+                velocity_mm_s: known.or(base_mm_s.map(|v| Vector3::z() * v)),
+                gap,
+                ..plain
+            }
+        };
+        self.rows.iter().zip(readings).map(one).collect()
+    }
+
+    /// A reading without its motion.
+    fn reading(&self, row: &SensedRow) -> Reading {
+        let usable = !self.needs_reference || row.reference;
+        let s = &row.sensed;
+        let moments = Moments {
+            moment_nmm: s.moment_nmm,
+            sd_nmm: row.sd_nmm(),
+            valid: s.valid,
+            pose_nmm2: s.noise_nmm2,
+            own_nmm2: self
+                .noise
+                .misfit_sd_nmm
+                .and(self.noise.reading_sd_nmm)
+                .map(diagonal),
+            drift_nmm2: self
+                .noise
+                .drift_sd_nmm
+                .map_or_else(Matrix2::zeros, diagonal),
+            shared_nmm: s.shared_nmm.clone(),
+            ..Moments::default()
+        };
+        let flags = if usable {
+            Flags::default()
+        } else {
+            Flags::REFERENCE_LOST
+        };
+        let alone = Reading::alone(
+            row.point,
+            row.t_s.unwrap_or_default(),
+            usable.then_some(moments),
+        );
+        Reading { flags, ..alone }
+    }
+}
+
+fn diagonal(sd_nmm: [f64; 2]) -> Matrix2<f64> {
+    Matrix2::from_diagonal(&Vector2::from(sd_nmm.map(|s| s * s)))
+}
+
+/// Median time between the rows of a table, s; none without times.
+///
+/// # Errors
+/// Where the table cannot be read.
+pub fn median_step_s(path: &Path) -> Result<Option<f64>, TrackError> {
+    let table = read_text_table(path, &TextTableLayout::default())?;
+    let Ok(column) = table.column("t_s") else {
+        return Ok(None);
+    };
+    let times = (0..table.rows.len())
+        .map(|k| table.number(k, column))
+        .collect::<Result<Vec<_>, _>>()?;
+    let times: Vec<f64> = times.into_iter().flatten().collect();
+    Ok(median(times.windows(2).map(|w| w[1] - w[0])))
+}
+
+/// Pose of the base where the object's frame is the world's.
+fn base_pose(motion: &Motion) -> BasePose {
+    BasePose {
+        world_from_base: motion.world_from_base(),
+        velocity_mm_s: Some(-motion.velocity_mm_s),
+    }
+}

@@ -16,7 +16,7 @@ use wcal_session::load;
   wcal demo --out demo-out
 
 Exit code 0 when it ran, whatever the verdicts.")]
-pub struct DemoArgs {
+pub(crate) struct DemoArgs {
     /// Folder for every result
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,

@@ -9,10 +9,10 @@ mod units;
 
 use crate::output::OutputFolder;
 use anyhow::Context;
-pub use arguments::ImportArgs;
+pub(crate) use arguments::ImportArgs;
 use arguments::{Kind, layout, name_of};
 use columns::Plan;
-pub use imported::ImportDocument;
+pub(crate) use imported::ImportDocument;
 use imported::{Noticed, RESULT, refuse_other_tables, say};
 use std::process::ExitCode;
 use wcal_session::{SessionError, SessionFiles, TextTable, read_text_table, write_session};

@@ -135,7 +135,7 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
+pub(crate) fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 

@@ -193,7 +193,7 @@ impl<'a> OutputFolder<'a> {
     ///
     /// # Errors
     /// Where such a result is there without `force`.
-    pub fn refuse_other(&self, own: &str) -> Result<()> {
+    pub(crate) fn refuse_other(&self, own: &str) -> Result<()> {
         let earlier =
             (self.kind.made_of)(&self.folder).filter(|earlier| earlier != own && !self.force);
         if let Some(earlier) = earlier {
@@ -268,7 +268,7 @@ impl<'a> OutputFolder<'a> {
 ///
 /// # Errors
 /// Where something else is there without `force`, or nothing can be written.
-pub fn check_file(
+pub(crate) fn check_file(
     path: &Path,
     command: &str,
     own: impl Fn(&str) -> bool,
@@ -298,7 +298,11 @@ pub fn check_file(
 ///
 /// # Errors
 /// Where one is there without `force`.
-pub fn check_beside(files: &[PathBuf], own: impl Fn(&str) -> bool, force: bool) -> Result<()> {
+pub(crate) fn check_beside(
+    files: &[PathBuf],
+    own: impl Fn(&str) -> bool,
+    force: bool,
+) -> Result<()> {
     for path in files.iter().filter(|path| !force && path.exists()) {
         ensure!(
             own(&start_of(path)?),
@@ -334,7 +338,7 @@ fn start_of(path: &Path) -> Result<String> {
 ///
 /// # Errors
 /// When the disk does not take it.
-pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     }
@@ -345,7 +349,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
 ///
 /// # Errors
 /// Where something is there.
-pub fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
+pub(crate) fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
     let found = match fs::metadata(folder) {
         Ok(about) if about.is_dir() => entries(folder)?.into_iter().next(),
         Ok(_) => Some("a file".to_owned()),

@@ -22,7 +22,7 @@ const UNKNOWNS: usize = 3;
 ///
 /// # Errors
 /// Where the wire cannot be modelled, or has no equilibrium at the planned poses.
-pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
+pub(crate) fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
     let readings = steps
         .iter()
         .filter(|s| matches!(s, Step::Settled(_) | Step::Moving { .. }))

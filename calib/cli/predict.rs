@@ -24,7 +24,7 @@ A table that a session beside it keeps sealed is recorded as opened (unsealed.js
 Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
 Exit code 4: readings outside the valid region (written, and marked), or a calibration that expired or failed
 verification; --force turns these into warnings.")]
-pub struct PredictArgs {
+pub(crate) struct PredictArgs {
     /// Table of readings
     pub table: PathBuf,
     /// calibration.json of fit-gpr or verify
@@ -46,7 +46,7 @@ pub struct PredictArgs {
 ///
 /// # Errors
 /// Where that cannot be written.
-pub fn record_if_sealed(table: &Path, out: &Path) -> anyhow::Result<()> {
+pub(crate) fn record_if_sealed(table: &Path, out: &Path) -> anyhow::Result<()> {
     if SessionLedger::of_table(table, out, &provenance([table]))? {
         let table = table.display();
         eprintln!("warning: {table} is sealed; that it was opened is recorded in unsealed.json");
@@ -120,7 +120,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
 
 /// Summary of a prediction.
 #[derive(Serialize, JsonSchema)]
-pub struct PredictionDocument<'a> {
+pub(crate) struct PredictionDocument<'a> {
     /// Format and version.
     #[schemars(extend("const" = "wcal-predict/1"))]
     format: &'static str,

@@ -40,7 +40,7 @@ pub struct Progress {
 
 /// The end that libraries call back (`Send + Sync`).
 #[derive(Debug, Clone)]
-pub struct Reporter {
+pub(crate) struct Reporter {
     state: Arc<Mutex<State>>,
 }
 
@@ -129,7 +129,7 @@ impl Progress {
     }
 
     /// An end for a library's callback.
-    pub fn reporter(&self) -> Reporter {
+    pub(crate) fn reporter(&self) -> Reporter {
         self.reporter.clone()
     }
 }

@@ -15,7 +15,7 @@ use wcal_acquisition::reduce::{Reduction, reduce};
     after_help = "Exit code 0: good; 1: cannot be reduced, the tables stay as they are; 3: reduced, with scans lost, a recording cut off or another
 warning."
 )]
-pub struct ReduceArgs {
+pub(crate) struct ReduceArgs {
     /// Session folder with rig.toml, run.json and recording.mcap
     pub session: PathBuf,
     /// Print the result as JSON on stdout
@@ -25,7 +25,7 @@ pub struct ReduceArgs {
 
 /// Tables rebuilt from raw streams.
 #[derive(Serialize, JsonSchema)]
-pub struct ReductionDocument<'a> {
+pub(crate) struct ReductionDocument<'a> {
     /// Format and version.
     #[schemars(extend("const" = "wcal-reduction/1"))]
     format: &'static str,

@@ -21,7 +21,7 @@ fn simulated_by(session: &LoadedSession) -> Option<String> {
 }
 
 /// A report with nothing but the document.
-pub fn of_document(
+pub(crate) fn of_document(
     session: &LoadedSession,
     document: VerifyDocument,
     provenance: Provenance,
@@ -88,7 +88,7 @@ pub fn of_whisker(
 }
 
 /// The report of a transducer or axis session.
-pub fn of_scalar(
+pub(crate) fn of_scalar(
     session: &LoadedSession,
     (data, sealed): (ScalarData<'_>, usize),
     done: &ScalarVerification,

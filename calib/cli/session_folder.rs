@@ -24,7 +24,7 @@ const BESIDE: &[&str] = &[
 ///
 /// # Errors
 /// Where `session` is a file other than `session.toml`.
-pub fn expect_session(session: &Path, command: &str) -> Result<()> {
+pub(crate) fn expect_session(session: &Path, command: &str) -> Result<()> {
     let shown = session.display();
     if session.is_dir() || !session.exists() {
         return match session.join("session.toml").exists() {

@@ -44,7 +44,7 @@ pub fn is_simulated(path: &Path) -> bool {
 }
 
 /// Adds a last column that says so to a table made from simulated data.
-pub fn mark_table(csv: &str, simulated: bool) -> String {
+pub(crate) fn mark_table(csv: &str, simulated: bool) -> String {
     if !simulated {
         return csv.to_owned();
     }

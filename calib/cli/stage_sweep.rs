@@ -34,7 +34,7 @@ Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a readable sess
 A session and a stage each allow one sweep at a time.
 Exit code 0: good; 1: stopped by a fault, or nothing could be recorded; 3: finished, with data lost or warnings that matter; 130: stopped by
 Ctrl-C (143 SIGTERM, 129 SIGHUP).")]
-pub struct StageSweepArgs {
+pub(crate) struct StageSweepArgs {
     /// Rig: rig.toml or the folder that holds it
     #[arg(long, value_name = "RIG")]
     pub rig: PathBuf,
@@ -67,7 +67,7 @@ pub struct StageSweepArgs {
 }
 
 /// What the steps of a plan on a rig can show; an error where that cannot be said.
-pub type ShowsOfPlan = fn(&Rig, &Plan, &[Step]) -> Result<PlanCheck>;
+type ShowsOfPlan = fn(&Rig, &Plan, &[Step]) -> Result<PlanCheck>;
 
 /// Runs a sweep; `shows` is asked by `--dry-run` alone. Exit codes: 0 good, 1 stopped by a fault
 /// (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
@@ -169,7 +169,7 @@ fn created() -> String {
 
 /// The steps of a plan on a rig.
 #[derive(Serialize, JsonSchema)]
-pub struct PathDocument {
+pub(crate) struct PathDocument {
     /// Format and version.
     #[schemars(extend("const" = "wcal-path/1"))]
     format: &'static str,
@@ -185,7 +185,7 @@ pub struct PathDocument {
 
 /// What a sweep recorded.
 #[derive(Serialize, JsonSchema)]
-pub struct SweepDocument<'a> {
+pub(crate) struct SweepDocument<'a> {
     /// Format and version.
     #[schemars(extend("const" = "wcal-sweep/1"))]
     format: &'static str,

@@ -29,7 +29,7 @@ fn patterns() -> impl Iterator<Item = &'static str> {
 
 Writes stereo.json and the same cameras as OpenCV YAML, Kalibr YAML and ROS camera_info.
 Exit code 3: calibrated, with views left out or warnings that matter; 1: refused, nothing written.")]
-pub struct StereoCalibrateArgs {
+pub(crate) struct StereoCalibrateArgs {
     /// Left pictures: a folder, or a pattern such as `pictures/left*.jpg`
     pub left: String,
     /// Right pictures, paired with the left ones by the number in their names

@@ -5,7 +5,7 @@ mod session;
 mod shaper;
 
 use crate::output::{OutputFolder, ResultKind, unsaid};
-pub use shaper::StereoShapeArgs;
+pub(crate) use shaper::StereoShapeArgs;
 use shaper::{PairCounts, Shaper, put_results, report_pairs};
 use std::path::Path;
 use std::process::ExitCode;

@@ -26,7 +26,7 @@ use wcal_session::load;
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled (docs/src/formats.md).
 Preset released is the released cable, paper the measured one with the clamp right to second order.
 Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
-pub struct TwinArgs {
+pub(crate) struct TwinArgs {
     /// Session folder (kind "whisker")
     pub session: PathBuf,
     /// Model of the wire

@@ -3,7 +3,7 @@
 pub mod check;
 mod text;
 
-pub use text::print_text;
+pub(crate) use text::print_text;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind, text_of};
 use crate::progress::Progress;

@@ -23,7 +23,7 @@ use wcal_drivers::bench::{VirtualBench, faults};
 unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md).
 Exit code 0: good; 1: the scenario or a port cannot be used; 3: the bench fell behind its own clock (lower --speed)."
 )]
-pub struct VirtualBenchArgs {
+pub(crate) struct VirtualBenchArgs {
     /// Scenario file
     #[arg(long, value_name = "S.toml")]
     pub scenario: PathBuf,

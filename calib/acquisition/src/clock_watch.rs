@@ -173,7 +173,7 @@ impl ClockWatch {
 
     /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem
     /// to have come before it was made.
-    pub fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
+    pub(crate) fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
         device_s - host_s <= self.earliest_s + STEP_S
     }
 

@@ -147,14 +147,14 @@ impl ClockPair {
     }
 
     /// Whether a reading came so late that the bench or this computer had fallen behind.
-    pub fn is_late(&self, host_s: f64, device_s: f64) -> bool {
+    pub(crate) fn is_late(&self, host_s: f64, device_s: f64) -> bool {
         self.delay_s(host_s, device_s) > self.late_s
     }
 
     /// Whether host times cannot be converted to device times: the line drifts more than a working
     /// clock does, by a harmful amount. A stream that falls behind steadily has the same effect: it
     /// cannot be distinguished from a slow clock.
-    pub fn is_unaligned(&self) -> bool {
+    pub(crate) fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
         let last_s = self.current.map_or(0.0, |(_, x, _)| x);
         (fit.drift.abs() - BROKEN_CLOCK) * last_s / 2.0 > ALIGNED_S * self.clock_scale

@@ -15,7 +15,7 @@ const STEP_S: f64 = 0.002;
 /// Delay (s) that best explains `signal` (device time, two wavelengths in nm) by the depth of the
 /// groove (mm). Positive: the signal comes after the stage. `None` where the signal hardly moves or
 /// the minimum is at the border.
-pub fn estimate_s(
+pub(crate) fn estimate_s(
     signal: &[(f64, f64, f64)],
     depth_mm: impl Fn(f64) -> Option<f64>,
 ) -> Option<f64> {

@@ -18,8 +18,10 @@ mod foxglove {
     include!(concat!(env!("OUT_DIR"), "/foxglove.rs"));
 }
 
-pub use foxglove::{CompressedImage, Log};
-pub use wcal::{FrameInfo, Scan, StagePosition, SweepEvent};
+pub(crate) use foxglove::CompressedImage;
+pub use foxglove::Log;
+pub(crate) use wcal::FrameInfo;
+pub use wcal::{Scan, StagePosition, SweepEvent};
 
 /// An encoded `FileDescriptorSet` of each package.
 const SCHEMAS: [(&str, &[u8]); 2] = [
@@ -36,20 +38,20 @@ const SCHEMAS: [(&str, &[u8]); 2] = [
 /// Topics of a recording.
 pub mod topic {
     /// Every scan of the interrogator.
-    pub const SCAN: &str = "/fbg/scan";
+    pub(crate) const SCAN: &str = "/fbg/scan";
     /// Every reading of the stage.
     pub const STAGE: &str = "/stage/position";
     /// What the sweep did, and when.
-    pub const EVENT: &str = "/sweep/event";
+    pub(crate) const EVENT: &str = "/sweep/event";
     /// Text for people (`foxglove.Log`).
     pub const LOG: &str = "/log";
     /// Every frame of every camera, without its pixels.
-    pub const FRAME: &str = "/camera-frame";
+    pub(crate) const FRAME: &str = "/camera-frame";
     /// Small pictures now and then (`foxglove.CompressedImage`): followed by the camera's name.
-    pub const CAMERA: &str = "/camera/";
+    pub(crate) const CAMERA: &str = "/camera/";
     /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by
     /// the camera's name.
-    pub const POSE_PICTURE: &str = "/pose-picture/";
+    pub(crate) const POSE_PICTURE: &str = "/pose-picture/";
 }
 
 /// Time as a recording has it.

@@ -167,18 +167,18 @@ impl Monitor {
     }
 
     /// Asks for a pair of pictures of the settled pose of a step, exposed after a host time, s.
-    pub fn want_picture(&mut self, step: u32, since_host_s: f64) {
+    pub(crate) fn want_picture(&mut self, step: u32, since_host_s: f64) {
         self.picture = Some((step, since_host_s));
     }
 
     /// The step that is to be pictured, and the host time after which, s.
-    pub fn wanted_picture(&self) -> Option<(u32, f64)> {
+    pub(crate) fn wanted_picture(&self) -> Option<(u32, f64)> {
         self.picture
     }
 
     /// Withdraws the request for a picture, because it was taken or is too late; returns whether
     /// there was one.
-    pub fn end_picture(&mut self) -> bool {
+    pub(crate) fn end_picture(&mut self) -> bool {
         self.picture.take().is_some()
     }
 
@@ -194,7 +194,7 @@ impl Monitor {
     }
 
     /// Ends the sweep with this error, unless there is one already.
-    pub fn fail_with(&mut self, error: DeviceError) {
+    pub(crate) fn fail_with(&mut self, error: DeviceError) {
         self.fault.get_or_insert(error);
     }
 
@@ -219,7 +219,7 @@ impl Monitor {
     }
 
     /// Device time at a host time, s; the stream itself may not have got there yet.
-    pub fn device_s_at(&self, host_s: f64) -> Option<f64> {
+    pub(crate) fn device_s_at(&self, host_s: f64) -> Option<f64> {
         self.clocks.device_s(host_s)
     }
 
@@ -253,7 +253,7 @@ impl Monitor {
     }
 
     /// Usable scans between two device times of the last half minute, to within a block.
-    pub fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
+    pub(crate) fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
         self.blocks
             .iter()
             .filter(|b| (begin_s..end_s).contains(&b.start_s))
@@ -263,7 +263,7 @@ impl Monitor {
 
     /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated,
     /// pm/s, with its standard error; `None` until the window is full since `since_s`.
-    pub fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
+    pub(crate) fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
         let now_s = self.latest_s?;
         let from_s = now_s - window_s;
         if from_s < since_s {

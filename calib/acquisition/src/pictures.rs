@@ -18,9 +18,9 @@ use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 
 /// Folder of the session.
-pub const PICTURES: &str = "pictures";
+pub(crate) const PICTURES: &str = "pictures";
 /// Least time between two previews of a camera, s.
-pub const PREVIEW_PERIOD_S: f64 = 1.0;
+pub(crate) const PREVIEW_PERIOD_S: f64 = 1.0;
 /// Width of a preview at most, px.
 const PREVIEW_WIDTH: u32 = 320;
 /// Quality of a preview, percent.
@@ -93,7 +93,7 @@ pub fn preview(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
 
 /// A row of the session that has pictures: recording, step, and the row's place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PicturedRow {
+pub(crate) struct PicturedRow {
     /// Which recording, from 0.
     pub part: usize,
     /// Step of the plan.
@@ -107,7 +107,7 @@ pub struct PicturedRow {
 /// Clocks of one recording: the interrogator's, the cameras' by name, and device time of the
 /// session's first scan, s.
 #[derive(Debug, Clone, Default)]
-pub struct PartClocks {
+pub(crate) struct PartClocks {
     /// Interrogator.
     pub interrogator: Option<ClockFit>,
     /// Cameras by name.
@@ -132,7 +132,7 @@ impl PartClocks {
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.
-pub fn write_pictures(
+pub(crate) fn write_pictures(
     folder: &Path,
     session: &str,
     cameras: &[&str],

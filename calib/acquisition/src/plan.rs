@@ -12,7 +12,7 @@ use wcal_core::ranges::Range;
 use wcal_core::rig_devices::{Approach, StageRig};
 
 /// `format` of a plan file.
-pub const PLAN_FORMAT: &str = "wcal-plan/1";
+const PLAN_FORMAT: &str = "wcal-plan/1";
 
 /// Readings of some days.
 const MAX_STEPS: usize = 100_000;
@@ -180,7 +180,7 @@ pub enum Step {
 impl Step {
     /// Depths that the stage is sent to, mm, in order, from where it stands. A sweep commands
     /// these, and its plan is checked by them.
-    pub fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
+    pub(crate) fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
         match self {
             Self::Soak => Vec::new(),
             Self::Sync {

@@ -66,7 +66,7 @@ impl Reduction {
 
     /// The warnings less recordings that were cut off: a sweep that was resumed has measured again
     /// what they lack.
-    pub fn stream_warnings(&self) -> Vec<String> {
+    pub(crate) fn stream_warnings(&self) -> Vec<String> {
         let Self {
             lost,
             gaps,
@@ -146,7 +146,7 @@ impl Reduction {
     }
 
     /// Clocks that no crystal explains.
-    pub fn clock_warnings(&self) -> Vec<String> {
+    fn clock_warnings(&self) -> Vec<String> {
         let cameras = self
             .camera_clocks
             .iter()

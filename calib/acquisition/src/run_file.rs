@@ -11,7 +11,7 @@ use wcal_core::document::from_json;
 use wcal_core::ranges::Range;
 
 /// `format` of the file.
-pub const RUN_FORMAT: &str = "wcal-run/1";
+pub(crate) const RUN_FORMAT: &str = "wcal-run/1";
 
 const RANGES: &[Range] = &[
     Range::real("clock_scale", 1e-3, 1e4),

@@ -33,7 +33,7 @@ const SLOW_MARGIN: Duration = Duration::from_secs(30);
 pub(crate) const SILENCE: Duration = Duration::from_secs(2);
 
 /// Opens the stage again after its link was lost.
-pub type Reopen<'a> = dyn FnMut() -> Result<LimitedStage, DeviceError> + 'a;
+pub(crate) type Reopen<'a> = dyn FnMut() -> Result<LimitedStage, DeviceError> + 'a;
 
 /// What a sweep works with.
 pub struct SweepBench<'a> {

@@ -4,8 +4,9 @@ use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
+pub use crate::steps::Progress;
+pub use crate::steps::SweepBench;
 use crate::steps::{Fault, SILENCE, Sweep, disk};
-pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -83,7 +84,7 @@ impl SweepReport {
     }
 
     /// The warnings that do not follow from the recording alone.
-    pub fn signal_warnings(&self) -> Vec<String> {
+    pub(crate) fn signal_warnings(&self) -> Vec<String> {
         let (unsettled, unusable) = (self.unsettled, self.counts.unusable);
         let all = [
             (

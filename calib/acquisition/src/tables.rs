@@ -128,7 +128,7 @@ fn csv_text(
 ///
 /// # Errors
 /// Practically none: text is written to memory.
-pub fn write_tables(
+pub(crate) fn write_tables(
     rig: &Rig,
     rows: &[Row],
     simulated: bool,
@@ -233,7 +233,7 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
 
 /// Shift of each sensing grating per shift of the reference, from the rig's temperature
 /// coefficients; 0 without them.
-pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
+pub(crate) fn temperature_ratio(rig: &Rig) -> [f64; 2] {
     let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
     let reference = rig
         .fbg
@@ -254,7 +254,7 @@ pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
 }
 
 /// Entries of session.toml (table and key) that `stereo-shape` adds and a reduction keeps.
-pub const ADDED_LATER: [[&str; 2]; 4] = [
+pub(crate) const ADDED_LATER: [[&str; 2]; 4] = [
     ["files", "shapes"],
     ["files", "holdout_shapes"],
     ["provenance", "cameras_sha256"],

@@ -17,8 +17,7 @@ mod scalar;
 mod trust_issue;
 
 pub use apply::{
-    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
-    WhiskerCalibration,
+    Calibration, MomentTable, SensedRow, SensedTable, SessionSystem, WhiskerCalibration,
 };
 pub use artefact::{
     CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,

@@ -21,7 +21,7 @@ const MAX_PARTS: usize = 8;
 ///
 /// # Errors
 /// Where the document's covariance is none.
-pub fn moved_by_shared(
+pub(crate) fn moved_by_shared(
     document: &ShapesDocument,
     usable: &[MeasuredShape],
 ) -> anyhow::Result<Vec<Vec<MeasuredShape>>> {

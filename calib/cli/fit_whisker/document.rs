@@ -8,8 +8,8 @@ use wcal_core::observation::RestShape;
 use wcal_rod::{RestFit, RestModel};
 
 /// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
-pub const YOUNGS_GPA: f64 = 75.0;
-pub const SHEAR_GPA: f64 = 28.2;
+pub(crate) const YOUNGS_GPA: f64 = 75.0;
+pub(crate) const SHEAR_GPA: f64 = 28.2;
 
 /// `whisker.toml`.
 #[derive(Debug, Serialize)]
@@ -71,7 +71,7 @@ pub struct Fit {
 }
 
 #[derive(Debug, Serialize)]
-pub struct ShapeRow {
+pub(crate) struct ShapeRow {
     pub name: String,
     pub rms_mm: f64,
     pub largest_mm: f64,
@@ -90,7 +90,7 @@ pub struct Curvature {
 
 /// A model of the rest shape that was tried.
 #[derive(Debug, Serialize)]
-pub struct RestModelRow {
+pub(crate) struct RestModelRow {
     pub model: String,
     pub unknowns: usize,
     pub bic: f64,
@@ -146,7 +146,7 @@ pub fn curvature(fit: &RestFit) -> Option<Curvature> {
 }
 
 /// Models that BIC chose from; a fit that did not converge has no finite one and is omitted.
-pub fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
+pub(crate) fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
     let row = |c: &wcal_rod::fit::ModelScore| RestModelRow {
         model: c.model.name(),
         unknowns: c.model.names().len(),

@@ -59,7 +59,7 @@ const GRID_TRIALS: u32 = 50;
 
 /// `[dynamics]` of whisker.toml.
 #[derive(Debug, Serialize)]
-pub struct Dynamics {
+pub(crate) struct Dynamics {
     simulated: bool,
     /// Material time (damping over stiffness), s, and armature over stiffness, s^2: they hold for
     /// any number of links.

@@ -17,7 +17,7 @@ const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
 
 'COL*FACTOR' multiplies a column; 'column 3' is one without a name.
 A file SIMULATED beside the table marks all that is made of it.")]
-pub struct ImportArgs {
+pub(crate) struct ImportArgs {
     /// Table to import (CSV, or text in columns)
     pub file: PathBuf,
     /// transducer, axis, whisker (in a V-groove) or sweep (past an object)

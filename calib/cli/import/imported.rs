@@ -177,7 +177,7 @@ pub(super) fn say(
 
 /// A table that became a session.
 #[derive(Serialize, JsonSchema)]
-pub struct ImportDocument<'a> {
+pub(crate) struct ImportDocument<'a> {
     /// Format and version.
     #[schemars(extend("const" = "wcal-import/1"))]
     pub(super) format: &'static str,

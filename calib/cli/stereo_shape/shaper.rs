@@ -30,7 +30,7 @@ For a session, the pairs of its settled poses and its own rig are used. shapes.j
 Pairs of the holdout's poses are fitted separately, into shapes-holdout.json.
 
 Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
-pub struct StereoShapeArgs {
+pub(crate) struct StereoShapeArgs {
     /// Session with pictures of its poses; or left pictures: a folder or a pattern
     #[arg(value_name = "SESSION | LEFT")]
     pub left: String,

@@ -114,8 +114,8 @@ pub struct TrackArgs {
 /// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free
 /// of contact, that the noise is estimated from, s.
 pub const RATE_HZ: f64 = 10.0;
-pub const LAG_S: f64 = 0.1;
-pub const PREFIX_S: f64 = 3.0;
+pub(crate) const LAG_S: f64 = 0.1;
+pub(crate) const PREFIX_S: f64 = 3.0;
 /// Standard deviations of a logged motion: each coordinate, mm, and the offset of its clock, s.
 pub const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.02,

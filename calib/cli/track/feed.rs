@@ -13,7 +13,7 @@ const BATCH: usize = 50;
 
 /// What arrives.
 #[derive(Debug)]
-pub enum FeedItem {
+pub(crate) enum FeedItem {
     /// Scans, and how many were dropped before the first.
     Scans(Vec<FbgReading>, u64),
     /// A position of the stage.
@@ -28,7 +28,7 @@ pub enum FeedItem {
 
 /// The end that takes what the devices give. Recording and queue see everything in the same order,
 /// so that a replay does too.
-pub struct FeedInput {
+pub(crate) struct FeedInput {
     recorder: Option<Arc<Recorder>>,
     line: Mutex<Line>,
 }

@@ -31,7 +31,7 @@ pub fn passed_object(table: &Path, radius_mm: f64) -> Result<Option<KnownObject>
 
 /// What speaks against contacts that lie off an object whose place is known; none where nothing
 /// does.
-pub fn off_object(score: Option<&MeshScore>) -> Option<String> {
+pub(crate) fn off_object(score: Option<&MeshScore>) -> Option<String> {
     let s = score.filter(|s| s.distances.median_mm > MAX_MEDIAN_MM)?;
     Some(format!(
         "contacts and object do not belong together: expected a median distance of at most {MAX_MEDIAN_MM} mm, found {:.2} mm (the place or unit of the \
@@ -41,7 +41,7 @@ pub fn off_object(score: Option<&MeshScore>) -> Option<String> {
 }
 
 /// The score for people; nothing without one.
-pub fn said_of_object(score: Option<&MeshScore>) -> Vec<String> {
+pub(crate) fn said_of_object(score: Option<&MeshScore>) -> Vec<String> {
     let said = |s: &MeshScore| {
         let d = &s.distances;
         format!(

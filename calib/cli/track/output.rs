@@ -9,7 +9,7 @@ use wcal_track::track_table::{TrackFiles, companion};
 const SUMMARY: &str = ".json";
 
 /// Whether a table with this first line is a track, of this version or an earlier one.
-pub fn is_track(first: &str) -> bool {
+fn is_track(first: &str) -> bool {
     first.starts_with("point,t_s,moment_1_nmm,moment_2_nmm,")
 }
 

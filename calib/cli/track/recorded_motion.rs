@@ -24,7 +24,7 @@ pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
 ///
 /// # Errors
 /// Where log or recording cannot be read, or their clocks have nothing in common.
-pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
+pub(crate) fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
     let Some(file) = &args.motion else {
         return Ok(None);
     };
@@ -48,7 +48,7 @@ pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<Mot
 ///
 /// # Errors
 /// Where it cannot be read, or the clocks have nothing in common.
-pub fn logged_motion(
+pub(crate) fn logged_motion(
     file: &Path,
     span_s: impl FnOnce() -> Result<Option<[f64; 2]>>,
 ) -> Result<LoggedMotion> {

@@ -29,7 +29,7 @@ struct Pose<'a> {
 ///
 /// # Errors
 /// Where the engine is missing or dies.
-pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
+pub(crate) fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
     let mut rows: Vec<Vec<usize>> = Vec::new();
     let mut places: Vec<Vec<Vector3<f64>>> = Vec::new();
     for trajectory in &data.trajectories {

@@ -69,7 +69,7 @@ fn sensitivity(session: &LoadedSession) -> Option<Finding> {
 
 /// Findings about a session.
 #[derive(Serialize, JsonSchema)]
-pub struct CheckDocument<'a> {
+pub(crate) struct CheckDocument<'a> {
     /// Format and version.
     #[schemars(extend("const" = "wcal-check/1"))]
     format: &'static str,

@@ -102,7 +102,7 @@ pub(super) fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> St
 }
 
 /// The result as a person reads it.
-pub fn print_text(report: &ReportInput, out: &Path) {
+pub(crate) fn print_text(report: &ReportInput, out: &Path) {
     let v = &report.verify;
     // Of a transducer the session declares the unit; the other kinds have theirs in the names.
     let unit = report

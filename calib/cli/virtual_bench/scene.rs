@@ -19,14 +19,14 @@ const STEP_MM: f64 = 0.25;
 
 /// A trajectory's path, and the stage position past first declared contact at which it truly
 /// touches, mm.
-pub struct ScenePath {
+pub(crate) struct ScenePath {
     pub id: u32,
     pub path: Path,
     pub touch_mm: f64,
 }
 
 /// The bench before the cameras.
-pub struct BenchScene {
+pub(crate) struct BenchScene {
     wire: Wire,
     paths: Vec<ScenePath>,
     rig: RigGeometry,

@@ -35,7 +35,7 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), FormatMismatch>
 }
 
 /// Whether `found` is a later version of the format.
-pub fn is_newer(expected: &str, found: &str) -> bool {
+fn is_newer(expected: &str, found: &str) -> bool {
     let version = |format: &str| -> Option<(String, u32)> {
         let (name, version) = format.rsplit_once('/')?;
         Some((name.to_owned(), version.parse().ok()?))

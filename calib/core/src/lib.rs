@@ -34,7 +34,7 @@ pub mod standstill;
 pub mod stream;
 pub mod text;
 pub mod verify_document;
-pub mod whisker_spec;
+pub(crate) mod whisker_spec;
 pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
@@ -45,6 +45,7 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed, fingerprint};
+
+pub use sealed::{Decide, Labelled, Ledger, Look, Opening, RowLabel, Sealed, fingerprint};
 pub use sealed_rows::SealedRows;
 pub use wire_frame::WireFrame;

@@ -32,7 +32,7 @@ pub enum Purpose {
 
 impl Purpose {
     /// No readings.
-    pub fn is_description(&self) -> bool {
+    fn is_description(&self) -> bool {
         *self == Self::Description
     }
 }

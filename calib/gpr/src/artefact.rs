@@ -13,7 +13,7 @@ use wcal_core::FbgSpec;
 use wcal_core::map_document::RestZero;
 
 /// Version of [`MapArtefact`] that this program writes.
-pub const ARTEFACT_VERSION: u32 = 1;
+pub(crate) const ARTEFACT_VERSION: u32 = 1;
 /// Most readings of a map: its factors take their square in memory.
 const MAX_READINGS: usize = 10_000;
 
@@ -100,7 +100,7 @@ impl OutputMap {
     }
 
     /// Signal standard deviation, N mm; 0 without a kernel.
-    pub fn signal_sd_nmm(&self) -> f64 {
+    pub(crate) fn signal_sd_nmm(&self) -> f64 {
         (self.variance_nmm2 * self.kernel.at_zero()).sqrt()
     }
 }

@@ -65,7 +65,7 @@ impl MapKind {
     }
 
     /// Whether fitting it costs the cube of the number of readings.
-    pub fn is_process(self) -> bool {
+    pub(crate) fn is_process(self) -> bool {
         !matches!(self, Self::Affine | Self::Quadratic)
     }
 
@@ -176,7 +176,7 @@ impl LeftOutSummary {
 
     /// Share of the readings inside their 95 % interval once every interval is widened by
     /// `inflation`.
-    pub fn coverage_with(&self, inflation: f64) -> f64 {
+    pub(crate) fn coverage_with(&self, inflation: f64) -> f64 {
         let inside = self
             .errors
             .iter()

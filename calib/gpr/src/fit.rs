@@ -13,7 +13,7 @@ use wcal_core::FbgSpec;
 
 /// Readings above which the processes are left to the polynomial rivals: their cost grows with the
 /// cube.
-pub const MAX_PROCESS_READINGS: usize = 800;
+pub(crate) const MAX_PROCESS_READINGS: usize = 800;
 
 /// How to fit.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// The thin-plate kernel is positive definite only where the data's ball has diameter <= 0.866 R
 /// in the plane. A set of diameter d lies in a ball of diameter 2 d / sqrt(3) = 1.155 d (Jung), so
 /// R >= 1.34 d suffices; 1.6 leaves a margin.
-pub const RADIUS_PER_DIAMETER: f64 = 1.6;
+pub(crate) const RADIUS_PER_DIAMETER: f64 = 1.6;
 
 /// Correlation between two scaled inputs; every one is 1 at distance 0.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -68,7 +68,7 @@ impl Kernel {
     }
 
     /// The same form with another shape parameter.
-    pub fn with_shape(&self, shape: f64) -> Self {
+    pub(crate) fn with_shape(&self, shape: f64) -> Self {
         match self {
             Self::None => Self::None,
             Self::ThinPlate { .. } => Self::ThinPlate { radius: shape },
@@ -81,7 +81,7 @@ impl Kernel {
     ///
     /// # Errors
     /// [`MapError::RadiusTooSmall`].
-    pub fn check_radius(&self, diameter: f64) -> Result<(), MapError> {
+    pub(crate) fn check_radius(&self, diameter: f64) -> Result<(), MapError> {
         let required = RADIUS_PER_DIAMETER * diameter;
         match *self {
             // The tolerance covers only the rounding of the scaling.

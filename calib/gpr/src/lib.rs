@@ -32,19 +32,24 @@ mod student;
 mod training;
 mod trend;
 
-pub use artefact::{ARTEFACT_VERSION, MapArtefact, OutputMap};
-pub use candidate::{CandidateFit, LeftOutSummary, MapKind, Scaled};
-pub use choose::{Choice, choose};
+pub use artefact::{MapArtefact, OutputMap};
+pub use candidate::MapKind;
+
+pub use choose::choose;
 pub use document::document;
 pub use error::MapError;
-pub use evidence::{ShapeSearch, choose_hyperparameters, log_evidence};
-pub use fit::{FitOptions, MAX_PROCESS_READINGS, MapFit, fit_map};
-pub use identifiability::{IdentifiabilityReport, WavelengthFromMoment, identify};
-pub use kernel::{Kernel, RADIUS_PER_DIAMETER};
-pub use predictor::{MapPrediction, MapPredictor};
+
+pub use evidence::{choose_hyperparameters, log_evidence};
+
+pub use fit::{FitOptions, MapFit, fit_map};
+pub use identifiability::identify;
+
+pub use kernel::Kernel;
+
+pub use predictor::MapPredictor;
 pub use process::{LeftOut, Process, ProcessModel};
-pub use region::{DEFAULT_MARGIN, ValidRegion};
-pub use rest::{REST_LEVEL, test_rest};
+
+pub use rest::test_rest;
 pub use student::{binomial_bounds, half95};
 pub use training::MapTraining;
 pub use trend::Trend;

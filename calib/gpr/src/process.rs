@@ -156,7 +156,7 @@ impl Process {
     }
 
     /// Noise variance, output units squared.
-    pub fn noise_variance(&self) -> f64 {
+    fn noise_variance(&self) -> f64 {
         self.variance * self.model.nugget
     }
 

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Default margin of the valid region as a share of the diameter of the readings.
-pub const DEFAULT_MARGIN: f64 = 0.1;
+pub(crate) const DEFAULT_MARGIN: f64 = 0.1;
 
 /// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a
 /// margin.
@@ -46,7 +46,7 @@ impl ValidRegion {
     }
 
     /// Largest distance between two valid readings, pm.
-    pub fn diameter_pm(&self) -> f64 {
+    pub(crate) fn diameter_pm(&self) -> f64 {
         // Two valid readings may lie a margin beyond opposite vertices.
         diameter(&self.vertices_pm) + 2.0 * self.margin_pm
     }

@@ -13,15 +13,15 @@ use crate::training::MapTraining;
 use crate::trend::Trend;
 
 /// Shift at scaled input 0, pm.
-pub const SHIFT_OFFSET_PM: f64 = -370.0;
+pub(crate) const SHIFT_OFFSET_PM: f64 = -370.0;
 /// Shift per unit of scaled input, pm.
-pub const SHIFT_SCALE_PM: f64 = 490.0;
+pub(crate) const SHIFT_SCALE_PM: f64 = 490.0;
 /// Moment at scaled output 0, N mm.
-pub const MOMENT_OFFSET_NMM: f64 = -4.0;
+pub(crate) const MOMENT_OFFSET_NMM: f64 = -4.0;
 /// Moment per unit of scaled output, N mm.
-pub const MOMENT_SCALE_NMM: f64 = 7.0;
+const MOMENT_SCALE_NMM: f64 = 7.0;
 /// R of the released kernel, scaled input units.
-pub const RADIUS: f64 = 1000.0;
+const RADIUS: f64 = 1000.0;
 /// `variance` of the released kernel squared, plus the likelihood's default.
 const NOISE_VARIANCE: f64 = 3.0 * 3.0 + 1.0;
 

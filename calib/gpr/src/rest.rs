@@ -19,7 +19,7 @@ use crate::training::MapTraining;
 use wcal_core::map_document::RestZero;
 
 /// Below this p-value the readings at rest are left out.
-pub const REST_LEVEL: f64 = 0.01;
+pub(crate) const REST_LEVEL: f64 = 0.01;
 /// Fewer loaded readings fit no map.
 const MIN_LOADED: usize = 5;
 

@@ -39,7 +39,7 @@ impl MapTraining {
     /// # Errors
     /// [`MapError::Length`], [`MapError::NotFinite`] or [`MapError::TooFew`] (fewer than 5: three
     /// affine coefficients and two degrees of freedom).
-    pub fn validate(&self) -> Result<(), MapError> {
+    pub(crate) fn validate(&self) -> Result<(), MapError> {
         let n = self.len();
         let lengths = [
             ("moments_nmm", self.moments_nmm.len()),
@@ -119,7 +119,7 @@ impl MapTraining {
     }
 
     /// Readings left out together by leave-one-out: one entry a pose, in order of first appearance.
-    pub fn pose_groups(&self) -> Vec<Vec<usize>> {
+    pub(crate) fn pose_groups(&self) -> Vec<Vec<usize>> {
         if self.pose.is_empty() {
             return (0..self.len()).map(|i| vec![i]).collect();
         }
@@ -144,7 +144,7 @@ impl MapTraining {
 
     /// Centre (pm) and one common scale (pm) for both gratings: a common scale keeps the kernel
     /// isotropic in wavelength.
-    pub fn input_scaling(&self) -> ([f64; 2], f64) {
+    pub(crate) fn input_scaling(&self) -> ([f64; 2], f64) {
         let (centre, spread) = centre_and_spread(&self.shifts_pm);
         (centre, if spread > 0.0 { spread } else { 1.0 })
     }

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of basis functions.
-pub const MAX_TERMS: usize = 6;
+pub(crate) const MAX_TERMS: usize = 6;
 
 /// Mean of the process, with coefficients estimated together with it (universal kriging).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -11,7 +11,7 @@ use wcal_core::text;
 
 /// Largest number of triangles that is read: corners, edges and the tree that is searched take 0.6
 /// kB a triangle, twice that in closed bodies.
-pub const MAX_TRIANGLES: usize = 1_000_000;
+pub(crate) const MAX_TRIANGLES: usize = 1_000_000;
 /// Largest file, bytes: a text has some 250 bytes a triangle.
 pub const MAX_BYTES: u64 = 400 << 20;
 const HEADER: usize = 84;
@@ -91,7 +91,7 @@ impl Stl {
     }
 
     /// As a binary file; readers take the normals from the corners.
-    pub fn to_binary(&self) -> Vec<u8> {
+    pub(crate) fn to_binary(&self) -> Vec<u8> {
         let mut bytes = vec![0; HEADER - 4];
         bytes.extend((self.triangles.len() as u32).to_le_bytes());
         for triangle in &self.triangles {

@@ -22,7 +22,7 @@ pub const PROGRAM: &str = "wcal-mujoco";
 pub const VARIABLE: &str = "WCAL_MUJOCO";
 
 /// Variable that says how long an answer is waited for, s.
-pub const WAIT_VARIABLE: &str = "WCAL_MUJOCO_WAIT_S";
+const WAIT_VARIABLE: &str = "WCAL_MUJOCO_WAIT_S";
 /// Longest wait for an answer, s: the longest request is 20,000 steps, some ten seconds on a free
 /// core; CoACD takes minutes.
 const WAIT_S: f64 = 300.0;

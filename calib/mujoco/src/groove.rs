@@ -44,7 +44,7 @@ const RELEASED_LINK_MM: f64 = 1.4345;
 ///
 /// # Errors
 /// Where the built-in files are damaged.
-pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
+fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
     macro_rules! parts {
         ($($k:literal)*) => { [$(&include_bytes!(concat!("../groove_tip/parts_", $k, ".stl"))[..]),*] };
     }

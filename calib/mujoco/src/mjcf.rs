@@ -74,7 +74,7 @@ impl Default for Touch {
 
 impl Touch {
     /// As released with the paper (docs/src/system.md, Twin: Cable).
-    pub const RELEASED: Self = Self {
+    pub(crate) const RELEASED: Self = Self {
         friction: 0.2,
         turning_m: [1e-4; 2],
         time_s: 2e-3,

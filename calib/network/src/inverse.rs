@@ -139,7 +139,7 @@ impl StaticInverse {
     }
 
     /// Number of the nodes on the wire; those after them are the tip's.
-    pub fn first_tip(&self) -> usize {
+    pub(crate) fn first_tip(&self) -> usize {
         self.nodes
             .iter()
             .position(|n| n.tilt > 0.0)

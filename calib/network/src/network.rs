@@ -9,7 +9,7 @@ pub mod features;
 mod kv_cache;
 pub mod model;
 
-pub use config::{COMMON_INPUTS, NETWORK_RANGES, NetworkConfig, PLACE_SCALE_MM};
+pub use config::{NETWORK_RANGES, NetworkConfig, PLACE_SCALE_MM};
 pub use features::{FeatureExtractor, INITIAL_LOG_FLOOR, Token, knot_weights, knots};
 pub use kv_cache::{KvCache, time_bias_slope};
 pub use model::{Prediction, WhiskerNet};

@@ -15,9 +15,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Factors on stated standard deviations by how wide the network itself states them: where it is
-/// sure it may be too modest, where it is lost too bold, and how often it is lost differs from
-/// bench to bench (conformal by groups: V. Vovk et al., "Algorithmic Learning in a Random World").
+/// Factors on stated standard deviations by how wide the network itself states them. Where it is
+/// sure it may be too modest, where it is lost too bold. How often it is lost differs from bench to
+/// bench (conformal by groups: V. Vovk et al., "Algorithmic Learning in a Random World").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SdFactors {
     /// Spreads (root of the covariance's trace) at which the factors hold, mm, rising; between them

@@ -5,11 +5,11 @@
 //! interpolated.
 
 pub mod base_pose;
-pub mod low_pass;
+pub(crate) mod low_pass;
 pub mod noise;
-pub mod signal_chain;
+pub(crate) mod signal_chain;
 
 pub use base_pose::{BaseMotion, BasePose};
 pub use low_pass::LowPass;
-pub use noise::Prefix;
+
 pub use signal_chain::{Row, SignalChain, SignalChainSettings};

@@ -23,7 +23,7 @@ pub fn escape(text: &str) -> String {
 }
 
 /// `= 0.02` or `< 0.0001` of a p-value, ready for HTML.
-pub fn with_sign(p: &str) -> String {
+pub(crate) fn with_sign(p: &str) -> String {
     if p.starts_with('<') {
         escape(p)
     } else {
@@ -32,7 +32,7 @@ pub fn with_sign(p: &str) -> String {
 }
 
 /// `<p>` of escaped text.
-pub fn paragraph(text: &str) -> String {
+pub(crate) fn paragraph(text: &str) -> String {
     format!("<p>{}</p>", escape(text))
 }
 
@@ -50,7 +50,7 @@ pub fn list(items: &[String]) -> String {
 
 /// One cell of a table.
 #[derive(Debug, Clone)]
-pub enum TableCell {
+pub(crate) enum TableCell {
     /// Text, or a number that is formatted.
     Text(String),
     /// The same with smaller lines below.
@@ -129,7 +129,7 @@ impl Table {
     }
 
     /// Adds a row with a class.
-    pub fn marked_row(&mut self, class: &'static str, cells: Vec<TableCell>) {
+    pub(crate) fn marked_row(&mut self, class: &'static str, cells: Vec<TableCell>) {
         self.rows.push((class, cells));
     }
 

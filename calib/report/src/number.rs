@@ -1,7 +1,7 @@
 //! Numbers and units as a reader expects them: a few significant digits, true minus sign, no NaN.
 
 /// What stands for a value that is not finite.
-pub const NOT_AVAILABLE: &str = "n/a";
+pub(crate) const NOT_AVAILABLE: &str = "n/a";
 
 /// Four significant digits without trailing zeros, e.g. `0.6`, `134.1`, `2.052×10⁻⁴`; `n/a` where
 /// not finite.
@@ -92,7 +92,7 @@ pub fn percent(share: f64) -> String {
 }
 
 /// Unit as printed: `1` vanishes, `degc` and `N mm` take their usual form.
-pub fn unit_text(unit: &str) -> String {
+pub(crate) fn unit_text(unit: &str) -> String {
     match unit {
         "1" | "" => String::new(),
         "nmm" | "N mm" => "N\u{a0}mm".into(),
@@ -108,7 +108,7 @@ pub fn quantity(value: f64, unit: &str) -> String {
 }
 
 /// Puts a unit behind a text that is already a number.
-pub fn join_unit(text: &str, unit: &str) -> String {
+pub(crate) fn join_unit(text: &str, unit: &str) -> String {
     match unit_text(unit) {
         u if u.is_empty() || text == NOT_AVAILABLE => text.into(),
         u => format!("{text}\u{a0}{u}"),
@@ -160,7 +160,7 @@ fn trim(text: String) -> String {
 }
 
 /// Exponent in superscript digits.
-pub fn superscript(exponent: i32) -> String {
+pub(crate) fn superscript(exponent: i32) -> String {
     const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
     let turn = |c: char| c.to_digit(10).map_or('⁻', |d| DIGITS[d as usize]);
     exponent.to_string().chars().map(turn).collect()

@@ -139,7 +139,7 @@ fn banner(input: &ReportInput) -> String {
 
 /// A page without a verdict: line above the heading and heading, whether the data are simulated,
 /// facts, and sections (anchor, heading, content) of which empty ones are left out.
-pub fn plain_page(
+pub(crate) fn plain_page(
     (over, title): (&str, &str),
     simulated: bool,
     input: &[Fact],

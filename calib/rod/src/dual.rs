@@ -38,7 +38,7 @@ impl Scalar for f64 {
 
 /// Value and three partial derivatives, kept as one lane of four.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Dual3(pub [f64; 4]);
+pub(crate) struct Dual3(pub [f64; 4]);
 
 impl Dual3 {
     /// Independent variable number `index` (0..3).
@@ -49,7 +49,7 @@ impl Dual3 {
     }
 
     /// Partial derivative number `index`.
-    pub fn partial(self, index: usize) -> f64 {
+    pub(crate) fn partial(self, index: usize) -> f64 {
         self.0[index + 1]
     }
 }
@@ -149,13 +149,13 @@ pub fn scaled<T: Scalar>(a: &V3<T>, factor: f64) -> V3<T> {
 
 /// `M v`.
 #[inline(always)]
-pub fn mat_vec<T: Scalar>(m: &M3<T>, v: &V3<T>) -> V3<T> {
+pub(crate) fn mat_vec<T: Scalar>(m: &M3<T>, v: &V3<T>) -> V3<T> {
     [dot(&m[0], v), dot(&m[1], v), dot(&m[2], v)]
 }
 
 /// `M^T v`.
 #[inline(always)]
-pub fn mat_t_vec<T: Scalar>(m: &M3<T>, v: &V3<T>) -> V3<T> {
+pub(crate) fn mat_t_vec<T: Scalar>(m: &M3<T>, v: &V3<T>) -> V3<T> {
     [
         m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
         m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
@@ -165,7 +165,7 @@ pub fn mat_t_vec<T: Scalar>(m: &M3<T>, v: &V3<T>) -> V3<T> {
 
 /// `A B`.
 #[inline(always)]
-pub fn mat_mat<T: Scalar>(a: &M3<T>, b: &M3<T>) -> M3<T> {
+pub(crate) fn mat_mat<T: Scalar>(a: &M3<T>, b: &M3<T>) -> M3<T> {
     let column = |j: usize| [b[0][j], b[1][j], b[2][j]];
     let (c0, c1, c2) = (column(0), column(1), column(2));
     [

@@ -23,8 +23,8 @@ pub mod discrete;
 pub mod dual;
 mod error;
 pub mod fit;
-pub mod inverse_statics;
-pub mod kirchhoff;
+pub(crate) mod inverse_statics;
+pub(crate) mod kirchhoff;
 pub mod material;
 pub mod se3;
 pub mod shape;
@@ -34,7 +34,8 @@ pub use error::RodError;
 pub use fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
 pub use inverse_statics::PointLoad;
 pub use kirchhoff::broyden::Anchor;
-pub use kirchhoff::continuation::{BranchTracker, Line, Outcome, Touch};
+
+pub use kirchhoff::continuation::{Line, Outcome, Touch};
 pub use kirchhoff::integrate;
 pub use kirchhoff::solve::{
     Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM, interpolated_point,

@@ -131,7 +131,7 @@ impl Section {
     }
 
     /// EI(s)/EI(0) at `fraction` = s/L.
-    pub fn taper_factor(&self, fraction: f64) -> f64 {
+    pub(crate) fn taper_factor(&self, fraction: f64) -> f64 {
         if self.taper == 0.0 {
             return 1.0;
         }
@@ -142,7 +142,7 @@ impl Section {
     /// Change of body curvature (1/mm) under the body moment `m` (N mm) where the stiffness is
     /// `factor` times the root's.
     #[inline(always)]
-    pub fn curvature_change<T: Scalar>(&self, m: &V3<T>, factor: f64) -> V3<T> {
+    pub(crate) fn curvature_change<T: Scalar>(&self, m: &V3<T>, factor: f64) -> V3<T> {
         let twist = m[0].scale(1.0 / (self.gj_nmm2 * factor));
         let ei = self.ei_nmm2 * factor;
         let linear = [twist, m[1].scale(1.0 / ei), m[2].scale(1.0 / ei)];

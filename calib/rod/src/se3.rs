@@ -128,7 +128,7 @@ pub fn rows_of(m: &Matrix3<f64>) -> M3<f64> {
 }
 
 /// Row arrays to nalgebra.
-pub fn matrix_of(m: &M3<f64>) -> Matrix3<f64> {
+pub(crate) fn matrix_of(m: &M3<f64>) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| m[i][j])
 }
 

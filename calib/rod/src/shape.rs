@@ -235,7 +235,7 @@ impl Shape {
     }
 
     /// Interval that holds arc length `s_mm` (the last one past the tip).
-    pub fn interval_at(&self, s_mm: f64) -> usize {
+    pub(crate) fn interval_at(&self, s_mm: f64) -> usize {
         self.intervals
             .partition_point(|i| i.start_mm <= s_mm)
             .saturating_sub(1)
@@ -262,7 +262,7 @@ impl Shape {
 }
 
 /// The mesh from arc length `s_mm` on: the interval that holds it is cut there.
-pub fn from_arclength(shape: &Shape, s_mm: f64) -> Vec<Interval> {
+pub(crate) fn from_arclength(shape: &Shape, s_mm: f64) -> Vec<Interval> {
     let first = shape.interval_at(s_mm);
     let mut rest: Vec<Interval> = shape.intervals[first..].to_vec();
     if let Some(cut) = rest.first_mut() {

@@ -36,6 +36,7 @@ pub struct Finding {
 type Quantity = (&'static str, bool, &'static str);
 
 /// Directions follow from rows in the order in which they were taken.
+const BY_TIME: &str = "drift, creep, lag and step in time";
 const BY_ORDER: &str =
     "where the order of the rows does not show rising and falling values, hysteresis and backlash";
 
@@ -81,20 +82,13 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
             let rows = &data.rows;
             let pose =
                 |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
+            let has = |of: &dyn Fn(&TransducerRow) -> bool| rows.iter().any(of);
             let columns = vec![
-                (
-                    "t_s",
-                    rows.iter().any(|r| r.t_s.is_some()),
-                    "drift, creep, lag and step in time",
-                ),
-                (
-                    "direction",
-                    rows.iter().any(|r| r.direction.is_some()),
-                    BY_ORDER,
-                ),
+                ("t_s", has(&|r| r.t_s.is_some()), BY_TIME),
+                ("direction", has(&|r| r.direction.is_some()), BY_ORDER),
                 (
                     "temperature_degc",
-                    rows.iter().any(|r| r.temperature_degc.is_some()),
+                    has(&|r| r.temperature_degc.is_some()),
                     "temperature",
                 ),
                 (
@@ -109,25 +103,18 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
             let rows = &data.rows;
             let pose =
                 |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
+            let has = |of: &dyn Fn(&AxisRow) -> bool| rows.iter().any(of);
             let columns = vec![
-                (
-                    "t_s",
-                    rows.iter().any(|r| r.t_s.is_some()),
-                    "drift, creep, lag and step in time",
-                ),
-                (
-                    "direction",
-                    rows.iter().any(|r| r.direction.is_some()),
-                    BY_ORDER,
-                ),
+                ("t_s", has(&|r| r.t_s.is_some()), BY_TIME),
+                ("direction", has(&|r| r.direction.is_some()), BY_ORDER),
                 (
                     "cycle",
-                    rows.iter().any(|r| r.cycle.is_some()),
+                    has(&|r| r.cycle.is_some()),
                     "changes from stroke to stroke",
                 ),
                 (
                     "temperature_degc",
-                    rows.iter().any(|r| r.temperature_degc.is_some()),
+                    has(&|r| r.temperature_degc.is_some()),
                     "temperature",
                 ),
             ];

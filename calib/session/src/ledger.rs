@@ -34,7 +34,7 @@ const PM_PER_NM: f64 = 1000.0;
 
 /// A decision that met held-out rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct RecordedLook {
+struct RecordedLook {
     /// Number of the decision among those that these rows have met.
     look: usize,
     /// When, RFC 3339, UTC.

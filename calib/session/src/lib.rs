@@ -37,12 +37,15 @@ mod write;
 
 pub use cell::name_of as column_name;
 pub use edit::set_entries;
-pub use error::{InputError, InputErrorFields, SessionError};
+
+pub use error::{InputError, SessionError};
 pub use findings::{Finding, Severity, examine};
 pub use foreign::{AskedColumn, Stamps, asked_name};
 pub use holdout::{add_session, attach_holdout};
-pub use ledger::{LedgerError, LedgerFile, SessionLedger};
-pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
+
+pub use ledger::{LedgerFile, SessionLedger};
+
+pub use motion_log::{Motion, MotionLog, MotionUnknown};
 pub use quantity::{
     Relation, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
 };
@@ -50,6 +53,7 @@ pub use separated::Separator;
 pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::{SIMULATED_COLUMN, TextTable, TextTableLayout, read_text_table};
 pub use warning::{SessionWarning, WarningKind, named};
-pub use whisker::{IN_SESSION, ReadingTable, WHISKER_COLUMNS, load_table};
+
+pub use whisker::{IN_SESSION, WHISKER_COLUMNS, load_table};
 pub use whisker_meta::check_wire;
 pub use write::{SessionFiles, write_session};

@@ -30,7 +30,7 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
 
 /// The answer to moments (N mm) of which nothing else is known; probabilities and number of
 /// contacts are those of `answer`.
-pub fn static_arc(
+pub(crate) fn static_arc(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
     sd_nmm: [f64; 2],
@@ -103,7 +103,7 @@ const AS_TRAINED: f32 = 0.5;
 /// not known: with probability a it is as in training, else nothing but the moments counts (mean q,
 /// C_a, v_k; [`static_arc`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
 /// `C = a C_n + (1 - a) (C_a + (q - p)(q - p)')`, the mixture's second moment about p.
-pub fn any_motion(
+pub(crate) fn any_motion(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
     sd_nmm: [f64; 2],
@@ -134,7 +134,7 @@ pub fn any_motion(
 }
 
 /// Density over the arc length of weights on the inverse's nodes; empty without weights.
-pub fn arc_density(nodes: &[Node], weights: &[f32]) -> ArcDensity {
+pub(crate) fn arc_density(nodes: &[Node], weights: &[f32]) -> ArcDensity {
     if weights.len() != nodes.len() || nodes.len() < 2 {
         return ArcDensity::default();
     }

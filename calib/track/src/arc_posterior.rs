@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 /// Mass of the stated regions.
-pub const REGION: f64 = 0.95;
+pub(crate) const REGION: f64 = 0.95;
 /// Cells between two nodes whose density is known: fewest, most, and their width between, mm; least
 /// width of any cell, mm.
 const PARTS: [f64; 2] = [8.0, 32.0];
@@ -54,7 +54,7 @@ impl ArcDensity {
     }
 
     /// Of masses at places (mm) in order; each stands for the wire half way to its neighbours.
-    pub fn of_masses(places_mm: &[f64], masses: &[f64]) -> Self {
+    pub(crate) fn of_masses(places_mm: &[f64], masses: &[f64]) -> Self {
         let last = places_mm.len().saturating_sub(1);
         let cell = |(k, mass): (usize, &f64)| Region {
             from_mm: 0.5 * (places_mm[k.saturating_sub(1)] + places_mm[k]),
@@ -65,7 +65,7 @@ impl ArcDensity {
     }
 
     /// Of the logarithm of the density at places (mm) in order, linear between them.
-    pub fn of_logarithms(places_mm: &[f64], ln: &[f64]) -> Self {
+    pub(crate) fn of_logarithms(places_mm: &[f64], ln: &[f64]) -> Self {
         let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if let [place] = places_mm {
             let (from_mm, to_mm) = (place - 0.5 * MIN_MM, place + 0.5 * MIN_MM);
@@ -109,7 +109,7 @@ impl ArcDensity {
 
     /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire;
     /// what lies past its tip is at the tip.
-    pub fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
+    pub(crate) fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
         let least = parts.iter().map(|p| p.2).fold(f64::INFINITY, f64::min);
         let ends = |sign: f64| {
             parts
@@ -222,7 +222,7 @@ impl ArcDensity {
 }
 
 /// Mean and covariance (mm) of several with their weights.
-pub fn mixed_place(
+pub(crate) fn mixed_place(
     parts: impl Iterator<Item = (f64, Vector3<f64>, Matrix3<f64>)> + Clone,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
     // Law of total covariance.

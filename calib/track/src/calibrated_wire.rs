@@ -114,7 +114,7 @@ impl CalibratedWire {
 
     /// Relative standard deviation of the stiffness, which goes with the fourth power of the
     /// diameter.
-    pub fn stiffness_sd(&self) -> f64 {
+    pub(crate) fn stiffness_sd(&self) -> f64 {
         4.0 * self.tolerance.unwrap_or(0.0)
     }
 
@@ -196,7 +196,7 @@ impl CalibratedWire {
     ///
     /// # Errors
     /// As for `touched`.
-    pub fn static_inverse(&self) -> Result<StaticInverse, TrackError> {
+    pub(crate) fn static_inverse(&self) -> Result<StaticInverse, TrackError> {
         Ok(StaticInverse::of_rod(
             &self.rod,
             self.diameter_mm,

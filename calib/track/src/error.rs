@@ -8,13 +8,13 @@ use wcal_session::{InputError, SessionError};
 pub enum TrackError {
     /// A network, a filter or a wire that cannot be used.
     #[error(transparent)]
-    Track(#[from] NetworkError),
+    Network(#[from] NetworkError),
     /// A calibration that cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
     /// A session that cannot be explained.
     #[error(transparent)]
-    Trace(#[from] wcal_verify::VerifyError),
+    Verify(#[from] wcal_verify::VerifyError),
     /// A mesh that cannot be used.
     #[error(transparent)]
     Mesh(#[from] wcal_mesh::MeshError),
@@ -62,7 +62,7 @@ impl From<InputError> for TrackError {
 
 impl From<wcal_rod::RodError> for TrackError {
     fn from(error: wcal_rod::RodError) -> Self {
-        Self::Track(error.into())
+        Self::Network(error.into())
     }
 }
 

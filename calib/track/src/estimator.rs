@@ -39,7 +39,7 @@ impl From<&Prediction> for ContactEstimate {
 
 impl ContactEstimate {
     /// At a place of the wire's axis; none where nothing was found.
-    pub fn of_place(place: &EpisodeContact) -> Option<Self> {
+    fn of_place(place: &EpisodeContact) -> Option<Self> {
         let (probability, covariance_mm2) = (place.contact, place.covariance_mm2);
         Some(Self {
             probability,

@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, Vector2};
 use wcal_core::wire_frame::WireFrame;
 
 /// A reading in the frame of the wire; the pose of the base stays that of the session's base.
-pub fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
+pub(crate) fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
     if frame.is_base() {
         return reading.clone();
     }
@@ -57,7 +57,7 @@ fn turned(frame: &WireFrame, m: &Moments) -> Moments {
 }
 
 /// A contact of the wire's frame in base coordinates.
-pub fn in_base_frame(frame: &WireFrame, estimate: ContactEstimate) -> ContactEstimate {
+pub(crate) fn in_base_frame(frame: &WireFrame, estimate: ContactEstimate) -> ContactEstimate {
     if frame.is_base() {
         estimate
     } else {

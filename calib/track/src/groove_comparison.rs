@@ -47,7 +47,7 @@ fn lost(compared: &[Compared]) -> usize {
 /// Whether the groove is not where it was said to be: the stated regions hold too few trajectories
 /// for an accident, and the error is more than the bound explains. Of nine trajectories three that
 /// miss by hundredths of a millimetre happen where the noise is that small.
-pub fn coverage_rejected(t: &GrooveTracking) -> bool {
+pub(crate) fn coverage_rejected(t: &GrooveTracking) -> bool {
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
     too_few(t.trajectories_held, t.trajectories, REGION)
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
@@ -136,7 +136,7 @@ pub fn contact_sentence(c: &CalibrationContact) -> String {
 }
 
 /// For people.
-pub fn groove_sentence(t: &GrooveTracking) -> String {
+pub(crate) fn groove_sentence(t: &GrooveTracking) -> String {
     let of = if t.split == "holdout" {
         "held-out readings"
     } else {

@@ -215,7 +215,7 @@ impl KnownGroove {
     }
 
     /// Whether the stated regions hold fewer visits than chance explains.
-    pub fn coverage_rejected(&self) -> bool {
+    pub(crate) fn coverage_rejected(&self) -> bool {
         let [visits, held] = self.visits_held();
         too_few(held, visits, REGION)
     }
@@ -242,7 +242,7 @@ pub(crate) fn too_few(hits: usize, n: usize, p: f64) -> bool {
 }
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
-pub fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
+pub(crate) fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
     // Terms by their ratio, P(k + 1) / P(k) = (n - k) / (k + 1) p / (1 - p).
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {

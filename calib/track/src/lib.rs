@@ -28,7 +28,7 @@ pub mod reading;
 pub mod regimes;
 pub mod session_groove;
 pub mod sliding;
-pub mod static_arc;
+pub(crate) mod static_arc;
 pub mod stream_motion;
 pub mod stream_source;
 mod sweep_record;

@@ -28,7 +28,7 @@ use wcal_core::stream::Flags;
 
 /// Of an object of which nothing is known the touched point may go on by so much of the motion
 /// (standard deviations, each as probable). An assumption.
-pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
+pub(crate) const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
 /// A regime of less weight is omitted from what is stated.
@@ -62,7 +62,7 @@ pub enum Regime {
 }
 
 /// All of them, in the order of their weights.
-pub const REGIMES: [Regime; 5] = [
+pub(crate) const REGIMES: [Regime; 5] = [
     Regime::Fixed,
     Regime::Creeping,
     Regime::Sliding,
@@ -82,10 +82,10 @@ pub const ANY_OBJECT: RegimeWeights = RegimeWeights([0.38, 0.32, 0.28, 0.015, 0.
 /// The same in a sweep over an object.
 pub const SWEPT_OBJECT: RegimeWeights = RegimeWeights([0.1, 0.1, 0.78, 0.015, 0.005]);
 /// The same in a groove.
-pub const GROOVE: RegimeWeights = RegimeWeights([0.92, 0.0, 0.05, 0.02, 0.01]);
+pub(crate) const GROOVE: RegimeWeights = RegimeWeights([0.92, 0.0, 0.05, 0.02, 0.01]);
 /// The same in a groove along the trajectories of a session: a calibration is judged by what it
 /// says of that.
-pub const POINT: RegimeWeights = RegimeWeights([1.0, 0.0, 0.0, 0.0, 0.0]);
+pub(crate) const POINT: RegimeWeights = RegimeWeights([1.0, 0.0, 0.0, 0.0, 0.0]);
 
 /// Probabilities of the regimes; they sum to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,12 +98,12 @@ impl RegimeWeights {
     }
 
     /// Of a contact at or near one point of the object.
-    pub fn at_a_point(&self) -> f64 {
+    pub(crate) fn at_a_point(&self) -> f64 {
         self.of(Regime::Fixed) + self.of(Regime::Creeping)
     }
 
     /// That the motion does not belong to the moments.
-    pub fn no_motion(&self) -> f64 {
+    fn no_motion(&self) -> f64 {
         self.of(Regime::Misstated) + self.of(Regime::Anywhere)
     }
 
@@ -264,7 +264,7 @@ impl ContactWeights {
     }
 
     /// What is misstated of one that slides, where that is more probable than all else.
-    pub fn misstated_slide(&self) -> Option<Misstatement> {
+    pub(crate) fn misstated_slide(&self) -> Option<Misstatement> {
         let (misstated, [_, slides]) = self.misstatement?;
         (self.regimes.of(Regime::Misstated) * slides > 0.5).then_some(misstated)
     }
@@ -304,7 +304,7 @@ impl ContactWeights {
 }
 
 /// A contact's blocks of readings, and the last free reading before them.
-pub struct Weighed<'a> {
+pub(crate) struct Weighed<'a> {
     /// Moments of the wire where it is held.
     pub field: &'a MomentField,
     /// What is assumed of a fixed point.
@@ -385,7 +385,7 @@ impl Weighed<'_> {
 const MAX_LN_EVIDENCE: f64 = 30.0;
 
 /// ln p(m) of a contact's blocks by how it moves.
-pub struct ContactEvidence {
+pub(crate) struct ContactEvidence {
     prior: RegimeWeights,
     /// None where it could not be looked at.
     fixed: Option<f64>,
@@ -429,7 +429,7 @@ impl ContactEvidence {
     }
 
     /// ln p(m) under each of what may be misstated, over that of the readings as they are.
-    pub fn of_misstatements(&self) -> Vec<f64> {
+    pub(crate) fn of_misstatements(&self) -> Vec<f64> {
         let stated = ln_sum(&self.ways(self.fixed.unwrap_or(OUT), false));
         let over = |ln: f64| {
             if ln == stated {

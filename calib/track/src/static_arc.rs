@@ -15,7 +15,7 @@ use wcal_network::network::Prediction;
 const LOADED_SDS: f64 = 4.0;
 
 /// What moments alone allow.
-pub struct StaticArc {
+pub(crate) struct StaticArc {
     wire: CalibratedWire,
     /// Made at the first loaded reading.
     inverse: Option<StaticInverse>,

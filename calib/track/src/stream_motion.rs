@@ -32,7 +32,7 @@ pub struct KnownAtRow {
 }
 
 /// The motion of a stream.
-pub struct StreamMotion {
+pub(crate) struct StreamMotion {
     base: Option<BaseMotion>,
     base_mm_s: Option<f64>,
     /// Groove that the stage carries, base frame, since a trajectory was mounted, with the

@@ -17,7 +17,7 @@ pub const TRACK_FORMAT: &str = "wcal-track/2";
 /// What a place is along a known motion, and by the moments alone.
 pub const AXIS_OF_WIRE: &str = "axis of the wire at the contact, base frame";
 /// See [`AXIS_OF_WIRE`].
-pub const POINT_OF_OBJECT: &str = "point of the object, base frame";
+pub(crate) const POINT_OF_OBJECT: &str = "point of the object, base frame";
 
 /// Where readings come from.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]

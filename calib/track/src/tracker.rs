@@ -15,9 +15,7 @@ use crate::TrackError;
 use crate::calibrated_wire::{Assumed, CalibratedWire};
 use crate::contact_so_far::ContactSoFar;
 use crate::estimator::{Contact, Estimator, Findings};
-use crate::known_motion::{
-    CorrelatedNoise, MotionRow, MotionUnknown, Segmenter, Settings, Step, check_row,
-};
+use crate::known_motion::{CorrelatedNoise, MotionRow, Segmenter, Settings, Step, check_row};
 use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use crate::regimes::{GAIN, POINT, RegimeWeights};
 use crate::static_arc::StaticArc;
@@ -28,6 +26,7 @@ use crate::whole_contact::{Known, WholeContact, located};
 use crate::zero::WHITE;
 use std::collections::BTreeMap;
 use wcal_core::stream::Flags;
+use wcal_session::MotionUnknown;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;

@@ -189,7 +189,7 @@ impl<'a> WhiskerTrack<'a> {
     }
 
     /// Whether the stated regions do not hold a known groove.
-    pub fn coverage_rejected(&self) -> bool {
+    pub(crate) fn coverage_rejected(&self) -> bool {
         self.estimator
             .findings()
             .groove

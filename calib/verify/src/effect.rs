@@ -135,7 +135,7 @@ impl EffectModel {
     }
 
     /// The same law that needs something of the session.
-    pub fn needing(mut self, needs: &[LawRequirement]) -> Self {
+    pub(crate) fn needing(mut self, needs: &[LawRequirement]) -> Self {
         self.needs = needs.to_vec();
         self
     }
@@ -238,7 +238,7 @@ impl Effect {
     }
 
     /// A law by its name, with its index.
-    pub fn law_named(&self, name: &str) -> Option<(usize, &EffectModel)> {
+    pub(crate) fn law_named(&self, name: &str) -> Option<(usize, &EffectModel)> {
         self.laws
             .iter()
             .chain(&self.refinements)
@@ -261,7 +261,7 @@ impl Effect {
 }
 
 /// The effects of a catalogue.
-pub type Catalogue = [Effect];
+pub(crate) type Catalogue = [Effect];
 
 /// An effect with its law and nonlinear parameter values.
 #[derive(Debug, Clone, PartialEq)]
@@ -341,7 +341,7 @@ const RAYLEIGH_GAPS: f64 = 1.9;
 
 /// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over
 /// about that much.
-pub fn grid_spacing(grid: &[f64], value: f64) -> f64 {
+pub(crate) fn grid_spacing(grid: &[f64], value: f64) -> f64 {
     let near = grid
         .iter()
         .copied()

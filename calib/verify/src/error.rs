@@ -1,4 +1,4 @@
-//! Errors of the trace crate: what stops verification outright. "Not good enough" is a verdict, not
+//! Errors of `verify`: what stops verification outright. "Not good enough" is a verdict, not
 //! an error.
 
 use thiserror::Error;

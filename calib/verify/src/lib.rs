@@ -12,7 +12,7 @@ pub mod method;
 mod models;
 pub mod verify;
 
-pub use effect::{Effect, EffectModel, EffectTerm};
+pub use effect::{Effect, EffectTerm};
 pub use error::VerifyError;
 pub use measurement_model::MeasurementModel;
 pub use models::{scalar, whisker};

@@ -21,5 +21,3 @@ pub mod shape;
 pub mod stereo;
 pub mod tags;
 pub mod wire;
-
-pub use error::VisionError;

@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 
 /// Held-out errors of one model. The root mean squares stand under their names:
 /// `wavelength_rmse_pm` (wavelengths, pm) and `moment_rmse_nmm` (both moments pooled, N mm) of a
-/// whisker, `contact_rmse_mm` (distance of the seen contact from the predicted one, mm) of one with
-/// pictures, `response_rmse` of a transducer (unit of the response), `error_rmse_um` of an axis
-/// (position error, um).
+/// whisker. One with pictures has `contact_rmse_mm` (distance of the seen contact from the predicted
+/// one, mm), too. A transducer has `response_rmse` (unit of the response). An axis has
+/// `error_rmse_um` (position error, um).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HeldOutError {
     /// `holdout`, `loto` or `loo`.

@@ -28,11 +28,7 @@ impl FluidLoads {
     ///
     /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous
     /// Fluid Flow, 1991).
-    pub fn drag_n_per_mm(
-        &self,
-        tangent: &Vector3<f64>,
-        velocity_mm_s: &Vector3<f64>,
-    ) -> Vector3<f64> {
+    fn drag_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
         // Slender body: only the flow across the wire drags it.
         let past = (velocity_mm_s - self.current_mm_s) * 1e-3;
         let across = past - tangent * tangent.dot(&past);

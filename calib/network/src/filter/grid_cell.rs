@@ -153,7 +153,7 @@ impl MomentSums {
     }
 
     /// Density of the first measurement alone; the velocity is not known.
-    pub fn of_first(l: &LinearGaussianPair) -> Self {
+    pub(crate) fn of_first(l: &LinearGaussianPair) -> Self {
         let sd = (l.noise[0] + l.variance * l.by_before[0].powi(2)).sqrt();
         let by = if l.by_now[0].abs() < 1e-12 {
             1e-12

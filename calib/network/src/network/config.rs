@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use wcal_core::ranges::Range;
 
 /// Inputs that do not belong to a node; they come first.
-pub const COMMON_INPUTS: usize = 9;
+pub(crate) const COMMON_INPUTS: usize = 9;
 /// Scale of a place that comes out of the network as it is, mm.
 pub const PLACE_SCALE_MM: f64 = 30.0;
 

@@ -28,7 +28,10 @@ pub struct Axis {
 
 impl Axis {
     /// Covers every finite value with a small margin.
-    pub fn covering(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+    pub(crate) fn covering(
+        label: impl Into<String>,
+        values: impl IntoIterator<Item = f64>,
+    ) -> Self {
         let (low, high) = extent(values);
         let margin = match high - low {
             span if span > 0.0 => 0.05 * span,
@@ -48,7 +51,10 @@ impl Axis {
     }
 
     /// Covers every positive finite value in equal ratios.
-    pub fn log_covering(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+    pub(crate) fn log_covering(
+        label: impl Into<String>,
+        values: impl IntoIterator<Item = f64>,
+    ) -> Self {
         let (low, high) = extent(
             values
                 .into_iter()
@@ -80,7 +86,7 @@ impl Axis {
     }
 
     /// Replaces the round ticks by named ones.
-    pub fn with_ticks(mut self, ticks: Vec<(f64, String)>) -> Self {
+    pub(crate) fn with_ticks(mut self, ticks: Vec<(f64, String)>) -> Self {
         self.ticks = Some(ticks);
         self
     }
@@ -106,7 +112,7 @@ impl Axis {
 
     /// Ticks with their texts, about `wanted` of them, and the label, which carries a common power
     /// of ten.
-    pub fn ticks(&self, wanted: usize) -> (Vec<(f64, String)>, String) {
+    pub(crate) fn ticks(&self, wanted: usize) -> (Vec<(f64, String)>, String) {
         if let Some(ticks) = &self.ticks {
             return (ticks.clone(), self.label.clone());
         }

@@ -9,7 +9,7 @@ pub use draw::svg;
 
 /// Shape of a point; every series differs in shape as well as in colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Marker {
+pub(crate) enum Marker {
     /// Filled circle.
     Circle,
     /// Filled square.
@@ -27,7 +27,7 @@ pub enum Marker {
 /// One thing drawn in a chart; `class` names its colour in the style sheet (`s1` to `s4`, `bad`,
 /// `quiet`).
 #[derive(Debug, Clone, PartialEq)]
-pub enum Layer {
+pub(crate) enum Layer {
     /// Points; `titles` is empty or one hover text a point.
     Points {
         /// Colour class.
@@ -67,7 +67,7 @@ pub enum Layer {
 
 /// A chart of two axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plot {
+pub(crate) struct Plot {
     /// Short name: printed above the chart and read by screen readers.
     pub title: String,
     /// What the chart shows, for screen readers.

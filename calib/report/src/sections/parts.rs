@@ -37,7 +37,7 @@ pub fn series(n: usize) -> (&'static str, Marker) {
 }
 
 /// Key of colours and shapes.
-pub fn legend(names: &[impl AsRef<str>]) -> String {
+pub(crate) fn legend(names: &[impl AsRef<str>]) -> String {
     const SHAPES: [&str; 4] = ["●", "■", "◆", "▲"];
     let items: String = names
         .iter()

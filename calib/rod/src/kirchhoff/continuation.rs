@@ -169,7 +169,7 @@ impl Rod {
 }
 
 /// Follows one branch of equilibria along a line; it keeps the last two for the secant predictor.
-pub struct BranchTracker<'a> {
+pub(crate) struct BranchTracker<'a> {
     rod: &'a Rod,
     line: Line,
     last: (f64, Equilibrium),

@@ -159,7 +159,7 @@ impl MomentField {
 
     /// With the fields of the wire that has each of the readings' first common unknowns one
     /// standard deviation higher.
-    pub fn with_changed(mut self, changed: Vec<Self>) -> Self {
+    pub(crate) fn with_changed(mut self, changed: Vec<Self>) -> Self {
         self.changed = changed;
         self
     }
@@ -219,7 +219,7 @@ impl MomentField {
 
     /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the
     /// interpolating polynomial.
-    pub fn held_and_rate(
+    pub(crate) fn held_and_rate(
         &self,
         place_mm: &Vector3<f64>,
         ratio: f64,

@@ -58,7 +58,8 @@ pub mod segmenter;
 
 pub use bound::bound_mm;
 pub use check::Innovations;
-pub use episode::{CorrelatedNoise, Episode, EpisodeContact, MotionRow, Settings};
+pub use episode::EpisodeContact;
+pub use episode::{CorrelatedNoise, Episode, MotionRow, Settings};
 pub(crate) use episode::{TABLE_MM, TABLE_SHARE, check_row, check_rows};
 pub use field::{Friction, MomentField};
 pub use posterior::Posterior;

@@ -54,7 +54,7 @@ pub(crate) const LEAD: usize = 25;
 /// First grid along the wire, mm.
 const SCAN_MM: f64 = 1.0;
 /// Largest number of nodes: what bounds the time of a reading.
-pub const MAX_NODES: usize = 56;
+const MAX_NODES: usize = 56;
 /// Halvings of the grid at one reading.
 const MAX_HALVINGS: usize = 9;
 /// Smallest distance of nodes, mm.
@@ -301,7 +301,7 @@ impl RecursivePosterior {
 
     /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on
     /// which s is uniform.
-    pub fn ln_evidence(&self, field: &MomentField) -> f64 {
+    pub(crate) fn ln_evidence(&self, field: &MomentField) -> f64 {
         // Trapezoids over s, on which the prior is uniform.
         let width =
             |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);

@@ -114,7 +114,7 @@ impl Normal {
     }
 
     /// Adds `weight (r + dc)^2` of one common unknown.
-    pub fn add_common(&mut self, weight: f64, r: f64, at: usize) {
+    pub(crate) fn add_common(&mut self, weight: f64, r: f64, at: usize) {
         self.right_common[at] -= weight * r;
         self.corner[(at, at)] += weight;
     }
@@ -180,7 +180,7 @@ impl Normal {
 
 impl Factored {
     /// Logarithm of the determinant.
-    pub fn ln_determinant(&self) -> f64 {
+    pub(crate) fn ln_determinant(&self) -> f64 {
         // det = det A det S; `corner` holds S^-1, hence the minus.
         let last = self.band.width - 1;
         let diagonal = (0..self.band.len()).map(|i| self.band.entries[(i + 1) * last + i]);

@@ -43,7 +43,7 @@ impl Means {
     }
 
     /// The moments at the blocks' mean places.
-    pub fn at_middles(&self) -> Vec<MotionRow> {
+    pub(crate) fn at_middles(&self) -> Vec<MotionRow> {
         let rows = &self.rows;
         // Second divided difference over three blocks of unequal steps.
         let second = |k: usize| -> Option<[f64; 2]> {

@@ -307,7 +307,7 @@ impl<'a> Chain<'a> {
     }
 
     /// By how much a light force changes in a step of the motion and by noise, N.
-    pub fn jump_n(&self, k: usize) -> f64 {
+    pub(crate) fn jump_n(&self, k: usize) -> f64 {
         let row = &self.rows[k];
         let noise = (row.noise_nmm2.trace() / 2.0).sqrt();
         // Cantilever: F = 3 E I d / s^3 for a step d, and noise over the lever.
@@ -379,7 +379,7 @@ impl<'a> Chain<'a> {
     }
 
     /// Logarithm of the moments' densities where they are as the states have them.
-    pub fn ln_densities(&self) -> f64 {
+    pub(crate) fn ln_densities(&self) -> f64 {
         self.whiten
             .iter()
             .map(|w| w.determinant().abs().max(f64::MIN_POSITIVE).ln() - TAU.ln())
@@ -387,7 +387,7 @@ impl<'a> Chain<'a> {
     }
 
     /// Logarithm of the norms of all residuals with heavy tails over those of normal ones.
-    pub fn ln_norms(&self) -> f64 {
+    pub(crate) fn ln_norms(&self) -> f64 {
         let of = |kind: &Kind| {
             let count = (0..self.rows.len())
                 .filter(|k| self.readings(*kind, *k).is_some())

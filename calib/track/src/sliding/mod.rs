@@ -55,7 +55,7 @@ mod stream;
 
 pub use contact_state::TouchedWire;
 pub use friction::FrictionPrior;
-pub use stream::SlidingStream;
+pub(crate) use stream::SlidingStream;
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::contact_path::loaded;

@@ -34,7 +34,7 @@ const GOING_ON: Ends = Ends {
 };
 
 /// Follows a contact from its first loaded reading on.
-pub struct SlidingStream {
+pub(crate) struct SlidingStream {
     wire: TouchedWire,
     /// Blocks that the paths go through.
     solved: usize,
@@ -94,7 +94,7 @@ impl SlidingStream {
     }
 
     /// ln p(m) of so many blocks; none where no path could be made through them.
-    pub fn ln_evidence(&self, blocks: usize) -> Option<f64> {
+    pub(crate) fn ln_evidence(&self, blocks: usize) -> Option<f64> {
         let own = self.paths.iter().filter(|_| self.solved == blocks);
         own.map(|p| p.ln_evidence).reduce(f64::max)
     }

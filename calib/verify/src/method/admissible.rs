@@ -9,7 +9,7 @@ use crate::effect::{EffectTerm, Role, TermKey, keys};
 use crate::measurement_model::MeasurementModel;
 
 /// Steps of a refit from an optimum beside it.
-pub const REFIT_STEPS: usize = 15;
+pub(crate) const REFIT_STEPS: usize = 15;
 /// One-sided amplitudes below this share of their usual size are no explanation. The least usual
 /// sizes lie at 0.2 of it (1e-3 of base compliance, 2 um of backlash), and estimates scatter about
 /// them.
@@ -103,7 +103,7 @@ impl Hypothesis {
 
     /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where
     /// nothing remains to test it by.
-    pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
+    pub(crate) fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
         let extra = (self.fit.dof - with.dof).max(1.0) as usize;
         let p = f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra);
         p.map_or(1.0, |p| family.family_wise_p(p))
@@ -115,7 +115,7 @@ impl Hypothesis {
     }
 
     /// The same without each of its terms in turn, everything else refitted (R: `drop1`).
-    pub fn drop1(&self, system: &dyn MeasurementModel) -> Vec<(usize, Self)> {
+    pub(crate) fn drop1(&self, system: &dyn MeasurementModel) -> Vec<(usize, Self)> {
         let without = |k: usize| Some((k, self.without(system, |j, _| j == k)?));
         (0..self.fit.terms.len()).filter_map(without).collect()
     }

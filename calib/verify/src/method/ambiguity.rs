@@ -43,13 +43,7 @@ fn project_onto(part: &Basis, whole: &Basis) -> DMatrix<f64> {
 
 /// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is
 /// the best one's.
-pub fn cox_test(
-    best: &Hypothesis,
-    rival: &Hypothesis,
-    variance: f64,
-    draws: usize,
-    seed: u64,
-) -> f64 {
+fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, seed: u64) -> f64 {
     if !(variance > 0.0) || draws == 0 {
         return 1.0;
     }
@@ -94,7 +88,7 @@ const REFITTED: usize = 7;
 
 /// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it
 /// true; what fits better from the best one's values takes its own place.
-pub fn cox_p_values(
+pub(crate) fn cox_p_values(
     system: &dyn MeasurementModel,
     best: &Hypothesis,
     level: &mut [Hypothesis],

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 /// A generic signature: the residual varies with a covariate in a certain shape (`unknown` of
 /// verify.json).
 #[derive(Debug, Clone)]
-pub struct CovariateSignature {
+pub(crate) struct CovariateSignature {
     /// Covariate.
     pub covariate: String,
     /// Shape.
@@ -199,7 +199,7 @@ fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
 }
 
 /// Generic signatures of every covariate of `system`, projected off `nuisance`.
-pub fn signatures_of_covariates(
+pub(crate) fn signatures_of_covariates(
     system: &dyn MeasurementModel,
     fit: &Fit,
     weights: &Weights,

@@ -87,7 +87,7 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 }
 
 /// The effects of `h` that earn their names, and those that do not.
-pub fn retain_cross_validated(
+pub(crate) fn retain_cross_validated(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
 ) -> (Hypothesis, Vec<usize>) {

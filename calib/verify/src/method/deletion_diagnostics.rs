@@ -72,7 +72,7 @@ impl DeletionDiagnostics {
 
 /// The first of `sets` without which a term is no longer supported: `with` it and `without` it
 /// fitted on all readings.
-pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
+pub(crate) fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
     let (rich, plain) = (
         DeletionDiagnostics::of(with),
         DeletionDiagnostics::of(without),

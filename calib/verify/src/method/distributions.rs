@@ -8,21 +8,21 @@
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
 
 /// Chance of a larger F with these degrees of freedom; none where they are none.
-pub fn f_tail(f: f64, [extra, left]: [f64; 2]) -> Option<f64> {
+pub(crate) fn f_tail(f: f64, [extra, left]: [f64; 2]) -> Option<f64> {
     let enough = extra >= 0.5 && left >= 0.5;
     let law = FisherSnedecor::new(extra, left).ok().filter(|_| enough)?;
     (!f.is_nan()).then(|| law.sf(f.max(0.0)))
 }
 
 /// Chance of a larger chi-squared; none where the degrees of freedom are none.
-pub fn chi_squared_tail(statistic: f64, dof: f64) -> Option<f64> {
+pub(crate) fn chi_squared_tail(statistic: f64, dof: f64) -> Option<f64> {
     let law = ChiSquared::new(dof).ok().filter(|_| dof >= 0.5)?;
     (!statistic.is_nan()).then(|| law.sf(statistic.max(0.0)))
 }
 
 /// Chi-squared with `dof` degrees of freedom that is undercut with probability `level`; none where
 /// they are none.
-pub fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
+pub(crate) fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
     Some(
         ChiSquared::new(dof)
             .ok()
@@ -33,7 +33,7 @@ pub fn chi_squared_quantile(level: f64, dof: f64) -> Option<f64> {
 
 /// 95 % interval of a standard deviation that is `sd` by `dof` degrees of freedom, in its unit;
 /// none where they are none.
-pub fn sd_interval95(sd: f64, dof: f64) -> Option<[f64; 2]> {
+pub(crate) fn sd_interval95(sd: f64, dof: f64) -> Option<[f64; 2]> {
     let end = |level: f64| Some(sd * (dof / chi_squared_quantile(level, dof)?).sqrt());
     Some([end(0.975)?, end(0.025)?])
 }

@@ -65,7 +65,7 @@ pub struct TermSlots {
 impl Fit {
     /// Where each term stands: columns follow the declared model's, values each other, both in the
     /// order of the terms.
-    pub fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
+    pub(crate) fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
         let laws: Vec<&EffectModel> = self
             .terms
             .iter()
@@ -90,7 +90,7 @@ impl Fit {
     }
 
     /// Degrees of freedom of the readings, where the second witness takes none of the parameters.
-    pub fn readings_dof(&self) -> f64 {
+    pub(crate) fn readings_dof(&self) -> f64 {
         self.dof - self.witness_count as f64
     }
 
@@ -126,13 +126,13 @@ impl Fit {
     }
 
     /// Column `j` of the design in each channel, where its coefficient is free.
-    pub fn column_directions(&self, j: usize) -> impl Iterator<Item = DVector<f64>> {
+    pub(crate) fn column_directions(&self, j: usize) -> impl Iterator<Item = DVector<f64>> {
         let column: Vec<f64> = self.design.column(j).iter().copied().collect();
         (0..self.residual.ncols()).map(move |c| self.in_channel(&column, c))
     }
 
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
-    pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
+    pub(crate) fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
         let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
         v.rows_mut(channel * column.len(), column.len())
             .copy_from_slice(column);
@@ -140,7 +140,7 @@ impl Fit {
     }
 
     /// Everything of reading `i` by itself, one direction a value.
-    pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
+    pub(crate) fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
         let (n, size) = (self.residual.nrows(), self.residual.len());
         let own = (0..self.residual.ncols()).map(|c| c * n + i);
         let seen = (0..self.auxiliary_residual.len())

@@ -39,7 +39,7 @@ impl Hypothesis {
     }
 
     /// Identifiers of its terms.
-    pub fn term_ids(&self, catalogue: &Catalogue) -> Vec<String> {
+    pub(crate) fn term_ids(&self, catalogue: &Catalogue) -> Vec<String> {
         self.fit
             .terms
             .iter()
@@ -55,7 +55,7 @@ impl Hypothesis {
     }
 
     /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
-    pub fn aic(&self, base: &Fit, variance: f64) -> f64 {
+    pub(crate) fn aic(&self, base: &Fit, variance: f64) -> f64 {
         let n = self.fit.residual.nrows() as f64;
         let channels = self.fit.residual.ncols() as f64;
         // A flagged reading is a free shift in every channel, chosen among n.

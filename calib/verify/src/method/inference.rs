@@ -49,7 +49,7 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
 ///
 /// of `h`, fitted on readings of `system` or part of them; `noise_sd` of each reading, in the
 /// engine's channels. None where the model has no solution there.
-pub fn prediction_sd(
+pub(crate) fn prediction_sd(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
     noise_sd: &[f64],
@@ -74,7 +74,7 @@ pub fn prediction_sd(
 }
 
 /// Quantile of Student's t for a two-sided 95 % interval.
-pub fn t95(dof: f64) -> f64 {
+pub(crate) fn t95(dof: f64) -> f64 {
     half95(Some(dof.max(1.0)))
 }
 
@@ -138,10 +138,10 @@ pub fn parameters(
 }
 
 /// Signature cosine above which two explanations are one class (docs/src/formats.md).
-pub const CLASS_COSINE: f64 = 0.995;
+pub(crate) const CLASS_COSINE: f64 = 0.995;
 
 /// What an explanation takes out of the declared model's residual.
-pub fn explained_part(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
+fn explained_part(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
     let mut v = base.fit.stacked() - h.fit.stacked();
     // Flagged readings count as explained whole in both, so that they do not dominate the angle.
     for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
@@ -159,7 +159,7 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
 /// Cosine between what two explanations explain by themselves, without sign; 1 where neither has a
 /// part that the other lacks. What both share (effects in common, whatever both leave unexplained)
 /// is projected off first: a large common effect makes any two look alike.
-pub fn signature_cosine(
+fn signature_cosine(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
     best: &Hypothesis,
@@ -180,7 +180,7 @@ pub fn signature_cosine(
 }
 
 /// For every survivor: is it of the best one's class?
-pub fn equivalence_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
+pub(crate) fn equivalence_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
     let like = |h| signature_cosine(system, &found.base, &found.best, h);
     found
         .survivors
@@ -197,7 +197,7 @@ const MEASURED_BEHIND: f64 = 2.0 * LEAD;
 /// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from
 /// it because one of them follows a temperature: that is measured itself, and the comparison takes
 /// columns for exact. Over minutes a room that warms steadily is as good as a clock.
-pub fn indistinguishable(
+pub(crate) fn indistinguishable(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
     best: &Hypothesis,

@@ -114,7 +114,13 @@ pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
 }
 
 /// The same of any whitened values, off what `fit` takes up.
-pub fn split_of(values: &[f64], fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
+pub(crate) fn split_of(
+    values: &[f64],
+    fit: &Fit,
+    weights: &Weights,
+    cells: &[u64],
+    x: &[f64],
+) -> Split {
     let w = weights.relative();
     let cells = members(cells, w);
     let norms =
@@ -161,7 +167,7 @@ pub fn split_of(values: &[f64], fit: &Fit, weights: &Weights, cells: &[u64], x: 
 
 /// Chance of a fall from `without` to `with` beside what remains; none where nothing more is asked
 /// or nothing remains to compare with.
-pub fn extra_sum_of_squares_p(without: Part, with: Part) -> Option<f64> {
+pub(crate) fn extra_sum_of_squares_p(without: Part, with: Part) -> Option<f64> {
     let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
     let f = gain / extra / (with.ss / with.dof).max(1e-300);
     f_tail(f, [extra, with.dof])

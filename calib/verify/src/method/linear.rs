@@ -52,7 +52,7 @@ impl Basis {
 
     /// The same where `v` is what remains of something of norm `size`: rounding of that is no
     /// direction.
-    pub fn push_beside(&mut self, v: &DVector<f64>, size: f64) -> bool {
+    pub(crate) fn push_beside(&mut self, v: &DVector<f64>, size: f64) -> bool {
         let left = self.project_off(v);
         let norm = left.norm();
         if !(norm > NEW_SHARE * size && norm > 0.0 && norm.is_finite()) {
@@ -69,7 +69,7 @@ impl Basis {
 
     /// Standard deviation that a fit of the basis leaves of value `k`, beside 1 before it: sqrt(1 -
     /// h_kk), h the hat matrix; floored where a value determines itself.
-    pub fn unexplained_sd(&self, k: usize) -> f64 {
+    pub(crate) fn unexplained_sd(&self, k: usize) -> f64 {
         let leverage: f64 = self.vectors.iter().map(|q| q[k] * q[k]).sum();
         (1.0 - leverage).max(0.05).sqrt()
     }
@@ -81,13 +81,13 @@ impl Basis {
 }
 
 /// `a' b` as one blocked product: nalgebra's `tr_mul` goes column by column.
-pub fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     a.transpose() * b
 }
 
 /// The joint span of many directions by the pivoted Cholesky factor of their Gram matrix:
 /// `D = Q R`, Q orthonormal.
-pub struct JointSpan {
+pub(crate) struct JointSpan {
     directions: DMatrix<f64>,
     /// Directions that are new, in the order of the pivots.
     independent: Vec<usize>,
@@ -184,7 +184,10 @@ pub fn stack(m: &DMatrix<f64>) -> DVector<f64> {
 }
 
 /// Values of the readings, stacked, with those of the second witness below.
-pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) -> DVector<f64> {
+pub(crate) fn stack_with(
+    readings: &DMatrix<f64>,
+    auxiliary_residual: &DVector<f64>,
+) -> DVector<f64> {
     let (n, m) = (readings.len(), auxiliary_residual.len());
     let mut v = DVector::zeros(n + m);
     v.rows_mut(0, n).copy_from_slice(readings.as_slice());

@@ -157,7 +157,7 @@ impl MinPDistribution {
     }
 
     /// Single p-value that the family's smallest undercuts with probability `level` under the null.
-    pub fn critical_p(&self, level: f64) -> f64 {
+    pub(crate) fn critical_p(&self, level: f64) -> f64 {
         let k =
             ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
         self.minima.get(k).copied().unwrap_or(level).min(level)

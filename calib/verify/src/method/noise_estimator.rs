@@ -31,7 +31,7 @@ const MAX_LEAD: f64 = 300.0;
 
 /// Noise of an explanation's residuals for predictions of further readings: a correlated part is
 /// taken up where it predicts better (Akaike), not only where a verdict could rest on it.
-pub fn noise_for_predictions(
+pub(crate) fn noise_for_predictions(
     system: &dyn MeasurementModel,
     h: &Hypothesis,
     seed: u64,

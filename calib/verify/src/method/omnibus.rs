@@ -94,7 +94,7 @@ impl OmnibusTest {
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
-    pub fn is_small(&self, fit: &Fit) -> bool {
+    pub(crate) fn is_small(&self, fit: &Fit) -> bool {
         let residual = fit.stacked();
         let catalogue = self
             .signatures

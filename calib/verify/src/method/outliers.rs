@@ -202,7 +202,10 @@ fn reject(
 
 /// The declared model without readings that stand out of every smooth curve through the others,
 /// bent or not.
-pub fn without_gross_readings(system: &dyn MeasurementModel, declared: Hypothesis) -> Hypothesis {
+pub(crate) fn without_gross_readings(
+    system: &dyn MeasurementModel,
+    declared: Hypothesis,
+) -> Hypothesis {
     let columns = system.smooth_columns();
     let curve = |weights: &Weights| {
         let plain = fit(system, &[], weights, 15)?;

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
-pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
+pub(crate) fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
     fit.terms
         .iter()
         .zip(fit.slots(system.catalogue()))

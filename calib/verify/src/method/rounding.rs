@@ -27,7 +27,7 @@ const MAX_LEFT: f64 = 4.0;
 
 /// The readings are those of the fitted model, rounded: of one channel, and where rounding is most
 /// of their noise.
-pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> bool {
+pub(crate) fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> bool {
     let measured = system.measured();
     let Some(step) = system.noise_inputs().step.first().copied().flatten() else {
         return false;

@@ -64,7 +64,7 @@ impl Search {
     }
 
     /// A generic driver explains more than the catalogue does.
-    pub fn generic_driver_wins(&self) -> bool {
+    fn generic_driver_wins(&self) -> bool {
         covariate_wins(
             &self.found.base,
             &self.found.first_test,
@@ -84,7 +84,7 @@ impl Search {
     }
 
     /// Something was found or remains: heavier tails would be a reason to look again.
-    pub fn is_inadequate(&self) -> bool {
+    pub(crate) fn is_inadequate(&self) -> bool {
         let found = !self.found.best.fit.terms.is_empty() || !self.found.best.flagged.is_empty();
         found || self.found.last_test.rejected() || self.generic_driver_wins()
     }
@@ -135,6 +135,10 @@ pub fn refit(
     candidates: &Candidates,
 ) -> Vec<Hypothesis> {
     let (outliers, variance) = (outlier_index(system), search.found.best.fit.variance());
+    let base = &search.found.base;
+    let join = |next: &mut Vec<Hypothesis>, more| {
+        merge(system, next, more, outliers, &base.fit, variance);
+    };
     let mut next: Vec<Hypothesis> = Vec::new();
     for (k, from) in candidates.parents.iter().enumerate() {
         let own: Vec<&Candidate> = candidates.extended.iter().filter(|c| c.from == k).collect();
@@ -146,31 +150,12 @@ pub fn refit(
         more.extend(
             single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)),
         );
-        merge(
-            system,
-            &mut next,
-            more,
-            outliers,
-            &search.found.base.fit,
-            variance,
-        );
+        join(&mut next, more);
     }
     if search.size > 1 {
-        let more = subset_candidates(
-            system,
-            &search.found.base,
-            &search.found.first_test.signatures,
-            &next,
-            search.size,
-        );
-        merge(
-            system,
-            &mut next,
-            more,
-            outliers,
-            &search.found.base.fit,
-            variance,
-        );
+        let signatures = &search.found.first_test.signatures;
+        let more = subset_candidates(system, base, signatures, &next, search.size);
+        join(&mut next, more);
     }
     next
 }
@@ -539,7 +524,10 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
 }
 
 /// The declared model, fitted without readings that stand far out of any smooth curve.
-pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights) -> Option<Hypothesis> {
+pub(crate) fn fit_declared_model(
+    system: &dyn MeasurementModel,
+    weights: &Weights,
+) -> Option<Hypothesis> {
     let declared = Hypothesis::fitted(system, &[], weights, 15)?;
     Some(if outlier_index(system).is_some() {
         without_gross_readings(system, declared)
@@ -558,7 +546,7 @@ fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
 }
 
 /// Single readings that stand out of an explanation, whatever was flagged before.
-pub fn flag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+pub(crate) fn flag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if outlier_index(system).is_none() {
         return h;
     }

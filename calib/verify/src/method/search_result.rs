@@ -54,7 +54,7 @@ pub struct SearchResult {
 impl SearchResult {
     /// The omnibus test that says what remains, where something does: on the declared model where a
     /// generic driver beats the catalogue.
-    pub fn failed_adequacy_test(&self) -> Option<&OmnibusTest> {
+    pub(crate) fn failed_adequacy_test(&self) -> Option<&OmnibusTest> {
         if self.covariate_beats_catalogue {
             Some(&self.first_test)
         } else {

@@ -75,7 +75,7 @@ pub fn means(of: &[usize], values: &[f64]) -> Vec<f64> {
 
 /// Reliability of `x` within its settings, from 0 to 1; 1 where no setting was read at more than
 /// one value.
-pub fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
+pub(crate) fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
     let [mx, my] = [x, y].map(|v| means(of, v));
     // Slope between the neighbours of a setting: the law need not be straight.
     let slope = |k: usize| {

@@ -37,7 +37,7 @@ pub fn nuisance_basis(fit: &Fit) -> Basis {
 }
 
 /// The same without the columns `left_out` of the design.
-pub fn nuisance_basis_without(fit: &Fit, left_out: &Range<usize>) -> Basis {
+pub(crate) fn nuisance_basis_without(fit: &Fit, left_out: &Range<usize>) -> Basis {
     let columns = (0..fit.design.ncols()).filter(|j| !left_out.contains(j));
     Basis::of(
         columns
@@ -186,7 +186,7 @@ pub fn build(
 
 impl Signature {
     /// Degrees of freedom.
-    pub fn dimension(&self) -> usize {
+    pub(crate) fn dimension(&self) -> usize {
         self.directions.len()
     }
 
@@ -233,7 +233,7 @@ impl Signature {
 
 /// Signatures of every observable effect that is not yet in the fit, or can act once more beside
 /// itself.
-pub fn signatures_of_catalogue(
+pub(crate) fn signatures_of_catalogue(
     system: &dyn MeasurementModel,
     fit: &Fit,
     weights: &Weights,

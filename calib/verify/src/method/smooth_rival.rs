@@ -74,7 +74,7 @@ struct Course {
 
 /// The smooth course that predicts what `accepted` leaves of readings left out in `fold`; none
 /// where nothing does beyond chance.
-pub fn smooth_rival(
+pub(crate) fn smooth_rival(
     system: &dyn MeasurementModel,
     accepted: &Hypothesis,
     noise: &Noise,

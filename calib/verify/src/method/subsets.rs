@@ -21,7 +21,7 @@ const OF_A_KEY: usize = 2;
 
 /// The sets of `size` terms with the largest merit, best first, at most `keep`. One-sided
 /// amplitudes of the wrong sign are left out.
-pub fn best_subsets(
+pub(crate) fn best_subsets(
     catalogue: &Catalogue,
     signatures: &[Signature],
     residual: &DVector<f64>,

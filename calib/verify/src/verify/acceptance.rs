@@ -59,7 +59,7 @@ impl Unfit {
 }
 
 /// Three decimals, or an exponent where these would hide the number.
-pub fn format_significant(value: f64) -> String {
+pub(crate) fn format_significant(value: f64) -> String {
     if (0.01..1e6).contains(&value.abs()) {
         format!("{value:.3}")
     } else {
@@ -68,7 +68,7 @@ pub fn format_significant(value: f64) -> String {
 }
 
 /// Error and floor, where the accepted model's error is far above what repeats differ by.
-pub fn far_above_floor<M: SessionModel>(
+pub(crate) fn far_above_floor<M: SessionModel>(
     model: &M,
     accepted: &Hypothesis,
     errors: &Errors,

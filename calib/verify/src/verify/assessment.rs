@@ -204,7 +204,11 @@ fn judgement<M: SessionModel>(
 
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a
 /// picture), left out in turn.
-pub fn fill_missing<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
+pub(crate) fn fill_missing<M: SessionModel>(
+    model: &M,
+    mut sealed: Errors,
+    in_turn: &Errors,
+) -> Errors {
     let shown = |q: &&Quantity| !sealed.shows(q.key);
     let missing: Vec<&str> = model
         .quantities()

@@ -298,7 +298,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     }
 
     /// Explanations of more than one class remain, and repeats contradict none.
-    pub fn is_ambiguous(&self) -> bool {
+    pub(crate) fn is_ambiguous(&self) -> bool {
         !self.rivals.is_empty() && self.lack.is_none()
     }
 

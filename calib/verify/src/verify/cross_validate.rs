@@ -8,7 +8,7 @@ use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::effect::Role;
 use crate::error::VerifyError;
-use crate::levels::{CATALOGUE, LEFT_OUT_GAIN, NEGLIGIBLE};
+use crate::levels::{CATALOGUE, LEFT_OUT_GAIN, NEGLIGIBLE, USUAL};
 use crate::measurement_model::MeasurementModel;
 use crate::method::cross_validated_gain::retain_cross_validated;
 use crate::method::distributions::f_tail;
@@ -26,7 +26,7 @@ use std::cell::Cell;
 use wcal_core::verify_document::TwinFault;
 
 /// An explanation that readings left out in turn bear out.
-pub struct Validated<M> {
+pub(crate) struct Validated<M> {
     /// The model at the open readings.
     pub model: M,
     /// What was found.
@@ -51,7 +51,7 @@ pub struct Validated<M> {
 /// # Errors
 /// Where the declared model's residuals have no noise, or no surviving explanation has the effects
 /// that are to be accepted.
-pub fn cross_validate<M: SessionModel>(
+pub(crate) fn cross_validate<M: SessionModel>(
     e: Evidence<M>,
     found: SearchResult,
     request: &VerifyRequest,
@@ -266,5 +266,5 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
         return true;
     };
     let f = values.dot(&factor.solve(&values)) / n as f64;
-    f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= 0.05)
+    f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= USUAL)
 }

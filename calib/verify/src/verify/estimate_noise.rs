@@ -31,7 +31,7 @@ fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
 ///
 /// # Errors
 /// Where the declared model has no solution at the readings.
-pub fn fit_baseline<M: SessionModel>(
+pub(crate) fn fit_baseline<M: SessionModel>(
     model: M,
     request: &VerifyRequest,
 ) -> Result<Evidence<M>, VerifyError> {
@@ -42,7 +42,7 @@ pub fn fit_baseline<M: SessionModel>(
 
 /// The noise under the accepted model, what of it holds under that noise, and the instrument as it
 /// shows it. True where that is not what the search was made under: it begins anew.
-pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
+pub(crate) fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let seed = e.options.seed;
     if is_interpolated(&e.model, &e.search.found.base) {
         e.search.found.best = e.search.found.base.clone();

@@ -12,7 +12,7 @@ use crate::method::search::Search;
 use wcal_core::verify_document::WitnessTest;
 
 /// Searches at most: each is made under the noise and the instrument that the one before shows.
-pub const MAX_ROUNDS: usize = 5;
+pub(crate) const MAX_ROUNDS: usize = 5;
 
 /// What is known of a session.
 pub struct Evidence<M> {

@@ -9,7 +9,7 @@ use super::session_model::{HeldOut, Quantity};
 use wcal_core::verify_document::CalibrationJudgement;
 
 /// Least coverage of stated 95 % intervals.
-pub const MIN_COVERAGE: f64 = 0.8;
+pub(crate) const MIN_COVERAGE: f64 = 0.8;
 /// Largest error in stated standard deviations, root mean square.
 pub const MAX_RATIO: f64 = 2.0;
 

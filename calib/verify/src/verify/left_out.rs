@@ -89,7 +89,7 @@ pub struct LeftOut<M> {
 impl<M: SessionModel> LeftOut<M> {
     /// Chance that what each fold chose predicts the readings which it left out so much better than
     /// the declared model; none without noise.
-    pub fn gain_p(&self, model: &M, accepted: &Hypothesis) -> Option<f64> {
+    pub(crate) fn gain_p(&self, model: &M, accepted: &Hypothesis) -> Option<f64> {
         let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
             let fold = fold.as_ref()?;
             let model = fold.model.as_ref().unwrap_or(model);
@@ -146,7 +146,7 @@ impl<M: SessionModel> LeftOut<M> {
 
     /// What the fit and the left-out readings lose without each accepted effect, the others
     /// refitted.
-    pub fn ablations(
+    pub(crate) fn ablations(
         &self,
         model: &M,
         found: &SearchResult,

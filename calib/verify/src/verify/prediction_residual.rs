@@ -284,7 +284,7 @@ pub struct PairedTest {
 
 impl PairedTest {
     /// Of several folds; none of none.
-    pub fn of_folds(folds: impl IntoIterator<Item = Self>) -> Option<Self> {
+    pub(crate) fn of_folds(folds: impl IntoIterator<Item = Self>) -> Option<Self> {
         folds.into_iter().reduce(|mut all, fold| {
             all.groups.extend(fold.groups);
             all.variance += fold.variance;
@@ -317,7 +317,7 @@ mod tests {
     use super::*;
     use crate::levels::{CATALOGUE, LEFT_OUT, LEFT_OUT_GAIN};
     use crate::method::columns_system_test::ColumnsSystem;
-    use crate::method::noise::SharedNoise;
+    use crate::method::noise::whitening::SharedNoise;
     use crate::method::noise_estimator::NoiseEstimator;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};

@@ -8,15 +8,13 @@
 //! J. Good, Biometrika 40 (1953), 237-264). Under a clock every reading has its own time: one that
 //! agrees is the same row. Where fitted rows of one time agree, the clock is too coarse to tell.
 
+use crate::levels::NEGLIGIBLE;
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::collections::BTreeMap;
 
-/// Chance below which rows that agree are the same rows.
-const CHANCE: f64 = 1e-3;
-
 /// Why the holdout proves nothing, where its rows were fitted. Rows: time, where there is one,
 /// setting and values.
-pub fn sealed_in_fit<const K: usize>(
+pub(crate) fn sealed_in_fit<const K: usize>(
     fitted: impl Iterator<Item = (Option<f64>, [f64; K])>,
     sealed: impl Iterator<Item = (Option<f64>, [f64; K])>,
 ) -> Option<String> {
@@ -32,7 +30,7 @@ pub fn sealed_in_fit<const K: usize>(
     let share = (repeated + 1) as f64 / (known.values().sum::<usize>() + 2) as f64;
     let by_chance = Binomial::new(share, agree.len() as u64)
         .map_or(1.0, |b| b.sf((count as u64).saturating_sub(1)));
-    let same = count > 0 && (timed && repeated == 0 || by_chance < CHANCE);
+    let same = count > 0 && (timed && repeated == 0 || by_chance < NEGLIGIBLE);
     same.then(|| {
         format!(
             "{count} of {} rows of the holdout are also in the points table (the same file?); a holdout that was in the fit proves nothing",

@@ -146,6 +146,10 @@ pub trait SessionModel: SessionText + Sized + Send {
     /// pictures are, how the spread follows the stimulus. None where that is what it is taken for,
     /// within its uncertainty. `settled`: the noise no longer changes.
     fn renewed(&self, accepted: &Hypothesis, settled: bool, seed: u64) -> Option<Self>;
+    /// The same before a law of its noise was estimated; none where there is none.
+    fn before_noise(&self) -> Option<Self> {
+        None
+    }
     /// The same without effects that a witness refutes, by identifier.
     fn without(&self, refuted: &[String]) -> Self;
     /// What is no law of the catalogue and is asked for by repeats alone (a table of errors) in the

@@ -23,7 +23,7 @@ pub trait Witness<M: SessionModel>: Sync {
 ///
 /// # Errors
 /// Where a witness cannot use its data.
-pub fn test_witnesses<M: SessionModel>(
+pub(crate) fn test_witnesses<M: SessionModel>(
     e: &mut Evidence<M>,
     mut found: SearchResult,
     witnesses: &[&dyn Witness<M>],

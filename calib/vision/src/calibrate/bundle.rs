@@ -137,7 +137,7 @@ impl BundleSolution {
 }
 
 /// A point of the board with its warp shapes (1 - x^2, 1 - y^2).
-pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
+fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     let range = |axis: usize| {
         let (lo, hi) = points.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| {
             (lo.min(p[axis]), hi.max(p[axis]))

@@ -24,7 +24,7 @@ pub struct BoardSize {
 
 impl BoardSize {
     /// Whether the colours distinguish a turn by 180 degrees: one side even, the other odd.
-    pub fn orientation_is_unique(&self) -> bool {
+    pub(crate) fn orientation_is_unique(&self) -> bool {
         (self.columns + self.rows) % 2 == 1
     }
 }
@@ -180,7 +180,7 @@ pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> V
 
 /// Whether the pattern continues beyond the corners found: then the board is larger than stated.
 /// Names the side.
-pub fn continues_beyond(
+pub(crate) fn continues_beyond(
     picture: &Picture,
     board: BoardSize,
     points: &[Vector2<f64>],

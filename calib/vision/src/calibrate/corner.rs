@@ -26,7 +26,7 @@ pub struct Corner {
 ///
 /// Returns none where the window leaves the picture or the fit wanders off by more than half the
 /// radius.
-pub fn fit_corner(
+pub(crate) fn fit_corner(
     picture: &Picture,
     start: &Vector2<f64>,
     sides: [Vector2<f64>; 2],

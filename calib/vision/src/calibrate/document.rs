@@ -14,7 +14,7 @@ use wcal_core::document::from_json;
 use wcal_core::ranges::{self, Range};
 
 /// Format tag of `stereo.json`.
-pub const STEREO_FORMAT: &str = "wcal-stereo/1";
+pub(crate) const STEREO_FORMAT: &str = "wcal-stereo/1";
 
 /// Numbers that cameras may have, whichever program calibrated them; a picture has 16 px at least,
 /// and a lens of 1 px focal length sees all. No parameter of a camera is less certain than by
@@ -256,7 +256,7 @@ impl StereoDocument {
 }
 
 /// A camera as a document.
-pub fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocument {
+pub(crate) fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocument {
     let k = camera.matrix();
     CameraDocument {
         name: name.into(),

@@ -24,7 +24,7 @@ pub type Corners = Vec<Option<Vector2<f64>>>;
 
 /// One camera calibrated by itself.
 #[derive(Debug, Clone)]
-pub struct MonoEstimate {
+pub(crate) struct MonoEstimate {
     /// Camera.
     pub camera: Camera,
     /// Board poses in the camera's frame.
@@ -55,7 +55,7 @@ fn visible(points: &[Vector3<f64>], corners: &Corners) -> ImageAndObject {
 ///
 /// # Errors
 /// Where OpenCV fails or finds no pose.
-pub fn board_pose(
+fn board_pose(
     camera: &Camera,
     points: &[Vector3<f64>],
     corners: &Corners,
@@ -129,7 +129,7 @@ pub(crate) fn both_rms(points: &[Vector3<f64>], state: &BundleState, view: &Boar
 ///
 /// # Errors
 /// Where fewer than three views are given, or OpenCV fails.
-pub fn calibrate_alone(
+pub(crate) fn calibrate_alone(
     points: &[Vector3<f64>],
     views: &[Corners],
     image_size_px: [usize; 2],
@@ -221,7 +221,7 @@ pub fn calibrate_alone(
 }
 
 /// Per-corner RMS of residuals, px; NaN without corners.
-pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
+pub(crate) fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
     let (n, sum) = residuals
         .iter()
         .flatten()
@@ -231,7 +231,7 @@ pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
 
 /// The relative pose by one view with the smallest median RMS in the right pictures of all views,
 /// with the RMS of each view (px).
-pub fn consensus(
+pub(crate) fn consensus(
     points: &[Vector3<f64>],
     left: &MonoEstimate,
     right: &MonoEstimate,

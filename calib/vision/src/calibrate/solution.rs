@@ -226,7 +226,7 @@ fn with_warp_if_needed(
 }
 
 /// Leaves out one pair at a time, solves without it, and measures its epipolar distances.
-pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> HeldOut {
+pub(crate) fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> HeldOut {
     let distances: Vec<f64> = (0..solution.views.len())
         .into_par_iter()
         .flat_map_iter(|out| {
@@ -252,7 +252,7 @@ pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> Held
 
 /// Mean of the two distances (px) of every corner to the epipolar line of its partner, in the
 /// undistorted pictures.
-pub fn epipolar_distances(state: &BundleState, view: &BoardView) -> Vec<f64> {
+fn epipolar_distances(state: &BundleState, view: &BoardView) -> Vec<f64> {
     let r = state.right_from_left.rotation.to_rotation_matrix();
     let essential = crate::rigid::hat(&state.right_from_left.translation.vector) * r.matrix();
     view.left

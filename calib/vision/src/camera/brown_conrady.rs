@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// The model: k1, k2, p1, p2, k3.
 #[derive(Debug)]
-pub struct BrownConrady;
+pub(crate) struct BrownConrady;
 
 impl Lens for BrownConrady {
     fn model(&self) -> &'static str {

@@ -25,7 +25,7 @@ use std::ops::AddAssign;
 
 /// The model: k1, k2, k3, k4.
 #[derive(Debug)]
-pub struct KannalaBrandt;
+pub(crate) struct KannalaBrandt;
 
 /// Radius below which the quotients are taken by their series: the fourth power of it is lost in
 /// rounding.

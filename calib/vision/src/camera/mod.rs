@@ -17,10 +17,10 @@ pub use lens::{Coefficients, Lens, MAX_COEFFICIENTS};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
 /// Parameters of a camera without its lens: fx, fy, cx, cy.
-pub const PINHOLE_NAMES: [&str; 4] = ["fx", "fy", "cx", "cy"];
+pub(crate) const PINHOLE_NAMES: [&str; 4] = ["fx", "fy", "cx", "cy"];
 
 /// Most intrinsic parameters that a camera has.
-pub const MAX_INTRINSICS: usize = PINHOLE_NAMES.len() + MAX_COEFFICIENTS;
+pub(crate) const MAX_INTRINSICS: usize = PINHOLE_NAMES.len() + MAX_COEFFICIENTS;
 
 /// A calibrated camera.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +44,7 @@ impl Camera {
     }
 
     /// Names of the intrinsic parameters, in the order of [`Camera::parameters`].
-    pub fn parameter_names(&self) -> impl Iterator<Item = &'static str> {
+    pub(crate) fn parameter_names(&self) -> impl Iterator<Item = &'static str> {
         PINHOLE_NAMES
             .into_iter()
             .chain(self.lens.coefficient_names().iter().copied())
@@ -80,7 +80,7 @@ impl Camera {
     }
 
     /// Distorted normalised coordinates of a direction with their derivative by it.
-    pub fn distort(&self, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+    pub(crate) fn distort(&self, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         self.lens.distort(&self.distortion, n)
     }
 
@@ -149,12 +149,12 @@ impl Camera {
 
     /// The pixel at which the same camera without distortion shows what this pixel shows: straight
     /// edges are straight there; none where the distortion folds over.
-    pub fn undistorted_px(&self, p: &Vector2<f64>) -> Option<Vector2<f64>> {
+    pub(crate) fn undistorted_px(&self, p: &Vector2<f64>) -> Option<Vector2<f64>> {
         Some(self.pixel(&self.undistort(p)?))
     }
 
     /// The inverse of [`Camera::undistorted_px`].
-    pub fn distorted_px(&self, p: &Vector2<f64>) -> Vector2<f64> {
+    pub(crate) fn distorted_px(&self, p: &Vector2<f64>) -> Vector2<f64> {
         self.pixel(&self.distort(&self.normalised(p)).0)
     }
 }

@@ -109,7 +109,7 @@ impl CurveModel {
     /// The same curve with a force at an arc length. The curvature's slope jumps there by the force
     /// over the bending stiffness (n' = -F delta, m' = -t x n): a corner that smoothing must not
     /// round, or the fitted wire would be short of the contact.
-    pub fn with_force_at(&self, arc_mm: f64) -> Self {
+    pub(crate) fn with_force_at(&self, arc_mm: f64) -> Self {
         let knot_mm = (self.nodes - 1) as f64 * self.step_mm / (self.splines - 3) as f64;
         // The second difference `row` is centred on knot `row`.
         let punished = |row: usize| (row as f64 * knot_mm - arc_mm).abs() >= knot_mm;
@@ -172,7 +172,7 @@ impl CurveModel {
     }
 
     /// Second derivative by the arc length that the rest shape's bending has at every node, 1/mm.
-    pub fn rest_bends(&self, state: &CurveState) -> Vec<Vector3<f64>> {
+    pub(crate) fn rest_bends(&self, state: &CurveState) -> Vec<Vector3<f64>> {
         let (_, mut frame) = Self::root(state);
         let mut bends = Vec::with_capacity(self.nodes);
         for i in 0..self.nodes - 1 {
@@ -279,13 +279,13 @@ impl CurveModel {
     }
 
     /// Rank of the penalty: second differences of both directions.
-    pub fn penalty_rank(&self) -> usize {
+    pub(crate) fn penalty_rank(&self) -> usize {
         2 * (self.splines - 2 - self.unpunished)
     }
 
     /// The state that follows given curvature deviations (one a node) as closely as the splines
     /// can.
-    pub fn from_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
+    pub(crate) fn from_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);
         for (i, (first, values)) in self.basis.iter().enumerate() {

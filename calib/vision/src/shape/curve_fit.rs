@@ -45,7 +45,7 @@ pub(crate) fn in_camera(
 
 /// Stations of one camera along the image of a curve (base frame nodes) up to `length_mm`, one
 /// every piece length.
-pub fn image_line(
+pub(crate) fn image_line(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
     camera: usize,
@@ -184,7 +184,7 @@ pub struct PairSystem {
 
 /// Residuals of observations for given cameras, base pose and curve: observed minus predicted along
 /// the normal, px.
-pub fn observation_residuals(
+pub(crate) fn observation_residuals(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
     points: &[Vector3<f64>],
@@ -319,7 +319,7 @@ fn bends(state: &CurveState, n: usize) -> DVector<f64> {
 }
 
 /// Information matrix and right-hand side with the prior.
-pub fn with_prior(
+pub(crate) fn with_prior(
     system: &PairSystem,
     prior: &Prior,
     state: &CurveState,
@@ -350,7 +350,7 @@ pub fn with_prior(
 
 /// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of
 /// factors of 3.
-pub fn choose_smoothing(
+pub(crate) fn choose_smoothing(
     system: &PairSystem,
     prior: &Prior,
     state: &CurveState,

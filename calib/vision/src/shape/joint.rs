@@ -100,7 +100,7 @@ impl Joint {
 }
 
 /// Covariance of base correction and curve parameters, and their derivative by the calibration.
-pub struct PairUncertainty {
+pub(crate) struct PairUncertainty {
     /// (6 + parameters) square.
     pub covariance: DMatrix<f64>,
     /// Rows as above, a column for each parameter of the cameras.

@@ -59,7 +59,7 @@ pub struct PairFit {
 const REACH: f64 = 1.12;
 /// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start at the tags'
 /// estimate.
-pub const ROOT_FREE: [f64; 2] = [1.0, 0.05];
+pub(crate) const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 /// Share of the nominal length by which a wire's end may lie elsewhere.
 const LENGTH_SHARE: f64 = 0.1;
 /// Smallest ratio of the pieces a mm in the wire's last third to those of the rest, in the picture
@@ -102,7 +102,7 @@ pub struct Scene<'a> {
 ///
 /// # Errors
 /// A sentence with the reason why the pair cannot be used.
-pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>) -> Result<PairFit, String> {
+pub(crate) fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>) -> Result<PairFit, String> {
     if let Some(fit) = start {
         return refine(scene, fit.clone(), true);
     }

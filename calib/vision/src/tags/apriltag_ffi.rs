@@ -151,7 +151,7 @@ impl Region {
 }
 
 /// Contrast of a border below which the library ignores a candidate, DN: its own value.
-pub const MIN_CONTRAST: u8 = 5;
+pub(crate) const MIN_CONTRAST: u8 = 5;
 
 /// Detects the tags of one family in regions of a picture, with borders of at least this contrast
 /// (DN). The corners are those of the quad. A tag in two regions is listed twice.

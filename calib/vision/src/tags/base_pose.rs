@@ -22,11 +22,11 @@ const MOVED_SD: f64 = 6.0;
 const REPEAT_PX: f64 = 0.04;
 
 /// Tags of one pair: camera (0 left, 1 right) and tag.
-pub type PairTags = Vec<(usize, Tag)>;
+pub(crate) type PairTags = Vec<(usize, Tag)>;
 
 /// The folder's base.
 #[derive(Debug, Clone)]
-pub struct FolderBase {
+pub(crate) struct FolderBase {
     /// Pose from the averaged corners.
     pub pose: BodyPose,
     /// The averaged observations.
@@ -49,7 +49,7 @@ fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
 }
 
 /// Base tags of one pair alone.
-pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
+pub(crate) fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
     tags.iter()
         .filter_map(|(camera, tag)| observation(rig, *camera, tag))
         .collect()
@@ -57,7 +57,11 @@ pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
 
 /// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair
 /// shows a base tag.
-pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Option<FolderBase> {
+pub(crate) fn folder_base(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    pairs: &[PairTags],
+) -> Option<FolderBase> {
     let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
     for (k, tags) in pairs.iter().enumerate() {
         for (camera, tag) in tags
@@ -123,7 +127,7 @@ pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Opt
 /// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures
 /// allow it: the stage only shifts the rig.
 #[derive(Debug, Clone)]
-pub struct RigPose {
+pub(crate) struct RigPose {
     /// Pose in the left camera's frame.
     pub left_from_tag: Isometry3<f64>,
     /// Information that this pair's corners alone give on a correction in the tag's frame.
@@ -134,7 +138,7 @@ pub struct RigPose {
 
 /// The rig tag in all pairs.
 #[derive(Debug, Clone)]
-pub struct RigPoses {
+pub(crate) struct RigPoses {
     /// One entry a pair; none where the tag is not seen.
     pub poses: Vec<Option<RigPose>>,
     /// Information of all pairs on the orientation that they share, tag's frame; none where each
@@ -143,7 +147,7 @@ pub struct RigPoses {
 }
 
 /// Rig tag poses of all pairs.
-pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
+pub(crate) fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
     let none = || RigPoses {
         poses: vec![None; pairs.len()],
         shared_turn: None,
@@ -174,7 +178,7 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPo
 }
 
 /// Sightings of one tag in its own frame.
-pub fn observations_of(known: &TagRig, tags: &PairTags) -> Vec<TagObservation> {
+pub(crate) fn observations_of(known: &TagRig, tags: &PairTags) -> Vec<TagObservation> {
     tags.iter()
         .filter(|(_, t)| t.id == known.id && t.family == known.family)
         .map(|(camera, tag)| TagObservation {

@@ -31,7 +31,7 @@ pub struct Tag {
 
 impl Tag {
     /// Mean of the corners, px.
-    pub fn middle_px(&self) -> Vector2<f64> {
+    pub(crate) fn middle_px(&self) -> Vector2<f64> {
         self.corners_px.iter().sum::<Vector2<f64>>() / 4.0
     }
 }

@@ -20,11 +20,11 @@ use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
 /// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the
 /// pixels' scatter does not include.
-pub const CORNER_FLOOR_PX: f64 = 0.01;
+const CORNER_FLOOR_PX: f64 = 0.01;
 
 /// RMS of a tag's corners beyond which they have no pose that both cameras share, px: a corner is
 /// good to hundredths, whole pixels are no noise.
-pub const TAG_MISFIT_PX: f64 = 1.0;
+pub(crate) const TAG_MISFIT_PX: f64 = 1.0;
 
 /// The pose of a body that carries tags, in the left camera's frame.
 #[derive(Debug, Clone)]
@@ -63,7 +63,10 @@ impl TagObservation {
 
 /// The pose that all observations agree on. Both planar solutions of every observation are starting
 /// points; the joint cost decides.
-pub fn body_pose(stereo: &StereoCameras, observations: &[TagObservation]) -> Option<BodyPose> {
+pub(crate) fn body_pose(
+    stereo: &StereoCameras,
+    observations: &[TagObservation],
+) -> Option<BodyPose> {
     let mut solved: Vec<BodyPose> = Vec::new();
     for s in observations {
         for pose in planar_solutions(&stereo.cameras[s.camera], s.size_mm, &s.tag) {
@@ -201,7 +204,7 @@ pub fn linearise(
 }
 
 /// Derivative of the right-hand side of [`linearise`] by the cameras' parameters, 6 x parameters.
-pub fn gradient_by_calibration(
+pub(crate) fn gradient_by_calibration(
     stereo: &StereoCameras,
     observations: &[TagObservation],
     pose: &Isometry3<f64>,

@@ -23,12 +23,12 @@ const STEP_MM: f64 = 1.0;
 /// Places scored a step.
 const PLACES: usize = 3;
 /// Curves kept.
-pub const BEAM: usize = 160;
+pub(crate) const BEAM: usize = 160;
 /// Curves kept in addition while they are hidden from the root on: they cost no evaluation, and no
 /// evidence separates them yet.
 const HIDDEN_BEAM: usize = 600;
 /// Curves kept where the first search found too little.
-pub const WIDE_BEAM: usize = 4 * BEAM;
+pub(crate) const WIDE_BEAM: usize = 4 * BEAM;
 /// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how
 /// many blocks after it: by then the evidence of both pictures has separated them.
 const GAP_BEAM: usize = 4;
@@ -63,7 +63,7 @@ const HIDDEN_CELL: (f64, f64) = (0.1, 0.02);
 
 /// Settings of a search.
 #[derive(Debug, Clone, Copy)]
-pub struct BeamSettings {
+pub(crate) struct BeamSettings {
     /// Curves kept.
     pub beam: usize,
     /// Largest distance of the root from the stated one, mm.
@@ -74,7 +74,7 @@ pub struct BeamSettings {
 
 /// What the search found.
 #[derive(Debug, Clone)]
-pub struct BeamResult {
+pub(crate) struct BeamResult {
     /// Curvature deviations from nominal, one a millimetre.
     pub curvatures: Vec<[f64; 2]>,
     /// Arc length of the last place with evidence, mm.
@@ -147,7 +147,7 @@ fn starts(aside_mm: f64) -> Vec<BeamState> {
 
 /// Grows curves from the root, keeping the best of them, and returns the best; none where no curve
 /// has any evidence.
-pub fn beam_search(
+pub(crate) fn beam_search(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
     settings: BeamSettings,

@@ -3,7 +3,7 @@
 
 pub mod appearance;
 mod bar;
-pub mod beam;
+pub(crate) mod beam;
 pub mod piece;
 pub mod ridge;
 pub mod scene;

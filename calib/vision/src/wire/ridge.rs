@@ -169,7 +169,7 @@ pub struct Evidence {
 const SPREAD: f64 = 0.35;
 /// Score of a place where the wire may be hidden: no evidence, less the log odds of being hidden (1
 /// in 2).
-pub const HIDDEN: f64 = -0.69;
+pub(crate) const HIDDEN: f64 = -0.69;
 
 impl Evidence {
     /// From the responses of the background and the strength that a wire has. `polarity` +1: dark

@@ -167,7 +167,7 @@ fn cell(px: &Vector2<f64>) -> [i64; 2] {
 /// Response that a wire shows near the root, per camera: the median over places of the strongest
 /// response across the expected line, within the distance that a root `aside_mm` off and the
 /// curvature at the root allow.
-pub fn expected_strength(
+pub(crate) fn expected_strength(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
     maps: &[RidgeMap<'_>; 2],

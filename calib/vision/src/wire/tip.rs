@@ -26,7 +26,7 @@ const FLOOR_PX: f64 = 0.15;
 
 /// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None
 /// where the picture does not show it.
-pub fn find_tip(
+pub(crate) fn find_tip(
     picture: &Picture,
     line: &[Station],
     appearance: Appearance,

@@ -114,7 +114,7 @@ impl Lens {
 
 /// Pose of a camera at `place` (mm, base frame) that looks at `target`, its x axis as near to
 /// `right` as can be.
-pub fn look_at(
+pub(crate) fn look_at(
     place: &Vector3<f64>,
     target: &Vector3<f64>,
     right: &Vector3<f64>,

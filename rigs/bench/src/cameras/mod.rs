@@ -18,9 +18,10 @@ mod rig;
 mod scene;
 mod tags;
 
-pub use faces::{Face, Paint};
-pub use lens::{Lens, look_at};
+pub use lens::Lens;
+
 pub use picture::{Appearance, clean, exposed};
 pub use rig::{Board, CameraFaults, RigGeometry, default_pair};
 pub use scene::{Groove, View};
-pub use tags::{TAG_CELLS, tag_cells};
+
+pub use tags::tag_cells;

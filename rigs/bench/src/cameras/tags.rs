@@ -2,7 +2,7 @@
 //! system", ICRA 2011).
 
 /// Cells across a tag with its white margin; the black square is eight of them.
-pub const TAG_CELLS: usize = 10;
+pub(crate) const TAG_CELLS: usize = 10;
 
 /// First codes of the family as published: github.com/AprilRobotics/apriltag, version 3, tag36h11.c
 /// (BSD licence).

@@ -26,7 +26,7 @@ pub struct AxisSpec {
 }
 
 /// Why a command was refused, in the protocol's words.
-pub type Refusal = &'static str;
+type Refusal = &'static str;
 
 /// State of one axis at bench time.
 #[derive(Debug, Clone)]
@@ -121,7 +121,7 @@ impl Axis {
     }
 
     /// Shows a flag from now on.
-    pub fn raise(&mut self, flag: &'static str) {
+    pub(crate) fn raise(&mut self, flag: &'static str) {
         self.sticky.insert(flag);
     }
 
@@ -153,7 +153,7 @@ impl Axis {
     }
 
     /// Constant speed (mm/s, signed) until a limit.
-    pub fn move_velocity(&mut self, t_s: f64, speed_mm_s: f64) -> Result<(), Refusal> {
+    pub(crate) fn move_velocity(&mut self, t_s: f64, speed_mm_s: f64) -> Result<(), Refusal> {
         if speed_mm_s.abs() > self.spec.max_speed_mm_s * (1.0 + 1e-6) {
             return Err("BADDATA");
         }
@@ -181,7 +181,7 @@ impl Axis {
     }
 
     /// Speed of moves that name none, mm/s.
-    pub fn set_speed(&mut self, speed_mm_s: f64) -> Result<(), Refusal> {
+    pub(crate) fn set_speed(&mut self, speed_mm_s: f64) -> Result<(), Refusal> {
         if !(speed_mm_s > 0.0 && speed_mm_s <= self.spec.max_speed_mm_s * 1.001) {
             return Err("BADDATA");
         }
@@ -195,7 +195,7 @@ impl Axis {
     }
 
     /// Acceleration of moves, mm/s^2.
-    pub fn set_acceleration(&mut self, mm_s2: f64) {
+    pub(crate) fn set_acceleration(&mut self, mm_s2: f64) {
         self.motion.set_acceleration(mm_s2);
     }
 
@@ -210,12 +210,12 @@ impl Axis {
     }
 
     /// The next (or present) motion never ends by itself.
-    pub fn arm_endless(&mut self) {
+    pub(crate) fn arm_endless(&mut self) {
         self.endless[0] = true;
     }
 
     /// Stops without a ramp and sets `flag`.
-    pub fn stop_dead(&mut self, t_s: f64, flag: &'static str) {
+    pub(crate) fn stop_dead(&mut self, t_s: f64, flag: &'static str) {
         self.homing_until_s = None;
         self.endless = [false; 2];
         self.motion.freeze(t_s);
@@ -223,7 +223,7 @@ impl Axis {
     }
 
     /// Power lost and back: standing where it was, reference gone.
-    pub fn power_cycle(&mut self, t_s: f64) {
+    pub(crate) fn power_cycle(&mut self, t_s: f64) {
         self.endless = [false; 2];
         self.motion.freeze(t_s);
         self.motion.set_acceleration(self.spec.acceleration_mm_s2);

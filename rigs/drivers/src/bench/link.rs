@@ -17,7 +17,7 @@ use wcal_core::shared_time;
 
 /// What happens to one of the next replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ReplyFault {
+pub(crate) enum ReplyFault {
     /// Never sent.
     Lose,
     /// One bit is wrong.
@@ -83,12 +83,12 @@ impl Cable {
     }
 
     /// Whether the cable is out.
-    pub fn is_out(&self) -> bool {
+    pub(crate) fn is_out(&self) -> bool {
         self.unplugged.load(Ordering::SeqCst)
     }
 
     /// Queues a fault for one of the next replies.
-    pub fn disturb(&self, fault: ReplyFault) {
+    pub(crate) fn disturb(&self, fault: ReplyFault) {
         if let Ok(mut queue) = self.next.lock() {
             queue.push_back(fault);
         }
@@ -109,7 +109,7 @@ impl Cable {
     ///
     /// # Errors
     /// What the link reports.
-    pub fn pour(&self, wire: &mut dyn Wire, binary: bool) -> io::Result<()> {
+    pub(crate) fn pour(&self, wire: &mut dyn Wire, binary: bool) -> io::Result<()> {
         self.flooded().map_or(Ok(()), |flood| {
             wire.send(&stray(flood, binary).repeat(POURED))
         })
@@ -201,7 +201,7 @@ impl Wire for TcpStream {
 
 /// A pseudo-terminal whose slave is raw and stays open: without a client the master would read EIO.
 #[derive(Debug)]
-pub struct Pty {
+pub(crate) struct Pty {
     master: OwnedFd,
     slave: OwnedFd,
     path: String,

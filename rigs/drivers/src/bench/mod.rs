@@ -20,7 +20,7 @@ pub mod scene;
 mod sm130_server;
 mod stage_server;
 pub mod unit;
-pub mod unit_clock;
+pub(crate) mod unit_clock;
 pub mod world;
 
 use faults::Fault;

@@ -78,7 +78,7 @@ impl Motion {
     }
 
     /// Sets the acceleration of later moves, mm/s^2.
-    pub fn set_acceleration(&mut self, acceleration_mm_s2: f64) {
+    pub(crate) fn set_acceleration(&mut self, acceleration_mm_s2: f64) {
         self.acceleration_mm_s2 = acceleration_mm_s2;
     }
 
@@ -130,7 +130,7 @@ impl Motion {
     }
 
     /// Stands still at once, as a stalled motor does.
-    pub fn freeze(&mut self, t_s: f64) {
+    pub(crate) fn freeze(&mut self, t_s: f64) {
         let (x, _) = self.cut(t_s);
         Plan {
             t_s,

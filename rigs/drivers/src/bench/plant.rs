@@ -91,7 +91,7 @@ impl Physics {
     }
 
     /// Steps the temperature, K.
-    pub fn step_temperature(&mut self, degc: f64) {
+    pub(crate) fn step_temperature(&mut self, degc: f64) {
         self.temperature_step_degc += degc;
     }
 

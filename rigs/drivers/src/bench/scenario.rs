@@ -3,7 +3,7 @@
 
 mod cameras;
 
-pub use cameras::{CameraErrors, CameraScenario};
+pub use cameras::CameraScenario;
 
 use super::faults::ScheduledFault;
 use super::unit::UnitSpec;

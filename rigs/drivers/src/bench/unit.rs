@@ -109,7 +109,7 @@ impl Unit {
     }
 
     /// Power lost and back: silent for a second of bench time.
-    pub fn power_cycle(&mut self, t_s: f64) {
+    pub(crate) fn power_cycle(&mut self, t_s: f64) {
         self.axis.power_cycle(t_s);
         self.silent_until_s = t_s + 1.0;
         self.settings = default_settings();

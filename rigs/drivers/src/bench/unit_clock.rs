@@ -2,7 +2,7 @@
 
 /// Faults of a clock, in bench time, s.
 #[derive(Debug, Clone, Default)]
-pub struct UnitClock {
+pub(crate) struct UnitClock {
     /// Since when it drifts, and by how many ppm.
     drift: (f64, f64),
     /// When it was set, and by how much.

@@ -165,13 +165,13 @@ impl BenchState {
     }
 
     /// Picture stream state.
-    pub fn camera_state(&self) -> CameraState {
+    pub(crate) fn camera_state(&self) -> CameraState {
         *guard(&self.cameras)
     }
 
     /// Shows the board in attitude `view`, or takes it away; an attitude that there is not is
     /// refused.
-    pub fn show_board(&self, view: Option<usize>) -> bool {
+    pub(crate) fn show_board(&self, view: Option<usize>) -> bool {
         let known = view.is_none_or(|k| k < self.scenario.cameras.board_views);
         if known {
             guard(&self.cameras).board = view;
@@ -180,7 +180,7 @@ impl BenchState {
     }
 
     /// True for each frame of the second camera that is to be lost.
-    pub fn loses_frame(&self) -> bool {
+    pub(crate) fn loses_frame(&self) -> bool {
         let mut state = guard(&self.cameras);
         let lost = state.lose > 0;
         state.lose = state.lose.saturating_sub(1);
@@ -193,18 +193,18 @@ impl BenchState {
     }
 
     /// Signals every thread to end.
-    pub fn shut_down(&self) {
+    pub(crate) fn shut_down(&self) {
         self.stop.store(true, Ordering::SeqCst);
         self.fresh.notify_all();
     }
 
     /// True once after each request for garbage bytes.
-    pub fn take_garbage(&self) -> bool {
+    pub(crate) fn take_garbage(&self) -> bool {
         self.garbage.swap(false, Ordering::SeqCst)
     }
 
     /// Bench time until which the stream is held back.
-    pub fn paused_until_s(&self) -> f64 {
+    pub(crate) fn paused_until_s(&self) -> f64 {
         *guard(&self.pause_until_s)
     }
 
@@ -221,7 +221,7 @@ impl BenchState {
     }
 
     /// Whether no new connection is answered.
-    pub fn never_accepts(&self) -> bool {
+    pub(crate) fn never_accepts(&self) -> bool {
         self.never_accepts.load(Ordering::SeqCst)
     }
 
@@ -239,7 +239,7 @@ impl BenchState {
 
     /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are
     /// missing.
-    pub fn scans_from(&self, from: u64) -> Vec<Scan> {
+    pub(crate) fn scans_from(&self, from: u64) -> Vec<Scan> {
         let ring = guard(&self.ring);
         let waiting =
             |r: &mut Ring| !self.stopping() && r.scans.back().is_none_or(|s| s.serial < from);
@@ -344,7 +344,7 @@ impl World {
     }
 
     /// Trajectory, depth of the groove (mm), and whether stage or mount move.
-    pub fn camera_view(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
+    pub(crate) fn camera_view(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
         let (stage_mm, trajectory) = self.place(t_s, scenario);
         let moving = self.units.iter().any(|u| u.axis.at(t_s).1 != 0.0);
         (trajectory, self.physics.groove_mm(stage_mm), moving)

@@ -9,7 +9,7 @@ use wcal_core::device::{
 
 /// Pictures of a folder, first to last.
 #[derive(Debug)]
-pub struct FolderCamera {
+pub(crate) struct FolderCamera {
     folder: PathBuf,
     files: Vec<(u64, PathBuf)>,
     next: usize,

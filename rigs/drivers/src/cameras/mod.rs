@@ -6,6 +6,6 @@ pub mod folder;
 pub mod net;
 pub mod v4l2;
 
-pub use folder::FolderCamera;
+pub(crate) use folder::FolderCamera;
 pub use net::NetCamera;
 pub use v4l2::{V4l2Camera, V4l2Settings};

@@ -4,9 +4,9 @@ use crate::host::{u16_at, u32_at};
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
 
 /// Length of the header of a response.
-pub const RESPONSE_HEADER: usize = 8;
+const RESPONSE_HEADER: usize = 8;
 /// Fixed part of the header of a peak record, before the counts.
-pub const PEAK_HEADER: usize = 24;
+const PEAK_HEADER: usize = 24;
 /// Longest message or content accepted.
 const MAX_LENGTH: usize = 16 << 20;
 

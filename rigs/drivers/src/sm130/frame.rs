@@ -8,7 +8,7 @@ pub const HEADER: usize = 88;
 /// Optical channels of the x30 core.
 pub const CHANNELS: usize = 4;
 /// Largest number of peaks of a frame; data with a larger count is not a frame.
-pub const MAX_PEAKS: usize = 1024;
+const MAX_PEAKS: usize = 1024;
 /// Wavelengths outside belong to no unit of this family, nm.
 const BAND_NM: std::ops::RangeInclusive<f64> = 1200.0..=1800.0;
 
@@ -54,7 +54,7 @@ impl Frame {
 ///
 /// # Errors
 /// What was expected and what was found. `header` must hold at least 88 bytes.
-pub fn frame_length(header: &[u8]) -> Result<usize, String> {
+pub(crate) fn frame_length(header: &[u8]) -> Result<usize, String> {
     if header.len() < HEADER {
         return Err(format!(
             "a header of {HEADER} bytes, found {}",

@@ -16,7 +16,7 @@ const QUIET: Duration = Duration::from_millis(30);
 /// Attempts of a request before its failure counts.
 const ATTEMPTS: u32 = 4;
 /// Speeds that units are found at: the factory's, then that of older and rig-configured ones.
-pub const SPEEDS: [u32; 2] = [115_200, 9600];
+const SPEEDS: [u32; 2] = [115_200, 9600];
 
 /// A checked reply.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -241,7 +241,7 @@ impl Chain {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub fn remember_speed(&mut self, device: u8, axis: u8) -> Result<(), DeviceError> {
+    pub(crate) fn remember_speed(&mut self, device: u8, axis: u8) -> Result<(), DeviceError> {
         // A chain that was opened again remembers what it found the first time.
         if self.speeds.contains_key(&(device, axis)) {
             return Ok(());
@@ -259,7 +259,7 @@ impl Chain {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub fn set_speed(&mut self, device: u8, axis: u8, data: i64) -> Result<(), DeviceError> {
+    pub(crate) fn set_speed(&mut self, device: u8, axis: u8, data: i64) -> Result<(), DeviceError> {
         if let Some((found, changed)) = self.speeds.get_mut(&(device, axis)) {
             *changed |= *found != data;
         }
@@ -297,7 +297,7 @@ impl Chain {
     ///
     /// # Errors
     /// As there, but never `Interrupted`.
-    pub fn ask_to_stop(
+    pub(crate) fn ask_to_stop(
         &mut self,
         device: u8,
         axis: u8,

@@ -2,7 +2,7 @@
 //! colon.
 
 /// LRC of `bytes` (without the leading `/`, `@`, `#` or `!`).
-pub fn lrc(bytes: &[u8]) -> u8 {
+pub(crate) fn lrc(bytes: &[u8]) -> u8 {
     bytes
         .iter()
         .fold(0_u8, |sum, b| sum.wrapping_add(*b))

@@ -29,12 +29,12 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
 
 /// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has
 /// to look first.
-pub fn is_latched(flag: &str) -> bool {
+pub(crate) fn is_latched(flag: &str) -> bool {
     ["FS", "FE", "WS", "WM", "WL"].contains(&flag)
 }
 
 /// Who must do what about a flag, as the end of a sentence; empty where it goes by itself.
-pub fn remedy(flag: &str) -> &'static str {
+pub(crate) fn remedy(flag: &str) -> &'static str {
     match flag {
         "WR" | "WH" => "; `--home` searches the reference, and moves to the home switch",
         "FD" | "FO" => "; find out why, switch the unit off and on, then `--home`",

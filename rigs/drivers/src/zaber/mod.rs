@@ -13,7 +13,7 @@ use wcal_core::device::{DeviceError, DeviceErrorKind};
 
 pub use binary::{BinaryLine, ZaberBinary};
 pub use chain::Chain;
-pub use mount::ZaberMount;
+pub(crate) use mount::ZaberMount;
 pub use stage::ZaberStage;
 pub use wire::Port;
 

@@ -21,7 +21,7 @@ const ARRIVAL_STEPS: i64 = 50;
 const POLL: Duration = Duration::from_millis(5);
 
 /// The mount of a rig. Moved by [`Mount::prepare`] and [`Mount::select`] only.
-pub struct ZaberMount {
+pub(crate) struct ZaberMount {
     stage: ZaberStage,
     steps_per_trajectory: i64,
     unit: Microsteps,

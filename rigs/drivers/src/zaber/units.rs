@@ -42,7 +42,7 @@ impl Microsteps {
     }
 
     /// Acceleration data from mm/s^2.
-    pub fn acceleration_data(self, mm_s2: f64) -> i64 {
+    pub(crate) fn acceleration_data(self, mm_s2: f64) -> i64 {
         ((mm_s2 * 1000.0 / self.size_um * ACCELERATION_FACTOR).round() as i64).max(1)
     }
 }

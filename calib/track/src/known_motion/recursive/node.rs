@@ -519,7 +519,7 @@ impl NodeFilter {
 
     /// Before the lead, which goes back in time: b at the first loaded reading is kept beside the
     /// one that goes on.
-    pub fn keep_correlated(&mut self) {
+    pub(crate) fn keep_correlated(&mut self) {
         let size = self.mean.len();
         let kept = |i: usize| if i < size { i } else { i - 2 };
         self.mean = DVector::from_fn(size + 2, |i, _| self.mean[kept(i)]);
@@ -529,7 +529,7 @@ impl NodeFilter {
     }
 
     /// After the lead: forwards in time from the first loaded reading.
-    pub fn resume_correlated(&mut self) {
+    pub(crate) fn resume_correlated(&mut self) {
         let size = self.mean.len() - 2;
         let kept = |i: usize| if i < size - 2 { i } else { i + 2 };
         self.mean = DVector::from_fn(size, |i, _| self.mean[kept(i)]);

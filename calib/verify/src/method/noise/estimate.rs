@@ -23,15 +23,15 @@ use wcal_core::verify_document::NoisePart;
 
 /// Gain in -2 log restricted likelihood from which the correlated part (its size and its time
 /// constant) is taken up.
-pub fn correlated_gain() -> f64 {
+pub(crate) fn correlated_gain() -> f64 {
     gain(NOISE_PART, 2)
 }
 
 /// The same where a test rejects independent readings: whether something is shared is decided, only
 /// what it is is open. What its two parameters cost (Akaike).
-pub const CORRELATED_PRICE: f64 = 2.0 * PRICE;
+pub(crate) const CORRELATED_PRICE: f64 = 2.0 * PRICE;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
-pub const MIN_HELD_REPEATS: usize = 6;
+pub(crate) const MIN_HELD_REPEATS: usize = 6;
 /// Fewer readings do not tell a correlation.
 const MIN_CORRELATED: usize = 20;
 
@@ -160,12 +160,12 @@ type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
 
 /// Share of the session from which a time constant makes of the correlated part one course over it:
 /// half of the longest that is searched.
-pub const COURSE: f64 = 0.25;
+pub(crate) const COURSE: f64 = 0.25;
 
 /// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them:
 /// how well it can do at all; where a part that is correlated in time gains what it costs, whether
 /// it is a course over the session. `noise` gives the spread and is where nothing suits better.
-pub fn best_misfit(
+pub(crate) fn best_misfit(
     model: &MeanModel,
     inputs: &NoiseInputs,
     noise: &Noise,

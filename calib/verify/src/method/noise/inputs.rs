@@ -31,7 +31,7 @@ pub struct NoiseInputs {
 
 impl NoiseInputs {
     /// Unit of the clock.
-    pub fn clock_unit(&self) -> &'static str {
+    pub(crate) fn clock_unit(&self) -> &'static str {
         if self.counts_readings || self.clock.is_none() {
             "readings"
         } else {
@@ -84,7 +84,7 @@ impl NoiseInputs {
     }
 
     /// Readings beyond the first of each pose setting: what tells pose scatter from repeat noise.
-    pub fn held_repeats(&self, weights: &Weights) -> usize {
+    pub(crate) fn held_repeats(&self, weights: &Weights) -> usize {
         let mut last = None;
         let mut count = 0;
         for i in (0..self.settings.len()).filter(|&i| weights.counts(i) && self.posed[i]) {

@@ -71,7 +71,10 @@ pub struct RestrictedLikelihood {
 const RIDGE: f64 = 1e-9;
 
 /// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
-pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<RestrictedLikelihood> {
+pub(crate) fn restricted_likelihood(
+    model: &MeanModel,
+    weights: &Weights,
+) -> Option<RestrictedLikelihood> {
     let channels = model.residual.ncols();
     let mut x = weights.apply(&model.columns());
     let q = x.ncols();

@@ -7,13 +7,14 @@ mod parts;
 pub mod spread;
 mod spread_model;
 pub mod tails;
-mod whitening;
+pub(crate) mod whitening;
 
-pub use estimate::{
-    CORRELATED_PRICE, COURSE, MIN_HELD_REPEATS, best_misfit, correlated_gain, estimate,
-};
+pub use estimate::estimate;
+pub(crate) use estimate::{CORRELATED_PRICE, COURSE, best_misfit, correlated_gain};
+
 pub use inputs::NoiseInputs;
-pub use likelihood::{MeanModel, RestrictedLikelihood, restricted_likelihood};
+pub use likelihood::{MeanModel, RestrictedLikelihood};
 pub use parts::Noise;
 pub use spread_model::SpreadModel;
-pub use whitening::{SharedNoise, Weights};
+
+pub use whitening::Weights;

@@ -56,7 +56,7 @@ impl Noise {
     }
 
     /// The same noise with its shared parts at the upper ends of their intervals.
-    pub fn at_upper_ends(&self) -> Self {
+    pub(crate) fn at_upper_ends(&self) -> Self {
         let upper = |e: NoisePart| NoisePart {
             value: e.interval95[1].max(e.value),
             ..e
@@ -85,7 +85,7 @@ impl Noise {
     }
 
     /// Weights of other readings of the same session (sealed ones among them) under this noise.
-    pub fn weights_of(&self, inputs: &NoiseInputs) -> Weights {
+    pub(crate) fn weights_of(&self, inputs: &NoiseInputs) -> Weights {
         let own = self.law.as_ref().map_or_else(
             || vec![1.0; inputs.settings.len()],
             |l| l.relative_sd(inputs),
@@ -106,7 +106,7 @@ impl Noise {
     }
 
     /// Variance of what readings share, in units of the repeat noise's.
-    pub fn shared_variance(&self) -> f64 {
+    pub(crate) fn shared_variance(&self) -> f64 {
         let of = |e: &NoisePart| (e.value / self.repeat.value).powi(2);
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }

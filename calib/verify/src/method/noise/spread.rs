@@ -12,9 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Fewer readings say nothing about a trend of the spread.
-pub const MIN_READINGS: usize = 20;
-/// From here on the spread is worth a remark.
-pub const SPREAD_REMARK: f64 = 0.01;
+pub(crate) const MIN_READINGS: usize = 20;
 
 /// Permutations at least as far out at which the p-value is known well enough.
 const ENOUGH: usize = 20;
@@ -92,7 +90,7 @@ fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
 /// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in
 /// half ranges; `x` as measured, where a power of it may be the law; `draws` permutations. None
 /// with too few readings or a constant stimulus.
-pub fn heteroscedasticity_test(
+pub(crate) fn heteroscedasticity_test(
     residual: &[f64],
     x: Option<&[f64]>,
     u: &[f64],

@@ -30,7 +30,7 @@ const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
 
 impl SpreadModel {
     /// Relative standard deviations of readings.
-    pub fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
+    pub(crate) fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let values = inputs
             .spread
             .iter()

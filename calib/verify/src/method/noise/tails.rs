@@ -17,7 +17,7 @@
 //! is not known either: its largest values are those of an externally studentised t.
 
 use super::likelihood::pattern_search;
-use crate::levels::{GAUSSIAN_ODDS, gain, gain_at_bound};
+use crate::levels::{GAUSSIAN_ODDS, USUAL, gain, gain_at_bound};
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 use statrs::function::gamma::ln_gamma;
 
@@ -110,7 +110,7 @@ fn fits(z: &[f64], censored: usize) -> (Fits, f64) {
 fn fit_sorted(sorted: &[f64]) -> Tails {
     let (fits, best) = fits(sorted, 0);
     // One-sided 95 % bound of a likelihood.
-    let bound = gain_at_bound(0.05);
+    let bound = gain_at_bound(USUAL);
     let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= bound;
     let gaussian = fits[NU.len() - 1].1.0;
     let top = fits
@@ -119,7 +119,7 @@ fn fit_sorted(sorted: &[f64]) -> Tails {
         .unwrap_or(&fits[NU.len() - 1]);
     let heaviest = fits.iter().find(within).unwrap_or(top);
     // Of the few tails that are tried, those next to the interval's end may still lie in it.
-    let inside = fits.map(|f| 2.0 * (best - f.1.0) <= gain(0.05, 1));
+    let inside = fits.map(|f| 2.0 * (best - f.1.0) <= gain(USUAL, 1));
     let first = inside
         .iter()
         .position(|i| *i)
@@ -173,7 +173,7 @@ const MIN_DOF: usize = 3;
 /// Looks for outlying values among `residuals` of a fit with `dof` degrees of freedom, at most
 /// `most` of them: from the most downwards, the first number whose p-value is below its share of
 /// `level`.
-pub fn extreme_values(
+pub(crate) fn extreme_values(
     residuals: &[f64],
     most: usize,
     dof: usize,

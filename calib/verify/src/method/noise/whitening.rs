@@ -80,7 +80,7 @@ impl Weights {
     }
 
     /// Readings that share part of their noise.
-    pub fn sharing(relative: Vec<f64>, shared: SharedNoise) -> Self {
+    pub(crate) fn sharing(relative: Vec<f64>, shared: SharedNoise) -> Self {
         if shared.correlated.is_none() && shared.pose == 0.0 {
             return Self::independent(relative);
         }
@@ -105,7 +105,7 @@ impl Weights {
     }
 
     /// The same noise where every reading that can be used counts.
-    pub fn unmasked(&self) -> Self {
+    pub(crate) fn unmasked(&self) -> Self {
         self.with(self.own.clone())
     }
 
@@ -159,7 +159,7 @@ impl Weights {
 
     /// Standard deviation of a new reading at a new pose and another time, in units of `s`, for
     /// each reading's law.
-    pub fn total_sd(&self, i: usize) -> f64 {
+    pub(crate) fn total_sd(&self, i: usize) -> f64 {
         let own = if self.own[i] > 0.0 {
             1.0 / self.own[i]
         } else {
@@ -183,7 +183,7 @@ impl Weights {
     }
 
     /// Whitens one column.
-    pub fn apply_to(&self, column: &[f64]) -> Vec<f64> {
+    pub(crate) fn apply_to(&self, column: &[f64]) -> Vec<f64> {
         let mut out = column.to_vec();
         self.whiten(&mut out);
         out

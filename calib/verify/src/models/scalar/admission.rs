@@ -74,7 +74,7 @@ fn constant_response(rows: &[ScalarRow], declared: Declared) -> Option<String> {
 }
 
 /// Where the clock of a table in file order runs backwards, in words.
-pub fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
+pub(crate) fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
     let times: Vec<f64> = times.flatten().collect();
     let k = times.windows(2).position(|w| w[1] < w[0])?;
     Some(format!(

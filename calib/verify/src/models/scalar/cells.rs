@@ -12,7 +12,7 @@ use super::floor::{level_keys, protocol_keys, replicate_keys};
 use super::frame::ScalarRow;
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, LawRequirement};
-use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
+use crate::levels::{BETWEEN_STRATA, NEGLIGIBLE, WITHIN_STRATA};
 use crate::measurement_model::{DesignTest, MeasurementModel};
 use crate::method::admissible::REFIT_STEPS;
 use crate::method::deletion_diagnostics::influential_set;
@@ -27,8 +27,6 @@ use nalgebra::{DMatrix, DVector};
 const MIN_PURE_DOF: usize = 5;
 /// A load below this share of the largest one is none.
 const UNLOADED: f64 = 0.05;
-/// Level at which a plainer effect is contradicted.
-const CONTRADICTED: f64 = 1e-3;
 
 /// Cells hold repeats enough to say something.
 fn repeated(cells: &[u64], weights: &[f64]) -> bool {
@@ -101,7 +99,7 @@ impl ScalarSystem {
     }
 
     /// The tests of [`Strata::explains_between_strata`], of a term's signature.
-    pub fn strata_tests(
+    pub(crate) fn strata_tests(
         &self,
         h: &Hypothesis,
         term: &EffectTerm,
@@ -135,7 +133,7 @@ impl ScalarSystem {
 
     /// The first term of `h` that this design does not identify: it gains nothing where it says
     /// something by itself, or it rests on one level or one cycle.
-    pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
+    pub(crate) fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
@@ -215,7 +213,7 @@ impl ScalarSystem {
         };
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
         let gains = |from: &Fit| {
-            f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < CONTRADICTED)
+            f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < NEGLIGIBLE)
         };
         (!gains(&alone) || gains(&h.fit)).then_some(plainer)
     }
@@ -306,7 +304,7 @@ impl ScalarSystem {
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take
     /// because cells do not bear it out.
-    pub fn is_time_confounded(&self, found: &SearchResult) -> bool {
+    pub(crate) fn is_time_confounded(&self, found: &SearchResult) -> bool {
         let (best, test) = (&found.best, &found.last_test);
         if test.generic() || !repeated(&protocol_keys(&self.frame), best.weights.relative()) {
             return false;
@@ -318,7 +316,7 @@ impl ScalarSystem {
 
     /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the
     /// protocol.
-    pub fn is_block_effect(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
+    pub(crate) fn is_block_effect(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
         let cells = protocol_keys(&self.frame);
         if !repeated(&cells, h.weights.relative()) {
             return false;

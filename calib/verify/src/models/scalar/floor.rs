@@ -32,13 +32,13 @@ const MIN_DOF: usize = 8;
 
 /// One key for readings that ought to agree: every input is set alike (stimulus, further columns
 /// that were set, direction).
-pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
+pub(crate) fn replicate_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, frame.direction.as_deref())
 }
 
 /// Keys of readings that repeat each other: set alike, or, where none is, at one place on either
 /// way.
-pub fn repeat_keys(frame: &Frame) -> Vec<u64> {
+pub(crate) fn repeat_keys(frame: &Frame) -> Vec<u64> {
     let keys = replicate_keys(frame);
     let settings = keys.iter().max().map_or(0, |k| 1 + *k as usize);
     if keys.len() < settings + MIN_DOF {
@@ -50,18 +50,18 @@ pub fn repeat_keys(frame: &Frame) -> Vec<u64> {
 
 /// The same by the way of the stimulus in the order of the table, where that is known: what repeats
 /// with the protocol.
-pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
+pub(crate) fn protocol_keys(frame: &Frame) -> Vec<u64> {
     let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.setting));
     keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
 }
 
 /// One key for readings at the same place: every input is set alike but for the direction.
-pub fn place_keys(frame: &Frame) -> Vec<u64> {
+pub(crate) fn place_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, None)
 }
 
 /// One key a setting of the stimulus, or of the further column `column`.
-pub fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
+pub(crate) fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
     let of_column = column.and_then(|k| Some(settings(frame.covariates.get(k)?.as_ref()?)));
     of_column
         .as_ref()
@@ -118,13 +118,7 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     let whole = (1.0 + noise.shared_variance()).sqrt();
     // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM
     // F.2.2.1).
-    let step = system
-        .noise_inputs()
-        .step
-        .first()
-        .copied()
-        .flatten()
-        .unwrap_or(0.0);
+    let step = system.step();
     let floor = |sd: f64, source| Floor {
         sd: (sd * whole).max(step / 12f64.sqrt()),
         source,

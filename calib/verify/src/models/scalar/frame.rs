@@ -98,7 +98,7 @@ impl ScalarData<'_> {
     }
 
     /// Names of further covariates.
-    pub fn covariate_names(&self) -> Vec<String> {
+    pub(crate) fn covariate_names(&self) -> Vec<String> {
         match self {
             Self::Transducer(d) => d.covariates.clone(),
             Self::Axis(_) => Vec::new(),
@@ -282,7 +282,7 @@ impl Frame {
     }
 
     /// Frame of rows for prediction alone, `y` unused.
-    pub fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+    pub(crate) fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
         Self::build(rows, scaling, declared, true)
     }
 
@@ -366,12 +366,12 @@ impl Frame {
     }
 
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
-    pub fn sloped(&self) -> bool {
+    pub(crate) fn sloped(&self) -> bool {
         self.declared != Declared::Polynomial(0)
     }
 
     /// The stimulus goes around once: its ends are one place, and nothing bends along it.
-    pub fn cyclic(&self) -> bool {
+    pub(crate) fn cyclic(&self) -> bool {
         // A hair more than a turn is one, too.
         self.scaling
             .turn
@@ -380,7 +380,7 @@ impl Frame {
 
     /// The stimulus only rises, or only falls, from reading to reading: the clock and the stimulus
     /// are one line, and what follows one follows the other.
-    pub fn swept_once(&self) -> bool {
+    pub(crate) fn swept_once(&self) -> bool {
         let steps = || self.u.windows(2).map(|p| p[1] - p[0]);
         !self.counts_readings
             && self.u.len() > 2
@@ -388,7 +388,7 @@ impl Frame {
     }
 
     /// Each series goes one way, and both ways occur.
-    pub fn strokes_are_series(&self) -> bool {
+    pub(crate) fn strokes_are_series(&self) -> bool {
         let Some(direction) = &self.direction else {
             return false;
         };
@@ -404,7 +404,7 @@ impl Frame {
 
     /// The directions, times `before` until the stimulus first moves: of new rows they are what
     /// they say.
-    pub fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
+    pub(crate) fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
         let mut direction = self.direction.clone()?;
         let still = self
             .setting
@@ -418,7 +418,7 @@ impl Frame {
     }
 
     /// Settings enough were read on either way: a loop is a difference at equal stimuli.
-    pub fn read_both_ways(&self) -> bool {
+    pub(crate) fn read_both_ways(&self) -> bool {
         let Some(direction) = &self.direction else {
             return false;
         };
@@ -432,7 +432,7 @@ impl Frame {
     }
 
     /// The first reading is a loaded one.
-    pub fn begins_loaded(&self) -> bool {
+    pub(crate) fn begins_loaded(&self) -> bool {
         self.u
             .first()
             .is_some_and(|u| (u - self.zero_u).abs() > LOADED)

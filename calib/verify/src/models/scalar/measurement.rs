@@ -85,7 +85,7 @@ impl ScalarSystem {
     }
 
     /// Splits what a fit leaves by its replicates.
-    pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
+    pub(crate) fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
         let lack = LackOfFit::of(split(
             &h.fit,
             &h.weights,
@@ -226,6 +226,12 @@ impl SessionModel for ScalarSystem {
 
     fn without(&self, _refuted: &[String]) -> Self {
         self.clone()
+    }
+
+    fn before_noise(&self) -> Option<Self> {
+        self.spread
+            .as_ref()
+            .map(|_| self.clone().with_equal_noise())
     }
 
     fn complete(&self, explained: &mut Explained, options: &Options) {

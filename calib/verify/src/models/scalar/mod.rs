@@ -26,10 +26,11 @@ pub mod table;
 mod usable;
 pub mod verify;
 
-pub use crate::method::lack_of_fit::LackOfFit;
-pub use crate::method::noise::spread::{Spread, SpreadLaw, heteroscedasticity_test};
+pub use crate::method::noise::spread::Spread;
+
 pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
-pub use model::{ModelError, ScalarModel, ScalarPrediction};
+
+pub use model::{ModelError, ScalarModel};
 pub use polynomial::Polynomial;
 pub use scalar_effect::ScalarEffect;
 pub use system::ScalarSystem;

@@ -244,13 +244,7 @@ impl ScalarModel {
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
         // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further
         // reading anywhere between them does not.
-        let step = system
-            .noise_inputs()
-            .step
-            .first()
-            .copied()
-            .flatten()
-            .unwrap_or(0.0);
+        let step = system.step();
         Self {
             session_kind: if axis { "axis" } else { "transducer" }.to_owned(),
             stimulus_unit: names.stimulus.clone(),

@@ -99,7 +99,7 @@ fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
 }
 
 /// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
-pub fn of_effect(
+pub(crate) fn of_effect(
     system: &ScalarSystem,
     h: &Hypothesis,
     effect: usize,
@@ -201,7 +201,7 @@ pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
 
 /// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of
 /// the same 95 % interval (Student's t with k - 1 degrees of freedom); 0 where they have one zero.
-pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
+pub(crate) fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
     let is_zero = |t: &EffectTerm| system.catalogue()[t.effect].id == ZERO_BY_SERIES;
     let slots = fit.terms.iter().zip(fit.slots(system.catalogue()));
     let Some((_, own)) = slots.into_iter().find(|(term, _)| is_zero(term)) else {

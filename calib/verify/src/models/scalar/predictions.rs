@@ -4,6 +4,7 @@ use super::floor::{place_keys, replicate_keys};
 use super::frame::Frame;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
+use crate::levels::REMARK;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
@@ -31,13 +32,10 @@ pub enum Grouping {
 
 /// Blocks of a series that are left out.
 const BLOCKS: usize = 10;
-/// Level at which neighbours count as sharing something; one in a hundred series is omitted in
-/// blocks for nothing.
-const NEIGHBOURS_LEVEL: f64 = 0.01;
 
 /// Neighbours in a session whose order is known share what the accepted model leaves (lag-one
 /// correlation).
-pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool {
+pub(crate) fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool {
     if !system.frame.ordered || system.frame.rows.len() < 2 * BLOCKS {
         return false;
     }
@@ -48,8 +46,7 @@ pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool 
     let square = left.iter().map(|r| r * r).sum::<f64>() / left.len().max(1) as f64;
     let product = left.windows(2).map(|r| r[0] * r[1]).sum::<f64>();
     let z = product / square.max(1e-300) / (left.len().max(2) as f64 - 1.0).sqrt();
-    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z)
-        < NEIGHBOURS_LEVEL
+    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z) < REMARK
 }
 
 /// Cycles where there are three, else what `grouping` asks for.

@@ -55,7 +55,7 @@ pub fn read_out(row: &ScalarRow, declared: Declared) -> f64 {
 }
 
 /// Limits at either end of the read-out, at most one each.
-pub fn range_limits(rows: &[ScalarRow], declared: Declared) -> Vec<RangeLimit> {
+pub(crate) fn range_limits(rows: &[ScalarRow], declared: Declared) -> Vec<RangeLimit> {
     let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
     let y: Vec<f64> = rows.iter().map(|r| read_out(r, declared)).collect();
     let setting = settings(&x);

@@ -37,7 +37,7 @@ pub struct ScalarEffect {
 
 impl ScalarEffect {
     /// Whether the columns of a law are functions of the stimulus alone.
-    pub fn of_stimulus(&self, law: &EffectModel) -> bool {
+    pub(crate) fn of_stimulus(&self, law: &EffectModel) -> bool {
         self.bend || self.degree.is_some() || self.waves_of_stimulus.contains(&law.name)
     }
 }

@@ -2,11 +2,11 @@
 //! search made again with it.
 
 use super::stationarity::{UNSTEADY, stationarity};
-use super::system::ScalarSystem;
-use crate::levels::SPREAD;
+use super::system::{ScalarSystem, relative_sd_at};
+use crate::levels::{REMARK, SPREAD};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::spread::{SPREAD_REMARK, Spread, heteroscedasticity_test};
+use crate::method::noise::spread::{Spread, heteroscedasticity_test};
 use crate::method::signature::nuisance_basis;
 
 /// Permutations of the test of the spread.
@@ -33,13 +33,7 @@ pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> O
     let frame = &system.frame;
     // Rounding is a function of the value: where it is much of the noise, readings are near or far
     // as their marks lie, and no order is as likely.
-    let step = system
-        .noise_inputs()
-        .step
-        .first()
-        .copied()
-        .flatten()
-        .unwrap_or(0.0);
+    let step = system.step();
     if step.powi(2) / 12.0 > MAX_ROUNDING * h.fit.raw_residual.norm_squared() / h.fit.dof.max(1.0) {
         return None;
     }
@@ -56,12 +50,10 @@ pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> O
         PERMUTATIONS,
         seed,
     )?;
-    // Readings that do not count keep the mean spread.
-    let mut relative = vec![1.0; frame.rows.len()];
-    for (&i, sd) in kept.iter().zip(&spread.relative_sd) {
-        relative[i] = *sd;
-    }
-    spread.relative_sd = relative;
+    // The law holds for readings that do not count, too.
+    let scale = spread.law.scale(frame);
+    let centre = kept.iter().map(|&i| scale[i]).sum::<f64>() / kept.len() as f64;
+    spread.relative_sd = relative_sd_at(frame, spread.law, spread.exponent, centre);
     Some(spread)
 }
 
@@ -94,7 +86,7 @@ pub(super) fn heteroscedasticity_note(
     seed: u64,
 ) -> Option<String> {
     let p = test_spread(system, h, seed)
-        .filter(|s| s.p_value <= SPREAD_REMARK)?
+        .filter(|s| s.p_value <= REMARK)?
         .p_value;
     Some(format!(
         "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."

@@ -21,7 +21,7 @@ pub struct Stationarity {
 }
 
 /// Beyond this many standard errors the frequency is not steady.
-pub const UNSTEADY: f64 = 3.0;
+pub(crate) const UNSTEADY: f64 = 3.0;
 /// Readings in a half below which the comparison says nothing.
 const MIN_HALF: usize = 15;
 

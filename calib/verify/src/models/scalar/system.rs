@@ -89,7 +89,12 @@ pub struct ScalarSystem {
 
 /// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law
 /// of the spread.
-pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
+pub(crate) fn relative_sd_at(
+    frame: &Frame,
+    law: SpreadLaw,
+    exponent: f64,
+    centre: f64,
+) -> Vec<f64> {
     law.scale(frame)
         .iter()
         .map(|v| (exponent * (v - centre)).exp())
@@ -170,7 +175,7 @@ impl ScalarSystem {
 
     /// The same effects seen on every row of the session, unsealed ones behind the others; far
     /// offset and law of the spread kept.
-    pub fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
+    pub(crate) fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
         let mut unsealed = unsealed.to_vec();
         // They go on behind, unless the clock says otherwise.
         number(&mut unsealed);
@@ -217,25 +222,40 @@ impl ScalarSystem {
         }
     }
 
+    /// Step of a coarse read-out; 0 where it is fine.
+    pub(super) fn step(&self) -> f64 {
+        let steps = self.noise_inputs().step;
+        steps.first().copied().flatten().unwrap_or(0.0)
+    }
+
     /// The same rows seen from another far point.
-    pub fn with_offset(mut self, offset: f64) -> Self {
+    pub(crate) fn with_offset(mut self, offset: f64) -> Self {
         self.measured.add_scalar_mut(offset - self.offset);
         self.offset = offset;
         self
     }
 
     /// The same rows whose noise has this trend.
-    pub fn with_spread(mut self, spread: Spread) -> Self {
+    pub(crate) fn with_spread(mut self, spread: Spread) -> Self {
         self.weights = spread.relative_sd.iter().map(|sd| 1.0 / sd).collect();
         self.spread = Some(spread);
         self
     }
 
     /// The same rows with equal noise.
-    pub fn without_spread(mut self) -> Self {
+    pub(super) fn with_equal_noise(mut self) -> Self {
         self.weights.fill(1.0);
-        self.given_up_spread |= self.spread.take().is_some();
+        self.spread = None;
         self
+    }
+
+    /// The same rows with equal noise, whose trend is given up for good.
+    pub(crate) fn without_spread(self) -> Self {
+        let given_up_spread = self.given_up_spread || self.spread.is_some();
+        Self {
+            given_up_spread,
+            ..self.with_equal_noise()
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use super::frame::Declared;
 use super::model::ScalarModel;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
-use crate::levels::{NO_SENSITIVITY, NO_SLOPE};
+use crate::levels::{NEGLIGIBLE, USUAL};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
@@ -37,7 +37,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
     let constant = beside.project_off(&reading).norm_squared();
     let extra = of_stimulus.len() + fit.tangents.len();
     let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra)?;
-    let depends = if p > NO_SLOPE {
+    let depends = if p > USUAL {
         "does not depend on the stimulus"
     } else {
         "hardly depends on the stimulus"
@@ -47,7 +47,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
     } else {
         format!("{p:.2}")
     };
-    (p > NO_SENSITIVITY)
+    (p > NEGLIGIBLE)
         .then(|| format!("The response {depends} (p = {chance}): there is no sensitivity to calibrate. A correction or deviation of the stimulus needs none: deviation = true under [transducer] of session.toml states that it is one."))
 }
 

@@ -36,8 +36,9 @@ pub mod verify;
 mod whisker_effect;
 
 pub use physical::PhysicalModel;
-pub use pictures::{PairObservation, Pictures};
+
+pub use pictures::Pictures;
 pub use stream::PhysicalStream;
 pub use system::{Moments, WhiskerSystem};
 pub use verify::{Verified, WhiskerVerification, verify_whisker};
-pub use whisker_effect::{ActiveEffect, Memory, Observers, WhiskerEffect};
+pub use whisker_effect::Memory;

@@ -111,7 +111,7 @@ pub struct WhiskerPath {
 impl WhiskerPath {
     /// One column a seating after the first, 1 at its readings: the zero of each seating is its
     /// own.
-    pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
+    pub(crate) fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
         let of = |k: u32| {
             self.readings
                 .iter()
@@ -236,7 +236,7 @@ const UNLIKE: f64 = 10.8;
 /// not scatter. All gratings of a row are averaged alike, and no moment moves the reference: where
 /// the rows do not say how many samples they average, its noise shows how much less a moving row
 /// is.
-pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
+pub(crate) fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let walk = |moving_variance: Option<f64>| {
         let sizes: Vec<Averaged> = rows
             .iter()

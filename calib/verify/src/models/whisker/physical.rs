@@ -165,7 +165,7 @@ impl PhysicalModel {
     /// With the correlated part of the readings' noise, where there is a clock to which it belongs,
     /// and how the variance of a reading depends on the samples that it averages, where the session
     /// says how many.
-    pub fn with_noise(self, system: &WhiskerSystem, noise: &Noise) -> Self {
+    pub(crate) fn with_noise(self, system: &WhiskerSystem, noise: &Noise) -> Self {
         let (pose, factor) = (noise.pose.map_or(0.0, |p| p.value), system.noise_factor());
         let part = noise
             .correlated
@@ -189,7 +189,7 @@ impl PhysicalModel {
 
     /// Variances of a path's readings beside 1 of a typical reading of the calibration's own
     /// session.
-    pub fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
+    pub(crate) fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
         // Noise of samples falls with their number; what they share does not.
         let of = |r: &Reading| match (self.averaging, r.samples) {
             (Some(a), Some(n)) => (a.common + a.samples / f64::from(n.max(1))) / (a.common + 1.0),
@@ -391,7 +391,7 @@ impl PhysicalModel {
     }
 
     /// The same where the noise of each reading is known, pm.
-    pub fn infer_under(
+    pub(crate) fn infer_under(
         &self,
         path: &WhiskerPath,
         memory: Option<&[[f64; 2]]>,

@@ -23,8 +23,9 @@
 
 use super::kept::Kept;
 use super::path::WhiskerPath;
-pub use super::picture_observations::{Derivatives, PairChange, PairObservation};
+pub use super::picture_observations::Derivatives;
 use super::picture_observations::{Pair, observe, root_of, values, with_tolerances};
+pub use super::picture_observations::{PairChange, PairObservation};
 use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -114,7 +115,7 @@ impl Pictures {
     }
 
     /// The same pairs with `share` of the own errors that they state.
-    pub fn with_own_share(&self, share: f64) -> Self {
+    pub(crate) fn with_own_share(&self, share: f64) -> Self {
         // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size
         // and weigh more.
         let stretch = self.independent_variance_share / share;
@@ -133,7 +134,7 @@ impl Pictures {
     }
 
     /// Share of the stated own errors that counts.
-    pub fn independent_variance_share(&self) -> f64 {
+    pub(crate) fn independent_variance_share(&self) -> f64 {
         self.independent_variance_share
     }
 

@@ -84,7 +84,7 @@ pub fn predict(
 }
 
 /// Linear map on outside labels, fitted on the weighted readings.
-pub fn by_labels(
+pub(crate) fn by_labels(
     system: &WhiskerSystem,
     moments: &[[f64; 2]],
     weights: &Weights,

@@ -38,7 +38,7 @@ impl WhiskerPath {
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no
     /// solution.
-    pub fn predict_pictures(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
+    pub(crate) fn predict_pictures(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
         let Some(pictures) = &self.pictures else {
             return Some(Vec::new());
         };
@@ -92,19 +92,19 @@ impl WhiskerSystem {
 
     /// The same readings with pictures whose stated standard deviation weighs as much as `sd` of a
     /// reading, in the engine's channels.
-    pub fn with_picture_scale(mut self, sd: f64) -> Self {
+    pub(crate) fn with_picture_scale(mut self, sd: f64) -> Self {
         self.picture_scale = sd;
         self
     }
 
     /// The same readings with pictures of which `share` of the stated own errors counts.
-    pub fn with_own_share(mut self, share: f64) -> Self {
+    pub(crate) fn with_own_share(mut self, share: f64) -> Self {
         self.pictures = self.pictures.map(|p| Arc::new(p.with_own_share(share)));
         self
     }
 
     /// What a stated standard deviation of the pictures weighs, in the engine's channels.
-    pub fn picture_scale(&self) -> f64 {
+    pub(crate) fn picture_scale(&self) -> f64 {
         self.picture_scale
     }
 }

@@ -12,7 +12,7 @@
 use super::system::WhiskerSystem;
 use super::twin_check::label_nmm;
 use crate::error::VerifyError;
-use crate::levels::NO_SENSITIVITY;
+use crate::levels::NEGLIGIBLE;
 use crate::method::distributions::chi_squared_tail;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
@@ -129,7 +129,7 @@ fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String
     }
     let dof = n as f64 - course.rank() as f64;
     let dead: Vec<String> = (0..2)
-        .filter(|&g| response_p(&y[g..=g], &load, 0, dof).is_some_and(|p| p > NO_SENSITIVITY))
+        .filter(|&g| response_p(&y[g..=g], &load, 0, dof).is_some_and(|p| p > NEGLIGIBLE))
         .map(|g| format!("fbg_{}", g + 1))
         .collect();
     if !dead.is_empty() {
@@ -138,7 +138,7 @@ fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String
             "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
         ));
     }
-    (load.len() == 2 && response_p(&y, &load, 1, dof).is_some_and(|p| p > NO_SENSITIVITY)).then(|| {
+    (load.len() == 2 && response_p(&y, &load, 1, dof).is_some_and(|p| p > NEGLIGIBLE)).then(|| {
         "The gratings have rank 1: both follow the same direction of the load, so they cannot determine two moments.".to_owned()
     })
 }

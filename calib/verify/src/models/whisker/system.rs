@@ -122,7 +122,7 @@ impl WhiskerSystem {
 
     /// The same rod with other rows, none deeper than those that it was made for, and without
     /// pictures.
-    pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
+    pub(crate) fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
         Self::assemble(
             &self.data,
             Self::path(&self.data, rows, self.walk),
@@ -137,7 +137,7 @@ impl WhiskerSystem {
 
     /// The same system without effects that another measurement of the instrument refutes, by
     /// identifier.
-    pub fn without_effects(self, refuted: &[String]) -> Self {
+    pub(crate) fn without_effects(self, refuted: &[String]) -> Self {
         Self {
             refuted: refuted.into(),
             ..self
@@ -326,7 +326,7 @@ impl WhiskerSystem {
     }
 
     /// By how much the stage's clock is set, s.
-    pub fn stage_clock_s(&self) -> f64 {
+    pub(crate) fn stage_clock_s(&self) -> f64 {
         self.stage_clock_s
     }
 
@@ -361,7 +361,7 @@ impl WhiskerSystem {
     }
 
     /// The same readings in the channels of `other`, its pictures weighed alike.
-    pub fn with_whitening_of(self, other: &Self) -> Self {
+    pub(crate) fn with_whitening_of(self, other: &Self) -> Self {
         let share = other
             .pictures
             .as_ref()
@@ -373,7 +373,7 @@ impl WhiskerSystem {
     }
 
     /// Difference of two systems' mixtures of channels: largest ratio of their shared noise.
-    pub fn whitening_change(&self, other: &Self) -> f64 {
+    pub(crate) fn whitening_change(&self, other: &Self) -> f64 {
         let (a, b) = (self.whitening.determinant(), other.whitening.determinant());
         (a / b).max(b / a)
     }

@@ -57,7 +57,7 @@ impl LineTable {
 
 /// Slip branches of one line: tables over (stage position, tangential over normal force).
 #[derive(Debug, Clone, PartialEq)]
-pub struct SlipTable {
+pub(crate) struct SlipTable {
     pub(crate) touch_mm: f64,
     pub(crate) step_mm: f64,
     /// Ratios, ascending, symmetric about 0.

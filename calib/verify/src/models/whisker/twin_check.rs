@@ -282,7 +282,7 @@ pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
 
 /// Moments at the readings of `path` with the outside labels as they are: none where a reading has
 /// no label.
-pub fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
+pub(crate) fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
     path.rows
         .iter()
         .map(|&row| {

@@ -17,7 +17,7 @@ pub trait Memory: Send {
 
 /// Who sees a change of the poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Observers {
+pub(crate) enum Observers {
     /// Where the groove really was: gratings and cameras.
     Both,
     /// Gratings alone: their readings are late.
@@ -32,7 +32,7 @@ type BeginMemory = fn(&Values) -> Box<dyn Memory>;
 type ReadoutColumns = fn(&Values, &WhiskerPath, &ReadoutOrigin, &[[f64; 2]]) -> Vec<Vec<f64>>;
 
 /// An effect with where it acts.
-pub struct WhiskerEffect {
+pub(crate) struct WhiskerEffect {
     /// Name and laws.
     pub effect: Effect,
     /// Who sees the poses that it changes: the gratings, the cameras, or both.
@@ -74,7 +74,7 @@ impl From<Effect> for WhiskerEffect {
 }
 
 /// An effect that acts: its law and values.
-pub struct ActiveEffect {
+pub(crate) struct ActiveEffect {
     /// The effect.
     pub effect: &'static WhiskerEffect,
     /// Its place in the catalogue, law and values.

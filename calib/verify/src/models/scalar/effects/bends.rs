@@ -6,7 +6,7 @@ use crate::scalar::frame::Frame;
 use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Identifier of the polynomial that is taken where no plainer law does.
-pub const POLYNOMIAL: &str = "nonlinearity-polynomial";
+pub(crate) const POLYNOMIAL: &str = "nonlinearity-polynomial";
 /// Highest degree of that polynomial: beyond it equal steps of the stimulus make it swing between
 /// the places (Runge).
 const MAX_DEGREE: usize = 9;
@@ -24,7 +24,7 @@ const MIN_PLACES: usize = 6;
 
 /// A term in the square of the stimulus, about the middle of the range (NIST/SEMATECH e-Handbook
 /// 4.6.1, load cell).
-pub fn nonlinearity_quadratic() -> ScalarEffect {
+pub(crate) fn nonlinearity_quadratic() -> ScalarEffect {
     ScalarEffect {
         bend: true,
         degree: Some(2),
@@ -43,7 +43,7 @@ pub fn nonlinearity_quadratic() -> ScalarEffect {
 /// ```text
 /// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has its own coefficient
 /// ```
-pub fn nonlinearity_cubic() -> ScalarEffect {
+pub(crate) fn nonlinearity_cubic() -> ScalarEffect {
     let cube = |name| law(name).column("coefficient", "response/half-range^3");
     ScalarEffect {
         bend: true,

@@ -10,10 +10,10 @@ use crate::effect::{Effect, LawRequirement, law};
 use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Identifier of the table of errors by place.
-pub const ERROR_TABLE: &str = "error-table";
+pub(crate) const ERROR_TABLE: &str = "error-table";
 
 /// The table at `places` (half ranges, rising); none where they are not repeated.
-pub fn error_table(places: &[f64]) -> ScalarEffect {
+pub(crate) fn error_table(places: &[f64]) -> ScalarEffect {
     // At least two, so that the catalogue can be listed without a session.
     let count = places.len().max(2);
     // The first place's deviation is the declared constant.

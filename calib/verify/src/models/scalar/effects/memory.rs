@@ -7,7 +7,7 @@ pub fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
 }
 
 /// The same from another state at the first reading.
-pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
+pub(crate) fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     let mut out = u.to_vec();
     if let Some(start) = out.first_mut() {
         *start = first;
@@ -28,7 +28,7 @@ pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
 
 /// The same of a stimulus that jumps between readings, each time at that share of the interval: it
 /// was held until then, and is from then on.
-pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f64> {
+pub(crate) fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f64> {
     let mut out = u.to_vec();
     for k in 1..u.len() {
         let x = (time[k] - time[k - 1]) / tau;
@@ -44,7 +44,7 @@ pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f
 /// stimulus jumped, at a moment between two readings that nothing tells (all alike: m from 0 to 1,
 /// `e^{m x}`, `x` the interval in time constants). The stimulus jumps where it is held before and
 /// after; the largest jump counts. 0 where it moves evenly.
-pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
+pub(crate) fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
     let held = |k: usize| u[k] == u[k - 1];
     let jumps = (2..u.len().saturating_sub(1)).filter(|&k| !held(k) && held(k - 1) && held(k + 1));
     let size = |k: &usize| (u[*k] - u[k - 1]).abs();

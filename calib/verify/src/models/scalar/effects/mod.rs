@@ -15,14 +15,14 @@ mod stimulus;
 
 use super::frame::{Declared, Frame};
 use super::scalar_effect::ScalarEffect;
-pub use bends::POLYNOMIAL;
-pub use error_table::ERROR_TABLE;
-pub use periodic::{PERIODIC, of_a_turn};
-pub use response::HETEROSCEDASTIC_NOISE;
-pub use series::ZERO_BY_SERIES;
+pub(crate) use bends::POLYNOMIAL;
+pub(crate) use error_table::ERROR_TABLE;
+pub(crate) use periodic::{PERIODIC, of_a_turn};
+pub(crate) use response::HETEROSCEDASTIC_NOISE;
+pub(crate) use series::ZERO_BY_SERIES;
 
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
-pub fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
+pub(crate) fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
     let declared = match frame.declared {
         Declared::Polynomial(degree) => degree,
         Declared::Axis => 1,

@@ -6,7 +6,7 @@ use crate::scalar::scalar_effect::ScalarEffect;
 use std::f64::consts::TAU;
 
 /// Identifier of the periodic effect.
-pub const PERIODIC: &str = "periodic";
+pub(crate) const PERIODIC: &str = "periodic";
 
 /// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the
 /// best between them.
@@ -89,7 +89,7 @@ pub fn periodic() -> ScalarEffect {
 }
 
 /// Period of a law that counts turns, where the stimulus goes around; none of other laws.
-pub fn of_a_turn(law: &str, frame: &Frame) -> Option<Option<f64>> {
+pub(crate) fn of_a_turn(law: &str, frame: &Frame) -> Option<Option<f64>> {
     match law {
         "once-a-turn" => Some(frame.scaling.turn),
         "twice-a-turn" => Some(frame.scaling.turn.map(|turn| 0.5 * turn)),

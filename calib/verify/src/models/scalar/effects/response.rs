@@ -5,7 +5,7 @@ use crate::method::noise::spread::MIN_READINGS;
 use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
-pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
+pub(crate) const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
 pub fn drift() -> ScalarEffect {
@@ -122,7 +122,7 @@ pub fn outliers() -> ScalarEffect {
 
 /// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance
 /// model of Harvey 1976. It has no mean: `scalar::spread_test` finds it.
-pub fn heteroscedastic_noise() -> ScalarEffect {
+pub(crate) fn heteroscedastic_noise() -> ScalarEffect {
     ScalarEffect {
         not_observable: |frame| {
             (frame.scaling.count < MIN_READINGS || !(frame.scaling.half > 0.0))
@@ -138,7 +138,7 @@ pub fn heteroscedastic_noise() -> ScalarEffect {
 
 /// A further covariate acts on the response: linear cross-sensitivity, one law for each of the
 /// table's `count`; the names stand in the session.
-pub fn cross_axis(count: usize) -> ScalarEffect {
+pub(crate) fn cross_axis(count: usize) -> ScalarEffect {
     let one = law("covariate")
         .needing(&[LawRequirement::Covariate])
         .column("slope", "response/covariate");

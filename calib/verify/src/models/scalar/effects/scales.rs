@@ -35,7 +35,7 @@ fn straighter(frame: &Frame, of_response: bool) -> bool {
 /// A characteristic over decades: exponential in the stimulus or in the inverse absolute
 /// temperature (thermistor, IEC 60539-1: R = R0 exp(B/T - B/T0)), or in proportion to the logarithm
 /// of the stimulus (Nernst electrode, gas sensor; Steinhart & Hart 1968 in ln R).
-pub fn logarithmic_scale() -> ScalarEffect {
+pub(crate) fn logarithmic_scale() -> ScalarEffect {
     let exponential = law("exponential")
         .shape(
             "exponent",
@@ -103,7 +103,7 @@ pub fn logarithmic_scale() -> ScalarEffect {
 
 /// The term of a platinum thermometer below 0 degC (IEC 60751: R = R0 (1 + A t + B t^2 + C
 /// (t - 100) t^3)).
-pub fn callendar_van_dusen() -> ScalarEffect {
+pub(crate) fn callendar_van_dusen() -> ScalarEffect {
     ScalarEffect {
         bend: true,
         not_observable: |frame| {

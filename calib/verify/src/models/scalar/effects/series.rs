@@ -5,12 +5,12 @@ use crate::scalar::scalar_effect::ScalarEffect;
 use crate::scalar::stimulus_scale::times_wrapped;
 
 /// Identifier of the zeros of series.
-pub const ZERO_BY_SERIES: &str = "zero-by-series";
+pub(crate) const ZERO_BY_SERIES: &str = "zero-by-series";
 
 /// Every series (mounting, cycle) has its own zero (ISO 376: X - X0 of each series): sum-to-zero
 /// contrasts, so that the constant is the mean zero. Nothing is known of the zero of another
 /// series.
-pub fn zero_by_series(count: usize) -> ScalarEffect {
+pub(crate) fn zero_by_series(count: usize) -> ScalarEffect {
     let shifts = (1..count.max(2)).fold(law("one-each"), |l, _| l.column("zero_shift", "response"));
     ScalarEffect {
         not_observable: |frame| {
@@ -47,7 +47,7 @@ pub fn zero_by_series(count: usize) -> ScalarEffect {
 
 /// A count that starts again at zero: one jump by its modulus between neighbouring places, the same
 /// slope on both sides.
-pub fn count_wrap() -> ScalarEffect {
+pub(crate) fn count_wrap() -> ScalarEffect {
     ScalarEffect {
         // Its size is that of the read-out's range.
         shows_on_one_level: true,

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 /// ```text
 /// r' = r + t + w x (r - c)        t: shift, w: small turn, c: the mean of the grooves, so that both parts stand for themselves
 /// ```
-pub fn camera_pose() -> WhiskerEffect {
+pub(crate) fn camera_pose() -> WhiskerEffect {
     let during = rigid("during-the-session");
     let during = during.shape(
         "from_share",
@@ -87,7 +87,7 @@ pub fn board_scale() -> WhiskerEffect {
 
 /// The rig tag is glued askew: the tag says where along the wire the groove is, the wire's own
 /// pictures say where across.
-pub fn rig_tag() -> WhiskerEffect {
+pub(crate) fn rig_tag() -> WhiskerEffect {
     let rigid = law("rigid")
         .needing(&[LawRequirement::Pictures])
         .amplitude("offset_x_mm", "mm", [-5.0, 5.0], 0.2)
@@ -118,7 +118,7 @@ pub fn rig_tag() -> WhiskerEffect {
 
 /// The pictures' clock is off the stage's: a pair taken while the stage moves shows the groove at
 /// x + v tau.
-pub fn picture_clock() -> WhiskerEffect {
+pub(crate) fn picture_clock() -> WhiskerEffect {
     let offset = law("offset").needing(&[LawRequirement::Pictures, LawRequirement::MovingPictures]);
     WhiskerEffect {
         observers: Observers::Cameras,

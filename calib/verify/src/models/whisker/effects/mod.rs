@@ -10,7 +10,7 @@ use super::whisker_effect::WhiskerEffect;
 use std::sync::LazyLock;
 
 /// Every effect of docs/src/formats.md for kind "whisker".
-pub fn whisker_catalogue() -> &'static [WhiskerEffect] {
+pub(crate) fn whisker_catalogue() -> &'static [WhiskerEffect] {
     static CATALOGUE: LazyLock<Vec<WhiskerEffect>> = LazyLock::new(|| {
         vec![
             wire::groove_friction(),

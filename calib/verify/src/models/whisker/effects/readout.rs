@@ -9,7 +9,7 @@ const MAX_SHARE: f64 = 0.2;
 
 /// Rest of the temperature compensation, dk (T - T0) in each channel: difference of the temperature
 /// coefficients, tens of pm/K where bonded to polymer.
-pub fn temperature_mismatch() -> WhiskerEffect {
+pub(crate) fn temperature_mismatch() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Temperature]);
     WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and
@@ -31,7 +31,7 @@ pub fn temperature_mismatch() -> WhiskerEffect {
 }
 
 /// Drift of the zero, linear in time: relaxation of bonds and packaging, interrogator drift.
-pub fn zero_drift() -> WhiskerEffect {
+pub(crate) fn zero_drift() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Time]);
     WhiskerEffect {
         columns: |_, path, origin, _| {
@@ -55,7 +55,7 @@ pub fn zero_drift() -> WhiskerEffect {
 ///
 /// A rest reading that was taken on another day, after a remount or before the wire was seated says
 /// nothing of the zero that the loaded readings have: packaging and bond settle at first load.
-pub fn rest_zero() -> WhiskerEffect {
+pub(crate) fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[LawRequirement::RestReadings]);
     WhiskerEffect {
         columns: |_, path, _, _| {
@@ -75,7 +75,7 @@ pub fn rest_zero() -> WhiskerEffect {
 }
 
 /// Quadratic form of the moment in each channel: second-order strain-optic and bonding terms.
-pub fn fbg_nonlinearity() -> WhiskerEffect {
+pub(crate) fn fbg_nonlinearity() -> WhiskerEffect {
     let quadratic = law("quadratic")
         .column("quadratic_11", "pm/(N mm)^2")
         .column("quadratic_12", "pm/(N mm)^2")
@@ -95,7 +95,7 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
 }
 
 /// Single readings with the wire out of the vertex.
-pub fn slip_outliers() -> WhiskerEffect {
+pub(crate) fn slip_outliers() -> WhiskerEffect {
     let sentence =
         "Outlying readings were excluded: the wire possibly left the vertex of the groove.";
     let found_singly = Effect::new("slip-outliers", sentence, vec![law("single-readings")]);

@@ -8,7 +8,7 @@ use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 
 /// Lost motion: after a reversal the groove stays until the play is taken up. X-LSM100A states < 12
 /// um between screw and nut, with encoder (device notes).
-pub fn stage_backlash() -> WhiskerEffect {
+pub(crate) fn stage_backlash() -> WhiskerEffect {
     let play = |name| law(name).amplitude("backlash_mm", "mm", [0.0, 0.3], 0.01);
     WhiskerEffect {
         pose: |values, path, xs_mm| {
@@ -58,7 +58,7 @@ pub fn stage_scale() -> WhiskerEffect {
 
 /// Periodic error, A sin(2 pi x / pitch) + B cos(2 pi x / pitch). LSM100A: screw lead 0.6096 mm a
 /// turn (device notes).
-pub fn stage_periodic() -> WhiskerEffect {
+pub(crate) fn stage_periodic() -> WhiskerEffect {
     let screw = law("screw")
         .amplitude("sine_mm", "mm", [-0.1, 0.1], 0.005)
         .amplitude("cosine_mm", "mm", [-0.1, 0.1], 0.005)
@@ -87,7 +87,7 @@ pub fn stage_periodic() -> WhiskerEffect {
 /// delay          the reading belongs to x(t - tau)
 /// first-order    the reading belongs to d with tau d' = x - d      (steady motion: x - v tau; after a start or a stop it takes some tau)
 /// ```
-pub fn time_lag() -> WhiskerEffect {
+pub(crate) fn time_lag() -> WhiskerEffect {
     let lag = |name| {
         law(name)
             .needing(&[LawRequirement::Motion])

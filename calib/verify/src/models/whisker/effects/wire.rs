@@ -7,7 +7,7 @@ use wcal_rod::Softening;
 /// Friction along the wire in the V-groove: stick inside the cone, slip at its edge, with the
 /// history of the whole path. Coulomb friction at a point contact; a groove of half angle a raises
 /// the coefficient by up to 1/sin a.
-pub fn groove_friction() -> WhiskerEffect {
+pub(crate) fn groove_friction() -> WhiskerEffect {
     let coulomb = |name| law(name).amplitude("friction_coefficient", "1", [0.0, 0.7], 0.15);
     let two_speed = coulomb("coulomb-two-speed").shape("moving_share", "1", [0.2, 1.5], &[0.75]);
     WhiskerEffect {
@@ -27,7 +27,7 @@ pub fn groove_friction() -> WhiskerEffect {
 
 /// Constant offset of the groove in the rig frame (three components; one along the wire is weak):
 /// mounting tolerance of the rig.
-pub fn contact_offset() -> WhiskerEffect {
+pub(crate) fn contact_offset() -> WhiskerEffect {
     let rigid = law("rigid")
         .amplitude("offset_x_mm", "mm", [-2.0, 2.0], 0.1)
         .amplitude("offset_y_mm", "mm", [-2.0, 2.0], 0.1)
@@ -48,7 +48,7 @@ pub fn contact_offset() -> WhiskerEffect {
 
 /// Compliance of the root: potting or mount gives way, and it turns by C m about the transverse
 /// axes.
-pub fn base_compliance() -> WhiskerEffect {
+pub(crate) fn base_compliance() -> WhiskerEffect {
     let unit = "rad/(N mm)";
     let isotropic = law("isotropic").amplitude("compliance_rad_per_nmm", unit, [0.0, 0.2], 0.005);
     let two_axis = law("two-axis")
@@ -71,7 +71,7 @@ pub fn base_compliance() -> WhiskerEffect {
 
 /// Superelastic softening past a yield curvature: NiTi transforms at 0.4-1 % surface strain;
 /// section law of a plateau in docs/src/method.md.
-pub fn superelastic_softening() -> WhiskerEffect {
+pub(crate) fn superelastic_softening() -> WhiskerEffect {
     let softening = |name, most| {
         law(name)
             .amplitude("softening_share", "1", [0.0, most], 0.5)
@@ -113,7 +113,7 @@ pub fn superelastic_softening() -> WhiskerEffect {
 }
 
 /// Bending stiffness that varies along the wire: EI goes with the fourth power of the diameter.
-pub fn wire_taper() -> WhiskerEffect {
+pub(crate) fn wire_taper() -> WhiskerEffect {
     WhiskerEffect {
         rod: |values, rod| rod.taper += values.of("relative_stiffness_change"),
         ..WhiskerEffect::new(

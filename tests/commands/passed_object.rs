@@ -243,3 +243,52 @@ fn contacts_that_lie_off_their_object_are_doubted() {
     });
     doubted("axis", &axis);
 }
+
+/// The object's friction stands in its session or on the command line; a number is refused by key.
+#[test]
+fn an_object_states_its_friction() {
+    let folder = tempfile::tempdir().unwrap();
+    let stated = |name: &str, line: &str| {
+        let sweep = changed(folder.path(), name, |rows| rows);
+        let place = sweep.join("session.toml");
+        let session = std::fs::read_to_string(&place).unwrap();
+        let session = if session.contains("[object]") {
+            session.replace("[object]\n", &format!("[object]\n{line}\n"))
+        } else {
+            format!("{session}\n[object]\n{line}\n")
+        };
+        std::fs::write(place, session).unwrap();
+        sweep
+    };
+    let assumed = |t: &Tracked| {
+        let of_contacts = t.column("assumes").into_iter().find(|a| !a.is_empty());
+        of_contacts.unwrap_or_default().to_owned()
+    };
+    let by_session = track(map(), &stated("stated", "friction = \"0.1 +- 0.05\""), &[]);
+    assert!(
+        assumed(&by_session).contains("friction=0.1+-0.05"),
+        "{}",
+        assumed(&by_session)
+    );
+    // What is typed counts before what the session holds, and without either nothing is stated.
+    let typed = stated("typed", "friction = \"0.1 +- 0.05\"");
+    let typed = track(map(), &typed, &["--friction", "0.2 +- 0.02"]);
+    assert!(assumed(&typed).contains("friction=0.2+-0.02"));
+    let none = track(map(), &changed(folder.path(), "none", |rows| rows), &[]);
+    assert!(assumed(&none).contains("friction=0..0.3"));
+    let wrong = stated("wrong", "friction = 0.1");
+    let run = wcal(&[
+        "track",
+        path(&wrong),
+        "--calibration",
+        map(),
+        "--out",
+        "unused.csv",
+    ]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(
+        text(&run.stderr).contains("object.friction"),
+        "{}",
+        text(&run.stderr)
+    );
+}

@@ -229,13 +229,127 @@ fn a_wrong_direction_is_seen() {
         "wcal-acquisition -> wcal-drivers",
         "wcal-core -> wcal-verify",
         "wcal-drivers -> wcal-session",
-        "wcal-mujoco -> mujoco-rs",
-        "wcal-report -> opencv",
         "wcal-mesh -> wcal-mujoco",
-        "wcal-verify -> wcal-calibration",
+        "wcal-mujoco -> mujoco-rs",
         "wcal-network -> wcal-mujoco",
+        "wcal-report -> opencv",
+        "wcal-verify -> wcal-calibration",
     ];
     assert_eq!(found, expected);
+}
+
+/// Crates that a command may use, by itself or through other files of the program: what a reader
+/// of the command has to know.
+const OF_COMMANDS: [(&str, &[&str]); 11] = [
+    ("reduce", &["acquisition"]),
+    ("import", &["core", "mesh", "session"]),
+    ("twin", &["core", "mujoco", "rod", "session"]),
+    ("stage_sweep", &["acquisition", "bench", "core", "drivers"]),
+    ("stereo_calibrate", &["core", "vision"]),
+    (
+        "stereo_shape",
+        &["acquisition", "core", "report", "session", "vision"],
+    ),
+    (
+        "fit_whisker",
+        &["core", "mujoco", "rod", "session", "vision"],
+    ),
+    (
+        "fit_gpr",
+        &["calibration", "core", "gpr", "session", "verify"],
+    ),
+    ("predict", &["calibration", "core", "session"]),
+    (
+        "verify",
+        &[
+            "calibration",
+            "core",
+            "report",
+            "session",
+            "track",
+            "verify",
+        ],
+    ),
+    (
+        "track",
+        &[
+            "acquisition",
+            "bench",
+            "calibration",
+            "core",
+            "drivers",
+            "mesh",
+            "network",
+            "session",
+            "track",
+            "verify",
+        ],
+    ),
+];
+
+/// Text of a file of the program and of those in its folder, without tests and comments; empty
+/// where there is none.
+fn program_text(module: &str) -> String {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("calib/cli");
+    let mut files = vec![root.join(format!("{module}.rs"))];
+    let folder = std::fs::read_dir(root.join(module)).into_iter().flatten();
+    files.extend(folder.map(|entry| entry.expect("a readable folder").path()));
+    let texts = files
+        .iter()
+        .map(|file| std::fs::read_to_string(file).unwrap_or_default());
+    let code = |text: String| {
+        let product = text.split("#[cfg(test)]").next().unwrap_or_default();
+        let lines = product
+            .lines()
+            .filter(|l| !l.trim_start().starts_with("//"));
+        lines.collect::<Vec<_>>().join("\n")
+    };
+    texts.map(code).collect::<Vec<_>>().join("\n")
+}
+
+/// Names that follow `prefix` as paths, in groups, too: `crate::{a, b::c}`.
+fn named(text: &str, prefix: &str) -> BTreeSet<String> {
+    let word = |part: &str| {
+        let end = part.find(|c: char| !c.is_alphanumeric() && c != '_');
+        part[..end.unwrap_or(part.len())].to_owned()
+    };
+    let of = |(at, _): (usize, &str)| {
+        let rest = &text[at + prefix.len()..];
+        match rest.strip_prefix('{') {
+            Some(group) => {
+                let group = &group[..group.find('}').unwrap_or(group.len())];
+                group.split(',').map(|part| word(part.trim())).collect()
+            }
+            None => vec![word(rest)],
+        }
+    };
+    text.match_indices(prefix).flat_map(of).collect()
+}
+
+/// Crates that `text` and the files of the program that it leads to use.
+fn crates_of(text: String) -> BTreeSet<String> {
+    let (mut seen, mut to_do, mut crates) = (BTreeSet::new(), vec![text], BTreeSet::new());
+    while let Some(text) = to_do.pop() {
+        crates.extend(named(&text, "wcal_"));
+        for module in named(&text, "crate::") {
+            if seen.insert(module.clone()) {
+                to_do.push(program_text(&module));
+            }
+        }
+    }
+    crates
+}
+
+#[test]
+fn a_command_uses_the_crates_of_its_own_part() {
+    for (command, may) in OF_COMMANDS {
+        let found = crates_of(program_text(command));
+        let found: Vec<&str> = found.iter().map(String::as_str).collect();
+        assert_eq!(found, may, "{command}");
+    }
+    // Control: a file that an import should not read brings its crates along.
+    let longer = program_text("import") + "\nuse crate::{input, labels};";
+    assert!(crates_of(longer).contains("verify"));
 }
 
 /// What `make peers` runs is there: scripts, packages and examples; an example that was deleted

@@ -8,6 +8,7 @@ use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
+use std::str::FromStr;
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
 use wcal_session::motion_table::{LoggedMotion, has_motion, read};
 use wcal_session::sweep_session::SweepSession;
@@ -18,6 +19,7 @@ use wcal_track::known_groove::KnownGroove;
 use wcal_track::reading::Reading;
 use wcal_track::regimes::{ANY_OBJECT, SWEPT_OBJECT};
 use wcal_track::session_groove::{SessionGroove, without_groove};
+use wcal_track::sliding::FrictionPrior;
 use wcal_track::table_source::TableSource;
 use wcal_track::track::Input;
 use wcal_track::track_document::{
@@ -30,7 +32,7 @@ use wcal_track::zero::{FreeStart, beginning};
 use wcal_verify::whisker::WhiskerSystem;
 
 /// Readings and what locates their contacts.
-pub struct Prepared<'a> {
+pub(crate) struct Prepared<'a> {
     readings: Vec<Reading>,
     frame: WireFrame,
     estimator: Box<dyn Estimator + 'a>,
@@ -44,7 +46,7 @@ pub struct Prepared<'a> {
 }
 
 /// A whisker session that is tracked along the known way of its groove.
-pub struct TrackedFolder {
+pub(crate) struct TrackedFolder {
     data: WhiskerData,
     simulated: bool,
     /// Its whisker.
@@ -55,7 +57,7 @@ pub struct TrackedFolder {
 ///
 /// # Errors
 /// Where it is none of a whisker, or the zero would be taken off twice.
-pub fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
+pub(crate) fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
     // Each mounting has the zero that its rest readings and the calibration give.
     if args.tare_s.is_some_and(|s| s != 0.0) {
         bail!(
@@ -155,9 +157,15 @@ pub fn of_table<'a>(
             None,
         ));
     }
+    // A sweep passes an object: the contact slides over it.
+    let passed = path.parent().map(SweepSession::of).transpose()?.flatten();
+    let of_object = passed.as_ref().and_then(|sweep| sweep.friction.as_deref());
+    let of_object = of_object.map(FrictionPrior::from_str).transpose();
+    let of_object =
+        of_object.map_err(|why| anyhow!("{}: object.friction: {why}", path.display()))?;
     let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm)
         .with_tolerance(args.diameter_sd)
-        .with_friction(args.friction.unwrap_or_default());
+        .with_friction(args.friction.or(of_object).unwrap_or_default());
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;
@@ -171,15 +179,8 @@ pub fn of_table<'a>(
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = logged_motion(file, || Ok(source.span_s()))?;
     let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
-    // A sweep passes an object: the contact slides over it.
-    let over_object = path
-        .parent()
-        .map(SweepSession::of)
-        .transpose()?
-        .flatten()
-        .is_some();
     let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;
-    let touched = if over_object {
+    let touched = if passed.is_some() {
         SWEPT_OBJECT
     } else {
         ANY_OBJECT
@@ -194,7 +195,7 @@ pub fn of_table<'a>(
 }
 
 /// A zero that nobody knows.
-pub const NO_ZERO: &str = "expected free readings at the beginning, or their time by --tare-s: the calibration does not know the zero of the \
+pub(crate) const NO_ZERO: &str = "expected free readings at the beginning, or their time by --tare-s: the calibration does not know the zero of the \
      free wire (fit-gpr left out its readings at rest); found neither";
 
 /// Time whose mean moments are the zero of a table, s: the one that is stated, else its free

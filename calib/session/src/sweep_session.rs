@@ -36,6 +36,8 @@ pub struct SweepSession {
     /// Standard deviations of the clock between readings and motion (s), and of the object's place
     /// in each coordinate (mm), turn (degrees) and size (relative).
     pub unknown_sd: [f64; 4],
+    /// Friction coefficient of the object as it is stated, e.g. `0.1 +- 0.05`.
+    pub friction: Option<String>,
 }
 
 impl SweepSession {
@@ -88,6 +90,14 @@ impl SweepSession {
                     })?,
             };
         }
+        let friction = match of_object("friction") {
+            None => None,
+            Some(Value::String(stated)) => Some(stated.clone()),
+            Some(other) => {
+                let expected = "a text such as \"0.1 +- 0.05\"";
+                return Err(error("object.friction", expected, other.to_string()).into());
+            }
+        };
         let missing = || error("files.points", "a table of readings", "none".to_owned());
         let id = session
             .get("id")
@@ -101,6 +111,7 @@ impl SweepSession {
             object: file("object"),
             world_from_object,
             unknown_sd,
+            friction,
         }))
     }
 }

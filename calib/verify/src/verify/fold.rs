@@ -30,7 +30,7 @@ const REFITTED: usize = 2;
 const TIED: f64 = 0.05;
 
 /// A fold of the cross-validation.
-pub struct Fold<M> {
+pub(crate) struct Fold<M> {
     /// The instrument, where the kept readings show another one than all readings do.
     pub model: Option<M>,
     /// The explanation that they choose.
@@ -62,9 +62,15 @@ impl<M: SessionModel> Fold<M> {
                 declared: declared.weights,
             })
         };
-        let first = of(model, candidates)?;
-        let Some(renewed) = model.renewed(&first.chosen, true, seed) else {
-            return Some(first);
+        // A law of the noise that all readings gave is estimated again by those that are kept.
+        let plain = model.before_noise();
+        let start = plain.as_ref().unwrap_or(model);
+        let first = of(start, candidates)?;
+        let Some(renewed) = start.renewed(&first.chosen, true, seed) else {
+            return Some(Self {
+                model: plain,
+                ..first
+            });
         };
         let again = of(&renewed, &[&first.chosen])?;
         Some(Self {

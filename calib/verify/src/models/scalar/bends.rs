@@ -115,21 +115,19 @@ fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, opti
     let Some(first) = outcome.remaining.first().cloned() else {
         return;
     };
-    if !outcome.competed.contains(&keys(&found.best)) {
+    let competed: Vec<Vec<usize>> = outcome.competed.iter().map(keys).collect();
+    let beside = |h: &&Hypothesis| !competed.contains(&keys(h));
+    if !competed.contains(&keys(&found.best)) {
         return;
     }
-    let beside = |h: &&Hypothesis| !outcome.competed.contains(&keys(h));
     let other: Vec<Hypothesis> = found.survivors.iter().filter(beside).cloned().collect();
     if keys(&first) != keys(&found.best) {
         found.last_test = omnibus_test(system, &first.fit, &first.weights, options);
         found.best = first;
     }
-    found
-        .refitted
-        .retain(|h| !outcome.competed.contains(&keys(h)));
-    found
-        .refitted
-        .splice(0..0, outcome.remaining.iter().cloned());
+    // Each fold holds the contest again.
+    found.refitted.retain(|h| !competed.contains(&keys(h)));
+    found.refitted.splice(0..0, outcome.competed);
     found.survivors = outcome.remaining.into_iter().chain(other).collect();
 }
 
@@ -271,16 +269,17 @@ impl<'a> Contest<'a> {
         let mut all = self.bends();
         all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
         let mut set: Vec<Hypothesis> = Vec::new();
-        for (f, _) in all
-            .iter()
-            .filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, self.z))
-        {
+        let mut competed = Vec::new();
+        for (f, errors) in &all {
             let own = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS);
             let own = own.map(|fit| Hypothesis {
                 fit,
                 ..self.of.clone()
             });
-            set.extend(own.filter(|h| set.iter().all(|s| keys(s) != keys(h))));
+            let remains = !errors.is_behind(&all[0].1, &self.noise, self.z);
+            let new = |h: &&Hypothesis| remains && set.iter().all(|s| keys(s) != keys(h));
+            set.extend(own.iter().filter(new).cloned().collect::<Vec<_>>());
+            competed.extend(own);
         }
         let best = set.first().map(keys);
         // The plainest first: fewest parameters, then the catalogue's order.
@@ -288,10 +287,6 @@ impl<'a> Contest<'a> {
         if set.first().map(keys) == best {
             set.truncate(1);
         }
-        let competed = all
-            .into_iter()
-            .map(|(f, _)| keys(&self.hypothesis(f)))
-            .collect();
         Outcome {
             remaining: set,
             competed,
@@ -299,10 +294,10 @@ impl<'a> Contest<'a> {
     }
 }
 
-/// Bends that stand, the plainest first, and the effects of all that competed.
+/// Bends that stand, the plainest first, and all that competed.
 struct Outcome {
     remaining: Vec<Hypothesis>,
-    competed: Vec<Vec<usize>>,
+    competed: Vec<Hypothesis>,
 }
 
 /// A polynomial of the least degree that no higher one beats on readings left out, where it takes
@@ -360,23 +355,26 @@ fn prefer_polynomial(
     if laws.is_none_or(|laws| errors.squares() >= most * laws.squares()) {
         return;
     }
-    let Some(fit) = fit(system, terms, &contest.independent, REFIT_STEPS)
-        .filter(|f| f.status != Status::RankDeficient)
-    else {
+    let fitted = |terms: &Vec<EffectTerm>| {
+        let fit = fit(system, terms, &contest.independent, REFIT_STEPS)?;
+        (fit.status != Status::RankDeficient).then(|| contest.hypothesis(fit))
+    };
+    let Some(smooth) = fitted(terms) else {
         return;
     };
-    let smooth = contest.hypothesis(fit);
     // What it lacks is no reason for laws that lack more: something remains then, and is said.
     if system.unidentified_term(&smooth).is_some() {
         return;
     }
     let last_test = omnibus_test(system, &smooth.fit, &smooth.weights, options);
+    // Each fold chooses its degree.
+    let degrees = all.iter().filter_map(|(_, terms)| fitted(terms)).collect();
     if let Some(noise) = noise_for_predictions(system, &smooth, options.seed) {
         explained.noise = noise;
     }
     let found = &mut explained.found;
     found.covariate_beats_catalogue = false;
     found.survivors = vec![smooth.clone()];
-    found.refitted = vec![smooth.clone()];
+    found.refitted = degrees;
     (found.best, found.last_test) = (smooth, last_test);
 }

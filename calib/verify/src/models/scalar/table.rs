@@ -25,7 +25,7 @@ fn index(system: &ScalarSystem) -> Option<usize> {
 }
 
 /// An explanation that holds the table.
-pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
+pub(crate) fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
     h.fit.terms.iter().any(|t| Some(t.effect) == index(system))
 }
 
@@ -44,7 +44,7 @@ pub(super) fn prefer_error_table(
     {
         return;
     }
-    let Some(table) = table(system, effect, &found.base) else {
+    let Some((table, tables)) = table(system, effect, &found.base) else {
         return;
     };
     let (table, last_test) = extended(system, table, &found.base, options);
@@ -54,7 +54,8 @@ pub(super) fn prefer_error_table(
     let found = &mut explained.found;
     found.covariate_beats_catalogue = false;
     found.survivors = vec![table.clone()];
-    found.refitted = vec![table.clone()];
+    // Each fold chooses among the tables.
+    found.refitted = tables;
     (found.best, found.last_test) = (table, last_test);
 }
 
@@ -68,9 +69,13 @@ fn refitted(system: &ScalarSystem, terms: &[EffectTerm], base: &Hypothesis) -> O
     })
 }
 
-/// The plainest table that no richer one beats: by place, with one reversal value for all, with one
-/// for each place.
-fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypothesis> {
+/// The plainest table that no richer one beats, and all: by place, with one reversal value for all,
+/// with one for each place.
+fn table(
+    system: &ScalarSystem,
+    effect: usize,
+    base: &Hypothesis,
+) -> Option<(Hypothesis, Vec<Hypothesis>)> {
     let of = |law: usize| EffectTerm {
         effect,
         law,
@@ -88,14 +93,18 @@ fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypo
                 values: Vec::new(),
             })
         });
-    let mut kept = refitted(system, &[of(0)], base)?;
     let common = reversal.map(|r| vec![of(0), r]);
-    for terms in common.into_iter().chain([vec![of(1)]]) {
-        kept = refitted(system, &terms, base)
-            .filter(|rich| improves_on_laws(&kept.fit, &rich.fit))
-            .unwrap_or(kept);
+    let richer = common.into_iter().chain([vec![of(1)]]);
+    let mut all = vec![refitted(system, &[of(0)], base)?];
+    all.extend(richer.filter_map(|terms| refitted(system, &terms, base)));
+    let is_better = |plain: &Hypothesis, rich: &Hypothesis| improves_on_laws(&plain.fit, &rich.fit);
+    let mut kept = all[0].clone();
+    for rich in &all[1..] {
+        if is_better(&kept, rich) {
+            kept = rich.clone();
+        }
     }
-    improves_on_laws(&base.fit, &kept.fit).then_some(kept)
+    is_better(base, &kept).then_some((kept, all))
 }
 
 /// What the table leaves may follow the clock or another column: effects that the omnibus test asks

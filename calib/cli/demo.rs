@@ -99,7 +99,7 @@ type RunWords = fn(&[&str]) -> anyhow::Result<ExitCode>;
 ///
 /// # Errors
 /// A file that cannot be written.
-pub fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCode> {
     let names: Vec<&str> = RECORDINGS.iter().chain([&SWEEP]).map(|r| r.name).collect();
     let own = ResultKind {
         command: "demo",

@@ -21,7 +21,7 @@ use wcal_session::{SessionError, SessionFiles, TextTable, read_text_table, write
 ///
 /// # Errors
 /// Where the table or the resulting session cannot be used; nothing is written then.
-pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if args.kind == Kind::Sweep {
         return sweep::run(args);
     }

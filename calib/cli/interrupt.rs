@@ -12,7 +12,7 @@ static INTERRUPT: OnceLock<Interrupt> = OnceLock::new();
 ///
 /// # Errors
 /// When the system does not give the signals.
-pub fn watch() -> Result<Interrupt> {
+pub(crate) fn watch() -> Result<Interrupt> {
     let interrupt = INTERRUPT.get_or_init(Interrupt::default).clone();
     let mut wanted = vec![SIGINT, SIGTERM];
     // Under `nohup` a program is to outlive its terminal.
@@ -37,7 +37,7 @@ pub fn watch() -> Result<Interrupt> {
 }
 
 /// Whether a signal asks for an end now; for those who wait for a person.
-pub fn signal() -> Option<Signal> {
+pub(crate) fn signal() -> Option<Signal> {
     INTERRUPT.get().and_then(Interrupt::signal)
 }
 

@@ -58,7 +58,7 @@ pub(crate) fn record_if_sealed(table: &Path, out: &Path) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// A table or calibration that cannot be read, or a file that cannot be written.
-pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
     let applied = file.model.apply(&args.table)?;

@@ -46,7 +46,7 @@ pub(crate) struct Reporter {
 
 impl Reporter {
     /// Says which stage runs where its part of the work is not known.
-    pub fn stage(&self, stage: &str) {
+    pub(crate) fn stage(&self, stage: &str) {
         stage.clone_into(
             &mut self
                 .state
@@ -58,7 +58,7 @@ impl Reporter {
 
     /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than
     /// before begins to count anew; threads may report a little out of order.
-    pub fn at(&self, stage: &str, done: f64) {
+    pub(crate) fn at(&self, stage: &str, done: f64) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.done.is_none_or(|before| done < 0.5 * before) {
             (state.since, state.steps) = (Instant::now(), 0);

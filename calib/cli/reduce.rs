@@ -88,7 +88,7 @@ struct ClockDocument<'a> {
 ///
 /// # Errors
 /// When the session cannot be read or written.
-pub fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
     let result = reduce(&arguments.session)?;
     report(&result, arguments.json)?;
     let warnings = result.warnings();

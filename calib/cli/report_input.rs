@@ -35,7 +35,7 @@ pub(crate) fn of_document(
 }
 
 /// The report of a whisker session.
-pub fn of_whisker(
+pub(crate) fn of_whisker(
     session: &LoadedSession,
     (data, sealed): (&WhiskerData, usize),
     done: &WhiskerVerification,

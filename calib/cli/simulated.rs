@@ -7,7 +7,7 @@ const MARKER: &str = "SIMULATED";
 
 /// Whether a file is marked as simulated: by itself (JSON of this program), by the session that it
 /// belongs to, or by a file named SIMULATED in its folder or the one above.
-pub fn is_simulated(path: &Path) -> bool {
+pub(crate) fn is_simulated(path: &Path) -> bool {
     // A folder stands for what lies in it.
     let own = if path.is_dir() {
         path
@@ -54,7 +54,7 @@ pub(crate) fn mark_table(csv: &str, simulated: bool) -> String {
 }
 
 /// What stands behind a name on the terminal.
-pub fn word(simulated: bool) -> &'static str {
+pub(crate) fn word(simulated: bool) -> &'static str {
     if simulated { " (SIMULATED)" } else { "" }
 }
 

@@ -74,7 +74,7 @@ type ShowsOfPlan = fn(&Rig, &Plan, &[Step]) -> Result<PlanCheck>;
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
-pub fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<ExitCode> {
     let rig_file = if arguments.rig.is_dir() {
         arguments.rig.join("rig.toml")
     } else {

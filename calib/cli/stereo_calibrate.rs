@@ -106,7 +106,7 @@ const KALIBR_APART_PX: f64 = 0.5;
 ///
 /// # Errors
 /// Where the pictures cannot be used or the calibration is refused.
-pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     anyhow::ensure!(
         args.square_mm.is_finite() && args.square_mm > 0.0,
         "--square-mm: expected a length > 0, found {}",

@@ -25,7 +25,7 @@ const RESULT: ResultKind<'_> = ResultKind {
 ///
 /// # Errors
 /// Where the files cannot be read or no pair can be used.
-pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     let out = match &args.out {
         Some(folder) => Some(OutputFolder::open(&RESULT, folder, args.overwrite.force)?),
         None => None,

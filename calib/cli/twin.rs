@@ -45,7 +45,7 @@ pub(crate) struct TwinArgs {
 
 /// Models of the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Engine {
+pub(crate) enum Engine {
     /// Quasi-static Kirchhoff rod, frictionless groove
     Rod,
     /// MuJoCo's cable in the released groove tip
@@ -54,7 +54,7 @@ pub enum Engine {
 
 /// MuJoCo twins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Preset {
+pub(crate) enum Preset {
     /// As released with the paper
     Released,
     /// The session's whisker, 40 links, clamp corrected
@@ -68,7 +68,7 @@ const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,bran
 ///
 /// # Errors
 /// A session of another kind, or a file that cannot be read or written.
-pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     check_file(
         &args.out,
         "twin",

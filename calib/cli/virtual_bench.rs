@@ -49,7 +49,7 @@ pub(crate) fn load(path: &Path) -> Result<(Scenario, Box<dyn Plant>)> {
 ///
 /// # Errors
 /// When the scenario cannot be used or a port cannot be opened.
-pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     let (mut scenario, plant) = load(&arguments.scenario)?;
     if let Some(speed) = arguments.speed {
         anyhow::ensure!(

@@ -12,14 +12,14 @@ use wcal_core::rig_devices::DeviceOpener;
 use wcal_drivers::Drivers;
 
 /// A running `wcal virtual-bench` and its rig.
-pub struct Bench {
+pub(crate) struct Bench {
     served: VirtualBench,
     pub addresses: PathBuf,
     pub rig: PathBuf,
 }
 
 impl Bench {
-    pub fn start(folder: &Path, speed: f64, rate_hz: f64) -> Self {
+    pub(crate) fn start(folder: &Path, speed: f64, rate_hz: f64) -> Self {
         let scenario = format!(
             "format = \"wcal-scenario/1\"\nseed = 7\nspeed = {speed}\n[interrogator]\nrate_hz = {rate_hz}\n[cameras]\nrate_hz = 1\n\
              size_px = [64, 48]\n"
@@ -35,12 +35,12 @@ impl Bench {
         }
     }
 
-    pub fn type_fault(&mut self, line: &str) {
+    pub(crate) fn type_fault(&mut self, line: &str) {
         self.served.type_fault(line);
     }
 
     /// The stage, homed, trajectory 1 presented, free of the wire.
-    pub fn stage(&self, speed: f64) -> Box<dyn wcal_core::device::Stage> {
+    pub(crate) fn stage(&self, speed: f64) -> Box<dyn wcal_core::device::Stage> {
         let addresses: Value =
             serde_json::from_slice(&std::fs::read(&self.addresses).unwrap()).unwrap();
         let port = format!("tcp://{}", addresses["stage_tcp"].as_str().unwrap());
@@ -66,34 +66,34 @@ impl Bench {
     }
 }
 
-pub fn until_standing(stage: &mut dyn wcal_core::device::Stage) {
+pub(crate) fn until_standing(stage: &mut dyn wcal_core::device::Stage) {
     // The axis answers with an error until it has its reference.
     until("a stage at rest", || stage.read().is_ok_and(|r| !r.moving));
 }
 
 /// Waits until a run has written that many rows, ten for each second of the bench.
-pub fn until_rows(table: &Path, rows: usize) {
+pub(crate) fn until_rows(table: &Path, rows: usize) {
     let there = || std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count());
     until("rows", || there() >= rows);
 }
 
 /// Waits until a run has written that many rows more. Rows reach the file every half second: some
 /// of them may be older than the call.
-pub fn for_rows(table: &Path, rows: usize) {
+pub(crate) fn for_rows(table: &Path, rows: usize) {
     until_rows(
         table,
         rows + std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()),
     );
 }
 
-pub fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {
+pub(crate) fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {
     stage.start_move(mm, 4.0).unwrap();
     until_standing(stage);
 }
 
 /// A calibration that `fit-gpr` made of a session of the virtual bench, as it is and sealed again
 /// as verified.
-pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
+pub(crate) fn calibrations(folder: &Path) -> [PathBuf; 2] {
     let bench = Bench::start(folder, 20.0, 500.0);
     let (session, fit) = (folder.join("session"), folder.join("fit"));
     let plan = repository("rigs/plans/paper-27.toml");
@@ -125,7 +125,7 @@ pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
     [raw, good]
 }
 
-pub fn reseal(from: &Path, to: &Path, change: impl FnOnce(&mut CalibrationFile<Value>)) {
+pub(crate) fn reseal(from: &Path, to: &Path, change: impl FnOnce(&mut CalibrationFile<Value>)) {
     let mut file: CalibrationFile<Value> =
         serde_json::from_slice(&std::fs::read(from).unwrap()).unwrap();
     change(&mut file);

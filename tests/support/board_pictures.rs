@@ -58,7 +58,7 @@ fn next_view(link: &mut TcpStream, before: &CameraFrame) -> Result<CameraFrame> 
 
 /// Pictures of the board in so many attitudes: `FOLDER/left/VV.png` and `FOLDER/right/VV.png`.
 /// `cameras`: addresses of both.
-pub fn board_pictures(cameras: [&str; 2], folder: &Path, views: u32) -> Result<()> {
+pub(crate) fn board_pictures(cameras: [&str; 2], folder: &Path, views: u32) -> Result<()> {
     let mut first = TcpStream::connect(cameras[0])?;
     let mut left = frame(&mut first, 0)?;
     for view in 0..views {

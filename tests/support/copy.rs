@@ -6,7 +6,7 @@ use std::path::Path;
 ///
 /// # Panics
 /// Where a file cannot be read or written.
-pub fn copy_folder(from: &Path, to: &Path) {
+pub(crate) fn copy_folder(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).unwrap();
     for entry in std::fs::read_dir(from).unwrap() {
         let path = entry.unwrap().path();

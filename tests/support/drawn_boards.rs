@@ -14,10 +14,10 @@ const SUB: usize = 4;
 
 /// Grey value of a printed board at a place on it, mm from its middle, x right, y down; none beyond
 /// its edge.
-pub type Print = Box<dyn Fn(f64, f64) -> Option<u8> + Sync>;
+pub(crate) type Print = Box<dyn Fn(f64, f64) -> Option<u8> + Sync>;
 
 /// Squares of this side (mm) with this many inner corners, stretched along the columns.
-pub fn chessboard([columns, rows]: [usize; 2], side_mm: f64, stretch: f64) -> Print {
+pub(crate) fn chessboard([columns, rows]: [usize; 2], side_mm: f64, stretch: f64) -> Print {
     let [width, height] = [columns + 1, rows + 1].map(|n| n as f64 * side_mm);
     Box::new(move |x, y| {
         let (u, v) = (x + 0.5 * width, y / stretch + 0.5 * height);
@@ -31,12 +31,12 @@ pub fn chessboard([columns, rows]: [usize; 2], side_mm: f64, stretch: f64) -> Pr
 }
 
 /// 4 x 3 upright tags of 26 mm with gaps of 7.8 mm, numbered in this order.
-pub fn april_grid(order: TagOrder) -> Print {
+pub(crate) fn april_grid(order: TagOrder) -> Print {
     grid_of(order, std::array::from_fn(|k| k as u32))
 }
 
 /// The same with tags of other numbers.
-pub fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
+pub(crate) fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
     let tags = numbers.map(|number| draw_tag("tag36h11", number).unwrap());
     Box::new(move |x, y| {
         let (u, v) = (x / 33.8 + 1.5, y / 33.8 + 1.0);
@@ -66,7 +66,7 @@ pub fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
 
 /// Poses of a board before the left camera, tilted to all sides; `roll`: share of the rolls that
 /// tell fx from fy.
-pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
+pub(crate) fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
     (0..8)
         .map(|k| {
             let t = f64::from(k);
@@ -83,7 +83,7 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
 }
 
 /// Writes the pairs into `left` and `right` of a folder as 40.pgm and following.
-pub fn write_pairs(
+pub(crate) fn write_pairs(
     folder: &Path,
     print: &Print,
     views: &[Isometry3<f64>],

@@ -35,7 +35,7 @@ const ORDER: [&str; 21] = [
 ];
 
 /// The page; schemas that `ORDER` lacks come last.
-pub fn render(schemas: &BTreeMap<String, Value>) -> String {
+pub(crate) fn render(schemas: &BTreeMap<String, Value>) -> String {
     let mut out = HEAD.to_owned();
     let further = schemas
         .keys()

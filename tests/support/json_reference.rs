@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Schema of what `T` writes. `title`: the file or command that the document is known by.
-pub fn schema<T: JsonSchema>(name: &str, title: &str) -> (String, Value) {
+pub(crate) fn schema<T: JsonSchema>(name: &str, title: &str) -> (String, Value) {
     let generator = SchemaSettings::draft2020_12()
         .for_serialize()
         .into_generator();
@@ -95,7 +95,7 @@ fn drop_unused(schema: &mut Value) {
 /// Holds the committed schemas of `own` and the page against the types. The folder's other schemas
 /// are another program's, whose test holds them; `tests/contracts/schemas.rs` holds all against
 /// documents that the programs write.
-pub fn hold(repository: &Path, own: Vec<(String, Value)>) {
+pub(crate) fn hold(repository: &Path, own: Vec<(String, Value)>) {
     let folder = repository.join("docs/schemas");
     let read = |path: &Path| std::fs::read_to_string(path).unwrap_or_default();
     let mut all: BTreeMap<String, Value> = std::fs::read_dir(&folder)

@@ -1,31 +1,31 @@
 //! What the tests of all targets share: the program, the repository's files, a virtual bench.
 
-pub mod board_pictures;
-pub mod copy;
-pub mod drawn_boards;
-pub mod not_run;
-pub mod packages;
-pub mod recordings;
-pub mod virtual_bench;
+pub(crate) mod board_pictures;
+pub(crate) mod copy;
+pub(crate) mod drawn_boards;
+pub(crate) mod not_run;
+pub(crate) mod packages;
+pub(crate) mod recordings;
+pub(crate) mod virtual_bench;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Path of the program.
-pub const PROGRAM: &str = env!("CARGO_BIN_EXE_wcal");
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_wcal");
 
 /// A file or folder of the repository.
-pub fn repository(name: &str) -> PathBuf {
+pub(crate) fn repository(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
 /// A file or folder below `fixtures`.
-pub fn fixture(name: &str) -> PathBuf {
+pub(crate) fn fixture(name: &str) -> PathBuf {
     repository("fixtures").join(name)
 }
 
 /// The program, not yet started.
-pub fn program() -> Command {
+pub(crate) fn program() -> Command {
     Command::new(PROGRAM)
 }
 
@@ -34,7 +34,7 @@ pub fn program() -> Command {
 ///
 /// # Panics
 /// Where `wcal-lab` is asked for and not there.
-pub fn program_of(command: &str) -> Command {
+pub(crate) fn program_of(command: &str) -> Command {
     if !["simulate", "train", "evaluate"].contains(&command) {
         return program();
     }
@@ -44,7 +44,7 @@ pub fn program_of(command: &str) -> Command {
 }
 
 /// Runs the program to its end.
-pub fn wcal(arguments: &[&str]) -> Output {
+pub(crate) fn wcal(arguments: &[&str]) -> Output {
     program().args(arguments).output().unwrap()
 }
 
@@ -52,7 +52,7 @@ pub fn wcal(arguments: &[&str]) -> Output {
 ///
 /// # Panics
 /// Where the program did.
-pub fn code_and_messages(arguments: &[&str]) -> (i32, String) {
+pub(crate) fn code_and_messages(arguments: &[&str]) -> (i32, String) {
     let run = wcal(arguments);
     let messages = text(&run.stderr);
     assert!(!messages.contains("panicked"), "{messages}");
@@ -60,7 +60,7 @@ pub fn code_and_messages(arguments: &[&str]) -> (i32, String) {
 }
 
 /// What a program printed.
-pub fn text(bytes: &[u8]) -> String {
+pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
@@ -69,7 +69,7 @@ pub fn text(bytes: &[u8]) -> String {
 /// # Panics
 /// Where it does not come within ten minutes: something hangs.
 #[track_caller]
-pub fn until(what: &str, mut there: impl FnMut() -> bool) {
+pub(crate) fn until(what: &str, mut there: impl FnMut() -> bool) {
     let start = std::time::Instant::now();
     while !there() {
         assert!(start.elapsed().as_secs() < 600, "hangs: {what}");

@@ -7,7 +7,7 @@ use std::io::Write as _;
 ///
 /// # Panics
 /// Where `CI` is set: there nothing may be left out in silence.
-pub fn not_run(why: impl Display) {
+pub(crate) fn not_run(why: impl Display) {
     refuse(std::env::var_os("CI").is_some(), &why);
     let _ = writeln!(std::io::stderr(), "NOT RUN: {why}");
 }

@@ -11,7 +11,7 @@ use std::process::Command;
     reason = "not every test that includes this file reads all of it"
 )]
 #[derive(Debug, Clone)]
-pub struct Package {
+pub(crate) struct Package {
     /// Name.
     pub name: String,
     /// Version.
@@ -74,7 +74,7 @@ fn tree(edges: &str) -> BTreeSet<String> {
 }
 
 /// Every package that this platform builds or tests with, by name and version.
-pub fn resolved() -> Vec<Package> {
+pub(crate) fn resolved() -> Vec<Package> {
     let used = tree("normal,build,dev");
     let shipped = tree("normal");
     let all: Value = serde_json::from_str(&cargo(&[

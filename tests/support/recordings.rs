@@ -6,7 +6,7 @@ use std::path::Path;
 ///
 /// # Panics
 /// Where the number is not there.
-pub fn with_number(recording: &Path, from: f64, to: f64) {
+pub(crate) fn with_number(recording: &Path, from: f64, to: f64) {
     let mut bytes = std::fs::read(recording).unwrap();
     // Behind the magic bytes.
     let mut at = 8;

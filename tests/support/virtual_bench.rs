@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 
 /// The process and the file with its addresses.
-pub struct VirtualBench {
+pub(crate) struct VirtualBench {
     child: Child,
     /// What it printed: one line of JSON.
     pub addresses: PathBuf,
@@ -15,7 +15,7 @@ pub struct VirtualBench {
 impl VirtualBench {
     /// Serves a scenario, written as `NAMEscenario.toml` into the folder; the addresses go into
     /// `NAMEbench.json`.
-    pub fn serve(folder: &Path, name: &str, scenario: &str) -> Self {
+    pub(crate) fn serve(folder: &Path, name: &str, scenario: &str) -> Self {
         let path = |file: &str| folder.join(format!("{name}{file}"));
         std::fs::write(path("scenario.toml"), scenario).unwrap();
         let mut child = program()
@@ -37,12 +37,12 @@ impl VirtualBench {
     }
 
     /// Types a fault into it.
-    pub fn type_fault(&mut self, line: &str) {
+    pub(crate) fn type_fault(&mut self, line: &str) {
         writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
     }
 
     /// Sends it a signal.
-    pub fn signal(&self, name: &str) {
+    pub(crate) fn signal(&self, name: &str) {
         let kill = std::process::Command::new("kill")
             .args([name, &self.child.id().to_string()])
             .status();
@@ -50,7 +50,7 @@ impl VirtualBench {
     }
 
     /// Its input closes, and it ends.
-    pub fn end(&mut self) {
+    pub(crate) fn end(&mut self) {
         drop(self.child.stdin.take());
         let _ = self.child.wait();
     }
@@ -63,7 +63,7 @@ impl Drop for VirtualBench {
 }
 
 /// The virtual bench's rig, its interrogator at another rate.
-pub fn rig_at(rate_hz: f64) -> String {
+pub(crate) fn rig_at(rate_hz: f64) -> String {
     let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
     let standard = "rate_hz = 2000.0";
     assert!(rig.contains(standard), "{standard}");

@@ -5,9 +5,9 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_rod::Rod;
 
 /// Length of the test wire, mm.
-pub const LENGTH_MM: f64 = 60.0;
+pub(crate) const LENGTH_MM: f64 = 60.0;
 
-pub fn spec(rest_shape: RestShape) -> WhiskerSpec {
+pub(crate) fn spec(rest_shape: RestShape) -> WhiskerSpec {
     WhiskerSpec {
         diameter_mm: 0.3,
         youngs_gpa: 75.0,
@@ -18,7 +18,7 @@ pub fn spec(rest_shape: RestShape) -> WhiskerSpec {
     }
 }
 
-pub fn straight_shape() -> RestShape {
+pub(crate) fn straight_shape() -> RestShape {
     RestShape::StraightArc {
         straight_mm: LENGTH_MM,
         arc_radius_mm: 20.0,
@@ -26,7 +26,7 @@ pub fn straight_shape() -> RestShape {
     }
 }
 
-pub fn bent_shape() -> RestShape {
+pub(crate) fn bent_shape() -> RestShape {
     RestShape::StraightArc {
         straight_mm: 30.0,
         arc_radius_mm: 20.0,
@@ -34,6 +34,6 @@ pub fn bent_shape() -> RestShape {
     }
 }
 
-pub fn bent(step_mm: f64) -> Rod {
+pub(crate) fn bent(step_mm: f64) -> Rod {
     Rod::new(&spec(bent_shape()), step_mm).unwrap()
 }

@@ -22,7 +22,7 @@ const REFUSED_LIMIT: u32 = 5;
 /// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without
 /// loss, and small pictures between. A refused pair is an event and a count; several in a row, a
 /// silent or a lost camera end the sweep.
-pub fn watch(
+pub(crate) fn watch(
     pair: &mut CameraPair,
     names: &[String; 2],
     monitor: &Mutex<Monitor>,

@@ -9,11 +9,13 @@ use wcal_core::ranges::{OutOfRange, Range};
 use wcal_core::text::brief;
 
 /// Messages of this program.
+#[allow(unreachable_pub, reason = "generated")]
 mod wcal {
     include!(concat!(env!("OUT_DIR"), "/wcal.rs"));
 }
 
 /// Messages of Foxglove.
+#[allow(unreachable_pub, reason = "generated")]
 mod foxglove {
     include!(concat!(env!("OUT_DIR"), "/foxglove.rs"));
 }

@@ -13,7 +13,7 @@ pub(crate) const SHEAR_GPA: f64 = 28.2;
 
 /// `whisker.toml`.
 #[derive(Debug, Serialize)]
-pub struct WhiskerDocument {
+pub(crate) struct WhiskerDocument {
     pub format: &'static str,
     pub whisker: Geometry,
     pub root: Root,
@@ -31,7 +31,7 @@ pub struct WhiskerDocument {
 }
 
 #[derive(Debug, Serialize)]
-pub struct Geometry {
+pub(crate) struct Geometry {
     pub diameter_mm: f64,
     pub length_mm: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -50,13 +50,13 @@ pub struct Geometry {
 
 /// The clamp in the base frame: turn as a rotation vector.
 #[derive(Debug, Serialize)]
-pub struct Root {
+pub(crate) struct Root {
     pub turn_rad: [f64; 3],
     pub offset_mm: [f64; 3],
 }
 
 #[derive(Debug, Serialize)]
-pub struct Fit {
+pub(crate) struct Fit {
     pub model: String,
     pub parameters: Vec<String>,
     pub sd: Vec<f64>,
@@ -80,7 +80,7 @@ pub(crate) struct ShapeRow {
 
 /// A free curvature along the wire.
 #[derive(Debug, Serialize)]
-pub struct Curvature {
+pub(crate) struct Curvature {
     pub s_mm: Vec<f64>,
     pub bend_y_per_mm: Vec<f64>,
     pub bend_y_sd_per_mm: Vec<f64>,
@@ -98,7 +98,7 @@ pub(crate) struct RestModelRow {
 
 impl Geometry {
     /// From the fitted shape; the moduli where moments are known.
-    pub fn new(diameter_mm: f64, rest: &RestShape, stiffness: Option<&Stiffness>) -> Self {
+    pub(crate) fn new(diameter_mm: f64, rest: &RestShape, stiffness: Option<&Stiffness>) -> Self {
         let (mut straight_mm, mut arc_radius_mm, mut rest_shape) = (None, None, None);
         let length = match rest {
             RestShape::StraightArc {
@@ -130,7 +130,7 @@ impl Geometry {
 }
 
 /// Free curvatures of the fit, if that is its model.
-pub fn curvature(fit: &RestFit) -> Option<Curvature> {
+pub(crate) fn curvature(fit: &RestFit) -> Option<Curvature> {
     let RestModel::FreeCurvature(n) = fit.model else {
         return None;
     };
@@ -160,7 +160,7 @@ pub(crate) fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
 }
 
 /// The fit as it is written.
-pub fn described(fit: &RestFit, warnings: &[String]) -> Fit {
+pub(crate) fn described(fit: &RestFit, warnings: &[String]) -> Fit {
     let rows =
         |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
     Fit {

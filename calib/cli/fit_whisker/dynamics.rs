@@ -78,7 +78,7 @@ pub(crate) struct Dynamics {
 }
 
 /// Fits, adds dynamics.csv, and gives the model's options.
-pub fn dynamics(
+pub(crate) fn dynamics(
     args: &DynamicsArgs,
     whisker: &WhiskerSpec,
     out: &mut OutputFolder<'_>,

@@ -25,7 +25,7 @@ const NUDGE: f64 = 10.0;
 
 /// `[stiffness]` of whisker.toml.
 #[derive(Debug, Serialize)]
-pub struct Stiffness {
+pub(crate) struct Stiffness {
     /// Young's modulus, GPa; the diameter is as stated, and EI goes with its fourth power.
     pub youngs_gpa: f64,
     /// All of it, GPa.
@@ -52,7 +52,7 @@ struct Pair {
 ///
 /// # Errors
 /// Where the session has no known moments, or none at a pose that the rod reaches.
-pub fn stiffness(
+pub(crate) fn stiffness(
     session: &Path,
     nominal: &WhiskerSpec,
     fit: &RestFit,

@@ -169,7 +169,7 @@ pub(crate) struct ImportArgs {
 
 /// Kind of session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// One stimulus, one response.
     Transducer,
     /// Commanded against measured position.
@@ -182,7 +182,7 @@ pub enum Kind {
 
 /// What is declared of the instrument.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Declared {
+pub(crate) enum Declared {
     /// Law of a transducer.
     Law(TransducerModel),
     /// File that describes a whisker.

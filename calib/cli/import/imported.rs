@@ -15,7 +15,7 @@ use wcal_core::text::{brief, printable};
 use wcal_session::TextTable;
 
 /// Name of the object's mesh in the folder.
-pub const OBJECT: &str = "object.stl";
+pub(crate) const OBJECT: &str = "object.stl";
 
 /// An imported session: its description says which command made it.
 pub(super) const RESULT: ResultKind<'_> = ResultKind {

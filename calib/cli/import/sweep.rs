@@ -108,7 +108,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
 ///
 /// # Errors
 /// Where a file cannot be used, by line and column; nothing is written then.
-pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let sweep = of_tables(args)?;
     let object = args
         .object

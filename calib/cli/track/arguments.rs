@@ -113,11 +113,11 @@ pub struct TrackArgs {
 
 /// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free
 /// of contact, that the noise is estimated from, s.
-pub const RATE_HZ: f64 = 10.0;
+pub(crate) const RATE_HZ: f64 = 10.0;
 pub(crate) const LAG_S: f64 = 0.1;
 pub(crate) const PREFIX_S: f64 = 3.0;
 /// Standard deviations of a logged motion: each coordinate, mm, and the offset of its clock, s.
-pub const ACCURACY: MotionAccuracy = MotionAccuracy {
+pub(crate) const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.02,
     clock_sd_s: 0.01,
 };
@@ -127,7 +127,7 @@ pub const ACCURACY: MotionAccuracy = MotionAccuracy {
 ///
 /// # Errors
 /// When the disk does not take it.
-pub fn conclude(
+pub(crate) fn conclude(
     args: &TrackArgs,
     files: TrackFiles,
     document: &TrackDocument,

@@ -41,7 +41,7 @@ struct Line {
 
 impl FeedInput {
     /// An intake and the end of its queue; `scans` may wait.
-    pub fn new(scans: usize, recorder: Option<Arc<Recorder>>) -> (Self, Receiver<FeedItem>) {
+    pub(crate) fn new(scans: usize, recorder: Option<Arc<Recorder>>) -> (Self, Receiver<FeedItem>) {
         let (sender, receiver) = sync_channel(scans.div_ceil(BATCH).max(1));
         (
             Self {
@@ -59,7 +59,7 @@ impl FeedInput {
     ///
     /// # Errors
     /// When the disk does not take them.
-    pub fn scans(&self, readings: Vec<FbgReading>) -> Result<bool, AcquisitionError> {
+    pub(crate) fn scans(&self, readings: Vec<FbgReading>) -> Result<bool, AcquisitionError> {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         let mut taken = Vec::with_capacity(readings.len());
         for reading in readings {
@@ -91,7 +91,7 @@ impl FeedInput {
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn stage(
+    pub(crate) fn stage(
         &self,
         position: StagePosition,
         reading: &wcal_core::device::StageReading,
@@ -105,7 +105,7 @@ impl FeedInput {
     }
 
     /// Tells the tracker that the source failed; waits for room.
-    pub fn fail(&self, error: DeviceError) {
+    pub(crate) fn fail(&self, error: DeviceError) {
         let sender = self
             .line
             .lock()
@@ -117,7 +117,7 @@ impl FeedInput {
     }
 
     /// Scans dropped so far.
-    pub fn dropped(&self) -> u64 {
+    pub(crate) fn dropped(&self) -> u64 {
         self.line
             .lock()
             .unwrap_or_else(PoisonError::into_inner)

@@ -58,7 +58,7 @@ fn by_simulation(loaded: &[WhiskerModel<'_>]) -> bool {
 ///
 /// # Errors
 /// Where one cannot be read or is not the rig's.
-pub fn replay(
+pub(crate) fn replay(
     args: &TrackArgs,
     parts: &[PathBuf],
     place: &str,
@@ -135,7 +135,7 @@ fn recorded(parts: &[PathBuf], queue: &SyncSender<FeedItem>) -> Result<Vec<Strin
 /// # Errors
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is
 /// written.
-pub fn track(
+pub(crate) fn track(
     args: &TrackArgs,
     place: &str,
     rig: &Rig,

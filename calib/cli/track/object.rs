@@ -15,7 +15,7 @@ const MAX_MEDIAN_MM: f64 = 1.0;
 ///
 /// # Errors
 /// A description or mesh that cannot be read.
-pub fn passed_object(table: &Path, radius_mm: f64) -> Result<Option<KnownObject>> {
+pub(crate) fn passed_object(table: &Path, radius_mm: f64) -> Result<Option<KnownObject>> {
     let Some(sweep) = table.parent().map(SweepSession::of).transpose()?.flatten() else {
         return Ok(None);
     };

@@ -17,7 +17,7 @@ fn is_track(first: &str) -> bool {
 ///
 /// # Errors
 /// Where something else is there without `force`, or nothing can be written.
-pub fn check(out: &Path, force: bool) -> Result<()> {
+pub(crate) fn check(out: &Path, force: bool) -> Result<()> {
     check_file(out, "track", is_track, force)?;
     // What stands beside an earlier track belongs to it.
     let earlier = out.exists() && is_track(&first_line(out)?);
@@ -29,7 +29,7 @@ pub fn check(out: &Path, force: bool) -> Result<()> {
 ///
 /// # Errors
 /// Where one cannot be made.
-pub fn create(out: &Path) -> Result<TrackFiles> {
+pub(crate) fn create(out: &Path) -> Result<TrackFiles> {
     let summary = companion(out, SUMMARY);
     if summary.is_file() && out.is_file() && is_track(&first_line(out)?) {
         std::fs::remove_file(&summary)

@@ -10,7 +10,7 @@ use wcal_session::motion_table::{LoggedMotion, read};
 
 /// The session whose recording is tracked: the folder that was named, or without a network the one
 /// that the recording lies in.
-pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
+pub(crate) fn session_folder(args: &TrackArgs) -> Option<&Path> {
     let source = args.source.as_deref()?;
     if source.is_dir() || !args.model.is_empty() {
         Some(source)

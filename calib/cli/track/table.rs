@@ -85,7 +85,7 @@ pub(crate) fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFol
 ///
 /// # Errors
 /// Where the session does not say how the groove moves, or the calibration gives no moments for it.
-pub fn of_session<'a>(
+pub(crate) fn of_session<'a>(
     session: &TrackedFolder,
     loaded: &'a WhiskerModel<'a>,
 ) -> Result<Prepared<'a>> {
@@ -121,7 +121,7 @@ pub fn of_session<'a>(
 ///
 /// # Errors
 /// Where table, motion or calibration cannot be used.
-pub fn of_table<'a>(
+pub(crate) fn of_table<'a>(
     args: &TrackArgs,
     path: &Path,
     loaded: &'a WhiskerModel<'a>,
@@ -261,7 +261,7 @@ fn log_document(file: &Path, logged: &LoggedMotion) -> LogDocument {
 ///
 /// # Errors
 /// Where a reading cannot be used, or the disk takes no more.
-pub fn track(
+pub(crate) fn track(
     args: &TrackArgs,
     place: &Path,
     of: Prepared<'_>,

@@ -52,7 +52,7 @@ fn pose(mm: [f64; 3], deg: [f64; 3]) -> Isometry3<f64> {
 
 impl BenchScene {
     /// The bench of a scenario.
-    pub fn new(
+    pub(crate) fn new(
         wire: Wire,
         whisker: &WhiskerScenario,
         paths: Vec<ScenePath>,

@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 /// Text that is safe inside elements and attribute values; characters that XML forbids become
 /// U+FFFD.
-pub fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -37,7 +37,7 @@ pub(crate) fn paragraph(text: &str) -> String {
 }
 
 /// `<ul>` of escaped texts; empty where there are none.
-pub fn list(items: &[String]) -> String {
+pub(crate) fn list(items: &[String]) -> String {
     if items.is_empty() {
         return String::new();
     }
@@ -92,7 +92,7 @@ impl From<String> for TableCell {
 
 /// A table with a caption; the first column heads the rows.
 #[derive(Debug, Default)]
-pub struct Table {
+pub(crate) struct Table {
     caption: String,
     columns: Vec<(String, bool)>,
     stacked: bool,
@@ -101,7 +101,7 @@ pub struct Table {
 
 impl Table {
     /// Starts a table; a column whose name begins with `#` holds numbers.
-    pub fn new(caption: &str, columns: &[&str]) -> Self {
+    pub(crate) fn new(caption: &str, columns: &[&str]) -> Self {
         let split = |c: &&str| match c.strip_prefix('#') {
             Some(name) => (name.to_owned(), true),
             None => ((*c).to_owned(), false),
@@ -116,7 +116,7 @@ impl Table {
     }
 
     /// A table whose rows become cards where the page is narrow.
-    pub fn stacked(caption: &str, columns: &[&str]) -> Self {
+    pub(crate) fn stacked(caption: &str, columns: &[&str]) -> Self {
         Self {
             stacked: true,
             ..Self::new(caption, columns)
@@ -124,7 +124,7 @@ impl Table {
     }
 
     /// Adds a row.
-    pub fn row<C: Into<TableCell>>(&mut self, cells: impl IntoIterator<Item = C>) {
+    pub(crate) fn row<C: Into<TableCell>>(&mut self, cells: impl IntoIterator<Item = C>) {
         self.marked_row("", cells.into_iter().map(C::into).collect());
     }
 
@@ -134,7 +134,7 @@ impl Table {
     }
 
     /// The table inside a box that scrolls sideways where the page is narrow.
-    pub fn html(&self) -> String {
+    pub(crate) fn html(&self) -> String {
         if self.rows.is_empty() {
             return String::new();
         }

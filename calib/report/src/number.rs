@@ -10,7 +10,7 @@ pub fn number(value: f64) -> String {
 }
 
 /// `digits` significant digits without trailing zeros.
-pub fn significant(value: f64, digits: usize) -> String {
+pub(crate) fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return NOT_AVAILABLE.into();
     }
@@ -103,7 +103,7 @@ pub(crate) fn unit_text(unit: &str) -> String {
 }
 
 /// A number with its unit.
-pub fn quantity(value: f64, unit: &str) -> String {
+pub(crate) fn quantity(value: f64, unit: &str) -> String {
     join_unit(&number(value), unit)
 }
 
@@ -116,7 +116,7 @@ pub(crate) fn join_unit(text: &str, unit: &str) -> String {
 }
 
 /// Name and unit of a column such as `stage_mm` or `speed_mm_s`: (`stage`, `mm`).
-pub fn split_unit(column: &str) -> (String, String) {
+pub(crate) fn split_unit(column: &str) -> (String, String) {
     const SUFFIXES: [(&str, &str); 16] = [
         ("_pm_per_degc", "pm/°C"),
         ("_degc_s", "°C/s"),

@@ -42,7 +42,7 @@ pub(crate) struct Dual3(pub [f64; 4]);
 
 impl Dual3 {
     /// Independent variable number `index` (0..3).
-    pub fn variable(value: f64, index: usize) -> Self {
+    pub(crate) fn variable(value: f64, index: usize) -> Self {
         let mut lanes = [value, 0.0, 0.0, 0.0];
         lanes[index + 1] = 1.0;
         Self(lanes)

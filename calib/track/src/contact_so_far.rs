@@ -41,7 +41,7 @@ pub(crate) struct ContactSoFar {
 
 impl ContactSoFar {
     /// With its first readings; none where the push runs along the whole wire.
-    pub fn begin(of: &Assumed, settings: Settings, beginning: Beginning) -> Option<Self> {
+    pub(crate) fn begin(of: &Assumed, settings: Settings, beginning: Beginning) -> Option<Self> {
         let creep_sds = if of.prior.of(Regime::Creeping) > 0.0 {
             &CREEP_SDS[..]
         } else {
@@ -72,18 +72,18 @@ impl ContactSoFar {
     }
 
     /// Takes the next reading.
-    pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
+    pub(crate) fn push(&mut self, field: &MomentField, row: &MotionRow) {
         self.posteriors.iter_mut().for_each(|p| p.push(field, row));
         self.span_s[1] = row.t_s;
     }
 
     /// Innovations of the point that is allowed the most.
-    pub fn innovations(&self) -> Innovations {
+    pub(crate) fn innovations(&self) -> Innovations {
         self.posteriors[self.posteriors.len() - 1].innovations()
     }
 
     /// For track.json.
-    pub fn document(&self) -> ContactDocument {
+    pub(crate) fn document(&self) -> ContactDocument {
         ContactDocument::of_stream(&self.innovations(), self.regions.clone(), self.span_s)
     }
 
@@ -91,7 +91,7 @@ impl ContactSoFar {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn stated(
+    pub(crate) fn stated(
         &mut self,
         of: &Assumed,
         row: &MotionRow,

@@ -346,7 +346,7 @@ impl Weighed<'_> {
 
     /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one,
     /// where one could be made; `whole`: the surface explains all blocks.
-    pub fn evidence(
+    pub(crate) fn evidence(
         &self,
         prior: RegimeWeights,
         sliding: Option<[f64; 2]>,
@@ -442,7 +442,7 @@ impl ContactEvidence {
     }
 
     /// Weights, with what the other contacts of the record say of what may be misstated.
-    pub fn weights(&self, others: &[f64]) -> ContactWeights {
+    pub(crate) fn weights(&self, others: &[f64]) -> ContactWeights {
         let others = others.iter().copied().chain(std::iter::repeat(0.0));
         let all: Vec<(f64, Misstatement, [f64; 3])> = self
             .under()

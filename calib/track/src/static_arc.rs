@@ -23,7 +23,7 @@ pub(crate) struct StaticArc {
 
 impl StaticArc {
     /// Of a wire.
-    pub fn new(wire: CalibratedWire) -> Self {
+    pub(crate) fn new(wire: CalibratedWire) -> Self {
         Self {
             wire,
             inverse: None,
@@ -34,7 +34,7 @@ impl StaticArc {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn allowed(
+    pub(crate) fn allowed(
         &mut self,
         moment_nmm: [f64; 2],
         sd_nmm: [f64; 2],
@@ -54,7 +54,7 @@ impl StaticArc {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn estimate_contact(&mut self, m: &Moments) -> Result<Contact, TrackError> {
+    pub(crate) fn estimate_contact(&mut self, m: &Moments) -> Result<Contact, TrackError> {
         // A reading's own noise may be larger than that from pose to pose, which is one of
         // averages.
         let own = m.own_nmm2.map_or(0.0, |n| n.trace());

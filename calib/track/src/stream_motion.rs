@@ -46,7 +46,7 @@ pub(crate) struct StreamMotion {
 
 impl StreamMotion {
     /// Of a rig; a log takes the place of its stage.
-    pub fn new(rig: &Rig, base_mm_s: Option<f64>, log: Option<MotionLog>) -> Self {
+    pub(crate) fn new(rig: &Rig, base_mm_s: Option<f64>, log: Option<MotionLog>) -> Self {
         let carried =
             |b: &BaseRig| BaseMotion::new(b.world_from_base.0, b.carried_along.map(Vector3::from));
         Self {
@@ -65,7 +65,7 @@ impl StreamMotion {
     }
 
     /// Takes a position of the stage, mm, at a time since the first scan, s.
-    pub fn stage(&mut self, t_s: f64, measured_mm: f64) {
+    pub(crate) fn stage(&mut self, t_s: f64, measured_mm: f64) {
         let groove = self.groove.as_mut().map(|(motion, _)| motion);
         for carried in self.base.iter_mut().chain(groove) {
             carried.push(t_s, measured_mm - self.zero_mm);
@@ -74,7 +74,7 @@ impl StreamMotion {
 
     /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory,
     /// unless the rig says that it carries the base.
-    pub fn sweep_event(&mut self, event: &SweepEvent) {
+    pub(crate) fn sweep_event(&mut self, event: &SweepEvent) {
         let direction = self
             .trajectories
             .get(&event.trajectory)
@@ -89,7 +89,7 @@ impl StreamMotion {
     }
 
     /// What a network's row is judged by.
-    pub fn at(&self, t_s: f64) -> KnownAtRow {
+    pub(crate) fn at(&self, t_s: f64) -> KnownAtRow {
         let base = self.base.as_ref().and_then(|b| b.at(t_s));
         // The groove goes on as the base would go back.
         let groove = self.groove.as_ref().and_then(|(g, _)| g.at(t_s));
@@ -109,7 +109,7 @@ impl StreamMotion {
     ///
     /// # Errors
     /// Where it is not known.
-    pub fn relative(
+    pub(crate) fn relative(
         &self,
         t_s: f64,
         kernel: &[(f64, f64)],
@@ -136,12 +136,12 @@ impl StreamMotion {
     }
 
     /// The log.
-    pub fn log(&self) -> Option<&MotionLog> {
+    pub(crate) fn log(&self) -> Option<&MotionLog> {
         self.log.as_ref()
     }
 
     /// Where the motion comes from, for track.json.
-    pub fn source(&self) -> &'static str {
+    pub(crate) fn source(&self) -> &'static str {
         match (&self.log, &self.base, self.mounts) {
             (Some(_), ..) => "log",
             (None, Some(_), _) => "stage carries the base",

@@ -70,7 +70,7 @@ impl SweepZero {
     /// From rows and how many of the first the free wire is clear of the object, as the clock is
     /// said to be and with one that is off; a reading that is clear, but no longer steady, counts
     /// as loaded. None where too few readings are free.
-    pub fn new(rows: &[SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
+    pub(crate) fn new(rows: &[SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
         let moments: Vec<Vector2<f64>> = rows.iter().map(|r| r.moment_nmm).collect();
         let free = steady(&moments, 0.0).map_or(clear.min(MIN_FREE), |s| s.count.min(at_most));
         if free < MIN_FREE {

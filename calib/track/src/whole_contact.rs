@@ -59,7 +59,7 @@ pub(crate) struct Known {
 
 impl Known {
     /// With its moments and motion.
-    pub fn new(number: usize, row: MotionRow, m: &Moments, motion: &RowMotion) -> Self {
+    pub(crate) fn new(number: usize, row: MotionRow, m: &Moments, motion: &RowMotion) -> Self {
         // What of the noise from pose to pose is no noise of a reading.
         let misfit =
             |own: Matrix2<f64>| [0, 1].map(|c| (m.pose_nmm2[(c, c)] - own[(c, c)]).max(0.0));
@@ -315,7 +315,7 @@ impl WholeContact {
     }
 
     /// How far moments that are larger by 1 % move it, mm.
-    pub fn mm_by_gain(&self) -> f64 {
+    pub(crate) fn mm_by_gain(&self) -> f64 {
         if self.weights.slides() {
             self.sliding.mm_by_gain
         } else {
@@ -324,7 +324,7 @@ impl WholeContact {
     }
 
     /// The likeliest of the points along the motion as it is stated.
-    pub fn point(&self) -> &EpisodeEstimate {
+    pub(crate) fn point(&self) -> &EpisodeEstimate {
         let own = self.points.iter().filter(|p| p.1 == Misstatement::NONE);
         &own.max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or(&self.points[0])
@@ -332,13 +332,13 @@ impl WholeContact {
     }
 
     /// What stays in doubt.
-    pub fn flags(&self) -> Flags {
+    pub(crate) fn flags(&self) -> Flags {
         self.weights
             .flags(self.point().disagrees(), self.sliding.sure())
     }
 
     /// For track.json.
-    pub fn document(&self) -> ContactDocument {
+    pub(crate) fn document(&self) -> ContactDocument {
         let rows = &self.episode.rows;
         let span_s = [rows[0].t_s, rows[rows.len() - 1].t_s];
         let found = ContactDocument::of_table(
@@ -378,7 +378,7 @@ impl WholeContact {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn stated(&self, k: usize, alone: &mut StaticArc) -> Result<Contact, TrackError> {
+    pub(crate) fn stated(&self, k: usize, alone: &mut StaticArc) -> Result<Contact, TrackError> {
         let of_point = |(weight, _, found): &(f64, Misstatement, EpisodeEstimate)| Alternative {
             weight: *weight,
             place: found.places[k].clone(),
@@ -431,7 +431,7 @@ impl WholeContact {
     }
 
     /// What is said of it, for people.
-    pub fn sentences(&self) -> Vec<String> {
+    pub(crate) fn sentences(&self) -> Vec<String> {
         let weights = &self.weights;
         let said = match (weights.certain(), weights.misstatement) {
             (Some(Regime::Misstated), Some((m, _))) => Some(format!("{}; marked motion-disagrees in status", m.sentence())),

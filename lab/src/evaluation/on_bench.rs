@@ -32,7 +32,7 @@ fn known_motion(bench: &VirtualBench) -> Option<KnownMotion> {
 
 /// The network with the base's speed known, on sweeps over seen and unseen objects as the bench's
 /// own calibration measures them.
-pub fn on_bench(
+pub(crate) fn on_bench(
     model: &Model<'_>,
     order: &Order<'_>,
     around: &Surroundings<'_>,

@@ -48,7 +48,7 @@ fn draws(sweeps: usize) -> [(&'static str, SweepPlan, usize); 2] {
 ///
 /// # Errors
 /// Where whisker or network cannot be used.
-pub fn table(
+pub(crate) fn table(
     (tracker, whisker): (&Tracker, &WhiskerSpec),
     order: &Order<'_>,
     progress: &dyn Fn(&str),

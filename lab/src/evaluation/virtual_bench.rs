@@ -25,7 +25,7 @@ use wcal_plant::{CaseKind, Design, Kind, Request};
 
 /// The bench.
 #[derive(Debug)]
-pub struct VirtualBench {
+pub(crate) struct VirtualBench {
     bench: Bench,
     /// Squares of the moments in the shifts, pm/(N mm)^2.
     squares: [f64; 3],
@@ -58,7 +58,7 @@ impl VirtualBench {
     ///
     /// # Errors
     /// Where the wire has no arc, or the session cannot be drawn or calibrated.
-    pub fn new(
+    pub(crate) fn new(
         twin: &WhiskerSpec,
         seed: u64,
         folder: &Path,
@@ -125,7 +125,7 @@ impl VirtualBench {
     }
 
     /// Sweeps on this bench: friction, weight, and the medium's drag.
-    pub fn plan() -> SweepPlan {
+    pub(crate) fn plan() -> SweepPlan {
         let physics = PhysicsPlan {
             friction: [0.05, 0.25],
             medium: Medium::Air,
@@ -144,7 +144,7 @@ impl VirtualBench {
     ///
     /// # Errors
     /// Where the calibration is no whisker's, or the readings cannot be written or put through it.
-    pub fn through(
+    pub(crate) fn through(
         &self,
         series: &SweepSeries,
         by: &CalibrationModel,

@@ -13,7 +13,7 @@ use wcal_network::network::NetworkConfig;
 
 /// One layer: attention and feed-forward part, each after a normalisation.
 #[derive(Module, Debug)]
-pub struct Block {
+pub(crate) struct Block {
     before_attention: LayerNorm,
     query_key_value: Linear,
     out: Linear,

@@ -31,7 +31,7 @@ pub(crate) struct SensorErrors {
 impl SensorErrors {
     /// Draws one: some change the gains of a simulated series only; of the others small noise is
     /// drawn more often.
-    pub fn draw(settings: &TrainSettings, rng: &mut ChaCha8Rng) -> Self {
+    pub(crate) fn draw(settings: &TrainSettings, rng: &mut ChaCha8Rng) -> Self {
         let clean = uniform(rng, 0.0, 1.0) < CLEAN_FRACTION;
         let noise_nmm = if clean {
             0.0
@@ -48,20 +48,25 @@ impl SensorErrors {
     }
 
     /// Filters with this measurement noise.
-    pub fn with_measurement_noise(&self, filters: FilterBank) -> FilterBank {
+    pub(crate) fn with_measurement_noise(&self, filters: FilterBank) -> FilterBank {
         let [y, z] = self.drift_nmm_s;
         filters.with_measurement_noise(self.noise_nmm, y.hypot(z) * ZERO_AGE_S)
     }
 
     /// A moment (N mm) as the sensor measures it.
-    pub fn measured(&self, moment_nmm: [f64; 2], t_s: f64, rng: &mut ChaCha8Rng) -> [f64; 2] {
+    pub(crate) fn measured(
+        &self,
+        moment_nmm: [f64; 2],
+        t_s: f64,
+        rng: &mut ChaCha8Rng,
+    ) -> [f64; 2] {
         // Uniform noise of this standard deviation has the half width sqrt(3) sd.
         let mut noise = || self.noise_nmm * 3.0_f64.sqrt() * uniform(rng, -1.0, 1.0);
         [0, 1].map(|i| moment_nmm[i] * self.gain[i] + self.drift_nmm_s[i] * t_s + noise())
     }
 
     /// A series as the sensor measures it.
-    pub fn apply(&self, series: &SweepSeries, rng: &mut ChaCha8Rng) -> SweepSeries {
+    pub(crate) fn apply(&self, series: &SweepSeries, rng: &mut ChaCha8Rng) -> SweepSeries {
         let mut measured = series.clone();
         for i in &mut measured.samples {
             i.moment_nmm = self.measured(i.moment_nmm, i.t_s, rng);

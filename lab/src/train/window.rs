@@ -42,7 +42,7 @@ pub(super) struct Window<'a> {
 impl Window<'_> {
     /// Mirrors it at the plane y = 0: the moments of the mirrored object, where the free wire lies
     /// in that plane.
-    pub fn mirror(&mut self) {
+    pub(crate) fn mirror(&mut self) {
         let tokens = self.times_s.len();
         let (width, nodes) = (self.inputs.len() / tokens, self.points.len() / (3 * tokens));
         self.inputs
@@ -68,7 +68,7 @@ const FREE_FRACTION: f64 = 0.05;
 
 impl<'a> WindowMaker<'a> {
     /// Windows of series with a bench's errors, drawn from `seed`.
-    pub fn make(
+    pub(crate) fn make(
         &self,
         all_series: &'a [SweepSeries],
         settings: &TrainSettings,

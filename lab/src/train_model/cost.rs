@@ -47,14 +47,14 @@ pub(super) struct Stopwatch {
 }
 
 impl Stopwatch {
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         Self {
             begin: Instant::now(),
             begin_cpu_s: process_s(),
         }
     }
 
-    pub fn elapsed(&self) -> Seconds {
+    pub(crate) fn elapsed(&self) -> Seconds {
         Seconds {
             wall_s: self.begin.elapsed().as_secs_f64(),
             cpu_s: process_s() - self.begin_cpu_s,

@@ -4,21 +4,21 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Path of `wcal-lab`.
-pub const PROGRAM: &str = env!("CARGO_BIN_EXE_wcal-lab");
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_wcal-lab");
 
 /// A file or folder of the repository.
-pub fn repository(name: &str) -> PathBuf {
+pub(crate) fn repository(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name)
 }
 
 /// `wcal-lab`, not yet started.
-pub fn program() -> Command {
+pub(crate) fn program() -> Command {
     Command::new(PROGRAM)
 }
 
 /// The program that has this command, not yet started: `wcal` lies beside `wcal-lab` in a build of
 /// the workspace.
-pub fn program_of(command: &str) -> Command {
+pub(crate) fn program_of(command: &str) -> Command {
     if ["simulate", "train", "evaluate"].contains(&command) {
         return program();
     }
@@ -28,11 +28,11 @@ pub fn program_of(command: &str) -> Command {
 }
 
 /// Runs the program that has this command to its end.
-pub fn run(arguments: &[&str]) -> Output {
+pub(crate) fn run(arguments: &[&str]) -> Output {
     program_of(arguments[0]).args(arguments).output().unwrap()
 }
 
 /// What a program printed.
-pub fn text(bytes: &[u8]) -> String {
+pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }

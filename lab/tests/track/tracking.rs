@@ -37,7 +37,7 @@ fn grid() -> InverseGrid {
 }
 
 /// Of the nominal whisker, coarse.
-pub fn coarse_inverse() -> &'static StaticInverse {
+pub(crate) fn coarse_inverse() -> &'static StaticInverse {
     static INVERSE: OnceLock<StaticInverse> = OnceLock::new();
     INVERSE.get_or_init(|| StaticInverse::new(&whisker(), grid()).unwrap())
 }

@@ -9,7 +9,7 @@ use wcal_verify::verify::VerifyRequest;
 use wcal_verify::whisker::{Verified, verify_whisker};
 
 /// A groove that sits 0.1 mm off.
-pub fn offset() -> Effect {
+pub(crate) fn offset() -> Effect {
     Effect {
         kind: Kind::OffsetGroove,
         amplitude: 0.1,
@@ -18,7 +18,7 @@ pub fn offset() -> Effect {
 }
 
 /// A root that turns by 2 mrad/(N mm).
-pub fn compliance() -> Effect {
+pub(crate) fn compliance() -> Effect {
     Effect {
         kind: Kind::ComplianceIsotropic,
         amplitude: 2e-3,
@@ -27,12 +27,12 @@ pub fn compliance() -> Effect {
 }
 
 /// Both.
-pub fn both() -> Vec<Effect> {
+pub(crate) fn both() -> Vec<Effect> {
     vec![offset(), compliance()]
 }
 
 /// A board that is half a per cent larger than stated.
-pub const BOARD: Fault = Fault::BoardScale(5e-3);
+pub(crate) const BOARD: Fault = Fault::BoardScale(5e-3);
 
 /// As good as `stereo-shape` was measured on the plant's pictures: wire 0.011 mm, groove 0.012 mm.
 const CAMERAS: Cameras = Cameras {
@@ -44,7 +44,7 @@ const CAMERAS: Cameras = Cameras {
 };
 
 /// What acts in a session.
-pub struct Draw {
+pub(crate) struct Draw {
     pub effects: Vec<Effect>,
     pub fault: Fault,
     pub pictures: bool,
@@ -59,7 +59,7 @@ pub struct Draw {
     dead_code,
     reason = "the debug text of a failed test shows every field"
 )]
-pub struct Answer {
+pub(crate) struct Answer {
     pub verdict: Verdict,
     pub effects: Vec<String>,
     pub witness: String,
@@ -70,18 +70,18 @@ pub struct Answer {
 }
 
 impl Answer {
-    pub fn names_only(&self, id: &str) -> bool {
+    pub(crate) fn names_only(&self, id: &str) -> bool {
         self.verdict == Verdict::Effect && self.effects == [id]
     }
 
-    pub fn names_both(&self, ids: [&str; 2]) -> bool {
+    pub(crate) fn names_both(&self, ids: [&str; 2]) -> bool {
         let all = ids.iter().all(|id| self.effects.iter().any(|e| e == id));
         self.verdict == Verdict::Effect && self.effects.len() == 2 && all
     }
 }
 
 /// Draws, writes, loads and verifies.
-pub fn answer(order: &Draw) -> Answer {
+pub(crate) fn answer(order: &Draw) -> Answer {
     let request = Request {
         seed: order.seed,
         design: Design::Paper,

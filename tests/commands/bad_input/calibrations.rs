@@ -3,7 +3,7 @@
 use super::*;
 
 /// A sealed calibration.json around a model.
-pub fn calibration(model: serde_json::Value) -> serde_json::Value {
+pub(crate) fn calibration(model: serde_json::Value) -> serde_json::Value {
     let mut file = wcal_core::CalibrationFile {
         format: wcal_core::calibration::CALIBRATION_FORMAT.to_owned(),
         session: "s".to_owned(),
@@ -21,7 +21,7 @@ pub fn calibration(model: serde_json::Value) -> serde_json::Value {
     serde_json::to_value(&file).unwrap()
 }
 
-pub fn models() -> [serde_json::Value; 3] {
+pub(crate) fn models() -> [serde_json::Value; 3] {
     let fbg = serde_json::json!({
         "nominal_nm": [1541.2, 1535.8], "reference_nominal_nm": null, "temperature_pm_per_degc": null,
         "reference_temperature_pm_per_degc": null, "temperature_compensated": true,
@@ -57,7 +57,7 @@ pub fn models() -> [serde_json::Value; 3] {
 }
 
 /// A whisker's.
-pub fn whisker_calibration() -> serde_json::Value {
+pub(crate) fn whisker_calibration() -> serde_json::Value {
     let [physical, ..] = models();
     let mut file: wcal_core::CalibrationFile<serde_json::Value> =
         serde_json::from_value(calibration(physical)).unwrap();

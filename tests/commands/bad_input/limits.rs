@@ -7,7 +7,7 @@ use std::ffi::OsStr;
 /// `wcal ARGUMENTS` under the limits, nothing on its input. Exit code 124: by the clock; a signal:
 /// by the processor's time. The clock's limit is wide: what waits takes no time of a processor, and
 /// a busy machine makes everything long.
-pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn limited(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 8000000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
     let program = program_of(arguments[0]);
     let script = [OsStr::new("-c"), script.as_ref(), program.get_program()];
@@ -21,7 +21,7 @@ pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
 
 /// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no
 /// memory.
-pub fn sound(output: &Output) -> Result<String, String> {
+pub(crate) fn sound(output: &Output) -> Result<String, String> {
     let text = format!(
         "{}{}",
         String::from_utf8_lossy(&output.stdout),
@@ -47,7 +47,7 @@ pub fn sound(output: &Output) -> Result<String, String> {
 }
 
 /// Works through cases with the machine's processors; the faults that were found.
-pub fn in_parallel<T: Sync>(
+pub(crate) fn in_parallel<T: Sync>(
     cases: &[T],
     judge: impl Fn(&T) -> Result<(), String> + Sync,
 ) -> Vec<String> {

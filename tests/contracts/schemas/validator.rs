@@ -11,7 +11,7 @@ const SHA256: &str = "^[0-9a-f]{64}$";
 
 /// What of a schema is none: keywords, types and patterns that are not known here, references that
 /// lead nowhere.
-pub fn faults(schema: &Value) -> Vec<String> {
+pub(crate) fn faults(schema: &Value) -> Vec<String> {
     let mut out = Vec::new();
     in_schema(schema, schema, "", &mut out);
     out
@@ -76,7 +76,7 @@ fn in_schema(schema: &Value, root: &Value, at: &str, out: &mut Vec<String>) {
 }
 
 /// What in a document is not as its schema says, by place.
-pub fn errors(schema: &Value, document: &Value) -> Vec<String> {
+pub(crate) fn errors(schema: &Value, document: &Value) -> Vec<String> {
     let mut out = Vec::new();
     in_value(schema, schema, document, "", &mut out);
     out

@@ -7,10 +7,10 @@ use serde_json::Value;
 use std::path::Path;
 
 /// A document: its schema, what wrote it, and what it says.
-pub type Written = (&'static str, String, Value);
+pub(crate) type Written = (&'static str, String, Value);
 
 /// A folder with the repository's data in it.
-pub fn folder() -> tempfile::TempDir {
+pub(crate) fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for name in ["fixtures", "rigs"] {
         std::os::unix::fs::symlink(repository(name), folder.path().join(name)).unwrap();
@@ -94,7 +94,7 @@ const TRACK: &str =
     "--calibration held-verified/calibration.json --model fixtures/tracker_small --force --out";
 
 /// Every document, by three threads in one folder.
-pub fn documents(folder: &Path) -> Vec<Written> {
+pub(crate) fn documents(folder: &Path) -> Vec<Written> {
     let place = Place(folder);
     std::thread::scope(|scope| {
         let parts = [
@@ -248,7 +248,7 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
 }
 
 /// First lines of the tables that [`documents`] left in the folder.
-pub fn tables(folder: &Path) -> Vec<(String, String)> {
+pub(crate) fn tables(folder: &Path) -> Vec<(String, String)> {
     let place = Place(folder);
     let names = [
         "cell/points.csv",

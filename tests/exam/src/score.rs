@@ -390,7 +390,13 @@ fn scalar_cover(case: &ScalarCase, predictions: &str, key: &str) -> Option<(usiz
 }
 
 /// An outcome for a program that left no result.
-pub fn crash(name: &str, case: &Drawn, why: String, seconds: f64, code: Option<i32>) -> Outcome {
+pub(crate) fn crash(
+    name: &str,
+    case: &Drawn,
+    why: String,
+    seconds: f64,
+    code: Option<i32>,
+) -> Outcome {
     let blank = match case {
         Drawn::Whisker(case) => blank(name, case),
         Drawn::Scalar(case) => blank_scalar(name, case),

@@ -7,7 +7,7 @@ use std::path::Path;
 use wcal_gpr::MapTraining;
 
 /// The measured set with the released labels (27 poses and rest).
-pub fn whiskerfbg() -> MapTraining {
+pub(crate) fn whiskerfbg() -> MapTraining {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/whiskerfbg");
     let points = table(&folder.join("points.csv"));
     let twin = table(&folder.join("twin.csv"));
@@ -58,7 +58,7 @@ fn table(path: &Path) -> Vec<Vec<(String, String)>> {
 }
 
 /// Simulated sensor: K of the usual size, a bend of the law, and noise of the readings.
-pub struct Plant {
+pub(crate) struct Plant {
     /// Quadratic part at 1 N mm, share of the linear one.
     pub bend: f64,
     /// Noise of each label, N mm.
@@ -67,7 +67,7 @@ pub struct Plant {
 
 impl Plant {
     /// True moments at a shift, N mm (simulated).
-    pub fn moment_nmm(&self, s: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn moment_nmm(&self, s: [f64; 2]) -> [f64; 2] {
         let (a, b) = (s[0] / 80.0, s[1] / 80.0);
         let linear = [1.1 * a - 0.35 * b, 0.2 * a + 0.9 * b];
         [
@@ -77,7 +77,7 @@ impl Plant {
     }
 
     /// `trajectories` x 3 readings and one at rest (simulated).
-    pub fn draw(&self, trajectories: u32, seed: u64) -> MapTraining {
+    pub(crate) fn draw(&self, trajectories: u32, seed: u64) -> MapTraining {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let noise = Normal::new(0.0, self.noise_nmm).unwrap();
         let mut out = MapTraining::default();

@@ -43,7 +43,7 @@ impl Default for GridCell {
 }
 
 impl GridCell {
-    pub fn uniform(weight: f64) -> Self {
+    pub(crate) fn uniform(weight: f64) -> Self {
         Self {
             weight,
             offset: 0.0,
@@ -54,7 +54,7 @@ impl GridCell {
     }
 
     /// One cell with the first two moments of several, each with a factor on its weight.
-    pub fn merged(parts: &[(&Self, f64)]) -> Self {
+    pub(crate) fn merged(parts: &[(&Self, f64)]) -> Self {
         let mut all = MomentSums::default();
         for (cell, factor) in parts {
             all.add(&MomentSums::of(cell), *factor);
@@ -95,13 +95,13 @@ impl MomentSums {
     }
 
     /// Uniform within the node and of unknown velocity.
-    pub fn uniform(weight: f64) -> Self {
+    pub(crate) fn uniform(weight: f64) -> Self {
         Self::of(&GridCell::uniform(weight))
     }
 
     /// Density of two measurements over the offsets of a node; the second one is that of the path
     /// along the curve less the predicted one, `predicted`, over the base's travel.
-    pub fn of_pair(l: &LinearGaussianPair, predicted: f64, travel_mm: f64) -> Self {
+    pub(crate) fn of_pair(l: &LinearGaussianPair, predicted: f64, travel_mm: f64) -> Self {
         // S: joint covariance of both without the offset now.
         let [a, b] = l.by_before;
         let (s11, s22) = (
@@ -177,7 +177,7 @@ impl MomentSums {
     }
 
     #[inline]
-    pub fn add(&mut self, other: &Self, factor: f64) {
+    pub(crate) fn add(&mut self, other: &Self, factor: f64) {
         self.weight += factor * other.weight;
         for k in 0..2 {
             self.offset[k] += factor * other.offset[k];
@@ -186,7 +186,7 @@ impl MomentSums {
     }
 
     /// The cell that has these moments.
-    pub fn cell(&self) -> GridCell {
+    pub(crate) fn cell(&self) -> GridCell {
         if !(self.weight > 0.0) {
             return GridCell::default();
         }

@@ -43,7 +43,7 @@ pub(super) struct ContactState<'c> {
 
 impl ContactState<'_> {
     /// The same point of the object after the base's travel along its +z, mm.
-    pub fn carried(self, travel_mm: f64) -> Self {
+    pub(crate) fn carried(self, travel_mm: f64) -> Self {
         Self {
             point_mm: self.point_mm - Vector3::z() * travel_mm,
             ..self
@@ -69,7 +69,7 @@ fn central_difference(
 }
 
 impl<'a> SampleGeometry<'a> {
-    pub fn new(solutions: &'a [InverseSolution], first_tip: usize) -> Self {
+    pub(crate) fn new(solutions: &'a [InverseSolution], first_tip: usize) -> Self {
         let slopes = |of: fn(&InverseSolution) -> Vector3<f64>| -> Vec<Vector3<f64>> {
             (0..solutions.len())
                 .map(|k| central_difference(solutions, k, first_tip, of))
@@ -98,7 +98,7 @@ impl<'a> SampleGeometry<'a> {
     }
 
     /// The contact that a cell of node `k` means.
-    pub fn contact<'c>(&self, k: usize, cell: &'c GridCell) -> ContactState<'c> {
+    pub(crate) fn contact<'c>(&self, k: usize, cell: &'c GridCell) -> ContactState<'c> {
         let c = &self.solutions[k];
         ContactState {
             point_mm: c.point_mm + self.point_slopes[k] * cell.offset,

@@ -9,17 +9,17 @@ use wcal_report::*;
 #[path = "whisker.rs"]
 mod whisker;
 
-pub use whisker::whisker;
+pub(crate) use whisker::whisker;
 
 const SAMPLE: &str = "SIMULATED SAMPLE, all numbers invented to show the page";
 
 /// All samples.
-pub fn all() -> Vec<ReportInput> {
+pub(crate) fn all() -> Vec<ReportInput> {
     vec![whisker(), transducer(), axis()]
 }
 
 /// Repeatable bell-shaped numbers with unit spread.
-pub struct Noise(u64);
+pub(crate) struct Noise(u64);
 
 impl Noise {
     fn uniform(&mut self) -> f64 {
@@ -36,7 +36,7 @@ impl Noise {
 }
 
 /// A load cell whose curvature was missing.
-pub fn transducer() -> ReportInput {
+pub(crate) fn transducer() -> ReportInput {
     let mut verify = document("sample-transducer", "transducer", Verdict::Effect);
     verify.reason = "The response curves: a quadratic term was missing, and nothing is left once it is added (nested leave-one-out).".into();
     verify.effects = vec![NamedEffect {
@@ -96,7 +96,7 @@ pub fn transducer() -> ReportInput {
 
 /// Pneumatic strokes with something periodic in temperature that nothing explains; many readings,
 /// no noise floor.
-pub fn axis() -> ReportInput {
+pub(crate) fn axis() -> ReportInput {
     let mut verify = document("sample-axis", "axis", Verdict::UnknownEffect);
     verify.reason =
         "Something that follows the temperature is left, and nothing in the catalogue explains it."
@@ -153,7 +153,7 @@ pub fn axis() -> ReportInput {
 }
 
 /// A document in which nothing was found.
-pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
+pub(crate) fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
     VerifyDocument {
         format: VERIFY_FORMAT.into(),
         session: session.into(),

@@ -3,7 +3,7 @@
 use super::*;
 
 /// A whisker session with friction in the groove, a rival that survives and two faulty labels.
-pub fn whisker() -> ReportInput {
+pub(crate) fn whisker() -> ReportInput {
     let mut verify = document("sample-whisker", "whisker", Verdict::Ambiguous);
     verify.reason = "Friction in the groove explains what was left, but backlash of the stage explains it nearly as well; eight poses on the way back would decide (holdout rows sealed until the end).".into();
     verify.twin.faults = vec![

@@ -4,7 +4,7 @@ use crate::number::{significant, superscript};
 
 /// How data is laid out along an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scale {
+pub(crate) enum Scale {
     /// Equal steps.
     Linear,
     /// Equal ratios; values must be positive.
@@ -13,7 +13,7 @@ pub enum Scale {
 
 /// One axis of a chart.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Axis {
+pub(crate) struct Axis {
     /// Name with unit.
     pub label: String,
     /// Lower end, data unit.
@@ -41,7 +41,10 @@ impl Axis {
     }
 
     /// Covers every finite value, zero in the middle.
-    pub fn symmetric(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+    pub(crate) fn symmetric(
+        label: impl Into<String>,
+        values: impl IntoIterator<Item = f64>,
+    ) -> Self {
         let (low, high) = extent(values);
         let reach = match low.abs().max(high.abs()) {
             reach if reach > 0.0 => 1.08 * reach,
@@ -74,7 +77,7 @@ impl Axis {
     }
 
     /// A linear axis of given ends.
-    pub fn fixed(label: impl Into<String>, low: f64, high: f64) -> Self {
+    pub(crate) fn fixed(label: impl Into<String>, low: f64, high: f64) -> Self {
         let high = if high > low { high } else { low + 1.0 };
         Self {
             label: label.into(),
@@ -93,7 +96,7 @@ impl Axis {
 
     /// Position along the axis, 0 at the lower end and 1 at the upper; `None` outside or not
     /// finite.
-    pub fn position(&self, value: f64) -> Option<f64> {
+    pub(crate) fn position(&self, value: f64) -> Option<f64> {
         let share = match self.scale {
             Scale::Linear => (value - self.low) / (self.high - self.low),
             Scale::Log => (value / self.low).ln() / (self.high / self.low).ln(),
@@ -102,7 +105,7 @@ impl Axis {
     }
 
     /// The nearest value that lies on the axis; NaN stays NaN.
-    pub fn clamp(&self, value: f64) -> f64 {
+    pub(crate) fn clamp(&self, value: f64) -> f64 {
         if value.is_nan() {
             value
         } else {

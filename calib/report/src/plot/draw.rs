@@ -28,7 +28,7 @@ impl Frame<'_> {
 }
 
 /// The chart as an `<svg>` element.
-pub fn svg(plot: &Plot) -> String {
+pub(crate) fn svg(plot: &Plot) -> String {
     let (y_ticks, y_label) = plot.y.ticks(((plot.height / 36.0) as usize).max(3));
     let widest = y_ticks
         .iter()

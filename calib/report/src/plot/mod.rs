@@ -4,8 +4,8 @@
 mod axis;
 mod draw;
 
-pub use axis::Axis;
-pub use draw::svg;
+pub(crate) use axis::Axis;
+pub(crate) use draw::svg;
 
 /// Shape of a point; every series differs in shape as well as in colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,6 +96,6 @@ fn text_width(text: &str) -> f64 {
 }
 
 /// Every how many of `count` items to draw so that no more than `most` are drawn.
-pub fn stride(count: usize, most: usize) -> usize {
+pub(crate) fn stride(count: usize, most: usize) -> usize {
     count.div_ceil(most.max(1)).max(1)
 }

@@ -28,7 +28,7 @@ pub(super) fn absent(what: &str) -> String {
 }
 
 /// Class and marker of the n-th channel; past the fourth, colours come back with another shape.
-pub fn series(n: usize) -> (&'static str, Marker) {
+pub(crate) fn series(n: usize) -> (&'static str, Marker) {
     use Marker::{Circle, Diamond, Square, Triangle};
     (
         ["s1", "s2", "s3", "s4"][n % 4],

@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// What one visit showed.
-pub struct Visit {
+pub(crate) struct Visit {
     /// The page after loading, as HTML.
     pub dom: String,
     /// Lines of the console.
@@ -23,7 +23,7 @@ pub struct Visit {
 ///
 /// # Panics
 /// Where there is none and `CI` is set: there the check must not be skipped.
-pub fn browser() -> Option<PathBuf> {
+pub(crate) fn browser() -> Option<PathBuf> {
     let names = [
         "chromium",
         "chromium-browser",
@@ -42,7 +42,7 @@ pub fn browser() -> Option<PathBuf> {
 
 /// Loads a page `width` CSS pixels wide. A browser that never starts gets two more chances with a
 /// fresh profile.
-pub fn visit(browser: &Path, page: &Path, width: u32) -> Visit {
+pub(crate) fn visit(browser: &Path, page: &Path, width: u32) -> Visit {
     let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let mut log = String::new();
     for _ in 0..3 {
@@ -119,7 +119,7 @@ fn try_visit(browser: &Path, page: &Path, width: u32) -> Result<Visit, String> {
 ///
 /// The result is how far the content reaches, CSS pixels. A frame is used since the browser's
 /// window has a least width.
-pub fn content_width(browser: &Path, page: &str, width: u32) -> u32 {
+pub(crate) fn content_width(browser: &Path, page: &str, width: u32) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let measure =
         "<script>parent.postMessage(document.documentElement.scrollWidth, '*')</script></body>";

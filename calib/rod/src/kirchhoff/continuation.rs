@@ -180,7 +180,7 @@ pub(crate) struct BranchTracker<'a> {
 
 impl<'a> BranchTracker<'a> {
     /// Starts at first touch: from the unloaded wire straight to the line, then along it.
-    pub fn start(rod: &'a Rod, line: &Line, touch: &Touch) -> Option<Self> {
+    pub(crate) fn start(rod: &'a Rod, line: &Line, touch: &Touch) -> Option<Self> {
         let wire = rod.shape.rest_point(touch.arclength_mm);
         let target = line.point(touch.x_mm);
         let mut guess = Guess {
@@ -207,7 +207,7 @@ impl<'a> BranchTracker<'a> {
     }
 
     /// Equilibrium at `x_mm`, which must not lie before the last one.
-    pub fn advance_to(&mut self, x_mm: f64) -> Outcome {
+    pub(crate) fn advance_to(&mut self, x_mm: f64) -> Outcome {
         if let Some(end) = self.end {
             return end;
         }

@@ -1,6 +1,6 @@
 //! The continuous rod in the groove: integration, one equilibrium, its branch along a path.
 
-pub mod broyden;
-pub mod continuation;
+pub(crate) mod broyden;
+pub(crate) mod continuation;
 pub mod integrate;
-pub mod solve;
+pub(crate) mod solve;

@@ -9,7 +9,7 @@ use wcal_rod::{Guess, Rod, Tangential, WORKING_STEP_MM};
 
 /// Cantilever under a dead transverse end load: tip (along, across) over L, and F L^2/EI, for a tip
 /// slope `angle`. Bisshopp & Drucker, Quart. Appl. Math. 3 (1945) 272, eqs. 9-13.
-pub fn end_loaded(angle: f64) -> (f64, f64, f64) {
+pub(crate) fn end_loaded(angle: f64) -> (f64, f64, f64) {
     let p = (0.5 * (1.0 + angle.sin())).sqrt();
     let phi = (1.0 / (p * 2.0_f64.sqrt())).asin();
     let alpha = complete_agm(p) - first_kind(phi, p);
@@ -19,7 +19,7 @@ pub fn end_loaded(angle: f64) -> (f64, f64, f64) {
 }
 
 /// Relative error of force, and of the base moment, for a tip slope, in a plane turned about x.
-pub fn elastica_errors(rod: &Rod, angle: f64, plane: f64) -> (f64, f64) {
+pub(crate) fn elastica_errors(rod: &Rod, angle: f64, plane: f64) -> (f64, f64) {
     let (along, across, load) = end_loaded(angle);
     let up = Rotation3::from_axis_angle(&Vector3::x_axis(), plane) * Vector3::y();
     let point = (Vector3::x() * along + up * across) * LENGTH_MM;

@@ -2,7 +2,7 @@
 //! arithmetic-geometric mean.
 
 /// Carlson's R_F(x, y, z).
-pub fn carlson_rf(x: f64, y: f64, z: f64) -> f64 {
+pub(crate) fn carlson_rf(x: f64, y: f64, z: f64) -> f64 {
     let (mut x, mut y, mut z) = (x, y, z);
     loop {
         let lambda = (x * y).sqrt() + (x * z).sqrt() + (y * z).sqrt();
@@ -23,7 +23,7 @@ pub fn carlson_rf(x: f64, y: f64, z: f64) -> f64 {
 }
 
 /// Carlson's R_D(x, y, z).
-pub fn carlson_rd(x: f64, y: f64, z: f64) -> f64 {
+pub(crate) fn carlson_rd(x: f64, y: f64, z: f64) -> f64 {
     let (mut x, mut y, mut z) = (x, y, z);
     let (mut sum, mut factor) = (0.0, 1.0);
     loop {
@@ -52,20 +52,20 @@ pub fn carlson_rd(x: f64, y: f64, z: f64) -> f64 {
 }
 
 /// Incomplete integral of the first kind, modulus `k`.
-pub fn first_kind(phi: f64, k: f64) -> f64 {
+pub(crate) fn first_kind(phi: f64, k: f64) -> f64 {
     let (s, c) = phi.sin_cos();
     s * carlson_rf(c * c, 1.0 - (k * s).powi(2), 1.0)
 }
 
 /// Incomplete integral of the second kind, modulus `k`.
-pub fn second_kind(phi: f64, k: f64) -> f64 {
+pub(crate) fn second_kind(phi: f64, k: f64) -> f64 {
     let (s, c) = phi.sin_cos();
     let y = 1.0 - (k * s).powi(2);
     s * carlson_rf(c * c, y, 1.0) - (k * k * s.powi(3) / 3.0) * carlson_rd(c * c, y, 1.0)
 }
 
 /// K(k) by the arithmetic-geometric mean.
-pub fn complete_agm(k: f64) -> f64 {
+pub(crate) fn complete_agm(k: f64) -> f64 {
     let (mut a, mut b) = (1.0, (1.0 - k * k).sqrt());
     while (a - b).abs() > 1e-15 {
         (a, b) = (0.5 * (a + b), (a * b).sqrt());

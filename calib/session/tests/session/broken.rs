@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 /// One way to break a good session.
-pub struct Broken {
+pub(crate) struct Broken {
     /// Short name.
     pub name: &'static str,
     /// Session that is broken.
@@ -19,7 +19,7 @@ pub struct Broken {
 }
 
 /// A change of one file.
-pub enum Change {
+pub(crate) enum Change {
     /// Replaces the first occurrence of a text, which must be there.
     Text(&'static str, &'static str),
     /// Replaces the whole file.
@@ -30,13 +30,13 @@ pub enum Change {
 
 /// Good sessions to start from.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Base {
+pub(crate) enum Base {
     Whisker,
     Transducer,
     Axis,
 }
 
-pub const WHISKER_TOML: &str = r#"format = "wcal-session/1"
+pub(crate) const WHISKER_TOML: &str = r#"format = "wcal-session/1"
 id = "w"
 kind = "whisker"
 medium = "air"
@@ -62,7 +62,7 @@ origin_mm = [18.0, 0.0, 0.0]
 direction = [0.0, 0.0, 1.0]
 "#;
 
-pub const WHISKER_POINTS: &str = "\
+pub(crate) const WHISKER_POINTS: &str = "\
 point,role,trajectory,t_s,stage_mm,direction,speed_mm_s,groove_x_mm,groove_y_mm,groove_z_mm,temperature_degc,fbg_1_nm,fbg_2_nm,fbg_1_sd_pm,samples
 0,rest,,1,,,0,,,,21.5,1545.01,1543.01,1.1,2000
 1,calibration,1,2,1.25,1,0,18,0,1.25,21.6,1545.03,1543.04,1.2,2000
@@ -81,7 +81,7 @@ const AXIS_POINTS: &str = "point,role,commanded_mm,measured_mm,direction\n0,cali
 
 impl Base {
     /// Writes the good session.
-    pub fn write(self, folder: &Path) {
+    pub(crate) fn write(self, folder: &Path) {
         let (toml, points) = match self {
             Self::Whisker => (WHISKER_TOML, WHISKER_POINTS),
             Self::Transducer => (TRANSDUCER_TOML, TRANSDUCER_POINTS),
@@ -97,7 +97,7 @@ impl Base {
 
 impl Broken {
     /// Writes the broken session.
-    pub fn write(&self, folder: &Path) {
+    pub(crate) fn write(&self, folder: &Path) {
         self.base.write(folder);
         let path = folder.join(self.file);
         match self.change {
@@ -167,7 +167,7 @@ const fn other(
 }
 
 /// Every broken session.
-pub const TABLE: &[Broken] = &[
+pub(crate) const TABLE: &[Broken] = &[
     // Files.
     whisker("no session.toml", "session.toml", Change::Remove, &["session.toml"]),
     whisker("no points", "points.csv", Change::Remove, &["points.csv", "no such file"]),

@@ -65,7 +65,7 @@ pub(crate) struct InterpolatedField<'a> {
 
 impl InterpolatedField<'_> {
     /// As [`MomentField::held`].
-    pub fn held(&self, ratio: f64) -> Option<ContactMoments> {
+    pub(crate) fn held(&self, ratio: f64) -> Option<ContactMoments> {
         let by_ratio = self.field.ratio_weights(ratio);
         let sum = [0, 1, 2].map(|k| {
             self.sums

@@ -78,7 +78,7 @@ pub(super) struct Factored {
 
 impl Normal {
     /// Without any equation.
-    pub fn new(unknowns: usize, common: usize, width: usize) -> Self {
+    pub(crate) fn new(unknowns: usize, common: usize, width: usize) -> Self {
         Self {
             band: Band {
                 width,
@@ -93,7 +93,7 @@ impl Normal {
 
     /// Adds `weight (r + J dx + K dc)^2` to the sum; J of the unknowns from `first` on, K of the
     /// first common ones.
-    pub fn add(&mut self, weight: f64, r: f64, first: usize, j: &[f64], k: &[f64]) {
+    pub(crate) fn add(&mut self, weight: f64, r: f64, first: usize, j: &[f64], k: &[f64]) {
         // Gauss-Newton: J' w J and -J' w r; the chain's matrix is symmetric, so that its lower
         // triangle is enough.
         for (a, va) in j.iter().enumerate() {
@@ -120,7 +120,7 @@ impl Normal {
     }
 
     /// With the diagonal raised by a share of itself; none where it is not positive.
-    pub fn factor(&self, damping: f64) -> Option<Factored> {
+    pub(crate) fn factor(&self, damping: f64) -> Option<Factored> {
         let mut band = self.band.clone();
         let n = band.len();
         for i in 0..n {
@@ -162,14 +162,14 @@ impl Normal {
     }
 
     /// By how much the sum would fall in the step to its least.
-    pub fn gain(&self, by: &Factored) -> f64 {
+    pub(crate) fn gain(&self, by: &Factored) -> f64 {
         // At the minimum of a quadratic form without damping the fall is g' A^-1 g.
         let (step, common) = self.step(by);
         self.right.dot(&step) + self.right_common.dot(&common)
     }
 
     /// The step to the least sum.
-    pub fn step(&self, by: &Factored) -> (DVector<f64>, DVector<f64>) {
+    pub(crate) fn step(&self, by: &Factored) -> (DVector<f64>, DVector<f64>) {
         let mut free = self.right.clone();
         by.band.solve(free.as_mut_slice(), 0);
         // Block elimination: common unknowns from the Schur complement, then the chain.
@@ -188,7 +188,7 @@ impl Factored {
     }
 
     /// Covariance of unknowns `from .. from + count`, what is common included.
-    pub fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
+    pub(crate) fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(count, count);
         for k in 0..count {
             // A column of A^-1: its right-hand side is zero before `from`, where forward

@@ -51,37 +51,37 @@ impl ContactQuantities {
     }
 
     /// Moments, N mm.
-    pub fn moment_nmm(&self) -> Vector2<f64> {
+    pub(crate) fn moment_nmm(&self) -> Vector2<f64> {
         self.0.fixed_rows::<2>(0).into()
     }
 
     /// Point of the object, mm.
-    pub fn point_mm(&self) -> Vector3<f64> {
+    pub(crate) fn point_mm(&self) -> Vector3<f64> {
         self.vector(2)
     }
 
     /// Outward normal of the object.
-    pub fn normal(&self) -> Vector3<f64> {
+    pub(crate) fn normal(&self) -> Vector3<f64> {
         self.vector(5)
     }
 
     /// Direction of friction along the wire.
-    pub fn along(&self) -> Vector3<f64> {
+    pub(crate) fn along(&self) -> Vector3<f64> {
         self.vector(8)
     }
 
     /// Direction of friction across.
-    pub fn across(&self) -> Vector3<f64> {
+    pub(crate) fn across(&self) -> Vector3<f64> {
         self.vector(11)
     }
 
     /// Direction of the wire.
-    pub fn tangent(&self) -> Vector3<f64> {
+    pub(crate) fn tangent(&self) -> Vector3<f64> {
         self.vector(14)
     }
 
     /// Arc length, mm.
-    pub fn arclength_mm(&self) -> f64 {
+    pub(crate) fn arclength_mm(&self) -> f64 {
         self.0[17]
     }
 

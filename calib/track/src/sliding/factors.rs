@@ -157,7 +157,7 @@ fn is_constant(rows: &[MotionRow], j: usize) -> bool {
 }
 
 impl<'a> Chain<'a> {
-    pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
+    pub(crate) fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
         let whiten: Vec<Matrix2<f64>> = rows
             .iter()
             .map(|r| {
@@ -204,7 +204,7 @@ impl<'a> Chain<'a> {
     }
 
     /// With all residuals, under a coefficient of friction.
-    pub fn under(&self, friction: f64) -> Self {
+    pub(crate) fn under(&self, friction: f64) -> Self {
         Self {
             friction,
             by_slip: true,
@@ -214,7 +214,7 @@ impl<'a> Chain<'a> {
     }
 
     /// The common unknowns before any reading.
-    pub fn prior(&self) -> DVector<f64> {
+    pub(crate) fn prior(&self) -> DVector<f64> {
         DVector::zeros(self.shared)
     }
 
@@ -317,7 +317,7 @@ impl<'a> Chain<'a> {
 
     /// How far the contact lies from the free wire, over how far it may lie there at first touch or
     /// at the end: a step of the motion, and what the noise hides.
-    pub fn deflection(&self, k: usize, x: &State, y: &ContactQuantities) -> f64 {
+    pub(crate) fn deflection(&self, k: usize, x: &State, y: &ContactQuantities) -> f64 {
         let mut light = *x;
         light[1] = 0.0;
         let row = &self.rows[k];
@@ -364,12 +364,12 @@ impl<'a> Chain<'a> {
     }
 
     /// Sum of squares of what parts the contacts from one surface.
-    pub fn gaps(&self, x: &[State], c: &DVector<f64>) -> f64 {
+    pub(crate) fn gaps(&self, x: &[State], c: &DVector<f64>) -> f64 {
         self.sum(Kind::Surface, &self.locals(x), c)
     }
 
     /// Sum of squares of everything.
-    pub fn cost(&self, x: &[State], c: &DVector<f64>) -> f64 {
+    pub(crate) fn cost(&self, x: &[State], c: &DVector<f64>) -> f64 {
         let all = self.locals(x);
         c.norm_squared()
             + KINDS
@@ -417,7 +417,7 @@ impl<'a> Chain<'a> {
     }
 
     /// The linearised problem; residuals with heavy tails by their weights.
-    pub fn linearise(
+    pub(crate) fn linearise(
         &self,
         x: &[State],
         c: &DVector<f64>,

@@ -44,7 +44,7 @@ pub(crate) struct SlidingStream {
 
 impl SlidingStream {
     /// Before any reading.
-    pub fn new(wire: TouchedWire) -> Self {
+    pub(crate) fn new(wire: TouchedWire) -> Self {
         Self {
             wire,
             solved: 0,
@@ -55,7 +55,11 @@ impl SlidingStream {
 
     /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the
     /// density along the wire, where some path explains the readings so far.
-    pub fn push(&mut self, row: &MotionRow, means: &Means) -> Option<(EpisodeContact, ArcDensity)> {
+    pub(crate) fn push(
+        &mut self,
+        row: &MotionRow,
+        means: &Means,
+    ) -> Option<(EpisodeContact, ArcDensity)> {
         if means.len() > MAX_BLOCKS {
             return None;
         }

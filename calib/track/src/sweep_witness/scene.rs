@@ -39,14 +39,14 @@ pub(super) struct BasePath(Vec<(f64, Isometry3<f64>)>);
 
 impl BasePath {
     /// Of a sweep's readings, in order of time.
-    pub fn new(rows: &[SweepRow]) -> Self {
+    pub(crate) fn new(rows: &[SweepRow]) -> Self {
         let mut path: Vec<_> = rows.iter().map(|r| (r.t_s, r.world_from_base)).collect();
         path.dedup_by(|later, first| later.0 <= first.0);
         Self(path)
     }
 
     /// Pose at a time.
-    pub fn at(&self, t_s: f64) -> Isometry3<f64> {
+    pub(crate) fn at(&self, t_s: f64) -> Isometry3<f64> {
         let path = &self.0;
         let k = path
             .partition_point(|p| p.0 <= t_s)
@@ -84,7 +84,7 @@ pub(super) struct Scene<'a> {
 impl Scene<'_> {
     /// The gap of the contacts that a reading's moments allow; near a node where one is given. None
     /// where the object is out of reach.
-    pub fn gap(
+    pub(crate) fn gap(
         &self,
         curve: &[InverseSolution],
         t_s: f64,

@@ -15,12 +15,12 @@ const DRIFT_NMM: f64 = 0.003;
 const MAP_SHARE: f64 = 0.003;
 
 /// The rod of a whisker with this mesh, mm.
-pub fn calibrated(whisker: &WhiskerSpec, mesh_mm: f64) -> CalibratedWire {
+pub(crate) fn calibrated(whisker: &WhiskerSpec, mesh_mm: f64) -> CalibratedWire {
     CalibratedWire::of_rod(Rod::new(whisker, mesh_mm).unwrap(), whisker.diameter_mm)
 }
 
 /// The wire of a sweep.
-pub fn whisker(case: &SweepCase) -> WhiskerSpec {
+pub(crate) fn whisker(case: &SweepCase) -> WhiskerSpec {
     let b = &case.scene.bench;
     let rest_shape = RestShape::StraightArc {
         straight_mm: b.straight_mm,
@@ -38,7 +38,7 @@ pub fn whisker(case: &SweepCase) -> WhiskerSpec {
 }
 
 /// Moments with white noise, and errors of the map that all share.
-pub fn moments(
+pub(crate) fn moments(
     moment_nmm: [f64; 2],
     noise_nmm2: Matrix2<f64>,
     shared_nmm: Vec<[f64; 2]>,
@@ -55,7 +55,7 @@ pub fn moments(
 }
 
 /// The readings of a sweep; the motion times a factor.
-pub fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
+pub(crate) fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
     let bench = &case.scene.bench;
     let [[a, b], [c, d]] = bench.k;
     let nmm_per_pm = Matrix2::new(a, b, c, d).try_inverse().unwrap();

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-pub struct ColumnsSystem {
+pub(crate) struct ColumnsSystem {
     measured: DMatrix<f64>,
     columns: Vec<Vec<f64>>,
     catalogue: Vec<Effect>,
@@ -17,12 +17,12 @@ pub struct ColumnsSystem {
 
 impl ColumnsSystem {
     /// The same with covariates.
-    pub fn with_covariates(self, covariates: Vec<(String, Vec<f64>)>) -> Self {
+    pub(crate) fn with_covariates(self, covariates: Vec<(String, Vec<f64>)>) -> Self {
         Self { covariates, ..self }
     }
 
     /// `clean` with white noise of standard deviation 1, in groups of ten readings.
-    pub fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
+    pub(crate) fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let n = clean.len();
         let single = Effect::new(
@@ -55,7 +55,7 @@ impl ColumnsSystem {
     }
 
     /// Term of a column.
-    pub fn term(effect: usize) -> EffectTerm {
+    pub(crate) fn term(effect: usize) -> EffectTerm {
         EffectTerm {
             effect,
             law: 0,

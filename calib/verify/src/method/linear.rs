@@ -104,7 +104,7 @@ const SAME_PIVOT: f64 = 1e-6;
 
 impl JointSpan {
     /// Span of directions of unit length, up to `limit` of them independent.
-    pub fn of<'a>(directions: impl Iterator<Item = &'a DVector<f64>>, limit: usize) -> Self {
+    pub(crate) fn of<'a>(directions: impl Iterator<Item = &'a DVector<f64>>, limit: usize) -> Self {
         let columns: Vec<&DVector<f64>> = directions.collect();
         let size = columns.first().map_or(0, |c| c.len());
         let mut matrix = DMatrix::zeros(size, columns.len());
@@ -152,22 +152,22 @@ impl JointSpan {
     }
 
     /// Independent directions.
-    pub fn rank(&self) -> usize {
+    pub(crate) fn rank(&self) -> usize {
         self.independent.len()
     }
 
     /// Length of a direction.
-    pub fn size(&self) -> usize {
+    pub(crate) fn size(&self) -> usize {
         self.directions.nrows()
     }
 
     /// What vectors of the span, columns of `coordinates`, have along every direction.
-    pub fn along(&self, coordinates: &DMatrix<f64>) -> DMatrix<f64> {
+    pub(crate) fn along(&self, coordinates: &DMatrix<f64>) -> DMatrix<f64> {
         transposed_product(&self.factor, coordinates)
     }
 
     /// Coordinates of the parts of `vectors` in the span.
-    pub fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
+    pub(crate) fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
         // With D = Q R on the pivots, Q' v = R^-T D' v: Q itself is never formed.
         let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
         let triangle = self.factor.select_columns(&self.independent);

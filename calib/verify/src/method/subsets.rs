@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// A set of signatures and what its linear model leaves.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Subset {
+pub(crate) struct Subset {
     /// Indices of the signatures.
     pub signatures: Vec<usize>,
     /// Fall of the sum of squares in units of the variance, less twice the parameters (Akaike);
@@ -112,7 +112,7 @@ pub(crate) fn best_subsets(
 
 impl Subset {
     /// What its terms stand for.
-    pub fn key(&self, catalogue: &Catalogue, signatures: &[Signature]) -> Vec<TermKey> {
+    pub(crate) fn key(&self, catalogue: &Catalogue, signatures: &[Signature]) -> Vec<TermKey> {
         let terms: Vec<EffectTerm> = self
             .signatures
             .iter()

@@ -80,7 +80,7 @@ impl<M: SessionModel> Decision<M> {
 ///
 /// # Errors
 /// Where a witness cannot use its data.
-pub fn decide<M: SessionModel>(
+pub(crate) fn decide<M: SessionModel>(
     mut of: Validated<M>,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,

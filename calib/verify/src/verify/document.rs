@@ -17,7 +17,7 @@ use wcal_core::verify_document::{
 };
 
 /// The document; session, files and mark are the caller's.
-pub fn document<M: SessionModel>(
+pub(crate) fn document<M: SessionModel>(
     decision: &Decision<M>,
     assessment: &Assessment<M>,
 ) -> VerifyDocument {

@@ -15,7 +15,7 @@ use wcal_core::verify_document::WitnessTest;
 pub(crate) const MAX_ROUNDS: usize = 5;
 
 /// What is known of a session.
-pub struct Evidence<M> {
+pub(crate) struct Evidence<M> {
     /// Open readings, as the noise and the instrument make them.
     pub model: M,
     /// Settings of the search; the tails of the noise are those of the last round.
@@ -45,7 +45,7 @@ impl<M: SessionModel> Evidence<M> {
     ///
     /// # Errors
     /// Where it has no solution at the readings.
-    pub fn new(model: M, options: Options) -> Result<Self, VerifyError> {
+    pub(crate) fn new(model: M, options: Options) -> Result<Self, VerifyError> {
         let weights = independent(&model);
         let search = Search::new(&model, &weights, &options).ok_or(VerifyError::NoSolution)?;
         let (plain_test, correlated_gain) = (search.found.first_test.clone(), correlated_gain());

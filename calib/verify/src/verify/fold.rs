@@ -44,7 +44,7 @@ pub(crate) struct Fold<M> {
 
 impl<M: SessionModel> Fold<M> {
     /// By the readings that are not `left_out`; none where these have no declared model.
-    pub fn of(
+    pub(crate) fn of(
         model: &M,
         candidates: &[&Hypothesis],
         left_out: &dyn Fn(usize) -> bool,
@@ -80,12 +80,17 @@ impl<M: SessionModel> Fold<M> {
     }
 
     /// `terms` on the kept readings, under the noise and flags of the chosen explanation.
-    pub fn refit(&self, model: &M, terms: &[EffectTerm], steps: usize) -> Option<Hypothesis> {
+    pub(crate) fn refit(
+        &self,
+        model: &M,
+        terms: &[EffectTerm],
+        steps: usize,
+    ) -> Option<Hypothesis> {
         Hypothesis::fitted(model, terms, &self.chosen.weights, steps)
     }
 
     /// The declared model on the same readings, without those that stand out of it.
-    pub fn declared(&self, model: &M, steps: usize) -> Option<Hypothesis> {
+    pub(crate) fn declared(&self, model: &M, steps: usize) -> Option<Hypothesis> {
         let weights = self
             .chosen
             .weights

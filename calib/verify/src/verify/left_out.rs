@@ -211,7 +211,7 @@ impl<M: SessionModel> LeftOut<M> {
 /// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the
 /// refitted explanations, unless one was accepted on request; readings that the accepted model
 /// flags are not scored, so that before and after stand on the same rows.
-pub fn leave_out<M: SessionModel>(
+pub(crate) fn leave_out<M: SessionModel>(
     model: &M,
     found: &SearchResult,
     accepted: &Hypothesis,

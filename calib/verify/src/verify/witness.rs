@@ -77,7 +77,7 @@ pub(crate) fn test_witnesses<M: SessionModel>(
 }
 
 /// What a witness says of `h`, kept in `tests` where it is new.
-pub fn test<M: SessionModel>(
+pub(crate) fn test<M: SessionModel>(
     witness: &dyn Witness<M>,
     model: &M,
     h: &Hypothesis,

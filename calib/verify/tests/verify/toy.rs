@@ -9,19 +9,19 @@ use wcal_verify::effect::{Effect, EffectTerm, law};
 use wcal_verify::measurement_model::MeasurementModel;
 
 /// Indices of the candidates.
-pub const SHELF: usize = 0;
-pub const BEND: usize = 1;
-pub const SCALE: usize = 2;
-pub const OUTLIERS: usize = 3;
+pub(crate) const SHELF: usize = 0;
+pub(crate) const BEND: usize = 1;
+pub(crate) const SCALE: usize = 2;
+pub(crate) const OUTLIERS: usize = 3;
 
 /// Largest part of the bend in what the readings span.
-pub const BEND_SHARE: f64 = 0.3;
+pub(crate) const BEND_SHARE: f64 = 0.3;
 
-pub const READINGS: usize = 60;
+pub(crate) const READINGS: usize = 60;
 /// True line: zero and slope.
-pub const LINE: [f64; 2] = [3.0, 20.0];
+pub(crate) const LINE: [f64; 2] = [3.0, 20.0];
 /// Noise of one reading.
-pub const NOISE: f64 = 0.1;
+pub(crate) const NOISE: f64 = 0.1;
 
 fn catalogue() -> Vec<Effect> {
     const GRID: &[f64] = &[0.2, 0.4, 0.6, 0.8];
@@ -54,11 +54,11 @@ fn catalogue() -> Vec<Effect> {
 }
 
 /// How far the shelf at `place` lifts the reading at x; rises over about a tenth of the range.
-pub fn shelf(x: f64, place: f64) -> f64 {
+pub(crate) fn shelf(x: f64, place: f64) -> f64 {
     0.5 * (1.0 + ((x - place) / 0.05).tanh())
 }
 
-pub struct ToySystem {
+pub(crate) struct ToySystem {
     x: Vec<f64>,
     measured: DMatrix<f64>,
     catalogue: Vec<Effect>,
@@ -67,7 +67,7 @@ pub struct ToySystem {
 
 impl ToySystem {
     /// Readings at evenly spread, shuffled x: `extra` is added to line and noise.
-    pub fn draw(seed: u64, extra: impl Fn(usize, f64) -> f64) -> Self {
+    pub(crate) fn draw(seed: u64, extra: impl Fn(usize, f64) -> f64) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let mut x: Vec<f64> = (0..READINGS)
             .map(|i| i as f64 / (READINGS - 1) as f64)

@@ -35,7 +35,7 @@ fn session(name: &str) -> wcal_session::LoadedSession {
     .unwrap()
 }
 
-pub fn data(name: &str) -> WhiskerData {
+pub(crate) fn data(name: &str) -> WhiskerData {
     match session(name).data {
         SessionData::Whisker(data) => data,
         _ => panic!("{name} is no whisker session"),

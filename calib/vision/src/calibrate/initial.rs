@@ -20,7 +20,7 @@ use opencv::core::{Mat, Point2f, Point3f, Size, Vector};
 use opencv::prelude::*;
 
 /// Corners of one picture, px, one entry a board point.
-pub type Corners = Vec<Option<Vector2<f64>>>;
+pub(crate) type Corners = Vec<Option<Vector2<f64>>>;
 
 /// One camera calibrated by itself.
 #[derive(Debug, Clone)]

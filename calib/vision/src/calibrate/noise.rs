@@ -77,7 +77,7 @@ pub(crate) fn corner_noise(places: &[GridPlace], views: &[BoardView]) -> CornerN
     }
 }
 
-pub type MarkerView = Vec<(GridPlace, Vector2<f64>)>;
+pub(crate) type MarkerView = Vec<(GridPlace, Vector2<f64>)>;
 
 /// The homography from steps to pixels in one picture, and the corners seen.
 fn grid_in_picture(

@@ -285,7 +285,7 @@ impl CurveModel {
 
     /// The state that follows given curvature deviations (one a node) as closely as the splines
     /// can.
-    pub(crate) fn from_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
+    pub(crate) fn state_of_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);
         for (i, (first, values)) in self.basis.iter().enumerate() {

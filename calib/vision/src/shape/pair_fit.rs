@@ -416,7 +416,7 @@ fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
             found.curvatures[k]
         })
         .collect();
-    let mut state = model.from_curvatures(&per_node);
+    let mut state = model.state_of_curvatures(&per_node);
     state.root[..2].copy_from_slice(&found.root_mm);
     let system = linearise(stereo, left_from_base, &model, &state, &[], 1.0);
     Ok(PairFit {

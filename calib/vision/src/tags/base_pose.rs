@@ -203,7 +203,7 @@ pub struct TurnBlocks {
 
 impl RigPose {
     /// None where the corners leave a direction open.
-    pub fn blocks(&self) -> Option<TurnBlocks> {
+    pub(crate) fn blocks(&self) -> Option<TurnBlocks> {
         let i = &self.information;
         let turn: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
         let cross: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();

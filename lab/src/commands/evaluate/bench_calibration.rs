@@ -12,7 +12,7 @@ use wcal_core::SessionData;
 use wcal_gpr::{FitOptions, fit_map};
 
 /// Calibrates the session; the results of `verify` go into a folder beside it.
-pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
+pub(crate) fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let session = wcal_session::load(folder)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("expected a whisker's session")

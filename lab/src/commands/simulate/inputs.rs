@@ -84,7 +84,7 @@ fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
 ///
 /// # Errors
 /// Where the file cannot be read.
-pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
+pub(crate) fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
     let usual = MjcfOptions::default();
     let Some(found) = path.map(read).transpose()?.and_then(|file| file.dynamics) else {
         return Ok(usual);
@@ -157,7 +157,7 @@ pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
 ///
 /// # Errors
 /// Where two have one name, or none is usable.
-pub fn objects_of(args: &SimulateArgs) -> anyhow::Result<(Vec<Mesh>, Vec<String>)> {
+pub(crate) fn objects_of(args: &SimulateArgs) -> anyhow::Result<(Vec<Mesh>, Vec<String>)> {
     let (mut all, mut left_out) = (Vec::new(), Vec::new());
     for name in &args.object {
         if name == "all" {

@@ -19,7 +19,7 @@ use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_mesh::Mesh;
 
 /// Sweeps to train on.
-pub struct Sweeps {
+pub(crate) struct Sweeps {
     /// Objects are held out of these.
     pub folder: PathBuf,
     /// Trained on only.
@@ -35,7 +35,11 @@ impl Sweeps {
     ///
     /// # Errors
     /// Where a folder holds no dataset, several, or one of another whisker.
-    pub fn there(args: &TrainArgs, folder: &Path, whisker: &WhiskerSpec) -> anyhow::Result<Self> {
+    pub(crate) fn there(
+        args: &TrainArgs,
+        folder: &Path,
+        whisker: &WhiskerSpec,
+    ) -> anyhow::Result<Self> {
         let folders =
             || std::iter::once(folder).chain(args.additional.iter().map(PathBuf::as_path));
         for folder in folders() {
@@ -64,7 +68,7 @@ impl Sweeps {
     ///
     /// # Errors
     /// Where there is no object, or a folder holds other sweeps.
-    pub fn make(args: &TrainArgs) -> anyhow::Result<Self> {
+    pub(crate) fn make(args: &TrainArgs) -> anyhow::Result<Self> {
         within("--sweeps-each", args.sweeps_each, MAX_SWEEPS)?;
         let (begin, mut made) = (Instant::now(), 0);
         let progress = Progress::new("train");

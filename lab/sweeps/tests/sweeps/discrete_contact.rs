@@ -24,7 +24,7 @@ impl Surface for Floor {
     }
 }
 
-pub struct Ball {
+pub(crate) struct Ball {
     pub centre_mm: Vector3<f64>,
     pub radius_mm: f64,
 }
@@ -45,7 +45,7 @@ impl Surface for Ball {
     }
 }
 
-pub fn rod(links: usize) -> ContactRod {
+pub(crate) fn rod(links: usize) -> ContactRod {
     let section = Section::round(0.3, 75.0, 28.2);
     let shape = Shape::new(&spec(bent_shape()).rest_shape, 0.25).unwrap();
     ContactRod::new(&section, &shape, 0.3, links).unwrap()

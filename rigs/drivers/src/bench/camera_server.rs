@@ -8,7 +8,7 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 /// First bytes of every frame.
-pub const MAGIC: &[u8; 4] = b"WCAM";
+pub(crate) const MAGIC: &[u8; 4] = b"WCAM";
 /// Right exposure of the virtual cameras, ms.
 const EXPOSURE_MS: f64 = 5.0;
 /// Grey value where no scene is plugged in.
@@ -21,7 +21,7 @@ const COMMAND_LIMIT: usize = 64;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Result<()> {
+pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Result<()> {
     link.set_write_timeout(Some(Duration::from_secs(5)))?;
     let spec = &shared.scenario.cameras;
     let period_s = 1.0 / spec.rate_hz;

@@ -10,7 +10,7 @@ use std::net::TcpStream;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
+pub(crate) fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;

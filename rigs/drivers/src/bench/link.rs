@@ -212,7 +212,7 @@ impl Pty {
     ///
     /// # Errors
     /// What the system reports.
-    pub fn open() -> io::Result<Self> {
+    pub(crate) fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
@@ -233,7 +233,7 @@ impl Pty {
     }
 
     /// Path of the slave, e.g. `/dev/pts/3`.
-    pub fn path(&self) -> &str {
+    pub(crate) fn path(&self) -> &str {
         &self.path
     }
 }

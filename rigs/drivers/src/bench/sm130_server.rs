@@ -16,7 +16,7 @@ const TOKEN: &[u8] = b"XXXXXXXX";
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
+pub(crate) fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut line = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;

@@ -17,7 +17,7 @@ const MAX_LINE: usize = 512;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
+pub(crate) fn serve(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     match shared.scenario.stage.protocol {
         StageProtocol::Ascii => serve_ascii(shared, wire),
         StageProtocol::Binary => serve_binary(shared, wire),

@@ -13,7 +13,7 @@ pub(crate) struct UnitClock {
 
 impl UnitClock {
     /// What it shows at bench time `t_s`, s.
-    pub fn at(&self, t_s: f64) -> f64 {
+    pub(crate) fn at(&self, t_s: f64) -> f64 {
         let t_s = self.stopped_s.map_or(t_s, |stopped_s| t_s.min(stopped_s));
         let (since_s, ppm) = self.drift;
         let steps_s: f64 = self
@@ -26,17 +26,17 @@ impl UnitClock {
     }
 
     /// Drifts from now on.
-    pub fn drift(&mut self, t_s: f64, ppm: f64) {
+    pub(crate) fn drift(&mut self, t_s: f64, ppm: f64) {
         self.drift = (t_s, ppm);
     }
 
     /// Is set now.
-    pub fn step(&mut self, t_s: f64, step_s: f64) {
+    pub(crate) fn step(&mut self, t_s: f64, step_s: f64) {
         self.steps.push((t_s, step_s));
     }
 
     /// Stands still from now on, or goes on from where it stood.
-    pub fn stop(&mut self, t_s: f64, on: bool) {
+    pub(crate) fn stop(&mut self, t_s: f64, on: bool) {
         match (on, self.stopped_s) {
             (true, None) => self.stopped_s = Some(t_s),
             (false, Some(stopped_s)) => {

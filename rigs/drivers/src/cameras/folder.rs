@@ -21,7 +21,7 @@ impl FolderCamera {
     ///
     /// # Errors
     /// `Configuration` when there is no picture with a number in its name.
-    pub fn open(folder: &Path, period_s: f64) -> Result<Self, DeviceError> {
+    pub(crate) fn open(folder: &Path, period_s: f64) -> Result<Self, DeviceError> {
         let fail = |found: String| {
             let name = format!("camera {}", folder.display());
             DeviceError::new(

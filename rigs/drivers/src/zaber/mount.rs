@@ -36,7 +36,7 @@ impl ZaberMount {
     ///
     /// # Errors
     /// What the unit reports, or a travel that is not the one stated.
-    pub fn open(
+    pub(crate) fn open(
         rig: &MountRig,
         chain: Rc<RefCell<Chain>>,
         clock: HostClock,

@@ -17,7 +17,7 @@ use wcal_drivers::bench::scenario::rest_point;
 const PIECES: usize = 600;
 
 #[derive(Debug, Clone)]
-pub struct Cantilever {
+pub(crate) struct Cantilever {
     paths: Vec<(u32, Path)>,
 }
 
@@ -36,11 +36,11 @@ const CUBIC: f64 = 0.6;
 
 impl Cantilever {
     /// The wire and paths of a scenario, to be plugged into its bench.
-    pub fn of(scenario: &Scenario) -> Box<dyn Plant> {
+    pub(crate) fn of(scenario: &Scenario) -> Box<dyn Plant> {
         Box::new(Self::new(scenario))
     }
 
-    pub fn new(scenario: &Scenario) -> Self {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
         let w = &scenario.whisker;
         // Second moments of a round wire, mm^4; E in N/mm^2.
         let i = std::f64::consts::PI * w.diameter_mm.powi(4) / 64.0;

@@ -14,9 +14,9 @@ use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::scenario::Scenario;
 
 /// Bench seconds per wall second.
-pub const SPEED: f64 = 4.0;
+pub(crate) const SPEED: f64 = 4.0;
 /// Two trajectories of two depths.
-pub const PLAN: &str = r#"
+pub(crate) const PLAN: &str = r#"
 format = "wcal-plan/1"
 name = "short"
 [settle]
@@ -32,7 +32,7 @@ average_s = 0.4
 "#;
 
 /// The virtual bench has a motorised mount: nobody is asked.
-pub struct NoMount;
+pub(crate) struct NoMount;
 
 impl Mount for NoMount {
     fn select(&mut self, _: u32) -> Result<(), DeviceError> {
@@ -42,7 +42,7 @@ impl Mount for NoMount {
 
 /// A bench whose `[interrogator]` has `extra` too; no cameras unless `extra` ends in a `[cameras]`
 /// table.
-pub fn bench(extra: &str) -> VirtualBench {
+pub(crate) fn bench(extra: &str) -> VirtualBench {
     let cameras = if extra.contains("[cameras]") {
         ""
     } else {
@@ -55,14 +55,14 @@ pub fn bench(extra: &str) -> VirtualBench {
 }
 
 /// A running bench by the text of its scenario.
-pub fn start(text: &str) -> VirtualBench {
+pub(crate) fn start(text: &str) -> VirtualBench {
     let scenario = Scenario::parse(text).unwrap();
     let plant = Cantilever::of(&scenario);
     VirtualBench::start(scenario, plant).unwrap()
 }
 
 /// The rig of `rigs/virtual` at the addresses of a bench.
-pub fn rig(bench: &VirtualBench) -> String {
+pub(crate) fn rig(bench: &VirtualBench) -> String {
     let text = include_str!("../../../virtual/rig.toml");
     let a = bench.addresses();
     // Cameras are replaced first: all ports look the same.
@@ -91,7 +91,7 @@ pub fn rig(bench: &VirtualBench) -> String {
 }
 
 /// A new session in `folder`.
-pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
+pub(crate) fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
     RecordRequest {
         rig: rig(bench),
         plan: plan.to_owned(),
@@ -105,7 +105,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
 }
 
 /// Records without anybody watching.
-pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
+pub(crate) fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
     record(
         order,
         &mut Drivers::default(),
@@ -117,7 +117,7 @@ pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
 }
 
 /// Rows of a session.
-pub fn rows(folder: &Path) -> wcal_core::WhiskerData {
+pub(crate) fn rows(folder: &Path) -> wcal_core::WhiskerData {
     let loaded = wcal_session::load(folder).unwrap();
     match loaded.data {
         SessionData::Whisker(data) => data,
@@ -126,7 +126,7 @@ pub fn rows(folder: &Path) -> wcal_core::WhiskerData {
 }
 
 /// Mounts what a test needs, as root.
-pub fn mount(arguments: &[&str]) {
+pub(crate) fn mount(arguments: &[&str]) {
     assert!(
         Command::new("mount")
             .args(arguments)
@@ -138,11 +138,11 @@ pub fn mount(arguments: &[&str]) {
 }
 
 /// A disk of its own; unmounted when dropped.
-pub struct Disk(tempfile::TempDir);
+pub(crate) struct Disk(tempfile::TempDir);
 
 impl Disk {
     /// `size` as mount(8) takes it.
-    pub fn of(size: &str) -> Self {
+    pub(crate) fn of(size: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         mount(&[
             "-t",
@@ -156,7 +156,7 @@ impl Disk {
     }
 
     /// Where it is mounted.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.0.path()
     }
 }

@@ -31,7 +31,7 @@ const ON_THE_LINE_S: f64 = 1.5e-3;
 
 /// What a command asks of a unit.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Order {
+pub(crate) enum Order {
     /// To move to this position, mm of the unit's own scale; relative moves and those to an end are
     /// resolved.
     Move(f64),
@@ -45,7 +45,7 @@ pub enum Order {
 
 /// A command as a unit heard it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Command {
+pub(crate) struct Command {
     /// Bench time, s.
     pub t_s: f64,
     /// Unit: 1 the stage, 2 the mount. A command to all units is heard once by each.
@@ -61,7 +61,7 @@ pub struct Command {
 }
 
 /// What goes wrong at a command.
-pub enum TapFault {
+pub(crate) enum TapFault {
     /// The motion of the stage that it begins, or that runs, stalls.
     Stall,
     /// Its reply comes after the driver has given it up, before that of the next command.
@@ -87,7 +87,7 @@ struct State {
 
 /// A bench whose stage line is tapped. Clones are the same one.
 #[derive(Clone)]
-pub struct Tap {
+pub(crate) struct Tap {
     bench: InProcess,
     state: Arc<Mutex<State>>,
     protocol: StageProtocol,
@@ -95,7 +95,7 @@ pub struct Tap {
 
 impl Tap {
     /// A bench by a scenario.
-    pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
+    pub(crate) fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
         let protocol = scenario.stage.protocol;
         Self {
             bench: InProcess::new(scenario, plant),
@@ -106,7 +106,7 @@ impl Tap {
 
     /// The drivers of this bench, for `record` or on their own. The port of the rig is not looked
     /// at.
-    pub fn devices(&self, interrupt: &Interrupt) -> TapDevices {
+    pub(crate) fn devices(&self, interrupt: &Interrupt) -> TapDevices {
         let tap = self.clone();
         let connect = Rc::new(move |_: &_, _: &_| tap.open());
         TapDevices {
@@ -116,23 +116,23 @@ impl Tap {
     }
 
     /// The pause of a sweep: bench time passes.
-    pub fn pause(&self, time: Duration) {
+    pub(crate) fn pause(&self, time: Duration) {
         self.bench.pause(time);
     }
 
     /// Something goes wrong at the command of this number, counted from 0 from the first opening
     /// on.
-    pub fn at(&self, command: usize, fault: TapFault) {
+    pub(crate) fn at(&self, command: usize, fault: TapFault) {
         self.state().faults.insert(command, fault);
     }
 
     /// Every command so far.
-    pub fn commands(&self) -> Vec<Command> {
+    pub(crate) fn commands(&self) -> Vec<Command> {
         self.state().commands.clone()
     }
 
     /// Whether stage or mount move now; bench time stands while nobody asks.
-    pub fn is_moving(&self) -> bool {
+    pub(crate) fn is_moving(&self) -> bool {
         let t_s = self.bench.state().clock.now_s();
         let mut world = self.bench.state().world();
         world.units.iter_mut().any(|unit| {
@@ -142,13 +142,13 @@ impl Tap {
     }
 
     /// Where the stage is, mm.
-    pub fn stage_mm(&self) -> f64 {
+    pub(crate) fn stage_mm(&self) -> f64 {
         let t_s = self.bench.state().clock.now_s();
         self.bench.state().world().units[0].axis.at(t_s).0
     }
 
     /// `maxspeed` of a unit (index: 0 the stage), as the unit counts it.
-    pub fn speed_data(&self, index: usize) -> i64 {
+    pub(crate) fn speed_data(&self, index: usize) -> i64 {
         let axis = &self.bench.state().world().units[index].axis;
         match self.protocol {
             StageProtocol::Ascii => axis.spec.unit.speed_data(axis.speed_mm_s()),
@@ -160,7 +160,7 @@ impl Tap {
     }
 
     /// The bench behind it.
-    pub fn bench(&self) -> &InProcess {
+    pub(crate) fn bench(&self) -> &InProcess {
         &self.bench
     }
 
@@ -412,7 +412,7 @@ impl ByteLink for Line {
 }
 
 /// The devices of a tapped bench.
-pub struct TapDevices {
+pub(crate) struct TapDevices {
     tap: Tap,
     drivers: Drivers,
 }

@@ -19,7 +19,7 @@ const RETRACTED_MM: f64 = 18.0;
 /// Half a microstep, mm.
 const STEP_MM: f64 = 2.4e-5;
 
-pub fn tap(extra: &str) -> Tap {
+pub(crate) fn tap(extra: &str) -> Tap {
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n{extra}"
     );
@@ -29,7 +29,7 @@ pub fn tap(extra: &str) -> Tap {
 }
 
 /// The rig of `rigs/virtual` without cameras; its ports are not looked at.
-pub fn rig() -> String {
+pub(crate) fn rig() -> String {
     let text = include_str!("../../../virtual/rig.toml");
     let text = text.split("[[camera]]").next().unwrap();
     // Each test has a stage of its own.
@@ -44,13 +44,13 @@ pub fn rig() -> String {
 }
 
 /// The same rig with a binary stage, whose mount is turned by hand.
-pub fn binary(rig: &str) -> String {
+pub(crate) fn binary(rig: &str) -> String {
     let (head, rest) = rig.split_once("[mount]").unwrap();
     let (_, rest) = rest.split_once("[interrogator]").unwrap();
     format!("{head}[interrogator]{rest}").replace("zaber-ascii", "zaber-binary")
 }
 
-pub fn order(rig: &str, folder: &Path) -> RecordRequest {
+pub(crate) fn order(rig: &str, folder: &Path) -> RecordRequest {
     RecordRequest {
         rig: rig.to_owned(),
         plan: PLAN.to_owned(),
@@ -89,7 +89,7 @@ fn finished(recorded: &RecordResult) {
     assert_eq!(recorded.exit_code(), 0, "{:?}", recorded.warnings());
 }
 
-pub fn moves(commands: &[Command], unit: u8) -> Vec<&Command> {
+pub(crate) fn moves(commands: &[Command], unit: u8) -> Vec<&Command> {
     let motion = |c: &&Command| c.unit == unit && matches!(c.order, Order::Home | Order::Move(_));
     commands.iter().filter(motion).collect()
 }

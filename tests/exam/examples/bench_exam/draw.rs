@@ -15,7 +15,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// Rate of the sessions that tell the smallest sizes, Hz.
-pub const REFERENCE_HZ: f64 = 500.0;
+pub(crate) const REFERENCE_HZ: f64 = 500.0;
 /// Largest size over the smallest detectable one, and the share of those beyond it.
 const SPAN: f64 = 8.0;
 const BEYOND: f64 = 0.25;
@@ -24,7 +24,7 @@ const BEYOND: f64 = 0.25;
 const HALFWAY: f64 = 4.0;
 
 /// An effect that the bench can have.
-pub struct Effect {
+pub(crate) struct Effect {
     /// Its name in the catalogue.
     pub id: &'static str,
     /// Key in a scenario's `[effects]`.
@@ -55,7 +55,7 @@ const fn effect(
 }
 
 /// Largest sizes: what is usual for each. A quadratic share is of some 75 pm/(N mm).
-pub const EFFECTS: [Effect; 10] = [
+pub(crate) const EFFECTS: [Effect; 10] = [
     effect("stage-backlash", "backlash_um", 1e-3, 100.0, "backlash_mm"),
     effect("time-lag", "lag_ms", 1e-3, 300.0, "lag_s"),
     effect(
@@ -88,10 +88,10 @@ pub const EFFECTS: [Effect; 10] = [
 
 /// Smallest detectable size of each effect in a session without one; none where the plan does not
 /// show it.
-pub type Smallest = BTreeMap<String, Option<f64>>;
+pub(crate) type Smallest = BTreeMap<String, Option<f64>>;
 
 /// The sizes that a verify.json states.
-pub fn smallest(verify: &Value) -> Smallest {
+pub(crate) fn smallest(verify: &Value) -> Smallest {
     let rows = verify["detectable"].as_array().into_iter().flatten();
     let shown = |row: &Value| {
         (row["status"] == "testable")
@@ -103,7 +103,7 @@ pub fn smallest(verify: &Value) -> Smallest {
 }
 
 /// An effect with what was drawn for it.
-pub struct Act {
+pub(crate) struct Act {
     /// The effect.
     pub effect: &'static Effect,
     /// Size in the scenario's unit.
@@ -168,7 +168,7 @@ impl Act {
     }
 
     /// Parameters of verify.json and their true values.
-    pub fn truths(&self) -> Vec<(&'static str, f64)> {
+    pub(crate) fn truths(&self) -> Vec<(&'static str, f64)> {
         let size = self.size * self.effect.per_key;
         match self.effect.id {
             "creep" => vec![("creep_fraction", size), ("time_constant_s", self.detail)],
@@ -184,7 +184,7 @@ impl Act {
     }
 
     /// In words.
-    pub fn words(&self) -> String {
+    pub(crate) fn words(&self) -> String {
         let detail = if self.effect.id == "creep" {
             format!(" {:.0} s", self.detail)
         } else {
@@ -201,7 +201,7 @@ impl Act {
 
 /// What no catalogue has.
 #[derive(Clone, Copy)]
-pub enum Outside {
+pub(crate) enum Outside {
     /// A drift that sets in at a time, s, at a rate, pm/s.
     Drift([f64; 2]),
     /// One trajectory leaves its stated direction by an angle, rad.
@@ -209,7 +209,7 @@ pub enum Outside {
 }
 
 /// A drawn session.
-pub struct Draw {
+pub(crate) struct Draw {
     /// Its number.
     pub k: u64,
     /// Seed of the bench.
@@ -227,7 +227,7 @@ pub struct Draw {
 }
 
 /// A session without an effect at the reference's rate.
-pub fn reference(seed: u64, plan: &'static str) -> Draw {
+pub(crate) fn reference(seed: u64, plan: &'static str) -> Draw {
     Draw {
         k: 0,
         seed,
@@ -241,7 +241,13 @@ pub fn reference(seed: u64, plan: &'static str) -> Draw {
 
 /// Draw `k` of a set. Of ten draws of a plan two are without an effect, two have two, one has
 /// something outside the catalogue, and five have one: each in turn.
-pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Smallest) -> Draw {
+pub(crate) fn draw(
+    seed: u64,
+    k: u64,
+    plan: &'static str,
+    number: u64,
+    smallest: &Smallest,
+) -> Draw {
     let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(0x9e37_79b9).wrapping_add(k));
     let rate_hz = [200.0, 500.0, 1000.0, 2000.0][rng.random_range(0..4)];
     let mut act = |e: &'static Effect| Act::new(e, plan, rate_hz, smallest, &mut rng);
@@ -300,7 +306,7 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
 
 impl Draw {
     /// What kind of draw it is.
-    pub fn kind(&self) -> &'static str {
+    pub(crate) fn kind(&self) -> &'static str {
         match (&self.outside, self.acts.len()) {
             (Some(_), _) => "outside the catalogue",
             (None, 0) => "none",
@@ -311,7 +317,7 @@ impl Draw {
     }
 
     /// What was put in, in words.
-    pub fn words(&self) -> String {
+    pub(crate) fn words(&self) -> String {
         match self.outside {
             Some(Outside::Drift([at_s, pm_per_s])) => {
                 format!("drift from {at_s} s on, {:.3} pm/min", 60.0 * pm_per_s)
@@ -328,7 +334,7 @@ impl Draw {
     }
 
     /// scenario.toml at `speed`; `trajectories` of the rig file.
-    pub fn scenario(&self, speed: f64, trajectories: &[toml::Value]) -> String {
+    pub(crate) fn scenario(&self, speed: f64, trajectories: &[toml::Value]) -> String {
         let effects: Vec<String> = self.acts.iter().map(Act::lines).collect();
         let mismatch = self
             .acts
@@ -357,7 +363,7 @@ impl Draw {
     }
 
     /// All of it in words, that a session recorded before may be recognised by.
-    pub fn summary(&self) -> String {
+    pub(crate) fn summary(&self) -> String {
         format!(
             "{} {} {} Hz, pictures {}: {}",
             self.seed,
@@ -369,7 +375,7 @@ impl Draw {
     }
 
     /// Names of what the plan shows.
-    pub fn names(&self) -> Vec<&'static str> {
+    pub(crate) fn names(&self) -> Vec<&'static str> {
         self.acts
             .iter()
             .filter(|a| a.shown)

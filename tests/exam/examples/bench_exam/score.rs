@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use wcal_exam::clopper_pearson;
 
 /// What one answer is worth.
-pub struct Score {
+pub(crate) struct Score {
     kind: &'static str,
     right: bool,
     /// An effect with confidence that was not put in.
@@ -45,7 +45,7 @@ fn covers(effect: &Value, act: &Act) -> Option<Vec<bool>> {
 }
 
 /// Scores verify.json of a draw.
-pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
+pub(crate) fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     let verdict = v["verdict"].as_str().unwrap_or("no verdict");
     let effects = v["effects"].as_array().cloned().unwrap_or_default();
     // Members of a class cannot be told apart on the session, which the answer says.
@@ -140,7 +140,7 @@ const NEAR: f64 = 1.3;
 
 /// Prints the table: shares with exact 95 % bounds (Clopper-Pearson). A goal is met where the share
 /// reaches it, shown where its bound does.
-pub fn table(scores: &[Score]) -> Vec<Value> {
+pub(crate) fn table(scores: &[Score]) -> Vec<Value> {
     let mut rows = Vec::new();
     let mut row = |name: &str, goal: Option<(bool, f64)>, hits: usize, of: usize| {
         let (low, high) = if of > 0 {

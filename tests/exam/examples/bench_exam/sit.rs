@@ -150,7 +150,7 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
 }
 
 /// verify.json of a draw; a session that was recorded before is verified anew.
-pub fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
+pub(crate) fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     fs::create_dir_all(folder)?;
     let same =
         |file: &str| fs::read_to_string(folder.join(file)).is_ok_and(|text| text == d.summary());

@@ -138,7 +138,7 @@ impl Linearised {
 impl NodeFilter {
     /// Before any reading; none where the push runs along the wire. `range_mm`: width of the
     /// uniform prior of the onset.
-    pub fn new(reading: &Reading<'_>, s_mm: f64, range_mm: f64) -> Option<Self> {
+    pub(crate) fn new(reading: &Reading<'_>, s_mm: f64, range_mm: f64) -> Option<Self> {
         let settings = reading.settings;
         let common = reading.row.shared_nmm.len();
         let size = COMMON + common + 1 + if settings.correlated.is_some() { 2 } else { 0 };
@@ -173,7 +173,7 @@ impl NodeFilter {
 
     /// The first loaded reading: the onset that explains it best starts the iteration and is the
     /// middle of its prior.
-    pub fn start(&mut self, reading: &Reading<'_>) {
+    pub(crate) fn start(&mut self, reading: &Reading<'_>) {
         let y = Vector2::from(reading.row.moment_nmm);
         let trials = (0..TRIALS)
             .map(|k| FIRST_DEPTH_MM * f64::from(1 << k))
@@ -192,7 +192,7 @@ impl NodeFilter {
 
     /// A further reading. One that may or may not be past first touch is taken both ways, and the
     /// two Gaussians are joined.
-    pub fn update(&mut self, reading: &Reading<'_>) {
+    pub(crate) fn update(&mut self, reading: &Reading<'_>) {
         let depth_mm = self.depth_mm(reading);
         let blur_mm2 = moved_mm2(reading);
         let near_mm = NEAR_SDS * (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
@@ -240,7 +240,7 @@ impl NodeFilter {
     }
 
     /// State of the contact with its covariance.
-    pub fn state(&self) -> (State, Matrix2<f64>) {
+    pub(crate) fn state(&self) -> (State, Matrix2<f64>) {
         let state = State {
             s_mm: self.s_mm,
             onset_mm: self.mean[ONSET],
@@ -250,7 +250,7 @@ impl NodeFilter {
     }
 
     /// The last two of `common + 2` common unknowns, those of a creeping contact.
-    pub fn creep(&self, common: usize) -> Creep {
+    pub(crate) fn creep(&self, common: usize) -> Creep {
         let at = COMMON + common;
         Creep {
             mean: self.mean.fixed_rows::<2>(at).into(),
@@ -260,7 +260,7 @@ impl NodeFilter {
     }
 
     /// Displacement along the push past first touch at the mean, mm.
-    pub fn depth_mm(&self, reading: &Reading<'_>) -> f64 {
+    pub(crate) fn depth_mm(&self, reading: &Reading<'_>) -> f64 {
         (self.place_mm(reading, &self.mean) - self.touch_mm(&self.mean)).dot(&reading.push)
     }
 

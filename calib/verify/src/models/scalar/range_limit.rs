@@ -46,7 +46,7 @@ impl RangeLimit {
 }
 
 /// What a reading shows: the response, or the measured position in mm.
-pub fn read_out(row: &ScalarRow, declared: Declared) -> f64 {
+pub(crate) fn read_out(row: &ScalarRow, declared: Declared) -> f64 {
     if declared == Declared::Axis {
         row.x + 1e-3 * row.y
     } else {

@@ -69,7 +69,7 @@ fn to_and_fro(setting: &[usize]) -> bool {
 
 /// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn
 /// is read once on either way.
-pub fn ways(setting: &[usize]) -> Vec<f64> {
+pub(crate) fn ways(setting: &[usize]) -> Vec<f64> {
     let step = |k: usize| {
         setting
             .get(k + 1)

@@ -9,7 +9,7 @@ use super::path::{Node, WhiskerPath};
 
 /// A part of the way at one speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MotionSegment {
+pub(crate) struct MotionSegment {
     /// Position at its begin, mm.
     pub from_mm: f64,
     /// Position at its end, mm.

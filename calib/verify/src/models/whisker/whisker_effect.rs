@@ -53,7 +53,7 @@ pub(crate) struct WhiskerEffect {
 
 impl WhiskerEffect {
     /// An effect without memory that acts nowhere yet.
-    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+    pub(crate) fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
         Effect::new(id, sentence, laws).into()
     }
 }
@@ -83,22 +83,22 @@ pub(crate) struct ActiveEffect {
 
 impl ActiveEffect {
     /// Its law.
-    pub fn law(&self) -> &'static EffectModel {
+    pub(crate) fn law(&self) -> &'static EffectModel {
         self.effect.effect.law(self.term.law)
     }
 
     /// Values of its parameters, by name.
-    pub fn values(&self) -> Values<'_> {
+    pub(crate) fn values(&self) -> Values<'_> {
         Values::new(self.law(), self.term.law, &self.term.values)
     }
 
     /// What the gratings sense of moments, where the effect makes that depend on those before.
-    pub fn memory(&self) -> Option<Box<dyn Memory>> {
+    pub(crate) fn memory(&self) -> Option<Box<dyn Memory>> {
         self.effect.memory.map(|memory| memory(&self.values()))
     }
 
     /// Changes the moments that the gratings sense at every node, N mm.
-    pub fn sensor(&self, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+    pub(crate) fn sensor(&self, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
         let Some(mut memory) = self.memory() else {
             return;
         };

@@ -81,7 +81,7 @@ pub(crate) fn nonlinearity_cubic() -> ScalarEffect {
 ///
 /// Of a smooth characteristic that repeats (a thermocouple, a Hall sensor) no power is a separate
 /// finding.
-pub fn polynomial(declared: usize) -> ScalarEffect {
+pub(crate) fn polynomial(declared: usize) -> ScalarEffect {
     const NAMES: [&str; MAX_DEGREE + 1] = [
         "", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8",
         "degree-9",
@@ -157,7 +157,7 @@ fn hinges(share: &'static str, range: [f64; 2]) -> Vec<EffectModel> {
 
 /// Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all
 /// (limit stop or full-scale limit, piecewise linear).
-pub fn saturation() -> ScalarEffect {
+pub(crate) fn saturation() -> ScalarEffect {
     ScalarEffect {
         bend: true,
         warp: |values, frame, u| hinge(values, frame, u, -values.of("slope_lost")),
@@ -171,7 +171,7 @@ pub fn saturation() -> ScalarEffect {
 }
 
 /// Knee: two straight pieces, the steeper one away from zero (calibration by pieces).
-pub fn knee() -> ScalarEffect {
+pub(crate) fn knee() -> ScalarEffect {
     ScalarEffect {
         bend: true,
         warp: |values, frame, u| hinge(values, frame, u, values.of("slope_gained")),
@@ -190,7 +190,7 @@ pub fn knee() -> ScalarEffect {
 
 /// Dead zone: near zero next to nothing of the slope remains (play or threshold, piecewise linear).
 /// A slope that is merely smaller there is a knee.
-pub fn dead_zone() -> ScalarEffect {
+pub(crate) fn dead_zone() -> ScalarEffect {
     let about_zero = law("about-zero")
         .needing(&[LawRequirement::Slope])
         .amplitude("slope_lost", "1", [0.8, 1.0], 0.2)

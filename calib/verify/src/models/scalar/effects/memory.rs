@@ -2,7 +2,7 @@
 
 /// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in
 /// equilibrium.
-pub fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
+pub(crate) fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     relaxed_from(u.first().copied().unwrap_or(0.0), u, time, tau)
 }
 
@@ -59,7 +59,7 @@ pub(crate) fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
 
 /// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward
 /// the other end it is taken up at first.
-pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
+pub(crate) fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
     let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
     u.iter()
         .map(|&x| {
@@ -70,7 +70,7 @@ pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
 }
 
 /// Bouc-Wen state with n = 1 (Wen 1976): tends to the sign of the motion over the distance `width`.
-pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
+pub(crate) fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
     let mut state = 0.0;
     let mut before = u.first().copied().unwrap_or(0.0);
     u.iter()
@@ -86,7 +86,7 @@ pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
 
 /// The stimulus at an earlier time, linear between readings; before the first one it stood still,
 /// or, `moving`, went on as it does after it: u(t0 - d) = 2 u(t0) - u(t0 + d).
-pub fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
+pub(crate) fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
     let Some((&first, &begun)) = u.first().zip(time.first()) else {
         return Vec::new();
     };

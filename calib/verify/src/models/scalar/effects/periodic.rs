@@ -30,7 +30,7 @@ const SQUIGGLES: [f64; 14] = [
 ];
 
 /// Harmonic regression; frequencies up to the sampling limit or 100 cycles.
-pub fn periodic() -> ScalarEffect {
+pub(crate) fn periodic() -> ScalarEffect {
     let wave = |name, unit| {
         let period = law(name).shape("period", unit, [MIN_CYCLES, 120.0], &GRID);
         period

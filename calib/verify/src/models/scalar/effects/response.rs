@@ -8,7 +8,7 @@ use crate::scalar::scalar_effect::ScalarEffect;
 pub(crate) const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
-pub fn drift() -> ScalarEffect {
+pub(crate) fn drift() -> ScalarEffect {
     let linear = law("linear")
         .needing(&[LawRequirement::Clock])
         .column("rate", "response/duration");
@@ -20,7 +20,7 @@ pub fn drift() -> ScalarEffect {
 
 /// Temperature moves the zero, the sensitivity (OIML R 60), or both: where the lines of all
 /// temperatures meet need not be the stimulus zero (a pH electrode's isopotential point).
-pub fn temperature() -> ScalarEffect {
+pub(crate) fn temperature() -> ScalarEffect {
     let warm = |name| law(name).needing(&[LawRequirement::Temperature]);
     let (zero, slope) = (
         ("zero_shift", "response/degc"),
@@ -74,7 +74,7 @@ const MIN_EACH_SIDE: usize = 3;
 /// Step: from some reading, or from some stimulus on, every response is shifted; a change point in
 /// time, in the order of the readings where the table has no times, or along the stimulus (another
 /// range of the read-out, a weight that was exchanged).
-pub fn step() -> ScalarEffect {
+pub(crate) fn step() -> ScalarEffect {
     let once = law("once").needing(&[LawRequirement::Clock]).shape(
         "place",
         "clock",
@@ -110,7 +110,7 @@ pub fn step() -> ScalarEffect {
 }
 
 /// Single readings far outside the noise.
-pub fn outliers() -> ScalarEffect {
+pub(crate) fn outliers() -> ScalarEffect {
     let sentence = "Single readings lie far outside the noise of the others.";
     let found_singly = Effect::new("outliers", sentence, vec![law("single-readings")]);
     Effect {

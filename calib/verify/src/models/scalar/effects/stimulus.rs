@@ -10,7 +10,7 @@ use crate::scalar::scalar_effect::ScalarEffect;
 /// Scale error: the response follows x (1 + e), a sensitivity or lead error (systematic deviation
 /// of ISO 230-2); a free slope takes it up whole. `sloped`: the declared model follows the
 /// stimulus.
-pub fn scale(sloped: bool) -> ScalarEffect {
+pub(crate) fn scale(sloped: bool) -> ScalarEffect {
     let relative = if sloped {
         law("relative").amplitude("relative_scale", "1", [-0.999, 1e5], 1e-3)
     } else {
@@ -44,7 +44,7 @@ pub fn scale(sloped: bool) -> ScalarEffect {
 
 /// Creep: the response goes on moving after the stimulus has changed, onward or (negative,
 /// recovery) back: one Prony term driven by the stimulus, or the settling of an earlier load.
-pub fn creep() -> ScalarEffect {
+pub(crate) fn creep() -> ScalarEffect {
     let prony = law("prony")
         .needing(&[LawRequirement::Time])
         .amplitude("creep_fraction", "1", [-0.5, 0.5], 0.02)
@@ -147,7 +147,7 @@ fn begun(values: &Values<'_>) -> f64 {
 /// ```text
 /// closed loop: (1 - u^2) d (h + s u)        u: stimulus in half ranges, d: +1 rising, -1 falling, h: half the loop at the middle
 /// ```
-pub fn hysteresis(declared: Declared) -> ScalarEffect {
+pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
     let both = |name| law(name).needing(&[LawRequirement::BothDirections]);
     let gradual = both("bouc-wen")
         .amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01)
@@ -227,7 +227,7 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
 
 /// Backlash: after a reversal the output stays until the play is taken up (play operator). Of an
 /// axis an offset by direction is backlash, too (reversal value B of ISO 230-2).
-pub fn backlash(declared: Declared) -> ScalarEffect {
+pub(crate) fn backlash(declared: Declared) -> ScalarEffect {
     let taken_up = |name| {
         let both = law(name).needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
         both.amplitude("backlash", "half-range", [0.0, 0.5], 0.01)
@@ -286,7 +286,7 @@ const FROM_ANY_STATE: &str = "-from-any-state";
 /// ```text
 /// r(t) = r_still(t) + (r0 - u0) exp(-(t - t0) / tau)          r' = (u - r) / tau
 /// ```
-pub fn lag() -> ScalarEffect {
+pub(crate) fn lag() -> ScalarEffect {
     let late = |name, value| {
         let timed = law(name).needing(&[LawRequirement::Slope, LawRequirement::Time]);
         timed.amplitude(value, "duration", [0.0, 0.1], 2e-3)

@@ -5,7 +5,7 @@ use crate::whisker::whisker_effect::{Memory, WhiskerEffect};
 
 /// Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included.
 /// Linear viscoelasticity, one or two Prony terms or a spectrum that gives log-time creep.
-pub fn creep() -> WhiskerEffect {
+pub(crate) fn creep() -> WhiskerEffect {
     const GRID: &[f64] = &[1.0, 10.0, 100.0, 1000.0];
     let (share, seconds) = ([0.0, 0.3], [0.3, 3000.0]);
     let creep = |name| {
@@ -107,7 +107,7 @@ pub(crate) fn relax(r: f64, m0: f64, m1: f64, dt_s: f64, tau_s: f64) -> f64 {
 }
 
 /// No response below a moment m0: play of the seat, radial or by axis.
-pub fn dead_zone() -> WhiskerEffect {
+pub(crate) fn dead_zone() -> WhiskerEffect {
     let threshold = |name| law(name).amplitude("threshold_nmm", "N mm", [0.0, 1.0], 0.05);
     WhiskerEffect {
         memory: Some(|values| {
@@ -152,7 +152,7 @@ impl Memory for DeadZoneState {
 /// Rate-independent memory of the moment: Bouc-Wen with n = 1 (Wen 1976) and play operators
 /// (Prandtl-Ishlinskii), in the plane as a body dragged on a rope. Readings taken while loading
 /// only show it too: the wire comes back unloaded between them.
-pub fn hysteresis() -> WhiskerEffect {
+pub(crate) fn hysteresis() -> WhiskerEffect {
     let (size, narrow, wide) = ([-0.3, 0.3], [0.01, 1.0], [0.01, 2.0]);
     let one = |name, width, grid| {
         law(name)

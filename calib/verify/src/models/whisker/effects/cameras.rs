@@ -60,7 +60,7 @@ fn rigid(name: &'static str) -> EffectModel {
 /// The calibration board is not as large as stated: a stereo pair has the scale of its board, and
 /// every length that the cameras measure is off by one factor (Hartley & Zisserman, Multiple View
 /// Geometry, ch. 10.2).
-pub fn board_scale() -> WhiskerEffect {
+pub(crate) fn board_scale() -> WhiskerEffect {
     let one_factor = law("one-factor").needing(&[LawRequirement::Pictures]);
     WhiskerEffect {
         pictures: |values, seen| {

@@ -40,7 +40,7 @@ pub(crate) fn stage_backlash() -> WhiskerEffect {
 }
 
 /// Scale error, x (1 + e): lead error of the screw.
-pub fn stage_scale() -> WhiskerEffect {
+pub(crate) fn stage_scale() -> WhiskerEffect {
     WhiskerEffect {
         pose: |values, _, xs_mm| {
             let relative_scale = values.of("relative_scale");

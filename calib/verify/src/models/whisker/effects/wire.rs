@@ -130,7 +130,7 @@ pub(crate) fn wire_taper() -> WhiskerEffect {
 }
 
 /// Weight less buoyancy of the wire: int r x (rho_w - rho_f) A g ds, about 0.008 N mm.
-pub fn gravity() -> WhiskerEffect {
+pub(crate) fn gravity() -> WhiskerEffect {
     let weight = law("weight").needing(&[LawRequirement::Weight]);
     WhiskerEffect {
         rod: |values, rod| rod.weight += values.of("weight_share"),
@@ -144,7 +144,7 @@ pub fn gravity() -> WhiskerEffect {
 
 /// The wire at rest is not as declared: its straight part is longer or shorter, its arc flatter or
 /// narrower (bending tolerance). The free tail in the pictures shows it with no load.
-pub fn rest_shape() -> WhiskerEffect {
+pub(crate) fn rest_shape() -> WhiskerEffect {
     let bent = law("straight-and-arc")
         .needing(&[LawRequirement::Pictures, LawRequirement::StraightArc])
         .amplitude("straight_change_mm", "mm", [-6.0, 6.0], 0.5)

@@ -4,7 +4,7 @@
 //! ```text
 //! e_i = r_i / sqrt(1 - h_ii)                                  r: what the model leaves of readings taken for independent, h: its leverages
 //! g_f = B_f (B'B - B_f'B_f + L / q)^-1 (B'e - B_f'e_f)        prediction of fold f from the others, B: cos(pi k u), L = diag k^2
-//! D = sum over folds of (2 e_f.g_f - |g_f|^2) / s^2           fall of the squares left out; of a factor beyond that of its driver by itself
+//! D = sum over folds of (2 e_f.g_f - |g_f|^2) / s^2           fall of the squares left out, beyond that of what a course is no news to
 //! ```
 //!
 //! u is a driver from 0 to 1: a setting, a clock, a direction, a further column. Its cosines stand
@@ -12,8 +12,12 @@
 //! follows the driver). q is the size of the course in the noise's variance. Draws of the noise
 //! give every D its tail, and the smallest of their p values its own: with the values of the
 //! residuals themselves, and what neighbours share estimated beside the course of the largest D, so
-//! that it does not hold the course. A course of the clock by itself is such noise and is not
-//! asked. A part of the noise that would be a course over the session is cut to a quarter of that.
+//! that it does not hold the course. A part of the noise that would be a course over the session is
+//! cut to a quarter of that.
+//!
+//! A course of the clock by itself is such noise and is not asked. What else changes with the clock
+//! (a trajectory, a temperature) has to predict more than the clock does, a factor more than its
+//! driver by itself. The setting is asked as it is: noise does not know it.
 //!
 //! Wahba, "Spline Models for Observational Data" (1990), ch. 1: cosines with variances 1 / k^2 are
 //! a Brownian course. Besag & Clifford, Biometrika 78 (1991): draws end where ten are larger.
@@ -63,9 +67,11 @@ pub struct SmoothRival {
 }
 
 /// A course over one driver: whitened columns, the same in every channel, and
-/// `(B'B - B_f'B_f + L / q)^-1` by size and fold. A factor's hold those of the driver by itself.
+/// `(B'B - B_f'B_f + L / q)^-1` by size and fold, those of `beyond` among them.
 struct Course {
     of: SmoothRival,
+    /// The course that this one has to be better than.
+    beyond: Option<usize>,
     /// Its own columns as they are.
     raw: Vec<Vec<f64>>,
     columns: DMatrix<f64>,
@@ -107,26 +113,21 @@ pub(crate) fn smooth_rival(
     let falls = |residual: &DVector<f64>| -> Vec<f64> {
         let variance = residual.norm_squared() / h.fit.dof;
         let e = DMatrix::from_fn(n, channels, |i, c| residual[c * n + i] / left[(i, c)]);
-        let mut alone = Vec::new();
-        let mut all = Vec::new();
-        for course in &courses {
-            let own: Vec<f64> = course
-                .falls(&folds, &e)
-                .into_iter()
-                .map(|d| d / variance)
-                .collect();
-            if course.of.factor {
-                all.extend(own.iter().zip(&alone).map(|(d, a): (&f64, &f64)| d - a));
-            } else {
-                all.extend_from_slice(&own);
-                alone = own;
-            }
-        }
-        all
+        let of_course = |course: &Course| course.falls(&folds, &e);
+        let each: Vec<Vec<f64>> = courses.iter().map(of_course).collect();
+        let fall = |(k, course): (usize, &Course)| {
+            let beyond = course.beyond.map_or(&[0.0; SIZES.len()][..], |b| &each[b]);
+            each[k]
+                .iter()
+                .zip(beyond)
+                .map(|(d, b)| (d - b) / variance)
+                .collect::<Vec<f64>>()
+        };
+        courses.iter().enumerate().flat_map(fall).collect()
     };
     let found = falls(&h.fit.stacked());
     // A course of the clock by itself is what noise that neighbours share is, too: it is not asked.
-    let by_clock = |of: &SmoothRival| !of.factor && matches!(of.driver.as_str(), "t_s" | "order");
+    let by_clock = |of: &SmoothRival| !of.factor && is_clock(&of.driver);
     let asked: Vec<usize> = (0..found.len())
         .filter(|k| !by_clock(&courses[k / SIZES.len()].of))
         .collect();
@@ -260,12 +261,13 @@ fn courses(system: &dyn MeasurementModel, h: &Hypothesis, folds: &[Vec<usize>]) 
     let setting = covariates
         .first()
         .map_or(Vec::new(), |(_, values)| cosines(values, SETTINGS));
-    let has_time = covariates.iter().any(|(name, _)| name == "t_s");
-    let mut out = Vec::new();
-    for (name, values) in covariates
-        .iter()
-        .filter(|(name, _)| !(has_time && name == "order"))
-    {
+    let clock = ["t_s", "order"]
+        .into_iter()
+        .find_map(|clock| covariates.iter().find(|(name, _)| name == clock));
+    // The clock first: what changes with it is asked beyond it.
+    let others = covariates.iter().filter(|(name, _)| !is_clock(name));
+    let mut out: Vec<Course> = Vec::new();
+    for (k, (name, values)) in clock.into_iter().chain(others).enumerate() {
         let products = |carriers: &[(usize, Vec<f64>)]| {
             let of = |(j, a): &(usize, Vec<f64>)| {
                 cosines(values, FACTORS)
@@ -276,41 +278,55 @@ fn courses(system: &dyn MeasurementModel, h: &Hypothesis, folds: &[Vec<usize>]) 
             carriers.iter().flat_map(of).collect::<Vec<_>>()
         };
         let own = cosines(values, COSINES);
-        for (factor, columns) in [
-            (false, Vec::new()),
-            (true, products(&signals)),
-            (true, products(&setting)),
-        ] {
+        if own.is_empty() {
+            continue;
+        }
+        let is_setting = covariates.first().is_some_and(|(first, _)| first == name);
+        let by_clock = clock.filter(|_| {
+            k > 0 && !is_setting && out.first().is_some_and(|c| is_clock(&c.of.driver))
+        });
+        let before = by_clock.map_or(Vec::new(), |(_, t)| cosines(t, COSINES));
+        let course = |factor, new: Vec<_>, before: &[(usize, Vec<f64>)], beyond| {
             let of = SmoothRival {
                 driver: name.clone(),
                 factor,
             };
-            let asked = factor != columns.is_empty() && !own.is_empty();
-            out.extend(
-                asked
-                    .then(|| Course::of(of, columns, own.clone(), &h.weights, folds))
-                    .flatten(),
-            );
+            Course::of(of, new, before, beyond, &h.weights, folds)
+        };
+        let plain = course(false, own.clone(), &before, by_clock.map(|_| 0));
+        let at = out.len();
+        out.extend(plain);
+        if out.len() == at {
+            continue;
+        }
+        let before = [before, own].concat();
+        for factors in [products(&signals), products(&setting)] {
+            if !factors.is_empty() {
+                out.extend(course(true, factors, &before, Some(at)));
+            }
         }
     }
     out
 }
 
+/// The clock, or what stands for it.
+fn is_clock(driver: &str) -> bool {
+    matches!(driver, "t_s" | "order")
+}
+
 impl Course {
-    /// Of columns with the number of their cosine, beside those of the driver by itself; none where
-    /// a prior leaves them undetermined.
+    /// Of `new` columns with the number of their cosine, in addition to those `before`; none where a
+    /// prior leaves them undetermined.
     fn of(
         of: SmoothRival,
-        factors: Vec<(usize, Vec<f64>)>,
-        own: Vec<(usize, Vec<f64>)>,
+        new: Vec<(usize, Vec<f64>)>,
+        before: &[(usize, Vec<f64>)],
+        beyond: Option<usize>,
         weights: &Weights,
         folds: &[Vec<usize>],
     ) -> Option<Self> {
-        let raw: Vec<Vec<f64>> = if of.factor { &factors } else { &own }
-            .iter()
-            .map(|(_, c)| c.clone())
-            .collect();
-        let columns: Vec<(usize, Vec<f64>)> = own.into_iter().chain(factors).collect();
+        let raw: Vec<Vec<f64>> = new.iter().map(|(_, c)| c.clone()).collect();
+        let columns: Vec<(usize, Vec<f64>)> = before.iter().cloned().chain(new).collect();
         let whitened = columns
             .iter()
             .map(|(_, c)| DVector::from_vec(weights.apply_to(c)));
@@ -332,6 +348,7 @@ impl Course {
         let inverse = SIZES.into_iter().map(of_size).collect::<Option<Vec<_>>>()?;
         Some(Self {
             of,
+            beyond,
             raw,
             columns: b,
             inverse,

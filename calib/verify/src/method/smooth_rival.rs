@@ -74,7 +74,10 @@ struct Course {
     beyond: Option<usize>,
     /// Its own columns as they are.
     raw: Vec<Vec<f64>>,
-    columns: DMatrix<f64>,
+    /// B_f of every fold, then that of the readings that no fold leaves out.
+    parts: Vec<DMatrix<f64>>,
+    /// B_f'B_f.
+    grams: Vec<DMatrix<f64>>,
     inverse: Vec<Vec<DMatrix<f64>>>,
 }
 
@@ -102,7 +105,10 @@ pub(crate) fn smooth_rival(
         .map(rows)
         .filter(|rows| !rows.is_empty())
         .collect();
-    let courses = courses(system, &h, &folds);
+    // Readings that no fold leaves out are the last part.
+    let rest = (0..n).filter(|&i| fold[i].is_none() || !alone.counts(i));
+    let parts: Vec<Vec<usize>> = folds.iter().cloned().chain([rest.collect()]).collect();
+    let courses = courses(system, &h, &parts);
     if folds.len() < MIN_FOLDS || courses.is_empty() {
         return None;
     }
@@ -113,7 +119,8 @@ pub(crate) fn smooth_rival(
     let falls = |residual: &DVector<f64>| -> Vec<f64> {
         let variance = residual.norm_squared() / h.fit.dof;
         let e = DMatrix::from_fn(n, channels, |i, c| residual[c * n + i] / left[(i, c)]);
-        let of_course = |course: &Course| course.falls(&folds, &e);
+        let e: Vec<DMatrix<f64>> = parts.iter().map(|rows| e.select_rows(rows)).collect();
+        let of_course = |course: &Course| course.falls(&e);
         let each: Vec<Vec<f64>> = courses.iter().map(of_course).collect();
         let fall = |(k, course): (usize, &Course)| {
             let beyond = course.beyond.map_or(&[0.0; SIZES.len()][..], |b| &each[b]);
@@ -331,18 +338,19 @@ impl Course {
             .iter()
             .map(|(_, c)| DVector::from_vec(weights.apply_to(c)));
         let b = DMatrix::from_columns(&whitened.collect::<Vec<_>>());
-        let whole = transposed_product(&b, &b);
         let prior =
             DVector::from_iterator(columns.len(), columns.iter().map(|(k, _)| (k * k) as f64));
-        let of_fold = |size: f64, rows: &[usize]| {
-            let own = b.select_rows(rows);
-            (&whole - transposed_product(&own, &own) + DMatrix::from_diagonal(&(&prior / size)))
-                .try_inverse()
+        let parts: Vec<DMatrix<f64>> = folds.iter().map(|rows| b.select_rows(rows)).collect();
+        let mut grams: Vec<DMatrix<f64>> = parts.iter().map(|b| transposed_product(b, b)).collect();
+        let whole: DMatrix<f64> = grams.iter().sum();
+        grams.pop();
+        let of_fold = |size: f64, own: &DMatrix<f64>| {
+            (&whole - own + DMatrix::from_diagonal(&(&prior / size))).try_inverse()
         };
         let of_size = |size: f64| {
-            folds
+            grams
                 .iter()
-                .map(|rows| of_fold(size, rows))
+                .map(|own| of_fold(size, own))
                 .collect::<Option<Vec<_>>>()
         };
         let inverse = SIZES.into_iter().map(of_size).collect::<Option<Vec<_>>>()?;
@@ -350,21 +358,24 @@ impl Course {
             of,
             beyond,
             raw,
-            columns: b,
+            parts,
+            grams,
             inverse,
         })
     }
 
-    /// D of every size, in the unit of the residual.
-    fn falls(&self, folds: &[Vec<usize>], e: &DMatrix<f64>) -> Vec<f64> {
-        let whole = transposed_product(&self.columns, e);
+    /// D of every size, in the unit of the residual; `e` part by part. With c = (..)^-1 (B'e - B_f'e_f),
+    /// e_f.g_f = B_f'e_f.c and |g_f|^2 = c'B_f'B_f c.
+    fn falls(&self, e: &[DMatrix<f64>]) -> Vec<f64> {
+        let seen = self.parts.iter().zip(e);
+        let seen: Vec<DMatrix<f64>> = seen.map(|(b, e)| transposed_product(b, e)).collect();
+        let whole: DMatrix<f64> = seen.iter().sum();
         let mut falls = vec![0.0; SIZES.len()];
-        for (f, rows) in folds.iter().enumerate() {
-            let (b, own) = (self.columns.select_rows(rows), e.select_rows(rows));
-            let others = &whole - transposed_product(&b, &own);
+        for (f, gram) in self.grams.iter().enumerate() {
+            let others = &whole - &seen[f];
             for (fall, inverse) in falls.iter_mut().zip(&self.inverse) {
-                let g = &b * (&inverse[f] * &others);
-                *fall += 2.0 * own.dot(&g) - g.norm_squared();
+                let c = &inverse[f] * &others;
+                *fall += 2.0 * seen[f].dot(&c) - c.dot(&(gram * &c));
             }
         }
         falls

@@ -44,6 +44,16 @@ pub struct Spread {
     pub relative_sd: Vec<f64>,
 }
 
+/// Spreads beyond these factors of a typical one are not believed.
+const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
+
+/// Standard deviation over that at the centre, `distance` from it on the law's scale. A power law
+/// has none at a stimulus of zero.
+pub(crate) fn relative_sd(exponent: f64, distance: f64) -> f64 {
+    let [least, most] = SPREAD_RANGE;
+    (exponent * distance).exp().clamp(least, most)
+}
+
 fn centred(v: &[f64]) -> Vec<f64> {
     let mean = v.iter().sum::<f64>() / v.len() as f64;
     v.iter().map(|x| x - mean).collect()

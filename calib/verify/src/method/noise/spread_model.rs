@@ -6,7 +6,7 @@
 
 use super::inputs::NoiseInputs;
 use super::likelihood::{MeanModel, restricted_likelihood, studentised_by_channel};
-use super::spread::{Spread, heteroscedasticity_test};
+use super::spread::{Spread, heteroscedasticity_test, relative_sd};
 use super::whitening::Weights;
 use crate::levels::SPREAD;
 use wcal_core::order_statistics::median;
@@ -25,9 +25,6 @@ pub struct SpreadModel {
     pub typical: f64,
 }
 
-/// Spreads beyond these factors of a typical one are not believed.
-const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
-
 impl SpreadModel {
     /// Relative standard deviations of readings.
     pub(crate) fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
@@ -36,11 +33,7 @@ impl SpreadModel {
             .iter()
             .find(|(name, _)| *name == self.follows)
             .map(|(_, v)| v);
-        let of = |v: &f64| {
-            (self.spread.exponent * (v - self.typical))
-                .exp()
-                .clamp(SPREAD_RANGE[0], SPREAD_RANGE[1])
-        };
+        let of = |v: &f64| relative_sd(self.spread.exponent, v - self.typical);
         values.map_or_else(
             || vec![1.0; inputs.settings.len()],
             |v| v.iter().map(of).collect(),

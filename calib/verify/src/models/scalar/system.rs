@@ -12,7 +12,7 @@ use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::{DesignTest, MeasurementModel, design_of, finite};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
-use crate::method::noise::spread::{Spread, SpreadLaw};
+use crate::method::noise::spread::{Spread, SpreadLaw, relative_sd};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -97,7 +97,7 @@ pub(crate) fn relative_sd_at(
 ) -> Vec<f64> {
     law.scale(frame)
         .iter()
-        .map(|v| (exponent * (v - centre)).exp())
+        .map(|v| relative_sd(exponent, v - centre))
         .collect()
 }
 

@@ -44,7 +44,7 @@ pub struct WindowMean {
     /// Spread of single samples, pm.
     pub sensing_sd_pm: [f64; 2],
     /// Mean time of the samples since the window's begin, s: in motion half a scan from the
-    /// window's centre is its own place.
+    /// window's centre is another place.
     pub time_s: f64,
     /// Samples averaged.
     pub samples: usize,

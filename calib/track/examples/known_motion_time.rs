@@ -1,5 +1,5 @@
 //! Time of a reading in the recursive posterior of known motion, on one core:
-//! `cargo run --release -p wcal-network --example known_motion_time`.
+//! `cargo run --release -p wcal-track --example known_motion_time`.
 //!
 //! SIMULATED presses, a row every 2.5 ms at 4 mm/s, twelve unknowns that all readings share.
 //! Printed: rows a second, quantiles of single readings. On Linux readings during which the system

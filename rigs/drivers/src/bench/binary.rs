@@ -12,7 +12,7 @@ const SPEED_STEPS: f64 = 9.375;
 
 /// Device mode without its home status, bit 7: the knob is off.
 const MODE: i64 = 0x8;
-/// Firmware, times 100, from which on the home status is its own setting, too.
+/// Firmware, times 100, from which on the home status is a separate setting, too.
 const OWN_HOME_STATUS: u32 = 600;
 
 /// One message of either direction.

@@ -22,7 +22,7 @@ const SPEED_STEPS: f64 = 9.375;
 const HALT: Duration = Duration::from_secs(3);
 /// Pause between polls while it comes to rest.
 const POLL: Duration = Duration::from_millis(5);
-/// Firmware, times 100, from which on the home status is its own setting; before, it is a bit of
+/// Firmware, times 100, from which on the home status is a separate setting; before, it is a bit of
 /// the device mode.
 const OWN_HOME_STATUS: i32 = 600;
 const MODE_HOMED: i32 = 1 << 7;

@@ -209,7 +209,7 @@ pub(crate) fn extreme_values(
             whole += weight;
         }
         let p_value = sum / whole;
-        // Each number of values is its own look (Bonferroni).
+        // Each number of values is one more look (Bonferroni).
         if p_value < level / looks as f64 {
             return Some(ExtremeValues {
                 beyond: largest,

@@ -111,43 +111,39 @@ impl JointSpan {
         for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
             to.copy_from(from);
         }
-        let mut left = transposed_product(&matrix, &matrix);
-        let mut rows: Vec<nalgebra::RowDVector<f64>> = Vec::new();
-        let mut independent = Vec::new();
+        let gram = transposed_product(&matrix, &matrix);
+        let limit = limit.min(columns.len());
+        // A direction a row, a basis vector a column.
+        let mut factor = DMatrix::zeros(columns.len(), limit);
+        let (mut left, mut independent) = (gram.diagonal(), Vec::new());
         // The largest first: rounding that a small pivot would magnify never meets what is still
         // large (Higham, "Accuracy and Stability of Numerical Algorithms", 2nd ed., 10.3).
         while independent.len() < limit {
-            let diagonal = left.diagonal();
-            if diagonal.is_empty() {
-                break;
-            }
             // Of pivots that only rounding tells apart the first: what is drawn along them must not
             // depend on rounding.
-            let near = (1.0 - SAME_PIVOT) * diagonal.max();
-            let Some(k) = diagonal.iter().position(|left| *left >= near) else {
+            let near = (1.0 - SAME_PIVOT) * left.max();
+            let Some(k) = left.iter().position(|left| *left >= near) else {
                 break;
             };
-            let pivot = diagonal[k];
+            let pivot = left[k];
             if !(pivot > NEW_SQUARE) {
                 break;
             }
-            // Right-looking Cholesky: what the other directions have along this one is taken off
-            // their Gram matrix.
-            let row = left.row(k) / pivot.sqrt();
-            left.ger(-1.0, &row.transpose(), &row.transpose(), 1.0);
-            left[(k, k)] = 0.0;
-            rows.push(row);
+            // Left-looking Cholesky: a direction's products with all others, less what the basis
+            // vectors before it hold of them.
+            let before = factor.columns(0, independent.len());
+            let mut along = gram.column(k).clone_owned();
+            along.gemv(-1.0, &before, &before.row(k).transpose(), 1.0);
+            along /= pivot.sqrt();
+            left.zip_apply(&along, |left, along| *left -= along * along);
+            left[k] = 0.0;
+            factor.set_column(independent.len(), &along);
             independent.push(k);
         }
-        let factor = if rows.is_empty() {
-            DMatrix::zeros(0, columns.len())
-        } else {
-            DMatrix::from_rows(&rows)
-        };
         Self {
             directions: matrix,
+            factor: factor.columns(0, independent.len()).transpose(),
             independent,
-            factor,
         }
     }
 

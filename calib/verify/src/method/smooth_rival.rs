@@ -25,7 +25,6 @@
 use super::admissible::REFIT_STEPS;
 use super::fit::Weights;
 use super::hypothesis::Hypothesis;
-use super::linear::transposed_product;
 use super::noise::{CORRELATED_PRICE, COURSE, Noise};
 use super::noise_estimator::NoiseEstimator;
 use super::settings::settings;
@@ -74,7 +73,7 @@ struct Course {
     beyond: Option<usize>,
     /// Its own columns as they are.
     raw: Vec<Vec<f64>>,
-    /// B_f of every fold, then that of the readings that no fold leaves out.
+    /// B_f' of every fold, then that of the readings that no fold leaves out.
     parts: Vec<DMatrix<f64>>,
     /// B_f'B_f.
     grams: Vec<DMatrix<f64>>,
@@ -340,8 +339,9 @@ impl Course {
         let b = DMatrix::from_columns(&whitened.collect::<Vec<_>>());
         let prior =
             DVector::from_iterator(columns.len(), columns.iter().map(|(k, _)| (k * k) as f64));
-        let parts: Vec<DMatrix<f64>> = folds.iter().map(|rows| b.select_rows(rows)).collect();
-        let mut grams: Vec<DMatrix<f64>> = parts.iter().map(|b| transposed_product(b, b)).collect();
+        let part = |rows: &Vec<usize>| b.select_rows(rows).transpose();
+        let parts: Vec<DMatrix<f64>> = folds.iter().map(part).collect();
+        let mut grams: Vec<DMatrix<f64>> = parts.iter().map(|b| b * b.transpose()).collect();
         let whole: DMatrix<f64> = grams.iter().sum();
         grams.pop();
         let of_fold = |size: f64, own: &DMatrix<f64>| {
@@ -367,8 +367,7 @@ impl Course {
     /// D of every size, in the unit of the residual; `e` part by part. With c = (..)^-1 (B'e - B_f'e_f),
     /// e_f.g_f = B_f'e_f.c and |g_f|^2 = c'B_f'B_f c.
     fn falls(&self, e: &[DMatrix<f64>]) -> Vec<f64> {
-        let seen = self.parts.iter().zip(e);
-        let seen: Vec<DMatrix<f64>> = seen.map(|(b, e)| transposed_product(b, e)).collect();
+        let seen: Vec<DMatrix<f64>> = self.parts.iter().zip(e).map(|(b, e)| b * e).collect();
         let whole: DMatrix<f64> = seen.iter().sum();
         let mut falls = vec![0.0; SIZES.len()];
         for (f, gram) in self.grams.iter().enumerate() {

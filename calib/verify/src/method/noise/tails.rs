@@ -16,9 +16,8 @@
 //! outside others that are Gaussian does not make the noise heavy-tailed. Of the Gaussian the scale
 //! is not known either: its largest values are those of an externally studentised t.
 
-use super::likelihood::pattern_search;
 use crate::levels::{GAUSSIAN_ODDS, USUAL, gain, gain_at_bound};
-use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
+use statrs::distribution::{Binomial, Continuous, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 use statrs::function::gamma::ln_gamma;
 
 /// Degrees of freedom that are tried, heaviest tails first.
@@ -67,31 +66,80 @@ fn log_norm(nu: f64) -> f64 {
     }
 }
 
+/// Density of |t_nu| at `x`.
+fn two_sided_density(nu: f64, x: f64) -> f64 {
+    if nu.is_infinite() {
+        2.0 * Normal::standard().pdf(x)
+    } else {
+        StudentsT::new(0.0, 1.0, nu).map_or(0.0, |t| 2.0 * t.pdf(x))
+    }
+}
+
 /// Log likelihood of sorted sizes `z` (rising) with `censored` values beyond the last, and the
 /// scale that maximises it.
 fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
+    let (n, k) = (z.len() as f64, censored as f64);
     let last = z.last().copied().unwrap_or(0.0);
-    let at = |sigma: f64| -> f64 {
+    // Type II censoring: of the k largest only that they exceed c is used.
+    let beyond = |sigma: f64| two_sided_tail(nu, last / sigma).max(1e-300);
+    // d log L / d log sigma falls with sigma: each weight and the hazard do.
+    let score = |log_sigma: f64| {
+        let sigma = log_sigma.exp();
         let body: f64 = if nu.is_infinite() {
-            -0.5 * z.iter().map(|v| v * v).sum::<f64>() / (sigma * sigma)
+            z.iter().map(|v| v * v).sum::<f64>() / (sigma * sigma)
         } else {
-            // ln(1 + z^2 / (nu sigma^2)) by ln_1p: at large nu the sum would lose the small term.
-            let inverse = 1.0 / (nu * sigma * sigma);
-            -0.5 * (nu + 1.0) * z.iter().map(|v| (v * v * inverse).ln_1p()).sum::<f64>()
+            let scale = nu * sigma * sigma;
+            (nu + 1.0) * z.iter().map(|v| v * v / (scale + v * v)).sum::<f64>()
         };
-        // Type II censoring: of the k largest only that they exceed c is used.
-        let tail = if censored == 0 {
-            0.0
-        } else {
-            censored as f64 * two_sided_tail(nu, last / sigma).max(1e-300).ln()
-        };
-        body + tail + z.len() as f64 * (log_norm(nu) - sigma.ln())
+        let x = last / sigma;
+        let hazard = x * two_sided_density(nu, x) / beyond(sigma);
+        body - n + if censored == 0 { 0.0 } else { k * hazard }
     };
-    // One maximum in the logarithm of the scale, near the median's.
+    // Within the scales that the median allows.
     let median = z[z.len() / 2].max(1e-300);
-    let [start, low, high] = [1.4, 0.6, 4.0].map(|share| [(share * median).ln()]);
-    let ([scale], cost) = pattern_search(start, [0.4], low, high, &|v| -at(v[0].exp()));
-    (-cost, scale.exp())
+    let sigma = root_of_falling(score, [0.6, 4.0].map(|share| (share * median).ln())).exp();
+    let body: f64 = if nu.is_infinite() {
+        -0.5 * z.iter().map(|v| v * v).sum::<f64>() / (sigma * sigma)
+    } else {
+        // ln(1 + z^2 / (nu sigma^2)) by ln_1p: at large nu the sum would lose the small term.
+        let inverse = 1.0 / (nu * sigma * sigma);
+        -0.5 * (nu + 1.0) * z.iter().map(|v| (v * v * inverse).ln_1p()).sum::<f64>()
+    };
+    let tail = if censored == 0 {
+        0.0
+    } else {
+        k * beyond(sigma).ln()
+    };
+    (body + tail + n * (log_norm(nu) - sigma.ln()), sigma)
+}
+
+/// Logarithms of a scale that are one.
+const RESOLVED: f64 = 1e-9;
+
+/// Where `f`, which falls, is zero between two places; the nearer end where it is not. False
+/// position by Illinois (Dowell & Jarratt, BIT 11 (1971), 168).
+fn root_of_falling(f: impl Fn(f64) -> f64, [low, high]: [f64; 2]) -> f64 {
+    let (mut a, mut b) = ((low, f(low)), (high, f(high)));
+    if a.1 <= 0.0 || b.1 >= 0.0 {
+        return if a.1 <= 0.0 { low } else { high };
+    }
+    let mut rose = None;
+    while b.0 - a.0 > RESOLVED {
+        let x = (a.0 * b.1 - b.0 * a.1) / (b.1 - a.1);
+        let at = (x, f(x));
+        if (x - a.0).min(b.0 - x) < RESOLVED {
+            return x;
+        }
+        // An end that stays twice counts half: both come near.
+        let stays = if rose == Some(at.1 > 0.0) { 0.5 } else { 1.0 };
+        rose = Some(at.1 > 0.0);
+        if at.1 > 0.0 {
+            (a, b.1) = (at, stays * b.1);
+        } else {
+            (b, a.1) = (at, stays * a.1);
+        }
+    }
+    0.5 * (a.0 + b.0)
 }
 
 /// Degrees of freedom, log likelihood and scale of each of [`NU`].

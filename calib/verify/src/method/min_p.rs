@@ -14,6 +14,7 @@ use super::signature::Signature;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
+use std::sync::{Arc, OnceLock};
 
 /// Draws that are projected together.
 const BATCH: usize = 250;
@@ -56,27 +57,85 @@ pub fn strongest<'a>(
         .min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// Distribution of the smallest p over a family of signatures under the null.
-#[derive(Debug, Clone)]
-pub struct MinPDistribution {
+/// Distribution of the smallest p over a family of signatures under the null. It is drawn once,
+/// where a p is asked for that its bounds do not decide.
+#[derive(Clone)]
+pub struct MinPDistribution(Arc<Family>);
+
+struct Family {
+    signatures: Arc<[Signature]>,
+    dof: f64,
+    options: Options,
     /// Smallest p of each draw, ascending.
-    minima: Vec<f64>,
+    minima: OnceLock<Vec<f64>>,
 }
 
 impl MinPDistribution {
-    /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span
-    /// and the norm of the rest matter.
-    pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
+    /// Of `signatures` on a residual with `dof` degrees of freedom.
+    pub fn new(signatures: Arc<[Signature]>, dof: f64, options: &Options) -> Self {
+        Self(Arc::new(Family {
+            signatures,
+            dof,
+            options: options.clone(),
+            minima: OnceLock::new(),
+        }))
+    }
+
+    fn minima(&self) -> &[f64] {
+        self.0.minima.get_or_init(|| self.0.simulate())
+    }
+
+    /// Whether the family-wise p-value of a smallest single p lies below `level`: it is that p at
+    /// least, and at most as many times as there are signatures (Bonferroni).
+    pub(crate) fn rejects(&self, p: f64, level: f64) -> bool {
+        let most = p * self.0.signatures.len() as f64;
+        p < level && (most < level || self.family_wise_p(p) < level)
+    }
+
+    /// Single p-value that the family's smallest undercuts with probability `level` under the null.
+    pub(crate) fn critical_p(&self, level: f64) -> f64 {
+        let minima = self.minima();
+        let k = ((level * minima.len() as f64) as usize).min(minima.len().saturating_sub(1));
+        minima.get(k).copied().unwrap_or(level).min(level)
+    }
+
+    /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective
+    /// number of tests.
+    pub fn family_wise_p(&self, p: f64) -> f64 {
+        let minima = self.minima();
+        let draws = minima.len();
+        if draws == 0 {
+            return 1.0;
+        }
+        let below = minima.partition_point(|m| *m <= p);
+        // Monte Carlo p-value with the observed value counted as a draw: it is never zero. Ten
+        // draws make it stable.
+        if below >= 10 {
+            return (below as f64 + 1.0) / (draws as f64 + 1.0);
+        }
+        // Sidak at small p: 1 - (1 - p)^M is about M p, with M from the 2 % quantile of the
+        // simulated minima.
+        let k = (draws / 50).max(1);
+        let tests = ((k as f64 + 1.0) / (draws as f64 + 1.0)) / minima[k - 1].max(1e-300);
+        (p * tests.max(1.0)).min((below as f64 + 1.0) / (draws as f64 + 1.0))
+    }
+}
+
+impl Family {
+    /// Smallest p of null residuals, ascending; only their coordinates in the joint span and the
+    /// norm of the rest matter.
+    fn simulate(&self) -> Vec<f64> {
+        let (dof, options) = (self.dof, &self.options);
         let span = JointSpan::of(
-            signatures.iter().flat_map(|a| &a.directions),
+            self.signatures.iter().flat_map(|a| &a.directions),
             dof.max(0.0) as usize,
         );
         let rank = span.rank();
         // Of signatures of one kind the largest gain has the smallest p: the tail, which is dear to
         // compute, is computed for that one.
         let mut kinds: Vec<&Signature> = Vec::new();
-        let mut places: Vec<(usize, usize, usize)> = Vec::with_capacity(signatures.len());
-        for &s in signatures {
+        let mut places: Vec<(usize, usize, usize)> = Vec::with_capacity(self.signatures.len());
+        for s in self.signatures.iter() {
             let same =
                 |k: &&Signature| (k.dimension(), k.one_sided) == (s.dimension(), s.one_sided);
             let kind = kinds.iter().position(same).unwrap_or(kinds.len());
@@ -153,33 +212,6 @@ impl MinPDistribution {
             }));
         }
         minima.sort_by(f64::total_cmp);
-        Self { minima }
-    }
-
-    /// Single p-value that the family's smallest undercuts with probability `level` under the null.
-    pub(crate) fn critical_p(&self, level: f64) -> f64 {
-        let k =
-            ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
-        self.minima.get(k).copied().unwrap_or(level).min(level)
-    }
-
-    /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective
-    /// number of tests.
-    pub fn family_wise_p(&self, p: f64) -> f64 {
-        let draws = self.minima.len();
-        if draws == 0 {
-            return 1.0;
-        }
-        let below = self.minima.partition_point(|m| *m <= p);
-        // Monte Carlo p-value with the observed value counted as a draw: it is never zero. Ten
-        // draws make it stable.
-        if below >= 10 {
-            return (below as f64 + 1.0) / (draws as f64 + 1.0);
-        }
-        // Sidak at small p: 1 - (1 - p)^M is about M p, with M from the 2 % quantile of the
-        // simulated minima.
-        let k = (draws / 50).max(1);
-        let tests = ((k as f64 + 1.0) / (draws as f64 + 1.0)) / self.minima[k - 1].max(1e-300);
-        (p * tests.max(1.0)).min((below as f64 + 1.0) / (draws as f64 + 1.0))
+        minima
     }
 }

@@ -16,8 +16,8 @@ use super::fit::{Weights, fit};
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{
-    CORRELATED_PRICE, MeanModel, Noise, NoiseInputs, RestrictedLikelihood, best_misfit,
-    correlated_gain, estimate,
+    CORRELATED_PRICE, Components, MeanModel, Noise, NoiseInputs, RestrictedLikelihood, best_misfit,
+    correlated_gain, estimate, estimate_components,
 };
 use super::omnibus::{CovariateScore, OmnibusTest};
 use crate::levels::{GENERIC, LEAD, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
@@ -42,7 +42,7 @@ pub(crate) fn noise_for_predictions(
 
 /// How well a model can do under any noise.
 struct Misfit {
-    noise: Noise,
+    noise: Components,
     best: RestrictedLikelihood,
     /// Where a part that is correlated in time gains what it costs: whether it is a course over the
     /// session.
@@ -133,11 +133,17 @@ impl<'a> NoiseEstimator<'a> {
         )
     }
 
-    /// The same, and how well the model can do under any noise.
+    /// The parts of that, and how well the model can do under any noise.
     fn noise_and_misfit(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<Misfit> {
-        let noise = self.noise(h, columns)?;
-        let (mut m, correlated) =
-            best_misfit(&MeanModel::of(&h.fit).with(columns), &self.inputs, &noise)?;
+        let model = MeanModel::of(&h.fit).with(columns);
+        let noise = estimate_components(
+            &model,
+            &self.inputs,
+            &h.weights,
+            self.correlated_gain,
+            self.seed,
+        )?;
+        let (mut m, correlated) = best_misfit(&model, &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
         m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.auxiliary_variance();
@@ -154,7 +160,7 @@ impl<'a> NoiseEstimator<'a> {
     fn p_value(&self, without: &Misfit, with: &Misfit, family: &MinPDistribution) -> f64 {
         let (a, b) = (&without.best, &with.best);
         // Both sides have had every shared part; a law of the spread is one parameter.
-        let law = |n: &Noise| if n.law.is_some() { PRICE } else { 0.0 };
+        let law = |n: &Components| if n.law.is_some() { PRICE } else { 0.0 };
         let lead = (a.plain + law(&without.noise) - b.plain - law(&with.noise)) / a.values;
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
@@ -171,7 +177,7 @@ impl<'a> NoiseEstimator<'a> {
         family: &MinPDistribution,
     ) -> Option<Vec<Unsupported>> {
         let with = self.noise_and_misfit(kept, &[])?;
-        let level = if with.noise.correlated.is_some() {
+        let level = if with.noise.is_correlated() {
             RETAIN_BESIDE_CORRELATED
         } else {
             RETAIN

@@ -15,6 +15,7 @@ use crate::levels::{CATALOGUE, GENERIC, OMNIBUS, REPLICATES, SERIAL};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, Normal};
+use std::sync::Arc;
 
 /// A covariate along which the residual varies, with its best shape.
 #[derive(Debug, Clone)]
@@ -36,18 +37,18 @@ pub struct CovariateScore {
 }
 
 /// Result of the omnibus test on one model.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct OmnibusTest {
     /// Signatures of the catalogue on top of the model.
-    pub signatures: Vec<Signature>,
+    pub signatures: Arc<[Signature]>,
     /// Their joint null distribution.
     pub family: MinPDistribution,
     /// Distribution of the smallest p of the generic signatures.
     pub covariate_family: MinPDistribution,
-    /// Family-wise p-value of the catalogue.
-    pub p_catalogue: f64,
-    /// Family-wise p-value of the generic signatures.
-    pub p_covariates: f64,
+    /// Smallest single p-value of the catalogue.
+    smallest_catalogue: f64,
+    /// Smallest single p-value of the generic signatures.
+    smallest_covariate: f64,
     /// p-value of serial correlation along the sweeps.
     pub p_serial: f64,
     /// Best shape of each covariate, strongest first.
@@ -70,12 +71,17 @@ const MODEL_CORRELATION: f64 = 0.1;
 impl OmnibusTest {
     /// Something beyond noise remains.
     pub fn rejected(&self) -> bool {
-        self.is_unexplained() && (self.p_catalogue < CATALOGUE || self.generic())
+        let named = || self.family.rejects(self.smallest_catalogue, CATALOGUE);
+        self.is_unexplained() && (self.generic() || named())
     }
 
     /// Something remains that need not be in the catalogue.
     pub fn generic(&self) -> bool {
-        self.is_unexplained() && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
+        let driven = || {
+            self.covariate_family
+                .rejects(self.smallest_covariate, GENERIC)
+        };
+        self.is_unexplained() && (self.p_serial < SERIAL || driven())
     }
 
     /// The residual is neither rounding nor the model's own error.
@@ -90,7 +96,7 @@ impl OmnibusTest {
             .signatures
             .iter()
             .filter(|s| !effects.contains(&s.term.effect));
-        self.p_catalogue = family_wise(&self.family, strongest(others, &residual, fit));
+        self.smallest_catalogue = strongest(others, &residual, fit).map_or(1.0, |(p, _)| p);
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
@@ -106,17 +112,27 @@ impl OmnibusTest {
             && self.serial_correlation < MODEL_CORRELATION
     }
 
+    /// Family-wise p-value of the catalogue.
+    pub fn p_catalogue(&self) -> f64 {
+        self.family.family_wise_p(self.smallest_catalogue)
+    }
+
+    /// Family-wise p-value of the generic signatures.
+    pub fn p_covariates(&self) -> f64 {
+        self.covariate_family.family_wise_p(self.smallest_covariate)
+    }
+
     /// Family-wise p-values: catalogue, generic signatures, serial correlation.
     pub fn p_values(&self) -> [f64; 3] {
-        [self.p_catalogue, self.p_covariates, self.p_serial]
+        [self.p_catalogue(), self.p_covariates(), self.p_serial]
     }
 
     /// One omnibus p-value: Bonferroni over the families by their shares of the level;
     /// `p_lack_of_fit` where readings repeat.
     pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
         [
-            (self.p_catalogue, CATALOGUE),
-            (self.p_covariates, GENERIC),
+            (self.p_catalogue(), CATALOGUE),
+            (self.p_covariates(), GENERIC),
             (self.p_serial, SERIAL),
             (p_lack_of_fit.unwrap_or(1.0), REPLICATES),
         ]
@@ -124,11 +140,6 @@ impl OmnibusTest {
         .map(|(p, level)| p * OMNIBUS / level)
         .fold(1.0, f64::min)
     }
-}
-
-/// Family-wise p-value of the strongest signature; 1 where none could be tested.
-fn family_wise(family: &MinPDistribution, strongest: Option<(f64, &Signature)>) -> f64 {
-    strongest.map_or(1.0, |(p, _)| family.family_wise_p(p))
 }
 
 /// p-value (normal approximation) and size of the lag-one correlation of neighbouring readings of
@@ -191,9 +202,8 @@ fn generic(
             .into_iter()
             .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
             .collect();
-    let plain: Vec<&Signature> = signatures.iter().map(|a| &a.signature).collect();
-    let family = MinPDistribution::simulate(
-        &plain,
+    let family = MinPDistribution::new(
+        signatures.iter().map(|a| a.signature.clone()).collect(),
         fit.dof,
         &Options {
             seed: options.seed ^ 0x5eed,
@@ -228,11 +238,7 @@ fn generic(
             .then(b.gain.total_cmp(&a.gain))
     });
     rank_steps_after_continuous(&mut scores);
-    let p = scores
-        .iter()
-        .map(|s| s.p_single)
-        .min_by(f64::total_cmp)
-        .map_or(1.0, |p| family.family_wise_p(p));
+    let p = scores.iter().map(|s| s.p_single).fold(1.0, f64::min);
     (p, scores, family)
 }
 
@@ -244,23 +250,20 @@ pub fn omnibus_test(
     options: &Options,
 ) -> OmnibusTest {
     let basis = nuisance_basis(fit);
-    let signatures = signatures_of_catalogue(system, fit, weights, &basis);
+    let signatures: Arc<[Signature]> = signatures_of_catalogue(system, fit, weights, &basis).into();
     let residual = fit.stacked();
-    let refs: Vec<&Signature> = signatures.iter().collect();
-    let family = MinPDistribution::simulate(&refs, fit.dof, options);
-    let p_catalogue = family_wise(&family, strongest(&signatures, &residual, fit));
-    let (p_covariates, covariates, covariate_family) =
+    let (smallest_covariate, covariates, covariate_family) =
         generic(system, fit, weights, &residual, options);
     let (p_serial, serial_correlation) = serial(system, fit, weights);
     OmnibusTest {
-        p_catalogue,
-        p_covariates,
+        smallest_catalogue: strongest(signatures.iter(), &residual, fit).map_or(1.0, |(p, _)| p),
+        smallest_covariate,
         p_serial,
         serial_correlation,
         within_model_error: false,
         is_rounding: is_rounding(system, fit, weights),
+        family: MinPDistribution::new(signatures.clone(), fit.dof, options),
         signatures,
-        family,
         covariate_family,
         covariates,
     }

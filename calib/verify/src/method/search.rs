@@ -19,6 +19,7 @@ use crate::levels::{CATALOGUE, LEAD, RIVAL};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
@@ -108,7 +109,8 @@ pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Sig
         .enumerate();
     let of = |(k, h): (usize, &Hypothesis)| {
         let known = || search.found.last_test.signatures.clone();
-        let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance_basis(&h.fit));
+        let anew =
+            || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance_basis(&h.fit)).into();
         (h.clone(), if k == 0 { known() } else { anew() })
     };
     Signatures {
@@ -119,7 +121,7 @@ pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Sig
 /// The terms that would lower the projected misfit of each of them most.
 pub fn screen_subsets(system: &dyn MeasurementModel, signatures: Signatures) -> Candidates {
     let of =
-        |(k, (h, own)): (usize, &(Hypothesis, Vec<Signature>))| extensions(system, (k, h), own);
+        |(k, (h, own)): (usize, &(Hypothesis, Arc<[Signature]>))| extensions(system, (k, h), own);
     let extended = signatures.parents.iter().enumerate().flat_map(of).collect();
     Candidates {
         parents: signatures.parents.into_iter().map(|(h, _)| h).collect(),
@@ -308,7 +310,7 @@ pub struct Candidates {
 /// Signatures of one term more on the explanations that are gone on from: the few best of the last
 /// size, since the true set need not contain the best single effect.
 pub struct Signatures {
-    parents: Vec<(Hypothesis, Vec<Signature>)>,
+    parents: Vec<(Hypothesis, Arc<[Signature]>)>,
 }
 
 /// Starts with one term more than the explanation `from`: the best laws of each key.

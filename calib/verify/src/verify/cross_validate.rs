@@ -187,7 +187,7 @@ fn withdraw_below_model_error(
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
-        let by_chance = found.last_test.p_covariates.min(found.last_test.p_serial) >= NEGLIGIBLE;
+        let by_chance = found.last_test.p_covariates().min(found.last_test.p_serial) >= NEGLIGIBLE;
         small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];

@@ -47,8 +47,37 @@ fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
 /// Ratios of a shared part to the repeat noise that are searched.
 const RATIOS: [f64; 2] = [0.05, 30.0];
 
-/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that
-/// count. A part that is correlated in time is taken up where it gains more than `correlated_gain`.
+/// The parts of the noise that suit a model best.
+pub(crate) struct Components {
+    pub(crate) weights: Weights,
+    pub(crate) law: Option<SpreadModel>,
+    common: f64,
+    /// Precision of single readings that the shared parts stand on.
+    relative: Vec<f64>,
+    shared: Shared,
+}
+
+/// What readings share, in units of the repeat noise.
+#[derive(Clone, Copy)]
+struct Shared {
+    /// -2 log restricted likelihood.
+    cost: f64,
+    /// Size and time constant of a part that is correlated in time.
+    correlated: Option<[f64; 2]>,
+    /// Pose scatter.
+    pose: f64,
+}
+
+impl Components {
+    /// A part is correlated in time.
+    pub(crate) fn is_correlated(&self) -> bool {
+        self.shared.correlated.is_some()
+    }
+}
+
+/// Estimates the parts of the noise in the residuals of `model` with their intervals; `counted` are
+/// the readings that count. A part that is correlated in time is taken up where it gains more than
+/// `correlated_gain`.
 pub fn estimate(
     model: &MeanModel,
     inputs: &NoiseInputs,
@@ -56,47 +85,14 @@ pub fn estimate(
     correlated_gain: f64,
     seed: u64,
 ) -> Option<Noise> {
-    let n = inputs.settings.len();
-    let common = estimate_averaging_floor(model, inputs, counted);
-    let known = inputs.own(common);
-    let mask: Vec<f64> = (0..n)
-        .map(|i| if counted.counts(i) { known[i] } else { 0.0 })
-        .collect();
-    let law = fit_variance_function(model, inputs, &Weights::independent(mask.clone()), seed);
-    let relative = |law: &Option<SpreadModel>| match law {
-        Some(l) => mask
-            .iter()
-            .zip(l.relative_sd(inputs))
-            .map(|(m, sd)| m / sd)
-            .collect(),
-        None => mask.clone(),
-    };
-    let (mut weights, mut correlated, mut pose) =
-        estimate_variance_components(model, inputs, &relative(&law), correlated_gain)?;
-    let mut law = law;
-    if law.is_some() && weights.shared().is_some() {
-        // What readings share can look like a law of the spread: it must hold among whitened
-        // readings, too.
-        let (plain, c, p) = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
-        if plain.shared().is_some() && fit_variance_function(model, inputs, &plain, seed).is_none()
-        {
-            (weights, correlated, pose, law) = (plain, c, p, None);
-        }
-    }
-    // The readings that do not count keep their spread, so that they can be readmitted.
-    let own = law
-        .as_ref()
-        .map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
-    let every: Vec<f64> = own
-        .iter()
-        .zip(&known)
-        .map(|(sd, known)| known / sd)
-        .collect();
-    let every = match weights.shared() {
-        Some(shared) => Weights::sharing(every, shared.clone()),
-        None => Weights::independent(every),
-    };
-    let weights = every.masked(|i| counted.counts(i));
+    let found = estimate_components(model, inputs, counted, correlated_gain, seed)?;
+    let (pose, correlated) = found.stated(model, inputs);
+    let Components {
+        weights,
+        law,
+        common,
+        ..
+    } = found;
     let m = restricted_likelihood(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
     let whitened = studentised_residuals(model, &weights, s);
@@ -112,6 +108,61 @@ pub fn estimate(
         tails: tails(&whitened),
         step: inputs.step.clone(),
         weights,
+    })
+}
+
+/// The same without intervals and tails.
+pub(crate) fn estimate_components(
+    model: &MeanModel,
+    inputs: &NoiseInputs,
+    counted: &Weights,
+    correlated_gain: f64,
+    seed: u64,
+) -> Option<Components> {
+    let n = inputs.settings.len();
+    let common = estimate_averaging_floor(model, inputs, counted);
+    let known = inputs.own(common);
+    let mask: Vec<f64> = (0..n)
+        .map(|i| if counted.counts(i) { known[i] } else { 0.0 })
+        .collect();
+    let mut law = fit_variance_function(model, inputs, &Weights::independent(mask.clone()), seed);
+    let mut relative: Vec<f64> = match &law {
+        Some(l) => mask
+            .iter()
+            .zip(l.relative_sd(inputs))
+            .map(|(m, sd)| m / sd)
+            .collect(),
+        None => mask.clone(),
+    };
+    let mut shared = estimate_variance_components(model, inputs, &relative, correlated_gain)?;
+    if law.is_some() && (shared.correlated.is_some() || shared.pose > 0.0) {
+        // What readings share can look like a law of the spread: it must hold among whitened
+        // readings, too.
+        let plain = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
+        let whitened = Weights::sharing(mask.clone(), inputs.shared(plain.correlated, plain.pose));
+        if whitened.shared().is_some()
+            && fit_variance_function(model, inputs, &whitened, seed).is_none()
+        {
+            (relative, shared, law) = (mask, plain, None);
+        }
+    }
+    // The readings that do not count keep their spread, so that they can be readmitted.
+    let own = law
+        .as_ref()
+        .map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
+    let every = own
+        .iter()
+        .zip(&known)
+        .map(|(sd, known)| known / sd)
+        .collect();
+    let weights = Weights::sharing(every, inputs.shared(shared.correlated, shared.pose))
+        .masked(|i| counted.counts(i));
+    Some(Components {
+        weights,
+        law,
+        common,
+        relative,
+        shared,
     })
 }
 
@@ -155,9 +206,6 @@ fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &W
     if cost(0.0) <= least { 0.0 } else { x[0].exp() }
 }
 
-/// A shared part's estimate.
-type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
-
 /// Share of the session from which a time constant makes of the correlated part one course over it:
 /// half of the longest that is searched.
 pub(crate) const COURSE: f64 = 0.25;
@@ -168,7 +216,7 @@ pub(crate) const COURSE: f64 = 0.25;
 pub(crate) fn best_misfit(
     model: &MeanModel,
     inputs: &NoiseInputs,
-    noise: &Noise,
+    noise: &Components,
 ) -> Option<(RestrictedLikelihood, Option<bool>)> {
     let relative = noise.weights.relative().to_vec();
     let at = |v: &[f64; 3]| {
@@ -252,7 +300,7 @@ fn estimate_variance_components(
     inputs: &NoiseInputs,
     relative: &[f64],
     correlated_gain: f64,
-) -> Option<Parts> {
+) -> Option<Shared> {
     let at = |correlated: Option<[f64; 2]>, pose: f64| {
         Weights::sharing(relative.to_vec(), inputs.shared(correlated, pose))
     };
@@ -333,36 +381,61 @@ fn estimate_variance_components(
             );
         }
     }
-    let (_, correlated, pose) = found;
-    let s = restricted_likelihood(model, &at(correlated, pose))
-        .map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt());
-    let likelihood = |c: Option<[f64; 2]>, p: f64| restricted_likelihood(model, &at(c, p));
-    let around = |value: f64| STEPS.map(move |k| value.max(RATIOS[0]) * STEP.powi(k));
-    let pose_part = can_pose.then(|| {
-        let points = around(pose).filter_map(|x| Some((x, likelihood(correlated, x)?)));
-        let [low, high] = profile_interval(points, found.0);
-        NoisePart {
-            value: pose * s,
-            interval95: [if pose > 0.0 { low } else { 0.0 }, high],
-        }
-    });
-    let correlated_part = correlated.zip(tau).map(|([r, t], range)| {
-        let taus =
-            (0..=TAUS).map(|k| range[0] + (range[1] - range[0]) * f64::from(k) / f64::from(TAUS));
-        let points = taus
-            .map(f64::exp)
-            .chain([t])
-            .flat_map(|tau| around(r).map(move |x| [x, tau]));
-        let points = points.filter_map(|c| Some((c[0], likelihood(Some(c), pose)?)));
-        (
+    let (cost, correlated, pose) = found;
+    Some(Shared {
+        cost,
+        correlated,
+        pose,
+    })
+}
+
+impl Components {
+    /// Pose scatter, and what is correlated in time with its time constant, each with its interval;
+    /// none where the design does not tell.
+    fn stated(
+        &self,
+        model: &MeanModel,
+        inputs: &NoiseInputs,
+    ) -> (Option<NoisePart>, Option<(NoisePart, f64)>) {
+        let Shared {
+            cost,
+            correlated,
+            pose,
+        } = self.shared;
+        let likelihood = |correlated: Option<[f64; 2]>, pose: f64| {
+            let shared = inputs.shared(correlated, pose);
+            restricted_likelihood(model, &Weights::sharing(self.relative.clone(), shared))
+        };
+        let s = likelihood(correlated, pose).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt());
+        let around = |value: f64| STEPS.map(move |k| value.max(RATIOS[0]) * STEP.powi(k));
+        let independent = Weights::independent(self.relative.clone());
+        let pose_part = (inputs.held_repeats(&independent) >= MIN_HELD_REPEATS).then(|| {
+            let points = around(pose).filter_map(|x| Some((x, likelihood(correlated, x)?)));
+            let [low, high] = profile_interval(points, cost);
             NoisePart {
-                value: r * s,
-                interval95: profile_interval(points, found.0),
-            },
-            t,
-        )
-    });
-    Some((at(correlated, pose), correlated_part, pose_part))
+                value: pose * s,
+                interval95: [if pose > 0.0 { low } else { 0.0 }, high],
+            }
+        });
+        let range = inputs.clock.as_ref().and_then(|c| time_constants(c));
+        let correlated_part = correlated.zip(range).map(|([r, t], range)| {
+            let taus = (0..=TAUS)
+                .map(|k| range[0] + (range[1] - range[0]) * f64::from(k) / f64::from(TAUS));
+            let points = taus
+                .map(f64::exp)
+                .chain([t])
+                .flat_map(|tau| around(r).map(move |x| [x, tau]));
+            let points = points.filter_map(|c| Some((c[0], likelihood(Some(c), pose)?)));
+            (
+                NoisePart {
+                    value: r * s,
+                    interval95: profile_interval(points, cost),
+                },
+                t,
+            )
+        });
+        (pose_part, correlated_part)
+    }
 }
 
 #[cfg(test)]

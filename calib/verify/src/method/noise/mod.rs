@@ -10,7 +10,9 @@ pub mod tails;
 pub(crate) mod whitening;
 
 pub use estimate::estimate;
-pub(crate) use estimate::{CORRELATED_PRICE, COURSE, best_misfit, correlated_gain};
+pub(crate) use estimate::{
+    CORRELATED_PRICE, COURSE, Components, best_misfit, correlated_gain, estimate_components,
+};
 
 pub use inputs::NoiseInputs;
 pub use likelihood::{MeanModel, RestrictedLikelihood};

@@ -310,7 +310,7 @@ impl ScalarSystem {
             return false;
         }
         let left = best.fit.stacked();
-        let strongest = strongest(&test.signatures, &left, &best.fit);
+        let strongest = strongest(test.signatures.iter(), &left, &best.fit);
         strongest.is_some_and(|(_, s)| self.runs_with_the_clock(&s.term))
     }
 

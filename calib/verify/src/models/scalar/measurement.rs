@@ -276,7 +276,7 @@ impl SessionModel for ScalarSystem {
                 .covariates
                 .first()
                 .is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
-            && found.last_test.p_catalogue >= CATALOGUE
+            && found.last_test.p_catalogue() >= CATALOGUE
     }
 
     fn repeats_with_protocol(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {

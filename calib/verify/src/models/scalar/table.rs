@@ -121,7 +121,7 @@ fn extended(
         let left = kept.fit.stacked();
         let other = |s: &&Signature| kept.fit.terms.iter().all(|t| t.effect != s.term.effect);
         let best = strongest(test.signatures.iter().filter(other), &left, &kept.fit);
-        let Some((_, best)) = best.filter(|_| test.p_catalogue < CATALOGUE) else {
+        let Some((_, best)) = best.filter(|_| test.p_catalogue() < CATALOGUE) else {
             break;
         };
         let law = system.catalogue()[best.term.effect].law(best.term.law);

@@ -443,7 +443,7 @@ fn note_model_error(found: &SearchResult) -> Option<String> {
     let driver = test
         .covariates
         .first()
-        .filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
+        .filter(|_| test.within_model_error && test.p_covariates() < GENERIC)?;
     Some(format!(
         "Within model error: what remains follows {} ({}) and is {:.1} % of the misfit.",
         driver.covariate,

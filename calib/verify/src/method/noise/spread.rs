@@ -18,7 +18,7 @@ pub(crate) const MIN_READINGS: usize = 20;
 const ENOUGH: usize = 20;
 
 /// Standard normal score that no permutation of a few thousand reaches.
-const OUT_OF_REACH: f64 = 8.0;
+const OUT_OF_REACH: f64 = 6.0;
 
 /// How the standard deviation follows the stimulus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -132,7 +132,7 @@ pub(crate) fn heteroscedasticity_test(
     // Drawn until enough reach the score, or to the end (Besag & Clifford, Biometrika 78 (1991)
     // 301): either way p is valid, and a large one is soon known.
     let (mut reached, mut drawn) = (0, 0);
-    // A score that its asymptotic law gives once in 10^15 is reached by none of them.
+    // A score that its asymptotic law gives once in 10^9 is reached by none of them.
     let score = correlation.abs() * (size.len() as f64 - 1.0).sqrt();
     if score > OUT_OF_REACH {
         drawn = draws;

@@ -61,6 +61,7 @@ fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, 
         project_onto(&of_best, &whole),
         project_onto(&of_rival, &whole),
     );
+    // Noise along the difference of both predictions decides which of them is nearer.
     let direction = whole.coordinates(&seen);
     let lambda = seen.norm_squared();
     let behind = (rival.fit.ssr - best.fit.ssr) / variance;
@@ -76,6 +77,8 @@ fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, 
             .iter_mut()
             .for_each(|z| *z = StandardNormal.sample(&mut rng));
         let taken = (&rival_rows * &noise).norm_squared() - (&best_rows * &noise).norm_squared();
+        // Squares of the rival less those of the best, were the rival true, over an estimated
+        // variance.
         let fall = -(lambda + 2.0 * direction.dot(&noise) + taken) * dof / spread.sample(&mut rng);
         reached += usize::from(fall >= behind);
     }

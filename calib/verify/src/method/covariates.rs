@@ -41,8 +41,11 @@ impl CovariateBuilder<'_> {
     /// to 1, `span`: their range.
     fn add_clock_shapes(&mut self, name: &str, unit: &[f64], span: f64) {
         let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
+        // Two parameters at most: a richer shape would fit what noise does.
         self.add(name, "linear", None, &[map(&|u| u)]);
         self.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
+        // A step can lie between any two readings: equal numbers of them between the places that
+        // are tried.
         for q in quantiles(unit, 24) {
             self.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
         }
@@ -51,11 +54,13 @@ impl CovariateBuilder<'_> {
             for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
                 self.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
             }
+            // What dies out after the start, from a few readings to half of the session.
             for tau in [0.03, 0.08, 0.2, 0.5] {
                 self.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
             }
         }
         for cycles in waves(unit) {
+            // Sine and cosine: the phase of a wave is linear in both.
             let phase = std::f64::consts::TAU * cycles;
             let wave = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
             self.add(name, "sinusoid", Some(span / cycles), &wave);
@@ -238,6 +243,7 @@ pub(crate) fn signatures_of_covariates(
         }
         let unit: Vec<f64> = values.iter().map(|v| (v - lo) / span).collect();
         let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
+        // A sensitivity that changes multiplies the signal; a zero that changes adds to it.
         let gain = |g: &[f64]| -> Vec<Vec<f64>> {
             signal
                 .iter()
@@ -255,6 +261,7 @@ pub(crate) fn signatures_of_covariates(
                         .map(|v| f64::from(u8::from(*v == g)))
                         .collect::<Vec<f64>>()
                 };
+                // One group less than there are: the constant is in the design already.
                 let dummies: Vec<Vec<f64>> = groups.iter().skip(1).map(|g| member(*g)).collect();
                 maker.add(name, "irregular", None, &dummies);
                 let gains: Vec<Vec<f64>> = dummies.iter().flat_map(|d| gain(d)).collect();
@@ -279,6 +286,7 @@ pub(crate) fn signatures_of_covariates(
                     name,
                     "exponential",
                     None,
+                    // Creep over decades of time goes with the logarithm.
                     &[values.iter().map(|v| (1.0 + v).ln()).collect()],
                 );
             }
@@ -298,6 +306,7 @@ pub(crate) fn signatures_of_covariates(
                 maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
             }
             "largest_moment_nmm" => {
+                // What a load leaves behind sets in where an earlier one has not gone yet.
                 for q in [0.0, 0.2, 0.35, 0.5, 0.65, 0.8] {
                     maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
                 }

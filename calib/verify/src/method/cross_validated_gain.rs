@@ -33,6 +33,7 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
             column /= norm;
         }
     }
+    // The normal equations of all groups, from which one at a time is taken off.
     let whole = transposed_product(&jacobian, &jacobian)
         + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
     let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();

@@ -72,6 +72,7 @@ impl Fit {
             .map(|t| catalogue[t.effect].law(t.law))
             .collect();
         let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+        // Columns of the declared model come first.
         let (mut column, mut value) = (self.design.ncols().saturating_sub(own), 0);
         let of = |law: &EffectModel| {
             let (columns, values) = (
@@ -114,6 +115,7 @@ impl Fit {
         );
         let rows = self.residual.len() + self.auxiliary_residual.len();
         let mut jacobian = DMatrix::zeros(rows, q * channels + m);
+        // Channels share the design, not its coefficients: a block each.
         for c in 0..channels {
             jacobian
                 .view_mut((c * n, c * q), (n, q))

@@ -24,6 +24,7 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| {
         jacobian[(i, j)] / scale[j]
     });
+    // Columns of unit length: the condition does not depend on the units of the parameters.
     let gram = scaled.transpose() * &scaled;
     let inverse = gram
         .pseudo_inverse(1e-12)
@@ -67,6 +68,7 @@ pub(crate) fn prediction_sd(
             jacobian[(a * n + i, k)]
         });
         let gradient = shares.transpose() * rows;
+        // First order: the parameters' covariance through the tangents.
         let fitted = (&gradient * &spread * gradient.transpose())[0];
         (noise_sd[i].powi(2) * shares.norm_squared() + fitted.max(0.0)).sqrt()
     };
@@ -95,6 +97,8 @@ pub fn parameters(
         let law = system.catalogue()[effect].law(term.law);
         for ((p, v), k) in law.parameters.iter().zip(&term.values).zip(slots.values) {
             let shared = NORMAL_95 * system.systematic_sd(effect, p.name);
+            // What readings average out by Student's t; what they share is known beforehand and
+            // normal.
             let half = (t * covariance[(q * c + k, q * c + k)].max(0.0).sqrt()).hypot(shared);
             let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
             let low = if one_sided {
@@ -166,6 +170,7 @@ fn signature_cosine(
     h: &Hypothesis,
 ) -> f64 {
     let whole = explained_part(base, best);
+    // The angle between what is each one's own.
     let common = common_effects(system, base, best, h);
     let (a, b) = (
         common.project_off(&whole),

@@ -39,6 +39,7 @@ impl LackOfFit {
         if within.dof < 1.0 || !(within.ss > 0.0) {
             return None;
         }
+        // Readings of one setting differ by noise alone: no model is needed for their variance.
         let pure_variance = within.ss / within.dof;
         let (f, dof) = (
             (between.ss / between.dof.max(1.0)) / pure_variance,
@@ -91,6 +92,7 @@ pub fn members(cells: &[u64], weights: &[f64]) -> Vec<Vec<usize>> {
 fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool) -> DVector<f64> {
     let mut out = DVector::from_fn(values.len(), |i, _| weights[i] * values[i]);
     for cell in cells.iter().filter(|_| within) {
+        // The mean with the least variance: weights are reciprocal standard deviations.
         let square: f64 = cell.iter().map(|&i| weights[i].powi(2)).sum();
         let mean = cell
             .iter()
@@ -154,6 +156,7 @@ pub(crate) fn split_of(
     };
     let readings = cells.iter().map(Vec::len).sum::<usize>() as f64;
     let ((whole, rank), (inside, rank_inside)) = (of(false), of(true));
+    // Every cell costs one degree of freedom, and every column that moves readings within one.
     let within = Part {
         ss: inside,
         dof: readings - cells.len() as f64 - rank_inside,
@@ -168,6 +171,7 @@ pub(crate) fn split_of(
 /// Chance of a fall from `without` to `with` beside what remains; none where nothing more is asked
 /// or nothing remains to compare with.
 pub(crate) fn extra_sum_of_squares_p(without: Part, with: Part) -> Option<f64> {
+    // Extra sum of squares over what the larger model leaves: F of nested models.
     let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
     let f = gain / extra / (with.ss / with.dof).max(1e-300);
     f_tail(f, [extra, with.dof])

@@ -162,6 +162,7 @@ impl<'a> NoiseEstimator<'a> {
         // Both sides have had every shared part; a law of the spread is one parameter.
         let law = |n: &Components| if n.law.is_some() { PRICE } else { 0.0 };
         let lead = (a.plain + law(&without.noise) - b.plain - law(&with.noise)) / a.values;
+        // A lead in -2 log L per value is the logarithm of a ratio of variances.
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
         let worse = lead.min(MAX_LEAD).exp();
@@ -182,6 +183,8 @@ impl<'a> NoiseEstimator<'a> {
         } else {
             RETAIN
         };
+        // A model without a term has the noise that suits it: that is what would stand in its
+        // place.
         let judged = dropped.into_iter().filter_map(|dropped| {
             let without = self.noise_and_misfit(&dropped.1, &[])?;
             let p = self.p_value(&without, &with, family);

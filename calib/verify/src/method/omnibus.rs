@@ -148,6 +148,7 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
     let groups = system.groups();
     let (mut product, mut count) = (0.0, 0.0);
     let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.counts(i)).collect();
+    // Neighbours of one group alone: between groups time passes that nothing tells of.
     for pair in rows.windows(2) {
         if groups[pair[0]] == groups[pair[1]] {
             for c in 0..fit.residual.ncols() {
@@ -163,6 +164,7 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
     // correlation counts.
     let mean_square =
         fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
+    // Of white noise the lag-one correlation of n pairs has the standard deviation 1/sqrt(n).
     let correlation = product / count / mean_square;
     (
         Normal::standard().sf(correlation * count.sqrt()),
@@ -225,6 +227,7 @@ fn generic(
             dimension: a.signature.dimension(),
             columns: a.columns.clone(),
         };
+        // Of each covariate its best shape stands; the family corrects for the others.
         match scores.iter_mut().find(|s| s.covariate == a.covariate) {
             Some(kept) if kept.p_single <= p_single => {}
             Some(kept) => *kept = score,

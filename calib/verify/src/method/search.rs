@@ -204,9 +204,11 @@ pub fn select_model(
             .extend(unidentified(&search.found.best));
         return false;
     };
+    // One variance for all, that of the best: their criteria can be compared.
     physical.sort_by(|a, b| a.aic(base, scale).total_cmp(&b.aic(base, scale)));
     let candidate = physical[0].clone();
     search.found.rejections.extend(unidentified(&candidate));
+    // Two gates: chance within the family that was searched, and the price of the parameters.
     let p = f_to_enter(
         &search.found.best,
         &candidate,
@@ -319,6 +321,7 @@ fn extensions(
     (k, from): (usize, &Hypothesis),
     signatures: &[Signature],
 ) -> Vec<Candidate> {
+    // The projected linear model: what each term would lower the squares by, no refit.
     let residual = from.fit.stacked();
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
     let mut best_of: BTreeMap<TermKey, f64> = BTreeMap::new();
@@ -330,6 +333,7 @@ fn extensions(
     }
     let mut ranked: Vec<(TermKey, f64)> = best_of
         .into_iter()
+        // Two standard deviations of one parameter: less is not worth a refit.
         .filter(|b| b.1 > 4.0 * from.fit.variance().min(1.0e300))
         .collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -438,6 +442,7 @@ fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest
         return to.flag_p;
     }
     let extra = to.parameters(base) - from.parameters(base);
+    // F to enter on the fall of the squares.
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
     single.map_or(1.0, |p| test.family.family_wise_p(p))

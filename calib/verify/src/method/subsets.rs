@@ -29,6 +29,7 @@ pub(crate) fn best_subsets(
     variance: f64,
     keep: usize,
 ) -> Vec<Subset> {
+    // Each key keeps its best few: sets of all points of all grids would be too many.
     let chosen = sure_screening(catalogue, signatures, residual);
     let columns: Vec<&DVector<f64>> = chosen
         .iter()

@@ -86,6 +86,8 @@ pub(crate) fn far_above_floor<M: SessionModel>(
     let readings = errors.shared.map_or(points, |s| s.independent.min(points));
     let widening = errors.shared.map_or(1.0, |s| s.widening);
     let values = (readings * model.measured().ncols() as f64).max(1.0);
+    // Readings that share noise are fewer than they are, and their error is larger at the
+    // interval's end.
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
     let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
     let chance = f_tail(ratio * ratio, [values, dof])?;

@@ -264,6 +264,7 @@ fn holdout_outliers<M: SessionModel>(
     let sd = noise.reading_sd(&whole.noise_inputs());
     let heavy = noise.tails.filter(|t| t.heaviest.is_finite());
     let tail = |x: f64| heavy.map_or_else(|| 2.0 * Normal::standard().sf(x), |t| t.two_sided(x));
+    // Every sealed value is one more look at the same level.
     let level = SEALED_SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
@@ -285,6 +286,8 @@ fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) ->
     let covariance = |noise: &Noise| noise.weights_of(&whole.noise_inputs()).covariance(&rows);
     let (c, estimated) = (covariance(&noise.at_upper_ends()), covariance(noise));
     SharedNoise {
+        // Satterthwaite: the mean of correlated squares scatters like that of fewer independent
+        // ones.
         independent: c.trace().powi(2) / c.norm_squared(),
         widening: (c.trace() / estimated.trace()).max(1.0).sqrt(),
     }

@@ -248,6 +248,7 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
     let law = model.catalogue()[of.effect].law(of.law);
+    // Coefficients stand channel by channel in the covariance, nonlinear values behind them.
     let linear = slots.columns.clone();
     let linear =
         linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
@@ -265,6 +266,7 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let Some(factor) = spread.cholesky() else {
         return true;
     };
+    // Wald: b' V^-1 b / n is F with n and the residual's degrees of freedom.
     let f = values.dot(&factor.solve(&values)) / n as f64;
     f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= USUAL)
 }

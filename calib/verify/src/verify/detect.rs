@@ -184,6 +184,7 @@ fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
 /// Length of a signature, in standard deviations of a reading, that a test with `d` and `dof`
 /// degrees of freedom finds with 90 %.
 fn noncentrality(level: f64, d: f64, dof: f64) -> Option<f64> {
+    // The critical value of the test, in the same unit as the signature's length.
     let t = (d * FisherSnedecor::new(d, dof).ok()?.inverse_cdf(1.0 - level)).sqrt();
     Some(t + POWER_90 * (1.0 + t * t / (2.0 * dof)).sqrt())
 }
@@ -237,6 +238,7 @@ fn smallest<M: SessionModel>(
             let of_design = |t: DesignTest| {
                 Some(noncentrality(t.level, d, t.dof)? * signature / t.norm.max(1e-300))
             };
+            // A name passes every gate: the hardest of them decides.
             let tests = model.design_tests(h, &a.term, a.projected.first()?);
             let asked = !tests.is_empty();
             let of_design = tests
@@ -253,6 +255,7 @@ fn smallest<M: SessionModel>(
                 needed * model.systematic_sd(effect, laws[law].parameters[*slot].name)
             });
             let readings = fit.residual.len();
+            // Length of the signature in the readings alone, without what the pictures see.
             let alone = (!fit.auxiliary_residual.is_empty())
                 .then(|| a.projected[0].rows(0, readings).norm())
                 .map(|own| {

@@ -60,6 +60,7 @@ pub(super) fn declared_calibration<M: SessionModel>(
     noise: &Noise,
     floor_sd: f64,
 ) -> M::Calibration {
+    // Ratio of what both leave of the same readings.
     let more = (declared.fit.variance() / chosen.fit.variance()).sqrt();
     let times = if more.is_finite() { more } else { 1.0 };
     model.calibration(declared, declared, &noise.scaled(times), times * floor_sd)
@@ -90,6 +91,7 @@ impl<M: SessionModel> LeftOut<M> {
     /// Chance that what each fold chose predicts the readings which it left out so much better than
     /// the declared model; none without noise.
     pub(crate) fn gain_p(&self, model: &M, accepted: &Hypothesis) -> Option<f64> {
+        // Each fold judges what it left out, under the noise that it estimated.
         let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
             let fold = fold.as_ref()?;
             let model = fold.model.as_ref().unwrap_or(model);
@@ -286,6 +288,7 @@ pub(crate) fn leave_out<M: SessionModel>(
 pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
     let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);
+    // An error over all readings adds their variances; a typical reading is the median.
     let square =
         readings.iter().map(|&i| all[i].powi(2)).sum::<f64>() / readings.len().max(1) as f64;
     if typical > 0.0 {

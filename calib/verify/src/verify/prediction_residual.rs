@@ -47,6 +47,7 @@ impl Root {
     /// Of parameters with that covariance in units of s^2, which move the whitened values by
     /// `jacobian`; none where it has no decomposition.
     fn of(jacobian: DMatrix<f64>, spread: &DMatrix<f64>) -> Option<Self> {
+        // J V J' has the rank of the parameters: its eigenvectors lie in the span of J.
         let (q, r) = jacobian.qr().unpack();
         let parts = (&r * spread * r.transpose()).try_symmetric_eigen(f64::EPSILON, 0)?;
         let shrink = parts
@@ -304,10 +305,12 @@ impl PairedTest {
         }
         let scatter =
             |[own, size, variance]: &[f64; 3]| (own - gain / change * size).powi(2) / variance;
+        // Groups that agree about one gain scatter by 1 on G - 1 degrees of freedom.
         let between = self.groups.iter().map(scatter).sum::<f64>()
             / (self.groups.len() as f64 - 1.0).max(1.0);
         let within = self.squares / self.count.max(1.0);
         let variance = self.variance * between.max(within).max(1.0);
+        // One-sided: T^2 is F with one degree of freedom, and half of it lies on the other side.
         Some(0.5 * f_tail(gain * gain / variance, [1.0, self.dof])?)
     }
 }

@@ -125,6 +125,7 @@ pub(crate) fn estimate_components(
     let mask: Vec<f64> = (0..n)
         .map(|i| if counted.counts(i) { known[i] } else { 0.0 })
         .collect();
+    // The spread first: weights that are wrong by it would look like a shared part.
     let mut law = fit_variance_function(model, inputs, &Weights::independent(mask.clone()), seed);
     let mut relative: Vec<f64> = match &law {
         Some(l) => mask
@@ -139,6 +140,7 @@ pub(crate) fn estimate_components(
         // What readings share can look like a law of the spread: it must hold among whitened
         // readings, too.
         let plain = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
+        // Whitened by what is shared, a spread that only looked like one is gone.
         let whitened = Weights::sharing(mask.clone(), inputs.shared(plain.correlated, plain.pose));
         if whitened.shared().is_some()
             && fit_variance_function(model, inputs, &whitened, seed).is_none()
@@ -192,6 +194,7 @@ fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &W
             .map_or(f64::INFINITY, |m| m.restricted)
     };
     let range = COMMON.map(f64::ln);
+    // A cost with more than one hollow: the nearest of a few places starts the descent.
     let starts = [0.1, 0.35, 0.6, 0.85].map(|k| range[0] + (range[1] - range[0]) * k);
     let nearest = starts
         .into_iter()
@@ -265,6 +268,7 @@ pub(crate) fn best_misfit(
         &cost,
     );
     let m = at(&best).filter(|m| m.plain < plain.plain).unwrap_or(plain);
+    // The smallest ratio stands for no such part: the logarithm has no zero.
     let gains = cost(&[RATIOS[0].ln(), best[1], best[2]]) - m.plain > CORRELATED_PRICE;
     Some((m, gains.then(|| best[1] >= tau[1] + (2.0 * COURSE).ln())))
 }
@@ -358,6 +362,7 @@ fn estimate_variance_components(
     {
         found = (c, Some(v.map(f64::exp)), 0.0);
     }
+    // Both parts can hold what one alone takes up: they are searched together once more.
     if let (Some(tau), true, true) = (tau, can_pose, found.0 < plain) {
         let start = [
             found.1.map_or(-0.7, |c| c[0].ln()),
@@ -421,6 +426,7 @@ impl Components {
         let correlated_part = correlated.zip(range).map(|([r, t], range)| {
             let taus = (0..=TAUS)
                 .map(|k| range[0] + (range[1] - range[0]) * f64::from(k) / f64::from(TAUS));
+            // Profile: at every ratio the time constant that suits it best.
             let points = taus
                 .map(f64::exp)
                 .chain([t])

@@ -59,6 +59,7 @@ impl NoiseInputs {
         if self.averaged.is_empty() {
             return self.known.clone();
         }
+        // The variance of the module of parts: (c^2 + a) / (c^2 + 1).
         let of = |(known, a): (&f64, &f64)| known * ((common + 1.0) / (common + a)).sqrt();
         self.known.iter().zip(&self.averaged).map(of).collect()
     }
@@ -88,6 +89,7 @@ impl NoiseInputs {
         let mut last = None;
         let mut count = 0;
         for i in (0..self.settings.len()).filter(|&i| weights.counts(i) && self.posed[i]) {
+            // A repeat is a reading without a movement since the one before.
             count += usize::from(last == Some(self.settings[i]));
             last = Some(self.settings[i]);
         }

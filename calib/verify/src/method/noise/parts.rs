@@ -95,6 +95,7 @@ impl Noise {
             .zip(inputs.own(self.common))
             .map(|(sd, known)| known / sd)
             .collect();
+        // Whitening works in units of the repeat noise.
         let size = |e: &NoisePart| e.value / self.repeat.value;
         let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);
         let pose = self
@@ -107,6 +108,7 @@ impl Noise {
 
     /// Variance of what readings share, in units of the repeat noise's.
     pub(crate) fn shared_variance(&self) -> f64 {
+        // Independent parts add in squares.
         let of = |e: &NoisePart| (e.value / self.repeat.value).powi(2);
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }

@@ -84,6 +84,7 @@ impl Weights {
         if shared.correlated.is_none() && shared.pose == 0.0 {
             return Self::independent(relative);
         }
+        // Innovations of the Kalman filter are white: each reading less what those before it say.
         let filter = innovations(&relative, &shared);
         Self {
             own: relative.clone(),

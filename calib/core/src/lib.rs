@@ -4,7 +4,6 @@
 //! in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`. Frames: **base**
 //! has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
-pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
 pub mod covariance;

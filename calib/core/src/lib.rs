@@ -38,9 +38,9 @@ pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind,
-    SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel,
-    WhiskerData, WhiskerRow, WhiskerSpec,
+    FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes, Trajectory,
+    TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
+    WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;

@@ -1,73 +1,33 @@
 //! Which option of `wcal import` takes a column, as its name tells.
 
+use wcal_session::is_among;
+
 /// Words of a column's name, in lower case, and the option that takes such a column.
-const WORDS: [(&str, &[&str]); 4] = [
-    (
-        "--direction",
-        &["dir", "direction", "richtung", "sense", "updown"],
-    ),
+const WORDS: [(&str, &str); 4] = [
+    ("--direction", "dir|direction|richtung|sense|updown"),
     (
         "--replicate",
-        &[
-            "cycle",
-            "zyklus",
-            "run",
-            "series",
-            "serie",
-            "rep",
-            "repeat",
-            "replicate",
-            "repetition",
-        ],
+        "cycle|zyklus|run|series|serie|rep|repeat|replicate|repetition",
     ),
     (
         "--temperature",
-        &[
-            "temp",
-            "temperature",
-            "temperatur",
-            "degc",
-            "t_c",
-            "t_k",
-            "t_f",
-            "t_degc",
-        ],
+        "temp|temperature|temperatur|degc|t_c|t_k|t_f|t_degc",
     ),
     (
         "--time",
-        &[
-            "time",
-            "t",
-            "zeit",
-            "date",
-            "datum",
-            "timestamp",
-            "clock",
-            "elapsed",
-            "seconds",
-        ],
+        "time|t|zeit|date|datum|timestamp|clock|elapsed|seconds",
     ),
 ];
 
 /// Words of a column that holds corrections, deviations or errors of another quantity; a difference
 /// is measured as such (a pressure `delta_p`).
-const DEVIATIONS: [&str; 9] = [
-    "correction",
-    "corr",
-    "deviation",
-    "dev",
-    "error",
-    "err",
-    "korrektur",
-    "abweichung",
-    "fehler",
-];
+const DEVIATIONS: &str = "correction|corr|deviation|dev|error|err|korrektur|abweichung|fehler";
 
 /// Whether a column's name says that it is a deviation of the stimulus.
 pub(crate) fn is_deviation(name: &str) -> bool {
     let name = name.to_lowercase();
     name.split(|c: char| !c.is_alphanumeric())
-        .any(|word| DEVIATIONS.contains(&word))
+        .any(|word| is_among(DEVIATIONS, word))
 }
 
 /// The option that takes a column of this name; none where the name does not tell.
@@ -79,8 +39,7 @@ pub(crate) fn option_of(name: &str) -> Option<&'static str> {
         .collect();
     // A temperature may be recognised by its unit alone: T_C, T (K).
     let whole = words.join("_");
-    let holds =
-        |of: &[&str]| of.contains(&whole.as_str()) || words.iter().any(|word| of.contains(word));
+    let holds = |of: &str| is_among(of, &whole) || words.iter().any(|word| is_among(of, word));
     WORDS
         .iter()
         .find(|(_, of)| holds(of))

@@ -1,13 +1,13 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
-use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::verify::{self, print_text, verify_session};
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
-use wcal_report::{IndexEntry, render_index};
+use wcal_report::{ReportInput, render_index};
 use wcal_session::load;
 
 /// Arguments of `wcal demo`.
@@ -93,22 +93,17 @@ const SWEEP: Recording = recording!(
 const TITLE: &str = "wcal demo";
 
 /// Runs a command line of the program.
-type RunWords = fn(&[&str]) -> anyhow::Result<ExitCode>;
+type RunWords = fn(&[&str]) -> Result<ExitCode>;
 
 /// Runs the command; its own commands by `run_words`.
 ///
 /// # Errors
 /// A file that cannot be written.
-pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
     let names: Vec<&str> = RECORDINGS.iter().chain([&SWEEP]).map(|r| r.name).collect();
     let own = ResultKind {
-        command: "demo",
-        document: "report.html",
-        format_prefix: TITLE,
-        files: &[],
         kept: &names,
-        resumes: false,
-        made_of: unsaid,
+        ..ResultKind::new("demo", "report.html", TITLE, &[])
     };
     own.check(&args.out, args.overwrite.force)?;
     let kind = ResultKind {
@@ -122,7 +117,7 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCo
     }
     let progress = crate::progress::Progress::new("demo");
     write_session(&args.out, &SWEEP)?;
-    let mut entries = Vec::new();
+    let mut reports = Vec::new();
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
         let out = args.out.join(r.name);
@@ -136,16 +131,16 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCo
         let report = verify_session(session, &mut results, options, None, sweep.as_deref())?;
         results.finish()?;
         print_text(&report, &out);
-        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
+        reports.push((format!("{}/report.html", r.name), report));
     }
     track_bottle(&args.out, run_words)?;
     drop(progress);
-    println!("report: {}", write_index(&args.out, &entries)?.display());
+    println!("report: {}", write_index(&args.out, &reports)?.display());
     Ok(ExitCode::SUCCESS)
 }
 
 /// Writes a recording's session into its folder; the session's folder.
-fn write_session(place: &Path, r: &Recording) -> anyhow::Result<PathBuf> {
+fn write_session(place: &Path, r: &Recording) -> Result<PathBuf> {
     let folder = place.join(r.name).join("session");
     std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
     for (name, content) in r.files {
@@ -156,7 +151,7 @@ fn write_session(place: &Path, r: &Recording) -> anyhow::Result<PathBuf> {
 
 /// The contacts of the measured sweep, through the map of the 27 measured poses: as anybody would
 /// make them, by the program's own commands.
-fn track_bottle(place: &Path, run_words: RunWords) -> anyhow::Result<()> {
+fn track_bottle(place: &Path, run_words: RunWords) -> Result<()> {
     let at = |name: &str| place.join(name).display().to_string();
     let (session, map, sweep) = (
         at("whiskerfbg/session"),
@@ -184,7 +179,7 @@ fn track_bottle(place: &Path, run_words: RunWords) -> anyhow::Result<()> {
 }
 
 /// Writes the first page; its path.
-fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> {
+fn write_index(place: &Path, reports: &[(String, ReportInput)]) -> Result<PathBuf> {
     let introduction = [
         "Four recordings that come with the program, through the whole residual loop: what does the declared model lack, and how far \
          does the error on readings that it was not fitted to fall once that is added?",
@@ -196,7 +191,7 @@ fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> 
     let page = place.join("report.html");
     write_atomic(
         &page,
-        render_index(TITLE, &introduction, entries).as_bytes(),
+        render_index(TITLE, &introduction, reports).as_bytes(),
     )?;
     Ok(page)
 }

@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::{MapDocument, RestZero};
 use wcal_core::text::chance;
-use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
+use wcal_core::{Role, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_gpr::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
 use wcal_verify::whisker::sensitivity::lost_sensitivity;
@@ -54,13 +54,13 @@ pub enum MapPreset {
 }
 
 const RESULT: ResultKind<'_> = ResultKind {
-    command: "fit-gpr",
-    document: "fit-gpr.json",
-    format_prefix: "wcal-map/",
-    files: &["calibration.json", "report.html"],
-    kept: &[],
-    resumes: false,
     made_of: |folder| text_of(folder, "calibration.json", "session"),
+    ..ResultKind::new(
+        "fit-gpr",
+        "fit-gpr.json",
+        "wcal-map/",
+        &["calibration.json", "report.html"],
+    )
 };
 
 /// Runs the command.
@@ -75,12 +75,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
     }
-    let SessionData::Whisker(data) = &session.data else {
-        bail!(
-            "fit-gpr: expected a session of kind \"whisker\", found {:?}",
-            session.kind
-        );
-    };
+    let data = session.whisker()?;
     if let Some(why) = lost_sensitivity(data)? {
         bail!("fit-gpr: session {:?}: {why}", session.id);
     }
@@ -169,11 +164,10 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let left_out = result.rest.as_ref().is_some_and(|r| r.left_out);
-    let matters = !result.identifiability.warnings.is_empty()
-        || !unlabelled.is_empty()
-        || !faults.is_empty()
-        || left_out;
-    Ok(ExitCode::from(if matters { 3 } else { 0 }))
+    let warned = !result.identifiability.warnings.is_empty();
+    Ok(crate::exit_code(
+        !warned && unlabelled.is_empty() && faults.is_empty() && !left_out,
+    ))
 }
 
 /// Calibration and rest rows with their labels; readings of one pose share a group, and so do all

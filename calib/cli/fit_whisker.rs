@@ -24,7 +24,7 @@ mod dynamics;
 mod stiffness;
 
 use crate::input::read_text;
-use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -124,15 +124,12 @@ const RANGES: &[Range] = &[
 /// No wire is shorter; a rejected pair states 0.
 const MIN_LENGTH_MM: f64 = 1.0;
 
-const RESULT: ResultKind<'_> = ResultKind {
-    command: "fit-whisker",
-    document: "whisker.toml",
-    format_prefix: "wcal-whisker/",
-    files: &["whisker.xml", "dynamics.csv"],
-    kept: &[],
-    resumes: false,
-    made_of: unsaid,
-};
+const RESULT: ResultKind<'_> = ResultKind::new(
+    "fit-whisker",
+    "whisker.toml",
+    "wcal-whisker/",
+    &["whisker.xml", "dynamics.csv"],
+);
 
 /// Runs the command: 0, or 3 where shapes were left out or residuals are past what is stated.
 ///
@@ -235,11 +232,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         eprintln!("fit-whisker: SIMULATED: the shapes or moments are not measured");
     }
     eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
-    Ok(if warnings.is_empty() {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(3)
-    })
+    Ok(crate::exit_code(warnings.is_empty()))
 }
 
 /// The wire as the rig has it.

@@ -15,7 +15,8 @@ use columns::Plan;
 pub(crate) use imported::ImportDocument;
 use imported::{Noticed, RESULT, refuse_other_tables, say};
 use std::process::ExitCode;
-use wcal_session::{SessionError, SessionFiles, TextTable, read_text_table, write_session};
+use wcal_core::files::write_atomic;
+use wcal_session::{SessionError, TextTable, load, read_text_table};
 
 /// Runs the command: exit code 0, or 3 where the new session carries warnings.
 ///
@@ -27,86 +28,75 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     }
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let layout = layout(args);
-    let mut files = SessionFiles::default();
-    let (mut sources, mut plans) = (Vec::new(), Vec::new());
-    for (name, path) in [
-        ("points.csv", Some(&args.file)),
-        ("holdout.csv", args.holdout.as_ref()),
-    ] {
-        let Some(path) = path else { continue };
-        let table = read_text_table(path, &layout)?;
-        let since = plans.first().and_then(|(plan, _): &(Plan, _)| plan.since());
-        let mut plan = Plan::new(args, &table, since)?;
-        let points = plan.points(&table, args.kind)?;
-        files.tables.push((name.to_owned(), points.csv.clone()));
-        sources.push(table);
-        plans.push((plan, points));
+    let tables = [Some(&args.file), args.holdout.as_ref()];
+    let tables = tables.into_iter().flatten();
+    let tables: Vec<TextTable> = tables
+        .map(|path| read_text_table(path, &layout))
+        .collect::<Result<_, _>>()?;
+    let mut plans: Vec<Plan<'_>> = Vec::new();
+    for table in &tables {
+        let since = plans.first().and_then(Plan::since);
+        plans.push(Plan::new(args, table, since.as_deref())?);
     }
-    let mut columns_left_out = plans[0].0.left_out(&sources[0]);
-    if let (Some(holdout), Some((plan, _))) = (sources.get(1), plans.get(1)) {
-        let more = plan.left_out(holdout);
-        columns_left_out.extend(
-            more.into_iter()
-                .filter(|name| !sources[0].columns.contains(name)),
-        );
+    let first = &plans[0];
+    refuse_other_tables(&out, &tables, &first.csv)?;
+    let mut noticed = Noticed::of(&tables);
+    for plan in &plans {
+        noticed.remarks.extend_from_slice(&plan.noticed.remarks);
+        noticed.warnings.extend_from_slice(&plan.noticed.warnings);
     }
-    let tables: Vec<&TextTable> = sources.iter().collect();
-    refuse_other_tables(&out, &tables, &files.tables[0].1)?;
-    let noticed = Noticed::of(&tables, plans.iter().map(|(plan, _)| plan));
-    let (text, more) = description::write(args, &tables, &plans[0].0, &noticed)?;
-    files.session_toml = text;
-    let own = files.tables.len();
-    files.tables.extend(more);
+    let (session_toml, more) = description::write(args, &tables, first, &noticed)?;
+    let own = ["points.csv", "holdout.csv"];
+    let written = own.into_iter().zip(&plans);
+    let written = written.map(|(name, plan)| (name.to_owned(), plan.csv.clone().into_bytes()));
+    let description = ("session.toml".to_owned(), session_toml.into_bytes());
+    let files: Vec<_> = written.chain(more).chain([description]).collect();
     // Every check on a copy first; what it says of a table of the session is said of the one that
     // this was made of.
     let trial = tempfile::tempdir().context("making a folder to check the session in")?;
-    let source = |file: &str| {
-        (0..own)
-            .find(|&k| files.tables[k].0 == file)
-            .map(|k| (&sources[k], &plans[k]))
-    };
-    let session =
-        write_session(&trial.path().join("session"), &files).map_err(|error| match error {
-            SessionError::Content(error) => match source(&error.file) {
-                Some((table, (plan, points))) => SessionError::Content(error.of_source(
-                    &table.file,
-                    |line| points.line(table, line),
-                    |name| plan.source_of(table, name),
-                )),
-                None => SessionError::Content(error),
-            },
-            other => other,
-        });
+    for (name, bytes) in &files {
+        write_atomic(&trial.path().join(name), bytes)?;
+    }
+    let source = |file: &str| plans.get(own.iter().position(|name| *name == file)?);
+    let session = load(trial.path()).map_err(|error| match error {
+        SessionError::Content(error) => SessionError::Content(match source(&error.file) {
+            Some(plan) => error.of_source(
+                &plan.table.file,
+                |line| plan.line(line),
+                |name| plan.source_of(name),
+            ),
+            None => error,
+        }),
+        other => other,
+    });
     let session =
         session.with_context(|| format!("importing {} as a session", args.file.display()))?;
-    let warnings = session
-        .warnings
-        .into_iter()
-        .map(|warning| match source(&warning.file) {
-            Some((table, (_, points))) => {
-                warning.of_source(&table.file, |line| points.line(table, line))
-            }
+    let mut warnings = noticed.warnings;
+    for warning in session.warnings {
+        let warning = match source(&warning.file) {
+            Some(plan) => warning.of_source(&plan.table.file, |line| plan.line(line)),
             None => warning,
-        });
-    let warnings = noticed
-        .warnings
-        .iter()
-        .cloned()
-        .chain(warnings.map(|w| w.to_string()))
-        .collect();
-    for (name, bytes) in files.tables {
+        };
+        warnings.push(warning.to_string());
+    }
+    for (name, bytes) in files {
         out.put(&name, bytes);
     }
-    out.put("session.toml", files.session_toml);
     out.finish()?;
+    let mut columns_left_out = first.left_out();
+    for holdout in &plans[1..] {
+        let more = holdout.left_out();
+        let new = more.into_iter().filter(|c| !tables[0].columns.contains(c));
+        columns_left_out.extend(new);
+    }
     let document = ImportDocument {
         format: "wcal-import/1",
         session: session.id,
         kind: name_of(args.kind),
         folder: &args.out,
         simulated: session.simulated,
-        rows: plans[0].1.rows.len(),
-        holdout_rows: plans.get(1).map_or(0, |(_, points)| points.rows.len()),
+        rows: first.rows.len(),
+        holdout_rows: plans[1..].iter().map(|plan| plan.rows.len()).sum(),
         columns_left_out,
         remarks: noticed.remarks,
         warnings,

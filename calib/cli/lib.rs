@@ -41,6 +41,7 @@ mod json_reference;
 #[cfg(test)]
 mod schemas_test;
 
+use anyhow::Result;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use wcal_core::text::{brief, printable};
@@ -104,7 +105,7 @@ pub fn main() -> ExitCode {
 }
 
 /// The exit code of what a command gave; an error is said on stderr.
-pub fn end(program: &str, result: anyhow::Result<ExitCode>) -> ExitCode {
+pub fn end(program: &str, result: Result<ExitCode>) -> ExitCode {
     let unwritten = printing::failed().map(anyhow::Error::msg);
     unwritten.map_or(result, Err).unwrap_or_else(|error| {
         eprintln!("{program}: {}", with_causes(&error));
@@ -112,8 +113,13 @@ pub fn end(program: &str, result: anyhow::Result<ExitCode>) -> ExitCode {
     })
 }
 
+/// The exit code of a result: 3 where something about it matters.
+fn exit_code(clean: bool) -> ExitCode {
+    ExitCode::from(if clean { 0 } else { 3 })
+}
+
 /// Runs a command.
-fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
+fn dispatch(asked: &Command) -> Result<ExitCode> {
     match asked {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
@@ -135,7 +141,7 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
 ///
 /// # Errors
 /// Those of the command.
-pub(crate) fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
+pub(crate) fn run_words(words: &[&str]) -> Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 

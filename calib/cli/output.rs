@@ -49,14 +49,9 @@ pub struct ResultKind<'a> {
     pub kept: &'a [&'a str],
     /// The command goes on where it stopped: files without a document are its own, too.
     pub resumes: bool,
-    /// What the result in a folder was made of, where it says so: a session, or tables.
+    /// What the result in a folder was made of, where it says so: a session, or tables. Pictures
+    /// name no session, and a dataset's own recipe is compared.
     pub made_of: fn(&Path) -> Option<String>,
-}
-
-/// [`ResultKind::made_of`] of commands whose results name no session: pictures, or a dataset whose
-/// own recipe is compared.
-pub fn unsaid(_: &Path) -> Option<String> {
-    None
 }
 
 /// A text of a JSON document in a folder.
@@ -69,7 +64,25 @@ pub fn text_of(folder: &Path, document: &str, key: &str) -> Option<String> {
     )
 }
 
-impl ResultKind<'_> {
+impl<'a> ResultKind<'a> {
+    /// A document with a format, and other files.
+    pub const fn new(
+        command: &'a str,
+        document: &'a str,
+        format_prefix: &'a str,
+        files: &'a [&'a str],
+    ) -> Self {
+        Self {
+            command,
+            document,
+            format_prefix,
+            files,
+            kept: &[],
+            resumes: false,
+            made_of: |_| None,
+        }
+    }
+
     /// Refuses what is neither new, nor empty, nor an earlier result.
     ///
     /// # Errors
@@ -338,7 +351,7 @@ fn start_of(path: &Path) -> Result<String> {
 ///
 /// # Errors
 /// When the disk does not take it.
-pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     }

@@ -1,18 +1,8 @@
-//! What the picture commands share: files written whole, and where a result came from.
+//! Where a result of the picture commands came from.
 
 use crate::simulated::is_simulated;
-use anyhow::Context;
-use std::path::{Path, PathBuf};
-use wcal_core::files::write_atomic;
+use std::path::Path;
 use wcal_core::{InputFile, Provenance};
-
-/// Writes a file into the output folder, which is made where it is missing.
-pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf> {
-    std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
-    let path = folder.join(name);
-    write_atomic(&path, bytes)?;
-    Ok(path)
-}
 
 /// Program, command line, time, the hashes of the files read, and whether one of them is simulated.
 /// A file that cannot be read is rejected elsewhere, with its reason.

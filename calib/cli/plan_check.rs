@@ -5,13 +5,14 @@
 //! from the rod. What is never distinguished here cannot be distinguished by any number of
 //! repetitions.
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
+use serde_json::json;
 use std::fmt::Write as _;
 use wcal_acquisition::plan::{Plan, Pose, Step};
-use wcal_acquisition::rig::Rig;
+use wcal_acquisition::rig::{Rig, TrajectoryRig};
+use wcal_core::WhiskerData;
 use wcal_core::plan_check_document::PlanCheck;
-use wcal_core::{SessionData, WhiskerData};
-use wcal_session::load;
+use wcal_session::{SESSION_FORMAT, load};
 use wcal_verify::whisker::plan_check::plan_check;
 
 /// What the readings of a grating determine before any effect: the sensitivity to two moments, and
@@ -43,44 +44,25 @@ fn planned_session(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<WhiskerData
     let folder = tempfile::tempdir().context("making a folder for the planned session")?;
     std::fs::write(folder.path().join("session.toml"), session_toml(rig, plan)?)?;
     std::fs::write(folder.path().join("points.csv"), points(steps, rig)?)?;
-    match load(folder.path())?.data {
-        SessionData::Whisker(data) => Ok(data),
-        _ => bail!("expected a plan of a whisker"),
-    }
+    Ok(load(folder.path())?.whisker()?.clone())
 }
 
 fn session_toml(rig: &Rig, plan: &Plan) -> Result<String> {
-    let mut root = toml::Table::new();
-    for (key, value) in [
-        ("format", "wcal-session/1"),
-        ("id", "plan"),
-        ("kind", "whisker"),
-        ("medium", &plan.medium),
-    ] {
-        root.insert(key.to_owned(), value.into());
-    }
-    let files = toml::Table::from_iter([("points".to_owned(), "points.csv".into())]);
-    root.insert("files".to_owned(), files.into());
-    root.insert("whisker".to_owned(), rig.whisker.clone().into());
-    if let Some(moments) = &rig.moments {
-        root.insert("moments".to_owned(), moments.clone().into());
-    }
-    root.insert(
-        "fbg".to_owned(),
-        toml::Table::from_iter([("temperature_compensated".to_owned(), true.into())]).into(),
-    );
-    let vector = |v: &[f64]| toml::Value::from(v.to_vec());
-    let trajectories = rig.trajectory.iter().map(|t| {
-        toml::Value::from(toml::Table::from_iter([
-            ("id".to_owned(), i64::from(t.id).into()),
-            ("origin_mm".to_owned(), vector(&t.origin_mm)),
-            ("direction".to_owned(), vector(&t.direction)),
-        ]))
+    let trajectory =
+        |t: &TrajectoryRig| json!({"id": t.id, "origin_mm": t.origin_mm, "direction": t.direction});
+    let mut root = json!({
+        "format": SESSION_FORMAT,
+        "id": "plan",
+        "kind": "whisker",
+        "medium": plan.medium,
+        "files": {"points": "points.csv"},
+        "whisker": rig.whisker,
+        "fbg": {"temperature_compensated": true},
+        "trajectory": rig.trajectory.iter().map(trajectory).collect::<Vec<_>>(),
     });
-    root.insert(
-        "trajectory".to_owned(),
-        trajectories.collect::<Vec<_>>().into(),
-    );
+    if let Some(moments) = &rig.moments {
+        root["moments"] = json!(moments);
+    }
     Ok(toml::to_string(&root)?)
 }
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_calibration::{read_calibration, standing};
 use wcal_core::VerificationStatus;
-use wcal_session::SessionLedger;
+use wcal_session::{SessionLedger, WarningKind};
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]
@@ -62,7 +62,10 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
     let applied = file.model.apply(&args.table)?;
-    let (stuck, odd): (Vec<_>, Vec<_>) = applied.warnings.iter().partition(|w| w.is_stuck());
+    let (stuck, odd): (Vec<_>, Vec<_>) = applied
+        .warnings
+        .iter()
+        .partition(|w| w.kind == WarningKind::Stuck);
     for warning in odd {
         eprintln!("warning: {warning}");
     }

@@ -4,7 +4,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -30,75 +30,47 @@ struct State {
     steps: usize,
 }
 
-/// Shows where a piece of work is until it is dropped. Shared by reference or clone of its
-/// `Reporter` among threads.
+impl State {
+    /// See [`Progress::at`].
+    fn at(&mut self, stage: &str, done: f64) {
+        if self.done.is_none_or(|before| done < 0.5 * before) {
+            (self.since, self.steps) = (Instant::now(), 0);
+        }
+        self.steps += usize::from(self.done.is_some_and(|before| done > before));
+        stage.clone_into(&mut self.stage);
+        self.done = Some(done.clamp(0.0, 1.0));
+    }
+}
+
+/// Shows where a piece of work is until it is dropped. Shared by reference among threads.
 pub struct Progress {
-    reporter: Reporter,
+    state: Arc<Mutex<State>>,
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// The end that libraries call back (`Send + Sync`).
-#[derive(Debug, Clone)]
-pub(crate) struct Reporter {
-    state: Arc<Mutex<State>>,
-}
-
-impl Reporter {
-    /// Says which stage runs where its part of the work is not known.
-    pub(crate) fn stage(&self, stage: &str) {
-        stage.clone_into(
-            &mut self
-                .state
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .stage,
-        );
-    }
-
-    /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than
-    /// before begins to count anew; threads may report a little out of order.
-    pub(crate) fn at(&self, stage: &str, done: f64) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        if state.done.is_none_or(|before| done < 0.5 * before) {
-            (state.since, state.steps) = (Instant::now(), 0);
-        }
-        state.steps += usize::from(state.done.is_some_and(|before| done > before));
-        if state.stage != stage {
-            stage.clone_into(&mut state.stage);
-        }
-        state.done = Some(done.clamp(0.0, 1.0));
-    }
-
-    fn state(&self) -> State {
-        self.state
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
-    }
+fn locked(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Progress {
     /// Of a command; its part done is not known before the first `at`.
     pub fn new(what: &str) -> Self {
-        let state = State {
+        let state = Arc::new(Mutex::new(State {
             stage: String::new(),
             done: None,
             since: Instant::now(),
             steps: 0,
-        };
-        let reporter = Reporter {
-            state: Arc::new(Mutex::new(state)),
-        };
+        }));
         let (stop, stopped) = channel();
-        let (own, what) = (reporter.clone(), what.to_owned());
+        let (own, what) = (Arc::clone(&state), what.to_owned());
         let thread = std::thread::spawn(move || {
             let begun = Instant::now();
             let mut bar = None;
             let terminal = std::io::stderr().is_terminal();
             let mut wait = SILENT;
             while stopped.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
-                let line = line(&what, &own.state(), begun.elapsed(), Instant::now());
+                let line = line(&what, &locked(&own), begun.elapsed(), Instant::now());
                 if terminal {
                     bar.get_or_insert_with(spinner).set_message(line);
                 } else {
@@ -112,25 +84,27 @@ impl Progress {
             }
         });
         Self {
-            reporter,
+            state,
             stop: Some(stop),
             thread: Some(thread),
         }
     }
 
-    /// See [`Reporter::at`].
+    /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than
+    /// before begins to count anew; threads may report a little out of order.
     pub fn at(&self, stage: &str, done: f64) {
-        self.reporter.at(stage, done);
+        locked(&self.state).at(stage, done);
     }
 
-    /// See [`Reporter::stage`].
+    /// Says which stage runs where its part of the work is not known.
     pub fn stage(&self, stage: &str) {
-        self.reporter.stage(stage);
+        stage.clone_into(&mut locked(&self.state).stage);
     }
 
-    /// An end for a library's callback.
-    pub(crate) fn reporter(&self) -> Reporter {
-        self.reporter.clone()
+    /// [`Self::at`] for a library's callback.
+    pub(crate) fn reporter(&self) -> impl Fn(&str, f64) + Send + Sync + use<> {
+        let state = Arc::clone(&self.state);
+        move |stage, done| locked(&state).at(stage, done)
     }
 }
 
@@ -230,11 +204,11 @@ mod tests {
     fn a_stage_that_begins_anew_is_timed_anew() {
         let progress = Progress::new("verify");
         progress.at("a", 0.9);
-        let before = progress.reporter().state().since;
+        let before = locked(&progress.state).since;
         std::thread::sleep(Duration::from_millis(5));
         progress.at("b", 0.95);
-        assert_eq!(progress.reporter().state().since, before);
+        assert_eq!(locked(&progress.state).since, before);
         progress.at("c", 0.1);
-        assert!(progress.reporter().state().since > before);
+        assert!(locked(&progress.state).since > before);
     }
 }

@@ -95,7 +95,7 @@ pub(crate) fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
     for warning in &warnings {
         eprintln!("reduce: warning: {warning}");
     }
-    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+    Ok(crate::exit_code(warnings.is_empty()))
 }
 
 /// One line for people on stderr, or a JSON document on stdout.

@@ -1,35 +1,25 @@
 //! Fills the report from what the other crates computed.
 
 use wcal_core::verify_document::VerifyDocument;
-use wcal_core::{Provenance, Role, WhiskerData};
+use wcal_core::{Provenance, Role, TransducerData, WhiskerData};
 use wcal_report::{
-    EvidenceRow, Fact, GateTest, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
+    EvidenceRow, Fact, GateTest, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
 use wcal_verify::method::search_result::RankedHypothesis;
-use wcal_verify::scalar::{Declared, ScalarData, ScalarVerification};
+use wcal_verify::scalar::{Declared, ScalarVerification};
 use wcal_verify::whisker::WhiskerVerification;
 
-fn versions() -> Vec<Fact> {
-    vec![Fact::new("wcal", env!("CARGO_PKG_VERSION"))]
-}
-
-/// How the session was simulated, where it says so.
-fn simulated_by(session: &LoadedSession) -> Option<String> {
-    let how = session.meta.get("provenance")?.get("simulated_by")?;
-    how.as_str().map(str::to_owned)
-}
-
-/// A report with nothing but the document.
+/// A report with nothing but the document, and how the session was simulated, where it says so.
 pub(crate) fn of_document(
     session: &LoadedSession,
     document: VerifyDocument,
     provenance: Provenance,
 ) -> ReportInput {
+    let stated = session.meta.get("provenance");
+    let how = stated.and_then(|p| p.get("simulated_by")?.as_str());
     ReportInput {
-        title: session.id.clone(),
-        simulated_by: simulated_by(session),
-        versions: versions(),
+        simulated_by: how.map(str::to_owned),
         ..ReportInput::new(document, provenance)
     }
 }
@@ -46,8 +36,6 @@ pub(crate) fn of_whisker(
     let found = &done.decision.explained().found;
     let after = model_after(&done.document, accepted_on_request);
     ReportInput {
-        title: session.id.clone(),
-        simulated_by: simulated_by(session),
         accepted_on_request,
         facts: vec![
             Fact::new("medium", data.medium.clone()),
@@ -70,40 +58,36 @@ pub(crate) fn of_whisker(
             ),
         ],
         residuals: done.assessment.residuals.clone(),
-        further_errors: (done.decision.left_out().errors.further.iter())
-            .map(|(name, error)| NamedError {
-                name: name.clone(),
-                error: error.clone(),
-            })
-            .collect(),
+        further_errors: done.decision.left_out().errors.further.clone(),
         gate: gates(
             [found.first_test.p_values(), found.last_test.p_values()],
             after,
         ),
         twin: twin(done),
         evidence: evidence(&found.evidence),
-        versions: versions(),
-        ..ReportInput::new(done.document.clone(), provenance)
+        ..of_document(session, done.document.clone(), provenance)
     }
 }
 
 /// The report of a transducer or axis session.
 pub(crate) fn of_scalar(
     session: &LoadedSession,
-    (data, sealed): (ScalarData<'_>, usize),
+    (data, sealed): (&TransducerData, usize),
     done: &ScalarVerification,
     provenance: Provenance,
 ) -> ReportInput {
-    let rows = data.rows();
-    let after = model_after(&done.document, false);
-    let (stimulus, response) = data.units();
-    let model = match data.declared() {
+    let (after, declared) = (
+        model_after(&done.document, false),
+        Declared::from(data.model),
+    );
+    let (stimulus, response) = (&data.stimulus_unit, &data.response_unit);
+    let model = match declared {
         Declared::Axis => "measured = commanded + constant".to_owned(),
         Declared::Polynomial(0) => "response = b0".to_owned(),
         Declared::Polynomial(1) => "response = b0 + b1 stimulus".to_owned(),
         Declared::Polynomial(_) => "response = b0 + b1 stimulus + b2 stimulus^2".to_owned(),
     };
-    let units = match data.declared() {
+    let units = match declared {
         Declared::Axis => format!("commanded and measured {stimulus}, error {response}"),
         Declared::Polynomial(_) => format!("stimulus {stimulus}, response {response}"),
     };
@@ -112,7 +96,7 @@ pub(crate) fn of_scalar(
         Fact::new("units", units),
         Fact::new(
             "readings",
-            format!("{} fitted, {} held out", rows.len(), sealed),
+            format!("{} fitted, {sealed} held out", data.rows.len()),
         ),
     ];
     for (name, p) in [("declared model", &done.declared), (after, &done.accepted)] {
@@ -148,10 +132,10 @@ pub(crate) fn of_scalar(
     }
     if let Some(s) = &done.spread {
         gate.push(GateTest {
-            name: data.declared().format_text("spread against stimulus"),
+            name: declared.format_text("spread against stimulus"),
             statistic: Some(s.correlation),
             p_value: Some(s.p_value),
-            detail: data.declared().format_text(
+            detail: declared.format_text(
                 "correlation of the residuals' size with the stimulus, by permutation",
             ),
         });
@@ -164,26 +148,20 @@ pub(crate) fn of_scalar(
             detail: "difference between the halves of the session in standard errors".to_owned(),
         });
     }
+    // The laws in the words of the session's kind.
+    let mut found = evidence(&done.evidence);
+    if declared == Declared::Axis {
+        for row in &mut found {
+            row.law = row.law.replace("stimulus", "position");
+        }
+    }
     ReportInput {
-        title: session.id.clone(),
-        simulated_by: simulated_by(session),
         facts,
         residuals: done.residuals.clone(),
         gate,
-        evidence: evidence_of(data, &done.evidence),
-        versions: versions(),
-        ..ReportInput::new(done.document.clone(), provenance)
+        evidence: found,
+        ..of_document(session, done.document.clone(), provenance)
     }
-}
-
-/// Evidence with the laws in the words of the session's kind.
-fn evidence_of(data: ScalarData<'_>, found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
-    let mut rows = evidence(found);
-    if data.declared() == Declared::Axis {
-        rows.iter_mut()
-            .for_each(|row| row.law = row.law.replace("stimulus", "position"));
-    }
-    rows
 }
 
 /// The gate's families on the declared model and on the one after.

@@ -280,9 +280,9 @@ fn dry_run(
 
 fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) -> Result<()> {
     let sweep = &recorded.sweep;
-    let (ending, cause) = match &sweep.ending {
-        Ending::Finished => ("finished", None),
-        Ending::Stopped { cause, .. } => ("stopped", Some(cause)),
+    let (ending, cause, stage) = match &sweep.ending {
+        Ending::Finished => ("finished", None, None),
+        Ending::Stopped { cause, stage } => ("stopped", Some(cause), Some(*stage)),
     };
     let warnings = recorded.warnings();
     for warning in &warnings {
@@ -293,10 +293,6 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
     }
     let tables = recorded.reduction.as_ref().ok();
     if arguments.json {
-        let stage_stopped = match sweep.ending {
-            Ending::Stopped { stage, .. } => stage.stands(),
-            Ending::Finished => true,
-        };
         let document = SweepDocument {
             format: "wcal-sweep/1",
             session: folder,
@@ -307,7 +303,7 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
                 kind: c.kind.name(),
                 text: c.to_string(),
             }),
-            stage_stopped,
+            stage_stopped: stage.is_none_or(StageEnd::stands),
             steps_done: sweep.done,
             unsettled: sweep.unsettled,
             scans: sweep.counts.scans,
@@ -326,23 +322,14 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
     }
     if let Some(cause) = cause {
         eprintln!("stage-sweep: stopped: {cause}");
-        match sweep.ending {
-            Ending::Stopped {
-                stage: StageEnd::Unknown,
-                ..
-            } => {
-                eprintln!(
-                    "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
-                );
+        let stands = match stage {
+            Some(StageEnd::Unknown) => {
+                "THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
             }
-            Ending::Stopped {
-                stage: StageEnd::Stands,
-                ..
-            } => {
-                eprintln!("stage-sweep: the stage stands where it was stopped, perhaps in contact");
-            }
-            _ => eprintln!("stage-sweep: the stage stands, retracted from the wire"),
-        }
+            Some(StageEnd::Stands) => "the stage stands where it was stopped, perhaps in contact",
+            _ => "the stage stands, retracted from the wire",
+        };
+        eprintln!("stage-sweep: {stands}");
         // A bench in this process has ended with it: the next one has no reference.
         let bench = if arguments.scenario.is_some() {
             ", scenario, --home"

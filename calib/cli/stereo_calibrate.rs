@@ -1,6 +1,6 @@
 //! `wcal stereo-calibrate`: both cameras from pairs of pictures of a board.
 
-use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -85,15 +85,12 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
     Ok(size)
 }
 
-const RESULT: ResultKind<'_> = ResultKind {
-    command: "stereo-calibrate",
-    document: "stereo.json",
-    format_prefix: "wcal-stereo/",
-    files: &["opencv.yml", "kalibr-camchain.yaml", "ros-*.yaml"],
-    kept: &[],
-    resumes: false,
-    made_of: unsaid,
-};
+const RESULT: ResultKind<'_> = ResultKind::new(
+    "stereo-calibrate",
+    "stereo.json",
+    "wcal-stereo/",
+    &["opencv.yml", "kalibr-camchain.yaml", "ros-*.yaml"],
+);
 
 /// Smallest side of a square, mm; other programs ask for metres.
 const MIN_SQUARE_MM: f64 = 0.5;
@@ -198,9 +195,5 @@ pub(crate) fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         println!("{text}");
     }
     let clean = document.rejected_views.is_empty() && document.warnings.is_empty() && !far;
-    Ok(if clean {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(3)
-    })
+    Ok(crate::exit_code(clean))
 }

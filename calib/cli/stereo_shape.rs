@@ -4,22 +4,19 @@ mod drawing;
 mod session;
 mod shaper;
 
-use crate::output::{OutputFolder, ResultKind, unsaid};
+use crate::output::{OutputFolder, ResultKind};
 pub(crate) use shaper::StereoShapeArgs;
-use shaper::{PairCounts, Shaper, put_results, report_pairs};
+use shaper::{Shaper, put_results, report_pairs};
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_vision::pairs::{list_pictures, pair_files};
 
-const RESULT: ResultKind<'_> = ResultKind {
-    command: "stereo-shape",
-    document: "shapes.json",
-    format_prefix: "wcal-shapes/",
-    files: &["report.html"],
-    kept: &[],
-    resumes: false,
-    made_of: unsaid,
-};
+const RESULT: ResultKind<'_> = ResultKind::new(
+    "stereo-shape",
+    "shapes.json",
+    "wcal-shapes/",
+    &["report.html"],
+);
 
 /// Runs the command: 0, or 3 where pairs were rejected or warnings matter.
 ///
@@ -45,16 +42,12 @@ pub(crate) fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{text}");
     }
-    let PairCounts { good, clean } = report_pairs(&result);
+    let (good, clean) = report_pairs(&result);
     let place = args.out.clone().unwrap_or_default().join("shapes.json");
     anyhow::ensure!(
         good > 0,
         "expected at least one usable pair, found none; {} states each reason",
         place.display()
     );
-    Ok(if clean {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(3)
-    })
+    Ok(crate::exit_code(clean))
 }

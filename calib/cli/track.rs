@@ -11,12 +11,10 @@ mod table;
 use anyhow::{Context, Result, anyhow, bail};
 use arguments::RATE_HZ;
 pub use arguments::TrackArgs;
-use std::collections::BTreeMap;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
-use wcal_calibration::CalibrationModel;
-use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_network::Tracker;
 use wcal_network::model_file::{load, read_card};
@@ -101,11 +99,15 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             bail!("{}: {}", one.place.display(), table::NO_ZERO);
         }
     }
-    let trackers = trackers(&folders)?;
+    let mut trackers: BTreeMap<&PathBuf, Tracker> = BTreeMap::new();
+    for folder in folders.values() {
+        if let Entry::Vacant(place) = trackers.entry(folder) {
+            place.insert(load(folder)?.0);
+        }
+    }
     for one in &mut checked {
-        one.tracker = folders
-            .get(&one.name)
-            .and_then(|folder| trackers.get(folder));
+        let folder = folders.get(&one.name);
+        one.tracker = folder.and_then(|folder| trackers.get(folder));
     }
     match (source, rig, session) {
         (Source::Table(path), ..) => table::track(
@@ -131,12 +133,8 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 /// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns
 /// whether rows may be written.
 fn trusted(args: &TrackArgs, checked: &[WhiskerModel<'_>]) -> bool {
+    let mut doubted = false;
     for one in checked {
-        let whose = if one.name.is_empty() {
-            String::new()
-        } else {
-            format!("whisker {}: ", one.name)
-        };
         if one.file.whisker.is_none() && !args.model.is_empty() {
             let place = one.place.display();
             eprintln!(
@@ -144,47 +142,32 @@ fn trusted(args: &TrackArgs, checked: &[WhiskerModel<'_>]) -> bool {
             );
         }
         for doubt in one.doubts.messages() {
-            eprintln!(
-                "{}: {whose}{doubt}",
-                if args.force { "warning" } else { "refused" }
-            );
+            doubted = true;
+            let what = if args.force { "warning" } else { "refused" };
+            eprintln!("{what}: {}{doubt}", whose(&one.name));
         }
     }
-    if checked.iter().any(|c| !c.doubts.messages().is_empty()) && !args.force {
+    if doubted && !args.force {
         return false;
     }
-    checked
-        .iter()
-        .for_each(|one| say_calibration(&one.name, &one.file));
+    for WhiskerModel { name, file, .. } in checked {
+        if let Some(contact) = &file.contact_uncertainty {
+            eprintln!("{}{}", whose(name), contact_sentence(contact));
+        }
+        if file.verification == wcal_core::VerificationStatus::Reverified {
+            let said = "verified on sealed readings that another decision had met before";
+            eprintln!("{}{said}", whose(name));
+        }
+    }
     true
 }
 
-/// The networks by their folders.
-fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tracker>> {
-    let mut trackers = BTreeMap::new();
-    for folder in folders.values() {
-        if trackers.contains_key(folder) {
-            continue;
-        }
-        let (tracker, _) = load(folder)?;
-        trackers.insert(folder.clone(), tracker);
-    }
-    Ok(trackers)
-}
-
-/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name
-/// among several, or empty.
-fn say_calibration(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
-    let whose = if whisker.is_empty() {
+/// Of which of several whiskers a message speaks; nothing where it has no name.
+fn whose(name: &str) -> String {
+    if name.is_empty() {
         String::new()
     } else {
-        format!("whisker {whisker}: ")
-    };
-    if let Some(contact) = &file.contact_uncertainty {
-        eprintln!("{whose}{}", contact_sentence(contact));
-    }
-    if file.verification == wcal_core::VerificationStatus::Reverified {
-        eprintln!("{whose}verified on sealed readings that another decision had met before");
+        format!("whisker {name}: ")
     }
 }
 

@@ -1,18 +1,16 @@
 //! `wcal twin`: the twin's base moments at a session's poses.
 
 mod mujoco;
-mod rows;
 
 use crate::output::{Overwrite, check_file, write_file};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
-use anyhow::bail;
 use clap::{Args, ValueEnum};
-use rows::{Text, of_trajectory, row};
+use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_core::{Role, SessionData, WhiskerData};
+use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove;
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
@@ -77,12 +75,7 @@ pub(crate) fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     )?;
     expect_session(&args.session, "twin")?;
     let session = load(&args.session)?;
-    let SessionData::Whisker(data) = &session.data else {
-        bail!(
-            "twin: expected a session of kind \"whisker\", found {:?}",
-            session.kind
-        );
-    };
+    let data = session.whisker()?;
     let lines = match args.engine {
         Engine::Rod => {
             let progress = Progress::new("twin");
@@ -117,14 +110,35 @@ pub(crate) fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         missing.len(),
         args.out.display()
     );
-    if missing.is_empty() {
-        return Ok(ExitCode::SUCCESS);
+    if !missing.is_empty() {
+        let points = missing.join(", ");
+        eprintln!("twin: warning: no certain equilibrium at points {points}");
     }
-    eprintln!(
-        "twin: warning: no certain equilibrium at points {}",
-        missing.join(", ")
-    );
-    Ok(ExitCode::from(3))
+    Ok(crate::exit_code(missing.is_empty()))
+}
+
+/// A row's text behind the point, and whether its moment is certain.
+type Text = Option<(String, bool)>;
+
+/// Rows of a trajectory with their stage positions, in order of travel.
+fn of_trajectory(data: &WhiskerData, id: u32) -> Vec<(usize, f64)> {
+    let of_it = |row: &WhiskerRow| row.role != Role::Rest && row.trajectory == Some(id);
+    let rows = data.rows.iter().enumerate().filter(|(_, row)| of_it(row));
+    rows.filter_map(|(k, row)| Some((k, row.stage_mm?)))
+        .collect()
+}
+
+/// The text of a reading with a moment: base axes, N mm; place of the contact, mm.
+fn row(
+    data: &WhiskerData,
+    moment: &Vector3<f64>,
+    at_mm: Option<f64>,
+    branch: &str,
+    settled: bool,
+) -> String {
+    let moment = data.moments.components_nmm(moment);
+    let at = at_mm.map_or_else(String::new, |s| format!("{s:.6}"));
+    format!("{:.9},{:.9},{at},{branch},{settled}", moment[0], moment[1])
 }
 
 fn by_rod(data: &WhiskerData) -> anyhow::Result<Vec<Text>> {

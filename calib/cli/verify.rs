@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};
-use anyhow::{Context, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,15 +22,19 @@ use wcal_core::files::folder_of;
 use wcal_core::verify_document::{
     CalibrationContact, CalibrationJudgement, HoldoutOutcome, Verdict, VerifyDocument,
 };
-use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, WhiskerData};
+use wcal_core::{
+    Provenance, SealedRows, SessionData, TransducerData, VerificationStatus, WhiskerData,
+};
 use wcal_report::ReportInput;
 use wcal_session::sweep_session::SweepSession;
-use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
+use wcal_session::{
+    LoadedSession, SessionError, SessionLedger, WarningKind, add_session, attach_holdout, load,
+};
 use wcal_track::contact_validation::{contact_comparison, groove_places, left_out_places, loaded};
 use wcal_track::groove_comparison::{calibration_contact, groove_tracking};
 use wcal_track::sweep_witness::SweepWitness;
 use wcal_verify::method::options::{Options, ProgressListener};
-use wcal_verify::scalar::{ScalarData, ScalarModel, verify_scalar};
+use wcal_verify::scalar::{ScalarModel, verify_scalar};
 use wcal_verify::verify::conclusion::asserts_validity;
 use wcal_verify::verify::{VerifyRequest, Witness};
 use wcal_verify::whisker::{
@@ -93,25 +97,26 @@ pub struct VerifyArgs {
 /// What `verify` leaves; `unsealed.json` outlives it, so that a second look at a holdout is known
 /// as one.
 pub const RESULT: ResultKind<'_> = ResultKind {
-    command: "verify",
-    document: "verify.json",
-    format_prefix: "wcal-verify/",
-    files: &[
-        "predictions.csv",
-        "report.html",
-        "calibration.json",
-        "judged-calibration.json",
-    ],
     kept: &["unsealed.json"],
-    resumes: false,
     made_of: |folder| text_of(folder, "verify.json", "session"),
+    ..ResultKind::new(
+        "verify",
+        "verify.json",
+        "wcal-verify/",
+        &[
+            "predictions.csv",
+            "report.html",
+            "calibration.json",
+            "judged-calibration.json",
+        ],
+    )
 };
 
 /// Runs the command.
 ///
 /// # Errors
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
-pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: &VerifyArgs) -> Result<ExitCode> {
     if args.check {
         expect_session(&args.session, "verify")?;
         return check::check(&args.session, args.holdout.as_deref(), args.json);
@@ -125,7 +130,10 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     };
     out.refuse_other(&session.id)?;
     // What joining sessions says by itself is no reason to doubt the result.
-    let doubtful = session.warnings.iter().any(|w| !w.is_remark());
+    let doubtful = session
+        .warnings
+        .iter()
+        .any(|w| w.kind != WarningKind::OpenEnd);
     for later in &args.add {
         add_session(&mut session, later)?;
     }
@@ -167,7 +175,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// `SESSION-verified`, beside the session.
-fn beside(session: &Path) -> anyhow::Result<PathBuf> {
+fn beside(session: &Path) -> Result<PathBuf> {
     let named = if session.is_file() {
         folder_of(session)
     } else {
@@ -280,10 +288,7 @@ struct Outcome {
 
 /// A request to search that says how far it is.
 pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyRequest {
-    let listener = |p: &Progress| {
-        let reporter = p.reporter();
-        ProgressListener::new(move |stage, done| reporter.at(stage, done))
-    };
+    let listener = |p: &Progress| ProgressListener::new(p.reporter());
     let progress = progress.map(listener).unwrap_or_default();
     VerifyRequest {
         search: Options {
@@ -303,7 +308,7 @@ pub fn verify_session(
     request: VerifyRequest,
     given: Option<&GivenCalibration>,
     sweep: Option<&Path>,
-) -> anyhow::Result<ReportInput> {
+) -> Result<ReportInput> {
     let provenance = provenance(&session, request.search.seed);
     let ledger = SessionLedger::new(&session, out.folder(), &provenance).ledger();
     let claims = given
@@ -330,31 +335,21 @@ pub fn verify_session(
                 sweep.iter().map(|s| s as _).collect();
             of_whisker_session(session, data, sealed, &request, (given, &witnesses), made)?
         }
-        _ if sweep.is_some() => {
-            bail!(
-                "--sweep: expected a session of kind whisker, found {}",
-                session.data.kind()
-            )
+        SessionData::Transducer(_) if sweep.is_some() => bail!(
+            "--sweep: expected a session of kind whisker, found {}",
+            session.kind
+        ),
+        SessionData::Transducer(data) => {
+            of_scalar_session(session, data, sealed, &request, given, made)?
         }
-        SessionData::Transducer(data) => of_scalar_session(
-            session,
-            ScalarData::Transducer(data),
-            sealed,
-            &request,
-            given,
-            made,
-        )?,
-        SessionData::Axis(data) => of_scalar_session(
-            session,
-            ScalarData::Axis(data),
-            sealed,
-            &request,
-            given,
-            made,
-        )?,
     };
     let later = report.verify.holdout.look > 1;
-    add_notes(&mut report.verify, session, later);
+    let said = session.warnings.iter().map(ToString::to_string);
+    report.verify.notes.extend(said);
+    if later {
+        let note = "This holdout has met another decision before: its error is no longer that of a first look.";
+        report.verify.notes.push(note.to_owned());
+    }
     report.verify.inputs = session.inputs.clone();
     report.verify.simulated = session.simulated;
     if let Some(csv) = predictions {
@@ -407,7 +402,7 @@ fn of_whisker_session(
     request: &VerifyRequest,
     (given, witnesses): (Option<&GivenCalibration>, &[&dyn Witness<WhiskerSystem>]),
     provenance: Provenance,
-) -> anyhow::Result<Outcome> {
+) -> Result<Outcome> {
     let count = sealed.len();
     let verified = verify_whisker(
         &session.id,
@@ -419,9 +414,8 @@ fn of_whisker_session(
     )?;
     let done = match verified {
         Verified::Refused(document) => {
-            let report = of_document(session, *document, provenance);
             return Ok(Outcome {
-                report,
+                report: of_document(session, *document, provenance),
                 predictions: None,
                 model: None,
                 contact: None,
@@ -449,7 +443,7 @@ fn of_whisker_session(
 }
 
 /// The sweep in a folder as a witness of a session's whisker.
-fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
+fn witness(folder: &Path, data: &WhiskerData) -> Result<SweepWitness> {
     let sweep = SweepSession::of(folder)?.with_context(|| {
         format!(
             "--sweep {}: expected a session of kind sweep",
@@ -471,7 +465,7 @@ fn contacts(
     done: &WhiskerVerification,
     has_sealed: bool,
     document: &mut VerifyDocument,
-) -> anyhow::Result<Option<CalibrationContact>> {
+) -> Result<Option<CalibrationContact>> {
     let (decision, whole) = (&done.decision, &done.assessment.whole);
     let own = groove_places(decision.model(), decision.calibration(), |_| true)?;
     let [before, after] = left_out_places(decision)?;
@@ -498,16 +492,16 @@ fn contacts(
 
 fn of_scalar_session(
     session: &LoadedSession,
-    data: ScalarData<'_>,
+    data: &TransducerData,
     sealed: SealedRows,
     request: &VerifyRequest,
     given: Option<&GivenCalibration>,
     provenance: Provenance,
-) -> anyhow::Result<Outcome> {
+) -> Result<Outcome> {
     let count = sealed.len();
-    let done = verify_scalar(&session.id, data, ScalarData::sealed(sealed), request)?;
+    let done = verify_scalar(&session.id, data, sealed.transducer(), request)?;
     Ok(Outcome {
-        predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
+        predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data.model, &done.residuals)),
         judged: match (given, &done.whole) {
             (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole))?),
             _ => None,
@@ -523,24 +517,12 @@ fn of_scalar_session(
     })
 }
 
-fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
-    document
-        .notes
-        .extend(session.warnings.iter().map(ToString::to_string));
-    if seen {
-        document.notes.push(
-            "This holdout has met another decision before: its error is no longer that of a first look."
-                .to_owned(),
-        );
-    }
-}
-
 /// Days for which a calibration is valid; afterwards `predict` and `track` refuse it. A year, as
 /// for other transducers.
 const VALID_DAYS: i64 = 365;
 
 /// Last moment of validity, RFC 3339.
-fn valid_until() -> anyhow::Result<String> {
+fn valid_until() -> Result<String> {
     let hours = jiff::Span::new().try_hours(24 * VALID_DAYS)?;
     Ok(jiff::Timestamp::now().checked_add(hours)?.to_string())
 }

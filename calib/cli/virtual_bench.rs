@@ -112,7 +112,8 @@ impl RodPlant {
             w.shear_gpa,
         );
         wire.root_compliance = [effects.root_turn_rad_per_nmm; 2];
-        let table = |t: &wcal_drivers::bench::scenario::TrajectoryScenario| {
+        let (mut tables, mut paths) = (Vec::new(), Vec::new());
+        for t in scenario.trajectories() {
             let arclength_mm = rest_arclength_mm(w, t.origin_mm);
             let path = GroovePath {
                 origin_mm: t.origin_mm.into(),
@@ -122,25 +123,13 @@ impl RodPlant {
             };
             let table = Table::build(&wire, &path, REACH * arclength_mm, &[0.0], NODES)
                 .with_context(|| format!("trajectory {}", t.id))?;
-            Ok((
-                ScenePath {
-                    id: t.id,
-                    path,
-                    touch_mm: table.touch_mm(),
-                },
-                table,
-            ))
-        };
-        let built = scenario
-            .trajectories()
-            .iter()
-            .map(table)
-            .collect::<Result<Vec<_>>>()?;
-        let tables = built
-            .iter()
-            .map(|(p, table)| (p.id, table.clone()))
-            .collect();
-        let paths = built.into_iter().map(|(path, _)| path).collect();
+            paths.push(ScenePath {
+                id: t.id,
+                path,
+                touch_mm: table.touch_mm(),
+            });
+            tables.push((t.id, table));
+        }
         let scene = Arc::new(BenchScene::new(wire, w, paths, &scenario.cameras));
         Ok(Self { tables, scene })
     }

@@ -1,10 +1,11 @@
 //! Intervals of errors by bootstrap over whole sweeps and objects: samples of one sweep are no
-//! independent draws. The interval is the expanded percentile interval of [`wcal_core::bootstrap`].
+//! independent draws. The interval is the expanded percentile interval of
+//! `resampling`.
 
 use crate::evaluate::ObjectScores;
+use crate::resampling::{expanded_interval95, redrawn, replicates};
 use crate::score::{SquareSum, SweepSums};
 use rand_chacha::ChaCha8Rng;
-use wcal_core::bootstrap::{expanded_interval95, redrawn, replicates};
 
 /// Draws of an interval.
 const RESAMPLES: usize = 2000;

@@ -18,6 +18,7 @@ pub mod evaluation;
 pub mod generate_sweeps;
 pub mod model_file;
 pub mod network;
+mod resampling;
 pub mod score;
 pub mod sweep_series;
 pub mod tare;

@@ -46,6 +46,7 @@ pub(crate) fn moved_by_shared(
     });
     let correlation = correlation.symmetric_eigen();
     let root = correlation.eigenvalues.map(|v| v.max(0.0).sqrt());
+    // With correlations V L V' and standard deviations S: F = S V L^1/2.
     let factor = DMatrix::from_diagonal(&DVector::from_vec(sd))
         * correlation.eigenvectors
         * DMatrix::from_diagonal(&root);

@@ -2,7 +2,7 @@
 
 use crate::output::OutputFolder;
 use crate::progress::Progress;
-use anyhow::{Context, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use serde::Serialize;
 use std::cell::Cell;
@@ -13,6 +13,7 @@ use wcal_mujoco::dynamics::{
     DynamicsFit, Parameters, Score, Sensitivity, Targets, Trial, fit_dynamics, ring_down_s,
 };
 use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_session::{TextTableLayout, read_text_table};
 
 /// Arguments of the fit of damping and contact.
 #[derive(Debug, Args)]
@@ -82,7 +83,7 @@ pub(crate) fn dynamics(
     args: &DynamicsArgs,
     whisker: &WhiskerSpec,
     out: &mut OutputFolder<'_>,
-) -> anyhow::Result<(Dynamics, MjcfOptions)> {
+) -> Result<(Dynamics, MjcfOptions)> {
     ensure!(
         args.bounce_ratio > 0.0 && args.bounce_ratio <= 1.0,
         "--bounce-ratio: expected above 0 and at most 1, found {}",
@@ -139,105 +140,85 @@ pub(crate) fn dynamics(
 }
 
 /// Time constant of a recorded ring-down, s.
-fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
-    let text = crate::input::read_text(path)?;
-    let mut lines = text.lines();
-    let head: Vec<&str> = lines
-        .next()
-        .unwrap_or_default()
-        .split(',')
-        .map(str::trim)
-        .collect();
-    let column = |name: &str| {
-        let found = head.iter().position(|h| *h == name);
-        found.with_context(|| {
+fn read_ring_down(path: &Path) -> Result<f64> {
+    let table = read_text_table(path, &TextTableLayout::default())?;
+    let values = |name: &str| -> Result<Vec<f64>> {
+        let column = table.column(name)?;
+        let cells = (0..table.rows.len()).map(|row| table.number(row, column));
+        let cells: Option<Vec<f64>> = cells.collect::<Result<_, _>>()?;
+        cells.with_context(|| {
             format!(
-                "{}: expected a column {name}, found {head:?}",
-                path.display()
+                "{}, {name}: expected a number in every row, found none",
+                table.file
             )
         })
     };
-    let (t, m) = (column("t_s")?, column("moment_nmm")?);
-    let (mut time_s, mut moment) = (Vec::new(), Vec::new());
-    for (k, line) in lines.enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let value = |c: usize, name: &str| -> anyhow::Result<f64> {
-            let found = cells.get(c).copied().unwrap_or_default();
-            let value: f64 = found.parse().unwrap_or(f64::NAN);
-            let at = format!("{}, line {}, {name}", path.display(), k + 2);
-            ensure!(
-                value.is_finite(),
-                "{at}: expected a number, found {found:?}"
-            );
-            Ok(value)
-        };
-        time_s.push(value(t, "t_s")?);
-        moment.push(value(m, "moment_nmm")?);
-    }
+    let (time_s, moment) = (values("t_s")?, values("moment_nmm")?);
     ensure!(
         time_s.windows(2).all(|w| w[1] > w[0]),
         "{}: expected times that rise, found some that do not",
-        path.display()
+        table.file
     );
     ring_down_s(&time_s, &moment).filter(|tau| *tau > 0.0).with_context(|| {
         format!(
             "{}: expected a moment that falls below 1/e of its start over ten rows or more, found none",
-            path.display()
+            table.file
         )
     })
 }
 
 /// Why the chosen one, in sentences.
 fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
-    let best = &fit.trials[fit.best];
+    let (best, s4) = (&fit.trials[fit.best], &fit.sensitivity);
     let (p, s) = (&best.parameters, &best.score);
     let percent = s.bias.map_or(f64::NAN, |b| 100.0 * b);
-    let mut why = vec![format!(
-        "Least sum of squares ({:.3}) of {} trials, found by {}: damping {:.4} N m s/rad, width {:.2} mm, impedance {:.3} to {:.3}.",
-        s.total,
-        fit.trials.len(),
-        best.stage,
-        p.damping_nms_rad,
-        p.width_mm,
-        p.d0,
-        p.dmax
-    )];
-    why.push(format!(
-        "More damping slows the bounce and smooths the ripple but makes the moment depend on the speed: here the bounce is {:.2} of the undamped wire's (wanted {:.2}), the mean moment changes by {percent:.2} % from 3.2 to 7.7 mm/s.",
-        s.bounce_ratio,
-        targets.bounce_ratio.unwrap_or(f64::NAN)
-    ));
-    why.push(format!(
-        "A softer contact bounces less but lets the wire in: overlap {:.3} mm, ripple {:.4} N mm.",
-        s.overlap_mm.unwrap_or(f64::NAN),
-        s.ripple_nmm.unwrap_or(f64::NAN)
-    ));
-    let loose = fit.sensitivity.undetermined();
-    let s4 = &fit.sensitivity;
-    why.push(format!(
-        "A step of the grid changes the demands by {:.2} (damping, 0.005 N m s/rad), {:.2} (width, 1 mm), {:.2} (d0, 0.05) and {:.2} (dmax, 0.05) of what counts, each alone.",
-        s4.damping, s4.width, s4.d0, s4.dmax
-    ));
     let [damping, width, d0, dmax] = s4.together_steps;
-    why.push(format!(
-        "With the others free they are known to {damping:.2}, {width:.2}, {d0:.2} and {dmax:.2} steps: {}.",
-        if loose.is_empty() {
-            "all four are determined to a step".to_owned()
-        } else {
-            format!("the data do not determine {} to a step", loose.join(", "))
-        }
-    ));
-    why.push(match targets.ring_down_s {
+    let loose = s4.undetermined();
+    let known = if loose.is_empty() {
+        "all four are determined to a step".to_owned()
+    } else {
+        format!("the data do not determine {} to a step", loose.join(", "))
+    };
+    let ring_down = match targets.ring_down_s {
         Some(wanted) => format!("Ring-down {:.4} s, recorded {wanted:.4} s.", s.ring_down_s),
         None => format!(
             "No ring-down was recorded: it is not judged (here {:.4} s).",
             s.ring_down_s
         ),
-    });
-    why
+    };
+    vec![
+        format!(
+            "Least sum of squares ({:.3}) of {} trials, found by {}: damping {:.4} N m s/rad, width {:.2} mm, impedance {:.3} to {:.3}.",
+            s.total,
+            fit.trials.len(),
+            best.stage,
+            p.damping_nms_rad,
+            p.width_mm,
+            p.d0,
+            p.dmax
+        ),
+        format!(
+            "More damping slows the bounce and smooths the ripple but makes the moment depend on the speed: here the bounce is {:.2} of the undamped wire's (wanted {:.2}), the mean moment changes by {percent:.2} % from 3.2 to 7.7 mm/s.",
+            s.bounce_ratio,
+            targets.bounce_ratio.unwrap_or(f64::NAN)
+        ),
+        format!(
+            "A softer contact bounces less but lets the wire in: overlap {:.3} mm, ripple {:.4} N mm.",
+            s.overlap_mm.unwrap_or(f64::NAN),
+            s.ripple_nmm.unwrap_or(f64::NAN)
+        ),
+        format!(
+            "A step of the grid changes the demands by {:.2} (damping, 0.005 N m s/rad), {:.2} (width, 1 mm), {:.2} (d0, 0.05) and {:.2} (dmax, 0.05) of what counts, each alone.",
+            s4.damping, s4.width, s4.d0, s4.dmax
+        ),
+        format!(
+            "With the others free they are known to {damping:.2}, {width:.2}, {d0:.2} and {dmax:.2} steps: {known}."
+        ),
+        ring_down,
+    ]
 }
 
-fn table(trials: &[Trial]) -> anyhow::Result<String> {
+fn table(trials: &[Trial]) -> Result<String> {
     let mut text = String::from(
         "stage,damping_nms_rad,width_mm,d0,dmax,ring_down_s,bounce_ratio,ripple_nmm,bias,overlap_mm,total\n",
     );

@@ -4,14 +4,14 @@
 //! kept): one slope through all points, robust against labels on another branch; its sd by a
 //! jackknife over trajectories, and by the geometry's covariance.
 
-use anyhow::{bail, ensure};
-use nalgebra::DVector;
+use anyhow::{Context, Result, ensure};
+use nalgebra::{DVector, Vector2};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::order_statistics::median;
-use wcal_core::{Role, SessionData, WhiskerData};
+use wcal_core::{Role, WhiskerData};
 use wcal_rod::{Line, Outcome, RestFit, Rod, WORKING_STEP_MM};
 
 /// Huber's tuning constant, and rounds of reweighting.
@@ -44,26 +44,17 @@ pub(crate) struct Stiffness {
 struct Pair {
     point: i64,
     trajectory: u32,
-    known_nmm: [f64; 2],
-    model_nmm: [f64; 2],
+    known_nmm: Vector2<f64>,
+    model_nmm: Vector2<f64>,
 }
 
 /// Fits the modulus.
 ///
 /// # Errors
 /// Where the session has no known moments, or none at a pose that the rod reaches.
-pub(crate) fn stiffness(
-    session: &Path,
-    nominal: &WhiskerSpec,
-    fit: &RestFit,
-) -> anyhow::Result<Stiffness> {
+pub(crate) fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> Result<Stiffness> {
     let loaded = wcal_session::load(session)?;
-    let SessionData::Whisker(data) = &loaded.data else {
-        bail!(
-            "--moments: expected a session of kind \"whisker\", found {:?}",
-            loaded.kind
-        );
-    };
+    let data = loaded.whisker().context("--moments")?;
     ensure!(
         !data.twin.is_empty(),
         "{}: expected [files] twin with the known moments in session.toml, found none",
@@ -74,7 +65,9 @@ pub(crate) fn stiffness(
     for (p, _) in pairs.iter().zip(&weights).filter(|(_, w)| **w == 0.0) {
         left_out.push(format!(
             "point {}: known moment {:.3?} N mm, rod {:.3?} N mm",
-            p.point, p.known_nmm, p.model_nmm
+            p.point,
+            p.known_nmm.as_slice(),
+            p.model_nmm.as_slice()
         ));
     }
     let used: Vec<(Pair, f64)> = pairs
@@ -87,6 +80,7 @@ pub(crate) fn stiffness(
         "--moments: expected three usable points or more, found {}",
         used.len()
     );
+    // The moments of a wire in a given shape are proportional to its modulus.
     let ratio = slope(used.iter().map(|(p, w)| (p, *w)));
     let jackknifed = jackknife(&used, ratio)?;
     let by_geometry = by_geometry(data, nominal, fit, &used, ratio)?;
@@ -107,7 +101,7 @@ fn pairs(
     nominal: &WhiskerSpec,
     fit: &RestFit,
     v: &DVector<f64>,
-) -> anyhow::Result<(Vec<Pair>, Vec<String>)> {
+) -> Result<(Vec<Pair>, Vec<String>)> {
     let rest_shape = fit.model.rest_shape(v)?;
     let rod = Rod::new(
         &WhiskerSpec {
@@ -140,8 +134,11 @@ fn pairs(
                 Outcome::Held(held) => pairs.push(Pair {
                     point: *point,
                     trajectory: trajectory.id,
-                    known_nmm,
-                    model_nmm: data.moments.components_nmm(&(turn * held.moment_nmm)),
+                    known_nmm: known_nmm.into(),
+                    model_nmm: data
+                        .moments
+                        .components_nmm(&(turn * held.moment_nmm))
+                        .into(),
                 }),
                 _ => left_out.push(format!("point {point}: the rod is not held there")),
             }
@@ -151,16 +148,15 @@ fn pairs(
 }
 
 fn residual(p: &Pair, ratio: f64) -> f64 {
-    let off = |k: usize| p.known_nmm[k] - ratio * p.model_nmm[k];
-    off(0).hypot(off(1))
+    (p.known_nmm - ratio * p.model_nmm).norm()
 }
 
 /// Weighted least-squares slope of known over modelled moments.
 fn slope<'a>(pairs: impl Iterator<Item = (&'a Pair, f64)>) -> f64 {
     let (mut up, mut down) = (0.0, 0.0);
     for (p, w) in pairs {
-        up += w * (p.known_nmm[0] * p.model_nmm[0] + p.known_nmm[1] * p.model_nmm[1]);
-        down += w * (p.model_nmm[0].powi(2) + p.model_nmm[1].powi(2));
+        up += w * p.known_nmm.dot(&p.model_nmm);
+        down += w * p.model_nmm.norm_squared();
     }
     up / down
 }
@@ -168,10 +164,7 @@ fn slope<'a>(pairs: impl Iterator<Item = (&'a Pair, f64)>) -> f64 {
 /// Huber's weights; 0 for outliers.
 fn weights(pairs: &[Pair]) -> Vec<f64> {
     // Start: the median of each point's own slope.
-    let own = |p: &Pair| {
-        let size = p.model_nmm[0].powi(2) + p.model_nmm[1].powi(2);
-        (p.known_nmm[0] * p.model_nmm[0] + p.known_nmm[1] * p.model_nmm[1]) / size.max(1e-12)
-    };
+    let own = |p: &Pair| p.known_nmm.dot(&p.model_nmm) / p.model_nmm.norm_squared().max(1e-12);
     let mut ratio = median(pairs.iter().map(own)).unwrap_or(0.0);
     let mut weights = vec![1.0; pairs.len()];
     for _ in 0..ROUNDS {
@@ -179,6 +172,7 @@ fn weights(pairs: &[Pair]) -> Vec<f64> {
         // Median length of a plane normal vector: 1.177 standard deviations; a floor for labels
         // without noise.
         let sd = (median(off.iter().copied()).unwrap_or(0.0) / 1.177).max(1e-6);
+        // Beyond the bound an error counts by its size, not by its square.
         weights = off
             .iter()
             .map(|r| {
@@ -199,7 +193,7 @@ fn weights(pairs: &[Pair]) -> Vec<f64> {
 }
 
 /// Relative sd by leaving out one trajectory after the other.
-fn jackknife(used: &[(Pair, f64)], ratio: f64) -> anyhow::Result<f64> {
+fn jackknife(used: &[(Pair, f64)], ratio: f64) -> Result<f64> {
     let mut groups: Vec<u32> = used.iter().map(|(p, _)| p.trajectory).collect();
     groups.sort_unstable();
     groups.dedup();
@@ -209,17 +203,12 @@ fn jackknife(used: &[(Pair, f64)], ratio: f64) -> anyhow::Result<f64> {
         groups.len()
     );
     let n = groups.len() as f64;
-    let squares: f64 = groups
-        .iter()
-        .map(|g| {
-            (slope(
-                used.iter()
-                    .filter(|(p, _)| p.trajectory != *g)
-                    .map(|(p, w)| (p, *w)),
-            ) - ratio)
-                .powi(2)
-        })
-        .sum();
+    let without = |g: &u32| {
+        let others = used.iter().filter(|(p, _)| p.trajectory != *g);
+        slope(others.map(|(p, w)| (p, *w)))
+    };
+    // Leaving out one of n groups moves an estimate by about 1 / (n - 1) of that group's error.
+    let squares: f64 = groups.iter().map(|g| (without(g) - ratio).powi(2)).sum();
     Ok((squares * (n - 1.0) / n).sqrt())
 }
 
@@ -230,7 +219,7 @@ fn by_geometry(
     fit: &RestFit,
     used: &[(Pair, f64)],
     ratio: f64,
-) -> anyhow::Result<f64> {
+) -> Result<f64> {
     let Some(covariance) = &fit.covariance else {
         return Ok(0.0);
     };
@@ -245,6 +234,7 @@ fn by_geometry(
             .map(|p| (p, weight.get(&p.point).copied().unwrap_or(0.0)));
         gradient[k] = (slope(weighted) - ratio) / (NUDGE * nudge);
     }
+    // To first order: g' C g.
     let variance = gradient.dot(&(covariance * &gradient));
     Ok(variance.max(0.0).sqrt())
 }

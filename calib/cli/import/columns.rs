@@ -1,13 +1,12 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind};
+use super::imported::Noticed;
 use super::units;
 use crate::column_words::is_deviation;
-use anyhow::{bail, ensure};
+use anyhow::{Result, bail, ensure};
 use wcal_core::TransducerModel;
-use wcal_session::{
-    AskedColumn, IN_SESSION, Stamps, TextTable, WHISKER_COLUMNS, asked_name, named,
-};
+use wcal_session::{AskedColumn, IN_SESSION, TextTable, WHISKER_COLUMNS, asked_name, named};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
 const SCALAR_COLUMNS: &[&str] = &[
@@ -19,242 +18,177 @@ const SCALAR_COLUMNS: &[&str] = &[
     "cycle",
 ];
 
-/// Columns whose cells are not numbers.
-const TEXT_COLUMNS: &[&str] = &["role"];
-
-/// Where a column of the session comes from.
-enum Source {
-    /// A column of the foreign table, times a factor.
-    Column { index: usize, factor: f64 },
-    /// A column of time stamps.
-    Stamps { index: usize, stamps: Stamps },
-    /// A commanded position and the error of the measured one, each times a factor: their sum.
-    Position {
-        commanded: (usize, f64),
-        error: (usize, f64),
-    },
-    /// Number of the row, from 1.
-    Order,
-    /// The role "calibration".
-    Calibration,
+/// A column of the session.
+#[derive(Default)]
+struct Column {
+    name: String,
+    cells: Vec<String>,
+    /// Columns of the foreign table that it is made of, the one that names it last.
+    made_of: Vec<usize>,
+    /// The time stamp that times are counted from.
+    since: Option<String>,
+    /// How a later table of the same instrument is asked for it.
+    asked: Option<String>,
 }
 
-/// Where the columns of the session come from.
-pub(super) struct Plan {
-    columns: Vec<(String, Source)>,
+/// The session's table, and where its columns come from.
+pub(super) struct Plan<'t> {
+    pub(super) table: &'t TextTable,
+    columns: Vec<Column>,
     /// Unit of the stimulus and of the response.
     pub(super) units: [String; 2],
-    /// How the table was read, in words.
-    pub(super) remarks: Vec<String>,
-    /// What is odd about it.
-    pub(super) warnings: Vec<String>,
-}
-
-/// The session's table, and the rows of the foreign one that are in it.
-pub(super) struct Points {
-    pub(super) csv: Vec<u8>,
-    /// Indices of the rows.
+    /// How the table was read, and what is odd about it.
+    pub(super) noticed: Noticed,
+    /// The session's table.
+    pub(super) csv: String,
+    /// Rows of the foreign table that are in it.
     pub(super) rows: Vec<usize>,
 }
 
-impl Points {
+impl<'t> Plan<'t> {
     /// Line of the foreign table that a line of the session's comes from.
-    pub(super) fn line(&self, table: &TextTable, line: usize) -> usize {
+    pub(super) fn line(&self, line: usize) -> usize {
         // The header is line 1.
-        self.rows
-            .get(line.saturating_sub(2))
-            .map_or(line, |&row| table.rows[row].0)
+        let row = self.rows.get(line.saturating_sub(2));
+        row.map_or(line, |&row| self.table.rows[row].0)
     }
-}
 
-impl Plan {
-    /// The session's table. Rows without a value that each row needs are left out and said.
+    /// Makes the session's table. Rows without a value that each row needs are left out and said.
     ///
     /// # Errors
-    /// Where a cell is not what its column needs, or most rows lack one.
-    pub(super) fn points(&mut self, table: &TextTable, kind: Kind) -> anyhow::Result<Points> {
-        let mut csv = self
-            .columns
-            .iter()
-            .map(|(name, _)| name.as_str())
-            .collect::<Vec<_>>()
-            .join(",");
-        csv.push('\n');
-        let (mut rows, mut without) = (Vec::new(), Vec::new());
-        for row in 0..table.rows.len() {
-            let cells: Vec<String> = self
-                .columns
-                .iter()
-                .map(|column| cell(table, row, column))
-                .collect::<anyhow::Result<_>>()?;
-            let needed = |name: &str| {
-                kind != Kind::Whisker
-                    && !matches!(
-                        name,
-                        "t_s" | "direction" | "temperature_degc" | "cycle" | "replicate"
-                    )
-            };
-            let lacks = self
-                .columns
-                .iter()
-                .zip(&cells)
-                .position(|((name, _), cell)| cell.is_empty() && needed(name));
-            if let Some(column) = lacks {
-                without.push((column, row));
-                continue;
+    /// Where most rows lack one.
+    fn fill(&mut self, kind: Kind) -> anyhow::Result<()> {
+        let names: Vec<&str> = self.columns.iter().map(|c| c.name.as_str()).collect();
+        self.csv = names.join(",") + "\n";
+        let needed = |name: &str| {
+            kind != Kind::Whisker
+                && !matches!(
+                    name,
+                    "t_s" | "direction" | "temperature_degc" | "cycle" | "replicate"
+                )
+        };
+        let (table, of) = (self.table, self.table.rows.len());
+        let mut without: Vec<(usize, usize)> = Vec::new();
+        for row in 0..of {
+            let cells: Vec<&str> = self.columns.iter().map(|c| c.cells[row].as_str()).collect();
+            match (0..cells.len()).find(|&k| cells[k].is_empty() && needed(names[k])) {
+                Some(column) => without.push((column, row)),
+                None => {
+                    self.rows.push(row);
+                    self.csv += &(cells.join(",") + "\n");
+                }
             }
-            rows.push(row);
-            csv += &cells.join(",");
-            csv.push('\n');
         }
-        self.say_missing(table, &without)?;
-        Ok(Points {
-            csv: csv.into_bytes(),
-            rows,
-        })
-    }
-
-    fn say_missing(&mut self, table: &TextTable, without: &[(usize, usize)]) -> anyhow::Result<()> {
-        let line = |row: &usize| table.rows[*row].0;
-        if let Some((column, row)) = without
-            .first()
-            .filter(|_| 2 * without.len() > table.rows.len())
-        {
-            let (column, found) = self.cell_of(table, *column, *row);
+        let line = |row: usize| table.rows[row].0;
+        let source = |column: usize| self.columns[column].made_of.last();
+        if let Some(&(column, row)) = without.first().filter(|_| 2 * without.len() > of) {
+            let (name, found) = source(column).map_or(("", ""), |&k| {
+                (table.columns[k].as_str(), &table.rows[row].1[k])
+            });
             bail!(
-                "{}, row at line {}, field {column}: expected a number in most rows, found {found:?} and the like in {} of {} rows",
+                "{}, row at line {}, field {name}: expected a number in most rows, found {found:?} and the like in {} of {of} rows",
                 table.file,
                 line(row),
-                without.len(),
-                table.rows.len()
+                without.len()
             );
         }
-        for (k, _) in self.columns.iter().enumerate() {
-            let rows: Vec<usize> = without.iter().filter(|w| w.0 == k).map(|w| w.1).collect();
-            if let Some(first) = rows.first() {
-                let (column, _) = self.cell_of(table, k, *first);
-                let lines = named(&rows.iter().map(line).collect::<Vec<_>>());
-                self.warnings.push(format!(
-                    "{}: no value of {column} in {} of {} rows, left out as missing: line(s) {lines}",
+        for k in 0..names.len() {
+            let missing = without.iter().filter(|w| w.0 == k);
+            let lines: Vec<usize> = missing.map(|w| line(w.1)).collect();
+            if !lines.is_empty() {
+                self.noticed.warnings.push(format!(
+                    "{}: no value of {} in {} of {of} rows, left out as missing: line(s) {}",
                     table.file,
-                    rows.len(),
-                    table.rows.len()
+                    source(k).map_or("", |k| &table.columns[*k]),
+                    lines.len(),
+                    named(&lines)
                 ));
             }
         }
         Ok(())
     }
 
-    /// Name and cell in the foreign table of a column of the session.
-    fn cell_of(&self, table: &TextTable, column: usize, row: usize) -> (String, String) {
-        let index = self.columns[column].1.index();
-        index.map_or_else(Default::default, |k| {
-            (table.columns[k].clone(), table.rows[row].1[k].to_owned())
-        })
-    }
-
     /// Name in the foreign table of a column of the session.
-    pub(super) fn source_of(&self, table: &TextTable, name: &str) -> Option<String> {
-        let (_, source) = self.columns.iter().find(|(own, _)| own == name)?;
-        Some(table.columns[source.index()?].clone())
+    pub(super) fn source_of(&self, name: &str) -> Option<String> {
+        let column = self.columns.iter().find(|c| c.name == name)?;
+        Some(self.table.columns[*column.made_of.last()?].clone())
     }
 
     /// Columns of the session that have another name in the foreign table, or a factor: by their
     /// names in the session.
-    pub(super) fn renamed(&self, table: &TextTable) -> toml::Table {
-        let text = |(name, source): &(String, Source)| match source {
-            Source::Column { index, factor } => {
-                let column = &table.columns[*index];
-                let text = if *factor == 1.0 {
-                    column.clone()
-                } else {
-                    format!("{column}*{factor}")
-                };
-                (text != *name).then(|| (name.clone(), text.into()))
-            }
-            // Without a date it is not known how long after the first of these another clock
-            // begins.
-            Source::Stamps { index, stamps } => {
-                let since = if stamps.dated {
-                    format!(" since {}", stamps.first)
-                } else {
-                    String::new()
-                };
-                Some((
-                    name.clone(),
-                    format!("{}{since}", table.columns[*index]).into(),
-                ))
-            }
-            _ => None,
-        };
-        self.columns.iter().filter_map(text).collect()
+    pub(super) fn renamed(&self) -> toml::Table {
+        let asked = |c: &Column| Some((c.name.clone(), c.asked.clone()?.into()));
+        self.columns.iter().filter_map(asked).collect()
     }
 
     /// Columns of the foreign table that the session does not have, in their order.
-    pub(super) fn left_out(&self, table: &TextTable) -> Vec<String> {
-        let taken = |k: usize| {
-            self.columns.iter().any(|(_, source)| match source {
-                Source::Column { index, .. } => *index == k,
-                Source::Stamps { index, stamps } => *index == k || stamps.other == Some(k),
-                Source::Position { commanded, error } => commanded.0 == k || error.0 == k,
-                Source::Order | Source::Calibration => false,
-            })
+    pub(super) fn left_out(&self) -> Vec<String> {
+        let taken = |k: usize| self.columns.iter().any(|c| c.made_of.contains(&k));
+        let holds = |k: usize| {
+            self.table
+                .rows
+                .iter()
+                .any(|(_, cells)| !cells[k].is_empty())
         };
-        let holds = |k: usize| table.rows.iter().any(|(_, cells)| !cells[k].is_empty());
-        let left = table
-            .columns
-            .iter()
-            .enumerate()
-            .filter(|(k, _)| !taken(*k) && holds(*k));
-        left.map(|(_, name)| name.clone()).collect()
+        (0..self.table.columns.len())
+            .filter(|&k| !taken(k) && holds(k))
+            .map(|k| self.table.columns[k].clone())
+            .collect()
     }
 
     /// The time stamp that the times are counted from.
-    pub(super) fn since(&self) -> Option<&str> {
-        let mut stamps = self.columns.iter().filter_map(|(_, source)| match source {
-            Source::Stamps { stamps, .. } => Some(stamps.first.as_str()),
-            _ => None,
-        });
-        stamps.next()
+    pub(super) fn since(&self) -> Option<String> {
+        self.columns.iter().find_map(|c| c.since.clone())
     }
 
     /// What the arguments ask of a table; dated time stamps count from `since`, where another table
     /// of the session begins.
     ///
     /// # Errors
-    /// Where a column is missing, or a mapping is malformed.
+    /// Where a column is missing, a mapping is malformed, or a cell is not what its column needs.
     pub(super) fn new(
         args: &ImportArgs,
-        table: &TextTable,
+        table: &'t TextTable,
         since: Option<&str>,
-    ) -> anyhow::Result<Self> {
+    ) -> Result<Self> {
         let wanted = wanted(args, table)?;
-        for (name, column) in &wanted {
-            if !TEXT_COLUMNS.contains(&name.as_str()) {
-                table
-                    .columns_named(asked_name(column))
-                    .first()
-                    .map_or(Ok(()), |index| table.check_thousands(*index))?;
+        for (_, column) in wanted.iter().filter(|(name, _)| name != "role") {
+            if let Some(index) = table.columns_named(asked_name(column)).first() {
+                table.check_thousands(*index)?;
             }
         }
-        let mut columns = Vec::new();
-        for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
-            if !wanted.iter().any(|(n, _)| n == name) {
-                columns.push((name.to_owned(), fallback));
-            }
+        let mut plan = Self {
+            table,
+            columns: Vec::new(),
+            units: Default::default(),
+            noticed: Noticed::default(),
+            csv: String::new(),
+            rows: Vec::new(),
+        };
+        let rows = table.rows.len();
+        let given = |name: &str, cells: Vec<String>| Column {
+            name: name.to_owned(),
+            cells,
+            ..Column::default()
+        };
+        let order = || (1..=rows).map(|row| row.to_string()).collect::<Vec<_>>();
+        let asks = |name: &str| wanted.iter().any(|(own, _)| own == name);
+        if !asks("point") {
+            plan.columns.push(given("point", order()));
+        }
+        if !asks("role") {
+            let role = vec!["calibration".to_owned(); rows];
+            plan.columns.push(given("role", role));
         }
         if args.kind == Kind::Transducer && args.stimulus.is_none() {
             ensure!(
                 args.model == Some(Declared::Law(TransducerModel::Constant)),
                 "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
             );
-            columns.push(("stimulus".to_owned(), Source::Order));
+            plan.columns.push(given("stimulus", order()));
         }
         if args.kind == Kind::Whisker {
-            let has = |name: &str| {
-                wanted.iter().any(|(own, _)| own == name)
-                    || columns.iter().any(|(own, _)| own == name)
-            };
+            let has = |name: &str| asks(name) || plan.columns.iter().any(|c| c.name == name);
             let missing: Vec<&str> = IN_SESSION.into_iter().filter(|name| !has(name)).collect();
             if !missing.is_empty() {
                 return Err(table
@@ -263,65 +197,16 @@ impl Plan {
                     .into());
             }
         }
-        let mut plan = Self {
-            columns,
-            units: Default::default(),
-            remarks: Vec::new(),
-            warnings: Vec::new(),
-        };
         let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm");
         let commanded = commanded
-            .map(|(name, column)| plan.scaled(table, name, column))
+            .map(|(name, column)| plan.scaled(name, column))
             .transpose()?;
         for (name, column) in wanted {
-            let (index, factor) = plan.scaled(table, &name, &column)?;
-            let count = table.columns_named(&table.columns[index]).len();
-            if count > 1 {
-                let text =
-                    format!("{count} columns named {column} with the same cells; counted once");
-                plan.warnings.push(format!("{}: {text}", table.file));
-            }
-            let of_the_kind = ["point", "role", "stimulus", "response"];
-            let covariate = args.kind == Kind::Transducer
-                && !SCALAR_COLUMNS
-                    .iter()
-                    .chain(&of_the_kind)
-                    .any(|n| *n == name);
-            if covariate && units::is_uncertainty(&column) {
-                let text = "looks like an uncertainty: as a covariate it counts as a cause";
-                plan.warnings
-                    .push(format!("{}: {column} {text}", table.file));
-            }
-            let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
-            let stamps = if name == "t_s" {
-                let asked = table.asked(&column)?;
-                let since = asked.since.or(since.map(str::to_owned));
-                table.stamps(&AskedColumn { since, ..asked })?
-            } else {
-                None
-            };
-            if let Some(Stamps { other, first, .. }) = &stamps {
-                let with = other.map_or(String::new(), |k| format!(" with {}", table.columns[k]));
-                let column = asked_name(&column);
-                plan.remarks.push(format!(
-                    "{}: {column}{with} holds time stamps: seconds after {first}",
-                    table.file
-                ));
-            }
-            plan.columns.push(match (unit_mm, commanded, stamps) {
-                (Some(unit_mm), Some(commanded), _) => {
-                    let error = (index, unit_mm * factor);
-                    (
-                        "measured_mm".to_owned(),
-                        Source::Position { commanded, error },
-                    )
-                }
-                (.., Some(stamps)) => (name, Source::Stamps { index, stamps }),
-                _ => (name, Source::Column { index, factor }),
-            });
+            let column = plan.column(args.kind, (name, &column), commanded, since)?;
+            plan.columns.push(column);
         }
         for (set, read) in [("stimulus", "response"), ("commanded_mm", "measured_mm")] {
-            let [set_in, read_in] = [set, read].map(|name| plan.source_of(table, name));
+            let [set_in, read_in] = [set, read].map(|name| plan.source_of(name));
             ensure!(
                 set_in.is_none() || set_in != read_in,
                 "{}: expected one column of {set} and another of {read}, found {} for both",
@@ -333,24 +218,127 @@ impl Plan {
             ("--stimulus", &args.stimulus_unit, &args.stimulus),
             ("--response", &args.response_unit, &args.response),
         ];
-        let [stimulus, response] = signals.map(|(option, unit, column)| {
-            units::signal(
-                (option, unit.as_deref()),
-                column.as_deref(),
-                table,
-                &mut plan.remarks,
-            )
-        });
-        plan.units = [stimulus?, response?];
+        for (own, (option, unit, column)) in plan.units.iter_mut().zip(signals) {
+            let (stated, remarks) = ((option, unit.as_deref()), &mut plan.noticed.remarks);
+            *own = units::signal(stated, column.as_deref(), table, remarks)?;
+        }
         if let Some(column) = args.response.as_deref().filter(|name| is_deviation(name)) {
             let said = "taken as a deviation of the stimulus, by its name: it needs no slope";
-            plan.remarks
-                .push(format!("{}: {column} is {said}", table.file));
+            let said = format!("{}: {column} is {said}", table.file);
+            plan.noticed.remarks.push(said);
         }
         // A commanded position is looked up twice.
-        plan.remarks.sort();
-        plan.remarks.dedup();
+        plan.noticed.remarks.sort();
+        plan.noticed.remarks.dedup();
+        plan.fill(args.kind)?;
         Ok(plan)
+    }
+
+    /// A column of the session by its name there, and the text that asks for it.
+    fn column(
+        &mut self,
+        kind: Kind,
+        (name, text): (String, &str),
+        commanded: Option<(usize, f64)>,
+        since: Option<&str>,
+    ) -> anyhow::Result<Column> {
+        let table = self.table;
+        let (index, factor) = self.scaled(&name, text)?;
+        let source = &table.columns[index];
+        let count = table.columns_named(source).len();
+        if count > 1 {
+            let said = format!("{count} columns named {text} with the same cells; counted once");
+            self.noticed
+                .warnings
+                .push(format!("{}: {said}", table.file));
+        }
+        let known = ["point", "role", "stimulus", "response"];
+        let covariate =
+            kind == Kind::Transducer && !SCALAR_COLUMNS.iter().chain(&known).any(|n| *n == name);
+        if covariate && units::is_uncertainty(text) {
+            let said = "looks like an uncertainty: as a covariate it counts as a cause";
+            let said = format!("{}: {text} {said}", table.file);
+            self.noticed.warnings.push(said);
+        }
+        let mut column = Column {
+            made_of: vec![index],
+            ..Column::default()
+        };
+        let scaled = |(index, factor): (usize, f64)| {
+            let factor = Some(factor);
+            table.values(
+                &name,
+                &AskedColumn {
+                    index,
+                    factor,
+                    since: None,
+                },
+            )
+        };
+        if name == "role" {
+            for (_, cells) in &table.rows {
+                let text = cells[index].trim();
+                ensure!(
+                    !text.contains([',', '"', '\n']),
+                    "{}: role {text:?} is not a word",
+                    table.file
+                );
+                column.cells.push(text.to_owned());
+            }
+        }
+        let values = if name == "role" {
+            Vec::new()
+        } else if let (Kind::Axis, Some(unit_mm), Some(commanded)) =
+            (kind, error_unit_mm(&name), commanded)
+        {
+            // A commanded position and the error of the measured one: their sum.
+            let errors = scaled((index, unit_mm * factor))?;
+            column.made_of.insert(0, commanded.0);
+            column.name = "measured_mm".to_owned();
+            let positions = scaled(commanded)?.into_iter().zip(errors);
+            positions
+                .map(|(place, error)| Some(place? + error?))
+                .collect()
+        } else if name == "t_s"
+            && let asked = table.asked(text)?
+            && let since = asked.since.or(since.map(str::to_owned))
+            && let Some(stamps) = table.stamps(&AskedColumn { since, ..asked })?
+        {
+            let with = stamps
+                .other
+                .map_or(String::new(), |k| format!(" with {}", table.columns[k]));
+            self.noticed.remarks.push(format!(
+                "{}: {}{with} holds time stamps: seconds after {}",
+                table.file,
+                asked_name(text),
+                stamps.first
+            ));
+            // Without a date it is not known how long after the first of these another clock
+            // begins.
+            column.asked = Some(match stamps.dated {
+                true => format!("{source} since {}", stamps.first),
+                false => source.clone(),
+            });
+            column.since = Some(stamps.first);
+            column.made_of.splice(0..0, stamps.other);
+            stamps.times
+        } else {
+            scaled((index, factor))?
+        };
+        if column.name.is_empty() {
+            let asked = match factor {
+                1.0 => source.clone(),
+                _ => format!("{source}*{factor}"),
+            };
+            column.asked = column.asked.or((asked != name).then_some(asked));
+            column.name = name;
+        }
+        if column.cells.is_empty() {
+            // `{}` prints the shortest text that reads back as the same number: nothing is lost.
+            let shown = |v: Option<f64>| v.map_or_else(String::new, |v| v.to_string());
+            column.cells = values.into_iter().map(shown).collect();
+        }
+        Ok(column)
     }
 
     /// A column of the foreign table and the factor that its cells are multiplied by: that of
@@ -358,64 +346,11 @@ impl Plan {
     ///
     /// # Errors
     /// Where the table has no such column, or states two units of it.
-    fn scaled(
-        &mut self,
-        table: &TextTable,
-        name: &str,
-        text: &str,
-    ) -> anyhow::Result<(usize, f64)> {
-        let AskedColumn { index, factor, .. } = table.asked(text)?;
-        let of_unit = || units::factor(table, index, name, (&mut self.remarks, &mut self.warnings));
+    fn scaled(&mut self, name: &str, text: &str) -> Result<(usize, f64)> {
+        let AskedColumn { index, factor, .. } = self.table.asked(text)?;
+        let of_unit = || units::factor(self.table, index, name, &mut self.noticed);
         Ok((index, factor.map_or_else(of_unit, Ok)?))
     }
-}
-
-impl Source {
-    /// The column of the foreign table, where it is one.
-    fn index(&self) -> Option<usize> {
-        match self {
-            Self::Column { index, .. } | Self::Stamps { index, .. } => Some(*index),
-            Self::Position { error, .. } => Some(error.0),
-            Self::Order | Self::Calibration => None,
-        }
-    }
-}
-
-/// A cell of the session's table; empty where nothing stands there.
-fn cell(
-    table: &TextTable,
-    row: usize,
-    (name, source): &(String, Source),
-) -> anyhow::Result<String> {
-    // `{}` prints the shortest text that reads back as the same number: nothing is lost.
-    let text = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-    Ok(match source {
-        Source::Order => (row + 1).to_string(),
-        Source::Calibration => "calibration".to_owned(),
-        Source::Stamps { stamps, .. } => text(stamps.times[row]),
-        Source::Position { commanded, error } => {
-            let [commanded, error] = [commanded, error]
-                .map(|(index, factor)| table.number(row, *index).map(|v| Some(v? * factor)));
-            text(
-                commanded?
-                    .zip(error?)
-                    .map(|(commanded, error)| commanded + error),
-            )
-        }
-        Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
-            let text = table.rows[row].1[*index].trim();
-            ensure!(
-                !text.contains([',', '"', '\n']),
-                "{}: role {text:?} is not a word",
-                table.file
-            );
-            text.to_owned()
-        }
-        Source::Column { index, factor } if name == "direction" => {
-            text(table.direction(row, *index)?.map(|v| v * factor))
-        }
-        Source::Column { index, factor } => text(table.number(row, *index)?.map(|v| v * factor)),
-    })
 }
 
 /// The option that takes a further column.
@@ -424,15 +359,16 @@ pub(super) const WAY_IN: &str =
 
 /// Millimetres in the unit of a column of an axis' errors; none for another column.
 fn error_unit_mm(name: &str) -> Option<f64> {
-    let units = [("error_um", 1e-3), ("error_mm", 1.0), ("error_in", 25.4)];
-    units
-        .into_iter()
-        .find(|(unit, _)| *unit == name)
-        .map(|(_, mm)| mm)
+    match name {
+        "error_um" => Some(1e-3),
+        "error_mm" => Some(1.0),
+        "error_in" => Some(25.4),
+        _ => None,
+    }
 }
 
 /// Name in the session and name in the foreign table of every column to import.
-fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, String)>> {
+fn wanted(args: &ImportArgs, table: &TextTable) -> Result<Vec<(String, String)>> {
     // Of an axis the repetition of a stroke is its cycle.
     let axis = args.kind == Kind::Axis;
     ensure!(
@@ -440,9 +376,8 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         "--replicate: expected --cycle or --replicate for an axis (the repetition of a stroke is its cycle), found both"
     );
     let errors = || {
-        args.covariates
-            .iter()
-            .any(|c| c.split('=').next().and_then(error_unit_mm).is_some())
+        let mut names = args.covariates.iter().filter_map(|c| c.split('=').next());
+        names.any(|name| error_unit_mm(name).is_some())
     };
     ensure!(
         !axis || args.measured.is_some() != errors(),
@@ -453,37 +388,33 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
             "neither"
         }
     );
-    let (cycle, replicate) = if axis {
-        (args.cycle.clone().or_else(|| args.replicate.clone()), None)
-    } else if args.kind == Kind::Transducer {
-        // The cycle of a transducer is its repetition: readings of one are left out together, and
-        // it is no quantity that acts.
-        (None, args.replicate.clone().or_else(|| args.cycle.clone()))
-    } else {
-        (args.cycle.clone(), args.replicate.clone())
+    // The cycle of a transducer is its repetition: readings of one are left out together, and it is
+    // no quantity that acts.
+    let (cycle, replicate) = match args.kind {
+        Kind::Axis => (args.cycle.as_ref().or(args.replicate.as_ref()), None),
+        Kind::Transducer => (None, args.replicate.as_ref().or(args.cycle.as_ref())),
+        _ => (args.cycle.as_ref(), args.replicate.as_ref()),
     };
     let flags = [
-        ("role", &args.role),
-        ("stimulus", &args.stimulus),
-        ("stimulus_sd", &args.stimulus_sd),
-        ("response", &args.response),
-        ("commanded_mm", &args.commanded),
-        ("measured_mm", &args.measured),
-        ("t_s", &args.time),
-        ("direction", &args.direction),
-        ("temperature_degc", &args.temperature),
-        ("cycle", &cycle),
-        ("replicate", &replicate),
+        ("role", args.role.as_ref()),
+        ("stimulus", args.stimulus.as_ref()),
+        ("stimulus_sd", args.stimulus_sd.as_ref()),
+        ("response", args.response.as_ref()),
+        ("commanded_mm", args.commanded.as_ref()),
+        ("measured_mm", args.measured.as_ref()),
+        ("t_s", args.time.as_ref()),
+        ("direction", args.direction.as_ref()),
+        ("temperature_degc", args.temperature.as_ref()),
+        ("cycle", cycle),
+        ("replicate", replicate),
     ];
     let given = flags
-        .iter()
-        .filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
-    let mut wanted: Vec<(String, String)> = given.collect();
-    for text in &args.covariates {
-        // Without a name here a column keeps that of the table.
-        let (name, column) = text.split_once('=').unwrap_or((text, text));
-        wanted.push((name.to_owned(), column.to_owned()));
-    }
+        .into_iter()
+        .filter_map(|(name, column)| Some((name, column?.as_str())));
+    // Without a name here a column keeps that of the table.
+    let further = args.covariates.iter();
+    let further = further.map(|text| text.split_once('=').unwrap_or((text, text)));
+    let mut wanted: Vec<(&str, &str)> = given.chain(further).collect();
     let known: &[&str] = if args.kind == Kind::Whisker {
         &WHISKER_COLUMNS
     } else {
@@ -492,7 +423,7 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
     for name in known {
         let here = table.columns.iter().any(|c| c == name);
         if here && !wanted.iter().any(|(n, c)| n == name || c == name) {
-            wanted.push(((*name).to_owned(), (*name).to_owned()));
+            wanted.push((name, name));
         }
     }
     for (position, (name, _)) in wanted.iter().enumerate() {
@@ -504,5 +435,6 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
             "{name:?} cannot name a column: expected letters, digits and _"
         );
     }
-    Ok(wanted)
+    let owned = |(name, column): (&str, &str)| (name.to_owned(), column.to_owned());
+    Ok(wanted.into_iter().map(owned).collect())
 }

@@ -2,11 +2,11 @@
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use super::columns::Plan;
-use super::imported::Noticed;
+use super::imported::{Noticed, file_name};
 use crate::column_words::is_deviation;
 use crate::input::{read, read_text};
 use crate::simulated::is_simulated;
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use toml::{Table, Value};
 use wcal_core::TransducerModel;
@@ -28,7 +28,7 @@ const TAKEN_OVER: &[&str] = &[
 type Tables = Vec<(String, Vec<u8>)>;
 
 /// The folder's name.
-pub(super) fn identifier(args: &ImportArgs) -> anyhow::Result<String> {
+pub(super) fn identifier(args: &ImportArgs) -> Result<String> {
     let folder = args
         .out
         .file_name()
@@ -38,35 +38,25 @@ pub(super) fn identifier(args: &ImportArgs) -> anyhow::Result<String> {
 
 /// What every imported session states, its tables of points and of the holdout by their names. The
 /// medium is air; session.toml is where another one is stated.
-pub(super) fn header(
-    args: &ImportArgs,
-    kind: &str,
-    files: &[(&str, &str)],
-) -> anyhow::Result<Table> {
-    let text = |(key, value): (&str, &str)| (key.to_owned(), Value::from(value));
-    let (id, created) = (identifier(args)?, created()?);
-    let stated = [
-        ("format", SESSION_FORMAT),
-        ("id", &id),
-        ("kind", kind),
-        ("medium", "air"),
-        ("created", &created),
-    ];
-    let files: Table = files.iter().copied().map(text).collect();
-    Ok(stated
-        .map(text)
-        .into_iter()
-        .chain([("files".to_owned(), Value::Table(files))])
-        .collect())
+pub(super) fn header(args: &ImportArgs, kind: &str, files: &[(&str, &str)]) -> Result<Table> {
+    let files = files.iter().map(|(key, file)| (*key, (*file).into()));
+    Ok(table([
+        ("format", SESSION_FORMAT.into()),
+        ("id", identifier(args)?.into()),
+        ("kind", kind.into()),
+        ("medium", "air".into()),
+        ("created", created()?.into()),
+        ("files", table(files).into()),
+    ]))
 }
 
 /// Text of `session.toml`, and further files that it names.
 pub(super) fn write(
     args: &ImportArgs,
-    sources: &[&TextTable],
-    plan: &Plan,
+    sources: &[TextTable],
+    plan: &Plan<'_>,
     noticed: &Noticed,
-) -> anyhow::Result<(String, Tables)> {
+) -> Result<(String, Tables)> {
     let mut more = Vec::new();
     let tables = [("points", "points.csv"), ("holdout", "holdout.csv")];
     let mut top = header(args, &name_of(args.kind), &tables[..sources.len()])?;
@@ -94,14 +84,14 @@ pub(super) fn write(
         .any(|path| is_simulated(path));
     let mut provenance = provenance(sources, simulated, noticed);
     // A later table of the same instrument has the same columns.
-    let renamed = plan.renamed(sources[0]);
+    let renamed = plan.renamed();
     provenance.extend((!renamed.is_empty()).then(|| ("columns".to_owned(), Value::Table(renamed))));
     top.insert("provenance".to_owned(), Value::Table(provenance));
     Ok((toml::to_string(&top)?, more))
 }
 
 /// Now, or the time in SOURCE_DATE_EPOCH, so that an import can be repeated to the byte.
-fn created() -> anyhow::Result<String> {
+fn created() -> Result<String> {
     let stamp = match std::env::var("SOURCE_DATE_EPOCH") {
         Ok(seconds) => {
             let seconds = seconds.parse().with_context(|| {
@@ -121,70 +111,52 @@ fn transducer(args: &ImportArgs, [stimulus_unit, response_unit]: &[String; 2]) -
     } else {
         stimulus_unit.as_str()
     };
-    let law = match args.model {
-        Some(Declared::Law(law)) => law,
-        _ => TransducerModel::Linear,
+    let model = match args.model {
+        Some(Declared::Law(TransducerModel::Constant)) => "constant",
+        Some(Declared::Law(TransducerModel::Quadratic)) => "quadratic",
+        _ => "linear",
     };
-    let model = match law {
-        TransducerModel::Constant => "constant",
-        TransducerModel::Linear => "linear",
-        TransducerModel::Quadratic => "quadratic",
-    };
-    let text = [
-        ("stimulus_unit", stimulus_unit),
-        ("response_unit", response_unit),
-        ("model", model),
-    ];
-    let mut table: Table = text
-        .into_iter()
-        .map(|(key, value)| (key.to_owned(), Value::from(value)))
-        .collect();
     let deviation = args.response.as_deref().is_some_and(is_deviation);
-    table.extend(deviation.then(|| ("deviation".to_owned(), Value::from(true))));
-    table
+    let deviation = deviation.then(|| ("deviation", true.into()));
+    let stated = [
+        ("stimulus_unit", stimulus_unit.into()),
+        ("response_unit", response_unit.as_str().into()),
+        ("model", model.into()),
+    ];
+    table(stated.into_iter().chain(deviation))
 }
 
-pub(super) fn provenance(sources: &[&TextTable], simulated: bool, noticed: &Noticed) -> Table {
-    let short = |path: &str| {
-        Path::new(path)
-            .file_name()
-            .map_or(path.to_owned(), |n| n.to_string_lossy().into_owned())
-    };
+pub(super) fn provenance(sources: &[TextTable], simulated: bool, noticed: &Noticed) -> Table {
     let inputs = sources.iter().map(|source| {
         let entry = [
-            ("path", short(&source.file)),
-            ("sha256", source.sha256.clone()),
+            ("path", file_name(&source.file).into()),
+            ("sha256", source.sha256.clone().into()),
         ];
-        Value::Table(
-            entry
-                .into_iter()
-                .map(|(key, value)| (key.to_owned(), Value::from(value)))
-                .collect(),
-        )
+        Value::Table(table(entry))
     });
-    let mut table = Table::new();
-    table.insert(
-        "program".to_owned(),
-        Value::from(format!("wcal {}", env!("CARGO_PKG_VERSION"))),
-    );
-    table.insert(
-        "command".to_owned(),
-        std::env::args().skip(1).collect::<Vec<_>>().into(),
-    );
-    table.insert("inputs".to_owned(), Value::Array(inputs.collect()));
-    let read: Vec<String> = noticed
-        .remarks
-        .iter()
-        .chain(&noticed.warnings)
-        .cloned()
-        .collect();
-    table.extend((!read.is_empty()).then(|| ("read".to_owned(), Value::from(read))));
-    table.extend(simulated.then(|| ("simulated".to_owned(), Value::Boolean(true))));
-    table
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let read = [&noticed.remarks[..], &noticed.warnings].concat();
+    let read = (!read.is_empty()).then(|| ("read", read.into()));
+    let simulated = simulated.then(|| ("simulated", true.into()));
+    let stated = [
+        (
+            "program",
+            concat!("wcal ", env!("CARGO_PKG_VERSION")).into(),
+        ),
+        ("command", command.into()),
+        ("inputs", Value::Array(inputs.collect())),
+    ];
+    table(stated.into_iter().chain(read).chain(simulated))
+}
+
+/// A table of these entries.
+pub(super) fn table<'a>(entries: impl IntoIterator<Item = (&'a str, Value)>) -> Table {
+    let owned = |(key, value): (&str, Value)| (key.to_owned(), value);
+    entries.into_iter().map(owned).collect()
 }
 
 /// Takes the whisker's tables from another description, its rest shape with it.
-fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
+fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> Result<()> {
     let meta = wcal_core::document::toml(&read_text(path)?)
         .with_context(|| format!("{}: expected valid TOML", path.display()))?;
     for key in TAKEN_OVER {

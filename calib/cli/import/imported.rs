@@ -1,7 +1,7 @@
 //! The folder of an imported session: what may be replaced in it, and what is said of it.
 
 use super::arguments::ImportArgs;
-use super::columns::{Plan, WAY_IN};
+use super::columns::WAY_IN;
 use super::units::is_uncertainty;
 use crate::column_words::{option_of, quoted};
 use crate::output::{OutputFolder, ResultKind, first_line};
@@ -19,13 +19,14 @@ pub(crate) const OBJECT: &str = "object.stl";
 
 /// An imported session: its description says which command made it.
 pub(super) const RESULT: ResultKind<'_> = ResultKind {
-    command: "import",
-    document: "session.toml",
-    format_prefix: "command = [\"import\"",
-    files: &["points.csv", "holdout.csv", "rest_shape.csv", OBJECT],
     kept: &["unsealed.json"],
-    resumes: false,
     made_of,
+    ..ResultKind::new(
+        "import",
+        "session.toml",
+        "command = [\"import\"",
+        &["points.csv", "holdout.csv", "rest_shape.csv", OBJECT],
+    )
 };
 
 /// The tables that an imported session was made of, and its columns.
@@ -59,8 +60,8 @@ fn earlier_inputs(folder: &Path) -> Option<Vec<(String, String)>> {
 /// options, and a later state of it with the same columns.
 pub(super) fn refuse_other_tables(
     out: &OutputFolder<'_>,
-    tables: &[&TextTable],
-    points: &[u8],
+    tables: &[TextTable],
+    points: &str,
 ) -> anyhow::Result<()> {
     let earlier = earlier_inputs(out.folder()).unwrap_or_default();
     // The first is the table of the points; a holdout may be added or left out.
@@ -71,42 +72,40 @@ pub(super) fn refuse_other_tables(
     {
         return Ok(());
     }
-    let name = |table: &&TextTable| {
-        let file = Path::new(&table.file).file_name();
-        file.map_or_else(|| table.file.clone(), |n| n.to_string_lossy().into_owned())
-    };
-    let names = tables.iter().map(name).collect::<Vec<_>>().join(", ");
-    let columns = String::from_utf8_lossy(points)
-        .lines()
-        .next()
-        .unwrap_or_default()
-        .to_owned();
-    out.refuse_other(&described(&names, &columns))
+    let names: Vec<String> = tables.iter().map(|table| file_name(&table.file)).collect();
+    let columns = points.lines().next().unwrap_or_default();
+    out.refuse_other(&described(&names.join(", "), columns))
 }
 
-/// What was noticed while reading the tables.
+/// Name of a file without its folders.
+pub(super) fn file_name(path: &str) -> String {
+    let name = Path::new(path).file_name();
+    name.map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned())
+}
+
+/// What was noticed while reading tables.
+#[derive(Default)]
 pub(super) struct Noticed {
+    /// How they were read.
     pub(super) remarks: Vec<String>,
+    /// What is odd about them.
     pub(super) warnings: Vec<String>,
 }
 
 impl Noticed {
-    pub(super) fn of<'a>(tables: &[&TextTable], plans: impl Iterator<Item = &'a Plan>) -> Self {
-        let of_file = |texts: fn(&TextTable) -> &[String]| -> Vec<String> {
-            let said = |t: &&TextTable| {
-                texts(t)
-                    .iter()
-                    .map(|text| format!("{}: {text}", t.file))
-                    .collect::<Vec<_>>()
+    /// Of the tables themselves.
+    pub(super) fn of(tables: &[TextTable]) -> Self {
+        let of_file = |texts: fn(&TextTable) -> &[String]| {
+            let said = |t: &TextTable| {
+                let said = texts(t).iter().map(|text| format!("{}: {text}", t.file));
+                said.collect::<Vec<_>>()
             };
             tables.iter().flat_map(said).collect()
         };
-        let (mut remarks, mut warnings) = (of_file(|t| &t.remarks), of_file(|t| &t.warnings));
-        for plan in plans {
-            remarks.extend_from_slice(&plan.remarks);
-            warnings.extend_from_slice(&plan.warnings);
+        Self {
+            remarks: of_file(|t| &t.remarks),
+            warnings: of_file(|t| &t.warnings),
         }
-        Self { remarks, warnings }
     }
 }
 
@@ -115,7 +114,7 @@ impl Noticed {
 pub(super) fn say(
     args: &ImportArgs,
     document: &ImportDocument<'_>,
-    sources: &[&TextTable],
+    sources: &[TextTable],
 ) -> anyhow::Result<ExitCode> {
     let ImportDocument {
         session,
@@ -172,7 +171,7 @@ pub(super) fn say(
     for warning in warnings {
         eprintln!("warning: {}", printable(warning));
     }
-    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+    Ok(crate::exit_code(warnings.is_empty()))
 }
 
 /// A table that became a session.

@@ -9,7 +9,6 @@ use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::fmt::Write as _;
 use std::process::ExitCode;
-use toml::Value;
 use wcal_mesh::Mesh;
 use wcal_mesh::mesh_file::as_stl;
 use wcal_session::motion_table;
@@ -132,21 +131,20 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     };
     let mut top = description::header(args, KIND, files)?;
     if let Some(pose) = &args.object_pose {
-        let place = [
-            ("world_from_object", Value::from(pose.clone())),
-            ("sd_mm", Value::from(PLACED_SD_MM)),
-        ];
-        let place = place.map(|(k, v)| (k.to_owned(), v)).into_iter().collect();
-        top.insert("object".to_owned(), Value::Table(place));
+        let place = description::table([
+            ("world_from_object", pose.clone().into()),
+            ("sd_mm", PLACED_SD_MM.into()),
+        ]);
+        top.insert("object".to_owned(), place.into());
     }
-    let (sources, simulated) = ([&sweep.source], is_simulated(&args.file));
-    let noticed = Noticed::of(&sources, std::iter::empty());
+    let (sources, simulated) = ([sweep.source], is_simulated(&args.file));
+    let mut noticed = Noticed::of(&sources);
     let provenance = description::provenance(&sources, simulated, &noticed);
-    top.insert("provenance".to_owned(), Value::Table(provenance));
+    top.insert("provenance".to_owned(), provenance.into());
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
-    out.put("points.csv", sweep.points.clone());
+    refuse_other_tables(&out, &sources, &sweep.points)?;
+    out.put("points.csv", sweep.points);
     if let Some((mesh, _)) = &object {
         out.put(
             OBJECT,
@@ -162,16 +160,12 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     {
         eprintln!("{}: {note}", mesh.display());
     }
-    let Noticed {
-        remarks,
-        mut warnings,
-    } = noticed;
-    let rows = sweep.source.rows.len();
-    let unknown = (sweep.without_pose > 0).then(|| {
-        let missing = sweep.without_pose;
-        format!("the motion of {missing} of {rows} readings is not known: the log does not cover their times")
-    });
-    warnings.extend(unknown);
+    let (rows, missing) = (sources[0].rows.len(), sweep.without_pose);
+    if missing > 0 {
+        noticed.warnings.push(format!(
+            "the motion of {missing} of {rows} readings is not known: the log does not cover their times"
+        ));
+    }
     let document = ImportDocument {
         format: "wcal-import/1",
         session: description::identifier(args)?,
@@ -180,9 +174,9 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         simulated,
         rows,
         holdout_rows: 0,
-        columns_left_out: sweep.left_out.clone(),
-        remarks,
-        warnings,
+        columns_left_out: sweep.left_out,
+        remarks: noticed.remarks,
+        warnings: noticed.warnings,
         inputs: Vec::new(),
     };
     say(args, &document, &sources)

@@ -1,8 +1,9 @@
 //! Units of the foreign table: those that stand in its names and below its header become the
 //! session's.
 
+use super::imported::Noticed;
 use crate::column_words::quoted;
-use anyhow::bail;
+use anyhow::{Result, bail};
 use wcal_core::text::number;
 use wcal_session::{
     Relation, TextTable, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
@@ -16,9 +17,6 @@ const FIXED: [(&str, &str, &str); 4] = [
     ("temperature_degc", "degC", "--temperature"),
 ];
 
-/// What was noticed of a table: remarks, and what is odd.
-pub(super) type Noticed<'a> = (&'a mut Vec<String>, &'a mut Vec<String>);
-
 /// Factor from the unit that the table states of a column, in its name or below the header, to that
 /// of the session's column; 1 where it states none.
 ///
@@ -28,8 +26,8 @@ pub(super) fn factor(
     table: &TextTable,
     index: usize,
     name: &str,
-    (remarks, warnings): Noticed<'_>,
-) -> anyhow::Result<f64> {
+    noticed: &mut Noticed,
+) -> Result<f64> {
     let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else {
         return Ok(1.0);
     };
@@ -68,13 +66,13 @@ pub(super) fn factor(
     }
     match found {
         Some((unit, factor)) if factor != 1.0 => {
-            remarks.push(format!(
+            noticed.remarks.push(format!(
                 "{file}: {column} is in {unit}; times {} it is in {to}",
                 number(factor, 12)
             ));
             Ok(factor)
         }
-        None if name == "t_s" => question(table, index, (remarks, warnings)).map(|()| 1.0),
+        None if name == "t_s" => question(table, index, noticed).map(|()| 1.0),
         _ => Ok(1.0),
     }
 }
@@ -84,7 +82,7 @@ pub(super) fn factor(
 ///
 /// # Errors
 /// Where rows have several.
-fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
+fn below(table: &TextTable, index: usize) -> Result<Option<&str>> {
     let below = table
         .units
         .get(index)
@@ -124,11 +122,7 @@ fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
 ///
 /// # Errors
 /// Where they can be none.
-fn question(
-    table: &TextTable,
-    index: usize,
-    (remarks, warnings): Noticed<'_>,
-) -> anyhow::Result<()> {
+fn question(table: &TextTable, index: usize, noticed: &mut Noticed) -> Result<()> {
     /// Numbers of days since 1900 in spreadsheets: the years 1954 to 2119.
     const DAYS: std::ops::Range<f64> = 2e4..8e4;
     /// Seconds since 1970 stay below it for three thousand years.
@@ -186,8 +180,8 @@ fn question(
         number(*step, 4)
     );
     match asked {
-        Some(asked) => warnings.push(format!("{taken}; {asked}")),
-        None => remarks.push(taken),
+        Some(asked) => noticed.warnings.push(format!("{taken}; {asked}")),
+        None => noticed.remarks.push(taken),
     }
     Ok(())
 }
@@ -201,7 +195,7 @@ pub(super) fn signal(
     column: Option<&str>,
     table: &TextTable,
     remarks: &mut Vec<String>,
-) -> anyhow::Result<String> {
+) -> Result<String> {
     let taken = stated.unwrap_or("1").to_owned();
     let Some(column) = column
         .map(|text| table.asked(text))

@@ -21,12 +21,6 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
             .ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
     };
     let mut rig = wcal_core::document::toml(rig)?;
-    let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
-        let value = t
-            .remove(name)
-            .and_then(|v| v.try_into::<toml::Table>().ok());
-        value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
-    };
     // The bench's clock may run faster than the wall's.
     if let Some(speed) = addresses.get("speed").and_then(serde_json::Value::as_f64) {
         rig.insert("clock_scale".to_owned(), speed.into());
@@ -42,20 +36,24 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
             .as_table_mut()
             .map(|t| t.insert("source".to_owned(), own.into()));
     }
-    let mut stage = table(&mut rig, "stage")?;
-    stage.insert(
-        "port".to_owned(),
-        format!("tcp://{}", text("/stage_tcp")?).into(),
-    );
-    let mut interrogator = table(&mut rig, "interrogator")?;
-    if interrogator.get("driver").and_then(toml::Value::as_str) == Some("hyperion") {
-        interrogator.insert("address".to_owned(), text("/hyperion/commands")?.into());
-        interrogator.insert("peaks_address".to_owned(), text("/hyperion/peaks")?.into());
+    let driver = rig
+        .get("interrogator")
+        .and_then(|i| i.get("driver")?.as_str());
+    let hyperion = driver == Some("hyperion");
+    let mut set = |table: &str, key: &str, address: String| -> Result<()> {
+        let entries = rig.get_mut(table).and_then(toml::Value::as_table_mut);
+        let entries =
+            entries.ok_or_else(|| anyhow!("expected [{table}] in the rig, found none"))?;
+        entries.insert(key.to_owned(), address.into());
+        Ok(())
+    };
+    set("stage", "port", format!("tcp://{}", text("/stage_tcp")?))?;
+    if hyperion {
+        set("interrogator", "address", text("/hyperion/commands")?)?;
+        set("interrogator", "peaks_address", text("/hyperion/peaks")?)?;
     } else {
-        interrogator.insert("address".to_owned(), text("/sm130")?.into());
+        set("interrogator", "address", text("/sm130")?)?;
     }
-    rig.insert("stage".to_owned(), stage.into());
-    rig.insert("interrogator".to_owned(), interrogator.into());
     Ok(toml::to_string(&rig)?)
 }
 

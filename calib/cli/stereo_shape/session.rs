@@ -1,6 +1,6 @@
 //! `wcal stereo-shape SESSION`: shapes of the poses that a session pictured, written into it.
 
-use super::shaper::{PairCounts, Shaper, StereoShapeArgs, put_results, report_pairs};
+use super::shaper::{Shaper, StereoShapeArgs, put_results, report_pairs};
 use crate::input::read_text;
 use crate::output::OutputFolder;
 use anyhow::{Context, Result, bail, ensure};
@@ -73,7 +73,7 @@ pub(super) fn run(
         if !sealed {
             put_results(args, shaper, &result, &files, out.take())?;
         }
-        let PairCounts { good, clean: all } = report_pairs(&result);
+        let (good, all) = report_pairs(&result);
         ensure!(
             sealed || good > 0,
             "expected at least one usable pair, found none"
@@ -90,11 +90,7 @@ pub(super) fn run(
     if let Some((_, text)) = documents.first().filter(|_| args.json) {
         println!("{text}");
     }
-    Ok(if clean {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(3)
-    })
+    Ok(crate::exit_code(clean))
 }
 
 fn session_id(folder: &Path) -> Result<String> {
@@ -147,18 +143,14 @@ fn out_of_groove(document: &mut ShapesDocument, poses: &[PosePair]) {
         .zip(poses)
         .filter(|(_, pose)| pose.loaded)
     {
-        let contact = pair.groove.as_ref().map(|g| g.contact.clone());
         if pair.status != "ok" {
             continue;
         }
-        match contact.as_deref() {
-            Some("vertex") => {}
-            Some(other) => pair.warnings.push(format!(
-                "the wire is not in the groove's vertex (contact {other})"
-            )),
-            None => pair
-                .warnings
-                .push("the rig tag is not seen: no contact".to_owned()),
-        }
+        let warning = match pair.groove.as_ref().map(|g| g.contact.as_str()) {
+            Some("vertex") => continue,
+            Some(other) => format!("the wire is not in the groove's vertex (contact {other})"),
+            None => "the rig tag is not seen: no contact".to_owned(),
+        };
+        pair.warnings.push(warning);
     }
 }

@@ -5,13 +5,13 @@ use crate::input::{read, read_text};
 use crate::output::{OutputFolder, Overwrite};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::order_statistics::median;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::shapes_document::{GrooveDocument, PairDocument, ShapesSource, rig_sha256};
+use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
 use wcal_report::{Fact, ShapePair, ShapesInput, render_shapes};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::PairFiles;
@@ -67,7 +67,7 @@ pub(super) struct Shaper {
 }
 
 impl Shaper {
-    pub(super) fn new(args: &StereoShapeArgs, rig_file: PathBuf) -> anyhow::Result<Self> {
+    pub(super) fn new(args: &StereoShapeArgs, rig_file: PathBuf) -> Result<Self> {
         let stereo = read_cameras(&args.cameras)?
             .stereo_cameras()
             .map_err(anyhow::Error::msg)?;
@@ -99,7 +99,7 @@ impl Shaper {
         &self,
         files: &[PairFiles],
         session: Option<&str>,
-    ) -> anyhow::Result<ShapesResult> {
+    ) -> Result<ShapesResult> {
         let mut result = {
             let (progress, done) = (Progress::new("stereo-shape"), AtomicUsize::new(0));
             let each = |name: &str| {
@@ -125,28 +125,9 @@ impl Shaper {
     }
 }
 
-/// `shapes.json` and report into the output folder, where one was asked for.
-pub(super) fn put_results(
-    args: &StereoShapeArgs,
-    shaper: &Shaper,
-    result: &ShapesResult,
-    files: &[PairFiles],
-    out: Option<OutputFolder<'_>>,
-) -> anyhow::Result<()> {
-    let Some(mut out) = out else { return Ok(()) };
-    out.put("shapes.json", serde_json::to_string(&result.document)?);
-    put_report(args, shaper, result, files, &mut out)?;
-    out.finish()
-}
-
-/// How many pairs can be used, and whether nothing was to be said of any.
-pub(super) struct PairCounts {
-    pub(super) good: usize,
-    pub(super) clean: bool,
-}
-
-/// Says what was rejected and why.
-pub(super) fn report_pairs(result: &ShapesResult) -> PairCounts {
+/// Says what was rejected and why; how many pairs can be used, and whether nothing was to be said
+/// of any.
+pub(super) fn report_pairs(result: &ShapesResult) -> (usize, bool) {
     let document = &result.document;
     if document.provenance.simulated {
         eprintln!("stereo-shape: SIMULATED: the pictures are rendered, not taken");
@@ -166,32 +147,32 @@ pub(super) fn report_pairs(result: &ShapesResult) -> PairCounts {
         }
     }
     let used = format!("stereo-shape: {good} of {} pairs", document.pairs.len());
-    let grooves: Vec<&GrooveDocument> = document
-        .pairs
-        .iter()
-        .filter_map(|p| p.groove.as_ref())
-        .collect();
-    match median(grooves.iter().map(|g| g.contact_arclength_sd_mm)) {
+    let grooves = document.pairs.iter().filter_map(|p| p.groove.as_ref());
+    let sds: Vec<f64> = grooves.map(|g| g.contact_arclength_sd_mm).collect();
+    match median(sds.iter().copied()) {
         Some(sd) => {
             eprintln!(
                 "{used}; contact along the wire known to {sd:.3} mm (median of {})",
-                grooves.len()
+                sds.len()
             )
         }
         None => eprintln!("{used}; no contact: the rig's tag is seen in none"),
     }
-    PairCounts { good, clean }
+    (good, clean)
 }
 
-/// `report.html`: the shapes in space, and every usable pair.
-fn put_report(
+/// `shapes.json` and `report.html` (the shapes in space, and every usable pair) into the output
+/// folder, where one was asked for.
+pub(super) fn put_results(
     args: &StereoShapeArgs,
     shaper: &Shaper,
     result: &ShapesResult,
     files: &[PairFiles],
-    out: &mut OutputFolder<'_>,
-) -> anyhow::Result<()> {
+    out: Option<OutputFolder<'_>>,
+) -> Result<()> {
+    let Some(mut out) = out else { return Ok(()) };
     let document = &result.document;
+    out.put("shapes.json", serde_json::to_string(document)?);
     let mut pairs = Vec::new();
     for ((pair, fit), file) in document.pairs.iter().zip(&result.fits).zip(files) {
         if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
@@ -233,7 +214,7 @@ fn put_report(
         pairs,
     };
     out.put("report.html", render_shapes(&input));
-    Ok(())
+    out.finish()
 }
 
 /// A pair's numbers in words.

@@ -431,17 +431,10 @@ fn conclude(
         "track: lag {} s: t_s is the time of validity",
         document.lag_s.unwrap_or_default()
     )];
-    let of = |name: &str| {
-        if name.is_empty() {
-            String::new()
-        } else {
-            format!("whisker {name}: ")
-        }
-    };
     said.extend(stream.unheard().into_iter().map(|name| {
         format!(
             "warning: {}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known",
-            of(name)
+            super::whose(name)
         )
     }));
     let loss = lost_text(stream.lost(), dropped);

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::Path;
 use std::process::ExitCode;
-use wcal_core::{InputFile, SessionData, SessionKind};
+use wcal_core::{InputFile, SessionKind};
 use wcal_session::{Finding, LoadedSession, Severity, attach_holdout, examine, load};
 use wcal_verify::whisker::sensitivity::lost_sensitivity;
 
@@ -56,10 +56,7 @@ pub fn check(folder: &Path, holdout: Option<&Path>, as_json: bool) -> anyhow::Re
 
 /// Whether the gratings of a whisker respond to the load, where the wire can be bent.
 fn sensitivity(session: &LoadedSession) -> Option<Finding> {
-    let SessionData::Whisker(data) = &session.data else {
-        return None;
-    };
-    let message = lost_sensitivity(data).ok().flatten()?;
+    let message = lost_sensitivity(session.whisker().ok()?).ok().flatten()?;
     Some(Finding {
         severity: Severity::Error,
         topic: "sensitivity".to_owned(),

@@ -3,11 +3,10 @@
 use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_core::ResidualRecord;
 use wcal_core::text::{brief, chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
+use wcal_core::{ResidualRecord, TransducerModel};
 use wcal_report::ReportInput;
-use wcal_verify::scalar::ScalarData;
 use wcal_verify::verify::Assessment;
 use wcal_verify::whisker::WhiskerVerification;
 
@@ -56,8 +55,8 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
 
 /// Every reading with what both models say of it, in the session's units; a residual is measured
 /// less predicted.
-pub(super) fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
-    let axis = matches!(data, ScalarData::Axis(_));
+pub(super) fn scalar_csv(model: TransducerModel, records: &[ResidualRecord]) -> String {
+    let axis = model == TransducerModel::Axis;
     // Of an axis the model's response is the error, measured less commanded.
     let (name, columns, residual) = if axis {
         ("error_um", "commanded_mm,measured_mm", "residual_um")

@@ -4,7 +4,6 @@
 //! in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`. Frames: **base**
 //! has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
-pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
 pub mod covariance;
@@ -39,9 +38,9 @@ pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind,
-    SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel,
-    WhiskerData, WhiskerRow, WhiskerSpec,
+    FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes, Trajectory,
+    TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
+    WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;

@@ -258,7 +258,7 @@ impl WhiskerData {
     }
 }
 
-/// Declared model of a transducer session.
+/// Declared model of a transducer or axis session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TransducerModel {
@@ -268,9 +268,31 @@ pub enum TransducerModel {
     Linear,
     /// response = b0 + b1 stimulus + b2 stimulus^2
     Quadratic,
+    /// Of an axis: measured = commanded + constant; no session states it.
+    #[serde(skip)]
+    Axis,
 }
 
-/// One reading of a transducer session.
+impl TransducerModel {
+    /// Kind of its sessions.
+    pub fn kind(self) -> SessionKind {
+        match self {
+            Self::Axis => SessionKind::Axis,
+            _ => SessionKind::Transducer,
+        }
+    }
+
+    /// Columns of stimulus and response.
+    pub fn columns(self) -> [&'static str; 2] {
+        match self {
+            Self::Axis => ["commanded_mm", "measured_mm"],
+            _ => ["stimulus", "response"],
+        }
+    }
+}
+
+/// One reading of a transducer; of an axis the stimulus is the commanded position and the response
+/// the measured one, mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TransducerRow {
     /// File the row came from.
@@ -293,59 +315,44 @@ pub struct TransducerRow {
     pub temperature_degc: Option<f64>,
     /// +1 increasing, -1 decreasing.
     pub direction: Option<f64>,
-    /// Repetition.
+    /// Repetition, of an axis the cycle.
     pub replicate: Option<u32>,
     /// Further covariates, in the order of `TransducerData::covariates`.
     pub covariates: Vec<f64>,
 }
 
-/// A transducer session in memory.
-#[derive(Debug, Clone, PartialEq)]
+/// A transducer or axis session in memory; `[transducer]` states what it declares.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct TransducerData {
     /// Unit of the stimulus.
     pub stimulus_unit: String,
-    /// Unit of the response.
+    /// Unit of the response; of an axis that of its error.
     pub response_unit: String,
     /// Declared model.
     pub model: TransducerModel,
     /// The response is a deviation, correction or error of the stimulus: it needs no slope.
+    #[serde(default)]
     pub deviation: bool,
     /// Names of further covariate columns.
+    #[serde(skip)]
     pub covariates: Vec<String>,
     /// Rows in file order.
+    #[serde(skip)]
     pub rows: Vec<TransducerRow>,
 }
 
-/// One reading of an axis session.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct AxisRow {
-    /// File the row came from.
-    pub source: String,
-    /// Line in that file, header = 1.
-    pub line: usize,
-    /// Point number, unique in its file.
-    pub point: i64,
-    /// Use of the reading.
-    pub role: Role,
-    /// Commanded position, mm.
-    pub commanded_mm: f64,
-    /// Measured position, mm.
-    pub measured_mm: f64,
-    /// Time, s.
-    pub t_s: Option<f64>,
-    /// +1 or -1.
-    pub direction: Option<f64>,
-    /// Stroke or cycle number.
-    pub cycle: Option<u32>,
-    /// Temperature, deg C.
-    pub temperature_degc: Option<f64>,
-}
-
-/// An axis session in memory; the declared model is measured = commanded + constant.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AxisData {
-    /// Rows in file order.
-    pub rows: Vec<AxisRow>,
+impl TransducerData {
+    /// Of an axis.
+    pub fn axis(rows: Vec<TransducerRow>) -> Self {
+        Self {
+            stimulus_unit: "mm".to_owned(),
+            response_unit: "um".to_owned(),
+            model: TransducerModel::Axis,
+            deviation: false,
+            covariates: Vec::new(),
+            rows,
+        }
+    }
 }
 
 /// Data of any kind of session.
@@ -355,10 +362,8 @@ pub struct AxisData {
 pub enum SessionData {
     /// Whisker session.
     Whisker(WhiskerData),
-    /// Transducer session.
+    /// Transducer or axis session.
     Transducer(TransducerData),
-    /// Axis session.
-    Axis(AxisData),
 }
 
 impl SessionData {
@@ -366,8 +371,7 @@ impl SessionData {
     pub fn kind(&self) -> SessionKind {
         match self {
             Self::Whisker(_) => SessionKind::Whisker,
-            Self::Transducer(_) => SessionKind::Transducer,
-            Self::Axis(_) => SessionKind::Axis,
+            Self::Transducer(data) => data.model.kind(),
         }
     }
 }

@@ -20,6 +20,14 @@ pub fn mad_sd(values: impl IntoIterator<Item = f64>, centre: f64) -> Option<f64>
     Some(MAD_TO_SD * median(values.into_iter().map(|v| (v - centre).abs()))?)
 }
 
+/// The smallest and the largest value; the ends of nothing, infinite, without values.
+pub fn extent(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
+    let ends = [f64::INFINITY, f64::NEG_INFINITY];
+    values
+        .into_iter()
+        .fold(ends, |[low, high], v| [low.min(v), high.max(v)])
+}
+
 /// The value below which the share `q` lies, linear between neighbours; none without values.
 pub fn quantile(values: impl IntoIterator<Item = f64>, q: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = values.into_iter().collect();

@@ -17,6 +17,7 @@ pub fn decimal_step(values: &[f64]) -> Option<f64> {
     };
     #[allow(clippy::cast_possible_truncation)]
     let top = largest.log10().floor() as i32;
+    // From coarse to fine: the first that fits is the coarsest.
     let decimal = (0..DIGITS).map(|k| 10f64.powi(top - k)).find(|s| on(*s))?;
     // A scale may count in fives or twos: as many different values are multiples of such a step by
     // chance once in 2^8.

@@ -24,6 +24,7 @@ pub fn pose_from_parts(rotation: &Matrix3<f64>, translation: &Vector3<f64>) -> I
     let r = match (svd.u, svd.v_t) {
         (Some(u), Some(v_t)) => {
             let r = u * v_t;
+            // The nearest orthogonal matrix may be a mirror: then the nearest rotation.
             if r.determinant() < 0.0 {
                 u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -1.0)) * v_t
             } else {

@@ -1,6 +1,6 @@
 //! The sealed rows of a session, whatever its kind, and what of them may be known.
 
-use crate::observation::{AxisRow, TransducerRow, WhiskerRow};
+use crate::observation::{TransducerRow, WhiskerRow};
 use crate::sealed::{Labelled, RowLabel, Sealed};
 
 /// Sealed rows of a session of any kind.
@@ -8,10 +8,8 @@ use crate::sealed::{Labelled, RowLabel, Sealed};
 pub enum SealedRows {
     /// Of a whisker.
     Whisker(Sealed<WhiskerRow>),
-    /// Of a transducer.
+    /// Of a transducer or an axis.
     Transducer(Sealed<TransducerRow>),
-    /// Of an axis.
-    Axis(Sealed<AxisRow>),
 }
 
 impl Default for SealedRows {
@@ -25,7 +23,15 @@ impl SealedRows {
     pub fn whisker(self) -> Sealed<WhiskerRow> {
         match self {
             Self::Whisker(rows) => rows,
-            _ => Sealed::default(),
+            Self::Transducer(_) => Sealed::default(),
+        }
+    }
+
+    /// Those of a transducer or an axis; none of a whisker.
+    pub fn transducer(self) -> Sealed<TransducerRow> {
+        match self {
+            Self::Transducer(rows) => rows,
+            Self::Whisker(_) => Sealed::default(),
         }
     }
 
@@ -34,7 +40,6 @@ impl SealedRows {
         match self {
             Self::Whisker(rows) => rows.len(),
             Self::Transducer(rows) => rows.len(),
-            Self::Axis(rows) => rows.len(),
         }
     }
 
@@ -63,17 +68,6 @@ impl Labelled for TransducerRow {
             point: self.point,
             t_s: self.t_s,
             series: self.replicate,
-            ..RowLabel::default()
-        }
-    }
-}
-
-impl Labelled for AxisRow {
-    fn label(&self) -> RowLabel {
-        RowLabel {
-            point: self.point,
-            t_s: self.t_s,
-            series: self.cycle,
             ..RowLabel::default()
         }
     }

@@ -41,22 +41,23 @@ impl Flags {
     /// The stated regions do not hold the known groove.
     pub const GROOVE_MISSED: Self = Self(16384);
 
-    const NAMES: [(Self, &'static str); 15] = [
-        (Self::GAP, "gap"),
-        (Self::PEAK_LOST, "peak-lost"),
-        (Self::CROSSING, "crossing"),
-        (Self::REFERENCE_LOST, "reference-lost"),
-        (Self::UNIT, "unit"),
-        (Self::CLOCK, "clock"),
-        (Self::DROPPED, "dropped"),
-        (Self::FILLING, "filling"),
-        (Self::WIRE_ASSUMED, "wire-assumed"),
-        (Self::MOTION_DISAGREES, "motion-disagrees"),
-        (Self::MOTION_LOST, "motion-lost"),
-        (Self::MOTION_ASSUMED, "motion-assumed"),
-        (Self::SLIDING_ASSUMED, "sliding-assumed"),
-        (Self::UNDECIDED, "undecided"),
-        (Self::GROOVE_MISSED, "groove-missed"),
+    /// In the order of the bits.
+    const NAMES: [&'static str; 15] = [
+        "gap",
+        "peak-lost",
+        "crossing",
+        "reference-lost",
+        "unit",
+        "clock",
+        "dropped",
+        "filling",
+        "wire-assumed",
+        "motion-disagrees",
+        "motion-lost",
+        "motion-assumed",
+        "sliding-assumed",
+        "undecided",
+        "groove-missed",
     ];
 
     /// Both.
@@ -79,12 +80,9 @@ impl Flags {
         if self.none() {
             return "ok".to_owned();
         }
-        let names: Vec<&str> = Self::NAMES
-            .iter()
-            .filter(|(f, _)| self.has(*f))
-            .map(|(_, n)| *n)
-            .collect();
-        names.join("|")
+        let set = |k: &usize| self.0 >> k & 1 == 1;
+        let names = (0..Self::NAMES.len()).filter(set).map(|k| Self::NAMES[k]);
+        names.collect::<Vec<_>>().join("|")
     }
 }
 

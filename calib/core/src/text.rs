@@ -20,25 +20,21 @@ pub struct NotUtf8 {
 pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     let start = &bytes[..bytes.len().min(START)];
     let sheet = "save the sheet as CSV UTF-8";
-    let says = |found, way_out| {
+    let says = |found, way_out, is_text| {
         Some(NotUtf8 {
             found,
             way_out,
-            is_text: false,
-        })
-    };
-    let utf16 = || {
-        Some(NotUtf8 {
-            found: UTF_16,
-            way_out: SAVE,
-            is_text: true,
+            is_text,
         })
     };
     match start {
-        [b'P', b'K', 3, 4, ..] => says("a spreadsheet (.xlsx, .ods) or another zip archive", sheet),
-        [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet),
-        [0x1f, 0x8b, ..] => says("a gzip archive", "unpack it first"),
-        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => utf16(),
+        [b'P', b'K', 3, 4, ..] => {
+            let found = "a spreadsheet (.xlsx, .ods) or another zip archive";
+            says(found, sheet, false)
+        }
+        [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet, false),
+        [0x1f, 0x8b, ..] => says("a gzip archive", "unpack it first", false),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => says(UTF_16, SAVE, true),
         _ if !start.contains(&0) => None,
         // Western text in UTF-16 without a mark: every other byte is zero.
         _ if start
@@ -49,9 +45,9 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
             > start.len() * 2
             && start.iter().filter(|byte| **byte == 0).count() * 5 < start.len() * 3 =>
         {
-            utf16()
+            says(UTF_16, SAVE, true)
         }
-        _ => says("binary data", "expected is a file of text"),
+        _ => says("binary data", "expected is a file of text", false),
     }
 }
 

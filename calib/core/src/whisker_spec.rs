@@ -75,11 +75,7 @@ impl WhiskerSpec {
             ),
             RestShape::Polyline(points) => {
                 let length_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-                let ranges = [Range::real("length_mm", 1.0, 2000.0)];
-                ranges::check(
-                    &serde_json::json!({"rest_shape": {"length_mm": length_mm}}),
-                    &[&ranges],
-                )
+                Range::real("", 1.0, 2000.0).judge("rest_shape.length_mm", length_mm, false)
             }
             RestShape::StraightArc { .. } => Ok(()),
         }

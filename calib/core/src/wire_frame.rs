@@ -65,10 +65,12 @@ impl WireFrame {
         };
         // A straight wire: the second axis, which turns with the session.
         let bend = if bend.norm() > STRAIGHT { bend } else { -b };
+        // The wire bends toward -z, in the plane across its root.
         let across = bend - x * bend.dot(&x);
         let z = -across.try_normalize(1e-12).unwrap_or(-b);
         let y = z.cross(&x);
         let turn = Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()]);
+        // What the two axes see of moments about y and z; its inverse is C.
         let seen = Matrix2::new(a.dot(&y), a.dot(&z), b.dot(&y), b.dot(&z));
         let Some(mix) = seen.try_inverse() else {
             return Err(refuse("two directions", "one".to_owned()));

@@ -8,8 +8,6 @@ use wcal_core::{Provenance, ResidualRecord};
 /// Everything that the page of one session shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReportInput {
-    /// Heading, e.g. `Calibration of whisker 3`; empty: the session identifier stands for it.
-    pub title: String,
     /// How the data was simulated, where that is known. Whether they are is for `verify.simulated`
     /// to say: the page carries a SIMULATED badge there.
     pub simulated_by: Option<String>,
@@ -24,7 +22,7 @@ pub struct ReportInput {
     pub residuals: Vec<ResidualRecord>,
     /// Further held-out errors in addition to `verify.before` and `verify.after`: the black-box
     /// rival, other splits, repaired labels.
-    pub further_errors: Vec<NamedError>,
+    pub further_errors: Vec<(String, HeldOutError)>,
     /// Tests of the omnibus gate.
     pub gate: Vec<GateTest>,
     /// Twin check, one entry a trajectory.
@@ -33,15 +31,12 @@ pub struct ReportInput {
     pub evidence: Vec<EvidenceRow>,
     /// Program, command, seed and files by hash.
     pub provenance: Provenance,
-    /// Versions of what took part, e.g. `rustc` and `1.95.0`.
-    pub versions: Vec<Fact>,
 }
 
 impl ReportInput {
     /// A report of `verify` alone; fill the other fields as far as they are known.
     pub fn new(verify: VerifyDocument, provenance: Provenance) -> Self {
         Self {
-            title: String::new(),
             simulated_by: None,
             accepted_on_request: false,
             facts: Vec::new(),
@@ -52,16 +47,6 @@ impl ReportInput {
             twin: Vec::new(),
             evidence: Vec::new(),
             provenance,
-            versions: Vec::new(),
-        }
-    }
-
-    /// Title, or the session identifier where there is none.
-    pub fn heading(&self) -> &str {
-        if self.title.is_empty() {
-            &self.verify.session
-        } else {
-            &self.title
         }
     }
 
@@ -94,18 +79,6 @@ pub fn model_after(verify: &VerifyDocument, accepted_on_request: bool) -> &'stat
     }
 }
 
-impl IndexEntry {
-    /// The line of a session whose report lies at `href`.
-    pub fn of(input: &ReportInput, href: impl Into<String>) -> Self {
-        Self {
-            href: href.into(),
-            title: input.heading().to_owned(),
-            response_unit: input.response_unit().to_owned(),
-            verify: input.verify.clone(),
-        }
-    }
-}
-
 /// A name and what is said of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fact {
@@ -123,15 +96,6 @@ impl Fact {
             value: value.into(),
         }
     }
-}
-
-/// Held-out errors of one more model or of another split.
-#[derive(Debug, Clone, PartialEq)]
-pub struct NamedError {
-    /// What was judged, e.g. `black-box GP (rival)`.
-    pub name: String,
-    /// Its errors.
-    pub error: HeldOutError,
 }
 
 /// One test of the omnibus gate.
@@ -191,18 +155,4 @@ pub struct EvidenceRow {
     pub p_value: f64,
     /// Not rejected.
     pub survives: bool,
-}
-
-/// A line of the overview page.
-#[derive(Debug, Clone, PartialEq)]
-pub struct IndexEntry {
-    /// Link to the session's report, relative to the overview page; `#...` within one page; empty:
-    /// no link.
-    pub href: String,
-    /// Heading of the session's report.
-    pub title: String,
-    /// Unit of the response (kind transducer); empty for the other kinds.
-    pub response_unit: String,
-    /// The result.
-    pub verify: VerifyDocument,
 }

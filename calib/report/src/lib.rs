@@ -24,10 +24,7 @@ mod plot;
 mod sections;
 mod shapes;
 
-pub use input::{
-    EvidenceRow, Fact, GateTest, IndexEntry, NamedError, ReportInput, TwinMark, TwinTrajectory,
-    model_after,
-};
+pub use input::{EvidenceRow, Fact, GateTest, ReportInput, TwinMark, TwinTrajectory, model_after};
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};

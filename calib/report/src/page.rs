@@ -1,6 +1,6 @@
 //! Whole pages: head, verdict, contents, sections, overview.
 
-use crate::input::{Fact, IndexEntry, ReportInput};
+use crate::input::{Fact, ReportInput};
 use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
@@ -13,13 +13,22 @@ const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 pub fn render(input: &ReportInput) -> String {
-    document(input.heading(), input.verify.simulated, &session(input))
+    document(
+        &input.verify.session,
+        input.verify.simulated,
+        &session(input),
+    )
 }
 
-/// An overview page that links to session reports in the same folder.
-pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
-    let simulated = entries.iter().any(|e| e.verify.simulated);
-    document(title, simulated, &overview(title, introduction, entries))
+/// An overview page that links to session reports in the same folder: each with its address
+/// relative to the page, none where that is empty.
+pub fn render_index(
+    title: &str,
+    introduction: &[&str],
+    reports: &[(String, ReportInput)],
+) -> String {
+    let simulated = reports.iter().any(|(_, input)| input.verify.simulated);
+    document(title, simulated, &overview(title, introduction, reports))
 }
 
 /// How every page begins.
@@ -46,7 +55,7 @@ fn session(input: &ReportInput) -> String {
         .map_or(String::new(), |how| format!(": {how}"));
     let head = headline(
         &over,
-        input.heading(),
+        &verify.session,
         verify.simulated.then_some(how.as_str()),
         &input.facts,
     );
@@ -97,9 +106,7 @@ fn banner(input: &ReportInput) -> String {
         "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
         paragraph(&input.verify.reason)
     );
-    if let Some([name, before, after, expected]) =
-        before_after::summary(&input.verify, input.response_unit())
-    {
+    if let Some([name, before, after, expected]) = before_after::summary(input) {
         let cell = |head: &str, value: &str| {
             format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value))
         };
@@ -170,7 +177,7 @@ pub(crate) fn facts(facts: &[Fact]) -> String {
     format!("<dl class=\"facts\">{rows}</dl>\n")
 }
 
-fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
+fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)]) -> String {
     let mut out = format!(
         "<header><p class=\"over\">Overview</p><h1>{}</h1>\n",
         escape(title)
@@ -178,12 +185,12 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
     for text in introduction {
         out += &paragraph(text);
     }
-    if entries.iter().any(|e| e.verify.simulated) {
+    if reports.iter().any(|(_, input)| input.verify.simulated) {
         out += "<p class=\"simulated\">Sessions marked SIMULATED are no measurements.</p>\n";
     }
     out += "</header>\n";
     out += "<section id=\"overview\" aria-label=\"Overview\">";
-    out += &before_after::overview_figure(entries);
+    out += &before_after::overview_figure(reports);
     let mut table = Table::stacked(
         "Sessions with their verdict and held-out error",
         &[
@@ -198,24 +205,24 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
             "#contact (mm)",
         ],
     );
-    for entry in entries {
-        let (class, short, _) = verdict::of(&entry.verify);
+    for (href, input) in reports {
+        let verify = &input.verify;
+        let (class, short, _) = verdict::of(verify);
         let [name, before, after, expected] =
-            before_after::summary(&entry.verify, &entry.response_unit)
-                .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
-        let contact = entry.verify.contact.as_ref().map_or_else(
+            before_after::summary(input).unwrap_or_else(|| ["–"; 4].map(str::to_owned));
+        let contact = verify.contact.as_ref().map_or_else(
             || "–".to_owned(),
             |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm),
         );
-        let data = match entry.verify.simulated {
+        let data = match verify.simulated {
             true => TableCell::Badge("sim", "SIMULATED".into()),
             false => TableCell::Text("measured".into()),
         };
         table.row([
-            TableCell::Link(entry.href.clone(), entry.title.clone()),
+            TableCell::Link(href.clone(), verify.session.clone()),
             data,
             TableCell::Badge(class, short.into()),
-            TableCell::Text(entry.verify.reason.clone()),
+            TableCell::Text(verify.reason.clone()),
             TableCell::Text(name),
             TableCell::Text(before),
             TableCell::Text(after),

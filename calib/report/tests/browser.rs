@@ -9,9 +9,7 @@ mod headless;
 mod not_run;
 
 use std::fs;
-use wcal_report::{
-    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_shapes,
-};
+use wcal_report::{ShapePair, ShapePicture, ShapesInput, render, render_index, render_shapes};
 
 /// A pair whose names would break a careless page.
 fn shapes() -> ShapesInput {
@@ -42,13 +40,14 @@ fn pages_load_without_a_word_on_the_console() {
     };
     let folder = tempfile::tempdir().unwrap();
     let samples = data::all();
-    let entries: Vec<IndexEntry> = samples
-        .iter()
-        .map(|i| IndexEntry::of(i, "report.html"))
+    let page = render(&samples[0]);
+    let reports: Vec<_> = samples
+        .into_iter()
+        .map(|i| ("report.html".into(), i))
         .collect();
     let pages = [
-        ("report.html", render(&samples[0])),
-        ("index.html", render_index("Index", &[], &entries)),
+        ("report.html", page),
+        ("index.html", render_index("Index", &[], &reports)),
         ("shapes.html", render_shapes(&shapes())),
     ];
     for (name, page) in pages {
@@ -93,10 +92,10 @@ fn nothing_is_wider_than_a_phone() {
         return;
     };
     let page = render(&data::whisker());
-    let entries = [IndexEntry::of(&data::whisker(), "report.html")];
+    let reports = [("report.html".into(), data::whisker())];
     for page in [
         &page,
-        &render_index("Index", &[], &entries),
+        &render_index("Index", &[], &reports),
         &render_shapes(&shapes()),
     ] {
         assert!(headless::content_width(&browser, page, 400) <= 400);

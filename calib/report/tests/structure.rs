@@ -11,8 +11,8 @@ use wcal_core::verify_document::{
     HeldOutError, HoldoutOutcome, NoiseFloor, UnknownEffect, Verdict, WitnessTest,
 };
 use wcal_report::{
-    Fact, IndexEntry, ReportInput, ShapesInput, number, p_value, percent, render, render_index,
-    render_shapes, with_interval,
+    Fact, ReportInput, ShapesInput, number, p_value, percent, render, render_index, render_shapes,
+    with_interval,
 };
 
 /// Parses the page strictly; returns its text without tags, or what is wrong with it.
@@ -56,12 +56,9 @@ fn bare(kind: &str) -> ReportInput {
 #[test]
 fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
     let samples = data::all();
-    let entries: Vec<IndexEntry> = samples
-        .iter()
-        .map(|i| IndexEntry::of(i, "a.html"))
-        .collect();
     let mut pages: Vec<String> = samples.iter().map(render).collect();
-    pages.push(render_index("Index", &[], &entries));
+    let reports: Vec<_> = samples.into_iter().map(|i| ("a.html".into(), i)).collect();
+    pages.push(render_index("Index", &[], &reports));
     for page in &pages {
         text_of(page).unwrap();
         let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
@@ -159,7 +156,7 @@ fn every_number_of_the_result_shows_up() {
     let errors = [
         verify.before.as_ref().unwrap(),
         verify.after.as_ref().unwrap(),
-        &input.further_errors[0].error,
+        &input.further_errors[0].1,
     ];
     for error in errors {
         for (key, value) in &error.rmse {
@@ -233,7 +230,6 @@ fn hostile_text_stays_text() {
     const HOSTILE: &str = "<script>alert(1)</script>\"'&\u{0}]]>";
     let mut input = data::whisker();
     let text = || HOSTILE.to_owned();
-    input.title = text();
     input.verify.simulated = true;
     input.simulated_by = Some(text());
     input.verify.session = text();
@@ -279,7 +275,6 @@ fn hostile_text_stays_text() {
     input.verify.holdout.outcome = HoldoutOutcome::Contradicted;
     input.verify.holdout.why = text();
     input.facts = vec![Fact::new(HOSTILE, HOSTILE)];
-    input.versions = vec![Fact::new(HOSTILE, HOSTILE)];
     input.evidence[0].law = text();
     input.evidence[0].effects = vec![text()];
     input.provenance.command = vec![text()];
@@ -291,8 +286,9 @@ fn hostile_text_stays_text() {
         record.rejected = Some(text());
         record.covariates.push((text(), record.measured));
     }
-    let index = render_index(HOSTILE, &[HOSTILE], &[IndexEntry::of(&input, HOSTILE)]);
-    let pages = [render(&input), index];
+    let page = render(&input);
+    let index = render_index(HOSTILE, &[HOSTILE], &[(text(), input)]);
+    let pages = [page, index];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(
@@ -305,8 +301,8 @@ fn hostile_text_stays_text() {
 
 #[test]
 fn links_cannot_run_scripts() {
-    let entry = IndexEntry::of(&bare("axis"), "javascript:alert(1)");
-    assert!(!render_index("i", &[], &[entry]).contains("javascript:"));
+    let report = ("javascript:alert(1)".into(), bare("axis"));
+    assert!(!render_index("i", &[], &[report]).contains("javascript:"));
 }
 
 #[test]

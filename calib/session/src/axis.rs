@@ -1,73 +1,14 @@
-//! Sessions of kind "axis": commanded against measured position.
+//! What an axis' table cannot hold: positions in another unit or sense than those commanded.
 
 use crate::error::InputError;
-use crate::row::{PointNumbers, Row, clock_problem};
-use crate::screening::{contradiction, copied, exchanged, overflow};
-use crate::table::TextTable;
-use crate::warning::SessionWarning;
-use crate::whisker::unknown_columns;
-use wcal_core::order_statistics::median;
-use wcal_core::{AxisRow, InputFile, Purpose};
-
-/// Reads the rows of a table.
-pub(crate) fn read_rows(
-    table: &TextTable,
-    purpose: Purpose,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<(Vec<AxisRow>, InputFile), InputError> {
-    let name = &table.file;
-    // The repetition of a stroke is its cycle.
-    let group = table.group();
-    let required = ["point", "role", "commanded_mm", "measured_mm"];
-    let known = [&["t_s", "direction", "temperature_degc"][..], &group].concat();
-    warnings.extend(unknown_columns(name, table.others(&required, &known)?));
-    let mut points = PointNumbers::default();
-    Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
-    let mut out = vec![false; table.rows.len()];
-    let set: Vec<[f64; 2]> = Row::all(table)
-        .map(|row| Ok([row.required("commanded_mm")?, row.required("measured_mm")?]))
-        .collect::<Result<_, InputError>>()?;
-    exchanged(table, ["commanded_mm", "measured_mm"])?;
-    // A column that holds something else is named as that before its single values are judged.
-    unit_mismatch(name, &set)?;
-    warnings.extend(overflow(
-        table,
-        [&["commanded_mm"], &["measured_mm", "temperature_degc"]],
-        &mut out,
-    )?);
-    warnings.extend(copied(table, Some("measured_mm"), &mut out)?);
-    let mut rows = Vec::new();
-    for row in Row::all(table).filter(|row| !out[row.index]) {
-        rows.push(AxisRow {
-            source: name.clone(),
-            line: row.line,
-            point: row.point()?,
-            role: row.role()?,
-            commanded_mm: row.required("commanded_mm")?,
-            measured_mm: row.required("measured_mm")?,
-            t_s: row.number("t_s")?,
-            direction: row.sign("direction")?,
-            cycle: row.count(group[0], 0)?,
-            temperature_degc: row.temperature()?,
-        });
-    }
-    let steps: Vec<_> = rows
-        .iter()
-        .map(|r| (r.line, r.commanded_mm, r.t_s, r.direction))
-        .collect();
-    contradiction(name, "commanded_mm", &steps)?;
-    warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
-    warnings.extend(table.warning());
-    Ok((rows, table.input(purpose)))
-}
+use wcal_core::order_statistics::{extent, median};
 
 /// Slope of the measured over the commanded positions, the middle one of the steps between
 /// readings: an overflow value or a single wrong target does not move it.
 fn slope(rows: &[[f64; 2]]) -> Option<f64> {
     /// Steps shorter than this share of the travel show the errors more than the scale.
     const MIN_STEP: f64 = 0.05;
-    let low = rows.iter().map(|r| r[0]).fold(f64::INFINITY, f64::min);
-    let high = rows.iter().map(|r| r[0]).fold(f64::NEG_INFINITY, f64::max);
+    let [low, high] = extent(rows.iter().map(|r| r[0]));
     let half = rows.len().div_ceil(2);
     // Each reading with the next and with one half a table away: short and long steps.
     let pairs = (0..rows.len()).flat_map(|k| [k + 1, k + half].map(|j| (&rows[k], rows.get(j))));
@@ -80,7 +21,7 @@ fn slope(rows: &[[f64; 2]]) -> Option<f64> {
 
 /// The declared model is measured = commanded + constant, so their slope is close to 1. Another one
 /// is a unit (um, m, inch, cm), a sense of counting, or a column of errors in place of positions.
-fn unit_mismatch(name: &str, rows: &[[f64; 2]]) -> Result<(), InputError> {
+pub(crate) fn unit_mismatch(file: &str, rows: &[[f64; 2]]) -> Result<(), InputError> {
     const UNITS: [f64; 7] = [1e3, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, -1.0];
     /// From here to 1 the slope is a scale error, as large as the catalogue lets it be.
     const MIN_SLOPE: f64 = 0.5;
@@ -88,7 +29,7 @@ fn unit_mismatch(name: &str, rows: &[[f64; 2]]) -> Result<(), InputError> {
         return Ok(());
     };
     let error =
-        |expected: &str, found: String| InputError::new(name, expected, found).field("measured_mm");
+        |expected: &str, found: String| InputError::new(file, expected, found).field("measured_mm");
     if let Some(factor) = UNITS
         .into_iter()
         .find(|factor| (slope / factor - 1.0).abs() < 0.02)

@@ -12,46 +12,7 @@ const MINUS: [char; 2] = ['\u{2212}', '\u{2013}'];
 
 /// Words for a value that is not there, in small letters: those of programs, spreadsheets, and
 /// instruments whose input is open or beyond its range.
-const MISSING: &[&str] = &[
-    "nan",
-    "na",
-    "n/a",
-    "n.a.",
-    "null",
-    "none",
-    "nil",
-    "nd",
-    "n.d.",
-    "missing",
-    "no data",
-    "nodata",
-    "invalid",
-    "error",
-    "err",
-    "bad",
-    "fault",
-    "-",
-    "--",
-    "---",
-    "\u{2013}",
-    "\u{2014}",
-    ".",
-    "..",
-    "?",
-    "inf",
-    "infinity",
-    "\u{221e}",
-    "ol",
-    "0l",
-    "over",
-    "overload",
-    "overrange",
-    "over range",
-    "overflow",
-    "ovf",
-    "ovld",
-    "underflow",
-];
+const MISSING: &str = "nan|na|n/a|n.a.|null|none|nil|nd|n.d.|missing|no data|nodata|invalid|error|err|bad|fault|-|--|---|\u{2013}|\u{2014}|.|..|?|inf|infinity|\u{221e}|ol|0l|over|overload|overrange|over range|overflow|ovf|ovld|underflow";
 
 /// What a cell holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -106,8 +67,8 @@ pub(crate) fn is_missing(cell: &str) -> bool {
     of_sheet
         || filled
         || unsigned.starts_with("1.#")
-        || MISSING.contains(&unsigned)
-        || MISSING.contains(&&*word)
+        || is_among(MISSING, unsigned)
+        || is_among(MISSING, &word)
 }
 
 /// Whether a cell holds a negative number as bookkeepers write it: `(300)`, or `300-`.
@@ -164,55 +125,18 @@ pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
 
 /// +1 or -1 for a word or sign of a direction.
 pub(crate) fn direction(cell: &str) -> Option<f64> {
-    const UP: &[&str] = &[
-        "+",
-        "up",
-        "rising",
-        "increasing",
-        "increase",
-        "inc",
-        "loading",
-        "forward",
-        "fwd",
-        "ascending",
-        "auf",
-        "aufw\u{e4}rts",
-        "steigend",
-        "belastung",
-        "hin",
-        "mont\u{e9}e",
-        "croissant",
-        "charge",
-    ];
-    const DOWN: &[&str] = &[
-        "-",
-        "down",
-        "falling",
-        "decreasing",
-        "decrease",
-        "dec",
-        "unloading",
-        "backward",
-        "bwd",
-        "reverse",
-        "rev",
-        "descending",
-        "ab",
-        "abw\u{e4}rts",
-        "fallend",
-        "entlastung",
-        "zur\u{fc}ck",
-        "descente",
-        "d\u{e9}croissant",
-        "d\u{e9}charge",
-    ];
+    const UP: &str = "+|up|rising|increasing|increase|inc|loading|forward|fwd|ascending|auf|aufw\u{e4}rts|steigend|belastung|hin|mont\u{e9}e|croissant|charge";
+    const DOWN: &str = "-|down|falling|decreasing|decrease|dec|unloading|backward|bwd|reverse|rev|descending|ab|abw\u{e4}rts|fallend|entlastung|zur\u{fc}ck|descente|d\u{e9}croissant|d\u{e9}charge";
     let word = cell.replace('\u{2212}', "-").to_lowercase();
-    let is = |words: &[&str]| words.contains(&&*word);
-    if is(UP) {
-        Some(1.0)
-    } else {
-        is(DOWN).then_some(-1.0)
+    if is_among(UP, &word) {
+        return Some(1.0);
     }
+    is_among(DOWN, &word).then_some(-1.0)
+}
+
+/// Whether a word is one of a list, which has `|` between its words.
+pub fn is_among(words: &str, word: &str) -> bool {
+    words.split('|').any(|known| known == word)
 }
 
 /// Name of a column in one line with single blanks.

@@ -1,7 +1,8 @@
 //! One error type: what was being done, where, what was expected, what was found.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use wcal_core::files::FileError;
 use wcal_core::ranges::OutOfRange;
 use wcal_core::text::{NotUtf8, brief};
 
@@ -129,52 +130,21 @@ pub(crate) fn listed(columns: &[String]) -> String {
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// The file system said no.
-    #[error("{action} {}: {source}", brief(&path.display().to_string()))]
-    Io {
-        /// What was being done, e.g. `reading`.
-        action: &'static str,
-        /// File or folder.
-        path: PathBuf,
-        /// Cause.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// A file's content cannot be used.
-    #[error("{0}")]
-    Content(InputError),
-}
-
-impl From<InputError> for SessionError {
-    fn from(error: InputError) -> Self {
-        Self::Content(error)
-    }
-}
-
-impl From<wcal_core::files::FileError> for SessionError {
-    fn from(error: wcal_core::files::FileError) -> Self {
-        Self::Io {
-            action: error.action,
-            path: error.path,
-            source: error.source,
-        }
-    }
+    #[error(transparent)]
+    Content(#[from] InputError),
 }
 
 impl SessionError {
     /// Wraps an I/O error; a missing file becomes an error that says which file was expected.
-    pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
+    pub(crate) fn io(path: &Path, source: std::io::Error) -> Self {
         if source.kind() == std::io::ErrorKind::NotFound {
-            return InputError::new(
-                &path.display().to_string(),
-                "a readable file",
-                "no such file",
-            )
-            .into();
+            let place = path.display().to_string();
+            return InputError::new(&place, "a readable file", "no such file").into();
         }
-        Self::Io {
-            action,
-            path: path.to_owned(),
-            source,
-        }
+        FileError::of("reading", path)(source).into()
     }
 }
 

@@ -2,10 +2,11 @@
 //! what its reader warned of.
 
 use crate::session::LoadedSession;
+use crate::warning::WarningKind;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use wcal_core::{AxisRow, Role, SessionData, TransducerRow, WhiskerData, WhiskerRow};
+use wcal_core::{Role, SessionData, TransducerModel, TransducerRow, WhiskerData, WhiskerRow};
 
 /// How much a finding matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
@@ -40,19 +41,11 @@ const BY_TIME: &str = "drift, creep, lag and step in time";
 const BY_ORDER: &str =
     "where the order of the rows does not show rising and falling values, hysteresis and backlash";
 
-/// What the checks ask of a row: readings of one pose ought to agree but for noise.
-struct Seen {
-    role: Role,
-    pose: Vec<u64>,
-}
+/// What the checks ask of a row, readings of one pose ought to agree but for noise: role and pose.
+type Seen = (Role, Vec<u64>);
 
-impl Seen {
-    fn new(role: Role, pose: &[f64]) -> Self {
-        Self {
-            role,
-            pose: pose.iter().map(|v| v.to_bits()).collect(),
-        }
-    }
+fn seen(role: Role, pose: &[f64]) -> Seen {
+    (role, pose.iter().map(|v| v.to_bits()).collect())
 }
 
 /// Finds what deserves saying about a session that [`crate::load`] accepted.
@@ -66,62 +59,39 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
         });
     };
     let sealed = session.sealed.len();
-    let (rows, columns) = match &session.data {
+    let (rows, columns): (Vec<Seen>, _) = match &session.data {
         SessionData::Whisker(data) => {
             let pose = |r: &WhiskerRow| {
                 let g = r.groove_mm.unwrap_or_default();
                 let [direction, speed] = [r.direction, r.speed_mm_s].map(|v| v.unwrap_or(0.0));
-                Seen::new(r.role, &[g.x, g.y, g.z, direction, speed])
+                seen(r.role, &[g.x, g.y, g.z, direction, speed])
             };
-            (
-                data.rows.iter().map(pose).collect::<Vec<_>>(),
-                whisker_columns(data),
-            )
+            (data.rows.iter().map(pose).collect(), whisker_columns(data))
         }
         SessionData::Transducer(data) => {
             let rows = &data.rows;
-            let pose =
-                |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
-            let has = |of: &dyn Fn(&TransducerRow) -> bool| rows.iter().any(of);
-            let columns = vec![
-                ("t_s", has(&|r| r.t_s.is_some()), BY_TIME),
-                ("direction", has(&|r| r.direction.is_some()), BY_ORDER),
+            let pose = |r: &TransducerRow| seen(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
+            let has = |of: fn(&TransducerRow) -> bool| rows.iter().any(of);
+            let mut columns = vec![
+                ("t_s", has(|r| r.t_s.is_some()), BY_TIME),
+                ("direction", has(|r| r.direction.is_some()), BY_ORDER),
                 (
                     "temperature_degc",
-                    has(&|r| r.temperature_degc.is_some()),
-                    "temperature",
-                ),
-                (
-                    "a further covariate",
-                    !data.covariates.is_empty(),
-                    "cross-axis",
-                ),
-            ];
-            (rows.iter().map(pose).collect(), columns)
-        }
-        SessionData::Axis(data) => {
-            let rows = &data.rows;
-            let pose =
-                |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
-            let has = |of: &dyn Fn(&AxisRow) -> bool| rows.iter().any(of);
-            let columns = vec![
-                ("t_s", has(&|r| r.t_s.is_some()), BY_TIME),
-                ("direction", has(&|r| r.direction.is_some()), BY_ORDER),
-                (
-                    "cycle",
-                    has(&|r| r.cycle.is_some()),
-                    "changes from stroke to stroke",
-                ),
-                (
-                    "temperature_degc",
-                    has(&|r| r.temperature_degc.is_some()),
+                    has(|r| r.temperature_degc.is_some()),
                     "temperature",
                 ),
             ];
+            if data.model == TransducerModel::Axis {
+                let cycle = has(|r| r.replicate.is_some());
+                columns.insert(2, ("cycle", cycle, "changes from stroke to stroke"));
+            } else {
+                let further = !data.covariates.is_empty();
+                columns.push(("a further covariate", further, "cross-axis"));
+            }
             (rows.iter().map(pose).collect(), columns)
         }
     };
-    let at_rest = rows.iter().filter(|r| r.role == Role::Rest).count();
+    let at_rest = rows.iter().filter(|r| r.0 == Role::Rest).count();
     add(
         Severity::Ok,
         "rows",
@@ -156,39 +126,27 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
         }
     }
     for (name, present, hides) in columns {
-        let absent = format!("{name} is absent: {hides} cannot be traced");
-        let (severity, message) = if present {
-            (Severity::Ok, format!("{name} is present"))
+        if present {
+            add(Severity::Ok, "columns", format!("{name} is present"));
         } else {
-            (Severity::Note, absent)
-        };
-        add(severity, "columns", message);
+            let message = format!("{name} is absent: {hides} cannot be traced");
+            add(Severity::Note, "columns", message);
+        }
     }
     let (severity, message) = noise(&session.data, &rows);
     add(severity, "noise", message);
-    add(
-        Severity::Ok,
-        "holdout",
-        match sealed {
-            0 => "no holdout: errors are estimated by leaving data out in turn".to_owned(),
-            _ => format!("{sealed} sealed rows"),
-        },
-    );
+    let message = match sealed {
+        0 => "no holdout: errors are estimated by leaving data out in turn".to_owned(),
+        _ => format!("{sealed} sealed rows"),
+    };
+    add(Severity::Ok, "holdout", message);
     for warning in &session.warnings {
-        let severity = if warning.is_remark() {
-            Severity::Note
-        } else {
-            Severity::Warn
+        let (severity, topic) = match warning.kind {
+            WarningKind::OpenEnd => (Severity::Note, "files"),
+            WarningKind::ClockProblem => (Severity::Warn, "time"),
+            _ => (Severity::Warn, "files"),
         };
-        add(
-            severity,
-            if warning.is_clock_problem() {
-                "time"
-            } else {
-                "files"
-            },
-            warning.to_string(),
-        );
+        add(severity, topic, warning.to_string());
     }
     list
 }
@@ -254,11 +212,10 @@ fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
         &[]
     };
     let mut poses: HashMap<&[u64], usize> = HashMap::new();
-    for row in rows
-        .iter()
-        .filter(|r| r.role != Role::Rest || whisker.is_empty())
-    {
-        *poses.entry(&row.pose).or_default() += 1;
+    for (role, pose) in rows {
+        if *role != Role::Rest || whisker.is_empty() {
+            *poses.entry(pose).or_default() += 1;
+        }
     }
     let degrees: usize = poses.values().map(|n| n - 1).sum();
     let mut replicates: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
@@ -274,28 +231,20 @@ fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
     let within = whisker
         .iter()
         .any(|r| r.shift_sd_pm.is_some() && r.samples.is_some());
-    match (degrees, again) {
-        (1.., _) => {
-            let poses = poses.len();
-            (
-                Severity::Ok,
-                format!(
-                    "{degrees} degrees of freedom of noise from repeated poses ({poses} poses)"
-                ),
-            )
-        }
-        (0, 1..) => {
-            let how =
-                "trajectories were run again at other poses: noise from neighbours and from rest";
-            (Severity::Ok, format!("{again} {how}"))
-        }
-        (0, 0) if within => (
-            Severity::Warn,
-            "no pose is repeated; only the spread within a reading is known".to_owned(),
-        ),
-        (0, 0) => {
-            let what = "the noise floor comes from neighbours and every verdict is provisional";
-            (Severity::Warn, format!("no pose is repeated: {what}"))
-        }
+    if degrees > 0 {
+        let poses = poses.len();
+        let text =
+            format!("{degrees} degrees of freedom of noise from repeated poses ({poses} poses)");
+        return (Severity::Ok, text);
     }
+    if again > 0 {
+        let how = "trajectories were run again at other poses: noise from neighbours and from rest";
+        return (Severity::Ok, format!("{again} {how}"));
+    }
+    let what = if within {
+        "no pose is repeated; only the spread within a reading is known"
+    } else {
+        "no pose is repeated: the noise floor comes from neighbours and every verdict is provisional"
+    };
+    (Severity::Warn, what.to_owned())
 }

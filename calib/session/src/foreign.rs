@@ -6,7 +6,6 @@ use crate::error::{InputError, SessionError, quote};
 use crate::quantity::{Relation, bracketed, relation};
 use crate::stamp::{self, is_stamp};
 use crate::table::{TextTable, TextTableLayout, read_text_table};
-use csv::StringRecord;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -198,25 +197,18 @@ impl TextTable {
     /// # Errors
     /// Where it is another one, and no factor is stated.
     pub fn check_unit(&self, column: &AskedColumn, unit: &str) -> Result<(), InputError> {
-        let stated = self
-            .units
-            .get(column.index)
-            .filter(|unit| !unit.is_empty() && column.factor.is_none());
-        let other = stated.filter(|stated| match relation(stated, unit) {
+        let stated = self.units.get(column.index).map_or("", String::as_str);
+        let differs = match relation(stated, unit) {
             Relation::Times(factor) => (factor - 1.0).abs() > 1e-9,
             Relation::Other => true,
             Relation::Unknown => false,
-        });
-        let error = |stated: &String| {
-            let name = &self.columns[column.index];
-            InputError::new(
-                &self.file,
-                format!("{unit}, as in the session"),
-                stated.as_str(),
-            )
-            .field(name)
         };
-        other.map_or(Ok(()), |stated| Err(error(stated)))
+        if column.factor.is_some() || !differs {
+            return Ok(());
+        }
+        let expected = format!("{unit}, as in the session");
+        let error = InputError::new(&self.file, expected, stated);
+        Err(error.field(&self.columns[column.index]))
     }
 
     /// Numbers of a column by row, empty cells left out: words of a direction as signs, time stamps
@@ -225,10 +217,8 @@ impl TextTable {
     /// # Errors
     /// Where a cell holds anything else.
     pub fn values(&self, name: &str, column: &AskedColumn) -> Result<Vec<Option<f64>>, InputError> {
-        if let Some(stamps) = (name == "t_s")
-            .then(|| self.stamps(column))
-            .transpose()?
-            .flatten()
+        if name == "t_s"
+            && let Some(stamps) = self.stamps(column)?
         {
             return Ok(stamps.times);
         }
@@ -257,18 +247,12 @@ pub(crate) fn as_imported(
     units: &[(&str, &str)],
 ) -> Result<Option<TextTable>, SessionError> {
     let columns = imported.values().map(|text| asked_name(text).to_owned());
-    let asked = columns
-        .chain(imported.keys().cloned())
-        .chain(kept.iter().cloned())
-        .collect();
-    let table = read_text_table(
-        path,
-        &TextTableLayout {
-            asked: Some(asked),
-            ..TextTableLayout::default()
-        },
-    );
-    let table = match table {
+    let own = imported.keys().chain(kept).cloned();
+    let layout = TextTableLayout {
+        asked: Some(columns.chain(own).collect()),
+        ..TextTableLayout::default()
+    };
+    let table = match read_text_table(path, &layout) {
         // What is wrong with a table of the session's own form is said by its reader.
         Err(_) if imported.is_empty() => return Ok(None),
         table => table?,
@@ -280,67 +264,47 @@ pub(crate) fn as_imported(
         return Ok(None);
     }
     for (name, unit) in units {
-        table
-            .imported(name, imported)
-            .map_or(Ok(()), |column| table.check_unit(&column, unit))?;
+        if let Some(column) = table.imported(name, imported) {
+            table.check_unit(&column, unit)?;
+        }
     }
-    let mut columns: Vec<(String, Vec<String>)> = Vec::new();
-    for name in imported.keys().chain(
-        kept.iter()
-            .filter(|name| has(name) && !imported.contains_key(*name)),
-    ) {
+    let mut columns: Vec<(&str, Vec<String>)> = Vec::new();
+    let others = kept
+        .iter()
+        .filter(|name| has(name) && !imported.contains_key(*name));
+    for name in imported.keys().chain(others) {
         let column = match table.imported(name, imported) {
             Some(column) => column,
             None if OPTIONAL.contains(&name.as_str()) => continue,
             None => table.asked(imported.get(name).unwrap_or(name))?,
         };
-        let text = || {
-            table
-                .rows
-                .iter()
-                .map(|(_, cells)| cells[column.index].to_owned())
+        let cells = if matches!(name.as_str(), "role" | "stream") {
+            let rows = table.rows.iter();
+            rows.map(|(_, cells)| cells[column.index].to_owned())
+                .collect()
+        } else {
+            let values = table.values(name, &column)?.into_iter();
+            values
+                .map(|v| v.map_or_else(String::new, |v| v.to_string()))
                 .collect()
         };
-        let numbers = || {
-            let shown =
-                |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-            Ok::<_, InputError>(
-                table
-                    .values(name, &column)?
-                    .into_iter()
-                    .map(shown)
-                    .collect(),
-            )
-        };
-        columns.push((
-            name.clone(),
-            if matches!(name.as_str(), "role" | "stream") {
-                text()
-            } else {
-                numbers()?
-            },
-        ));
+        columns.push((name, cells));
     }
-    let rows = table.rows.len();
-    let given: [&dyn Fn(usize) -> String; 2] =
-        [&|row| (row + 1).to_string(), &|_| "holdout".to_owned()];
-    for (name, cell) in GIVEN.into_iter().zip(given) {
-        if !columns.iter().any(|(own, _)| own == name) {
-            columns.push((name.to_owned(), (0..rows).map(cell).collect()));
+    for name in GIVEN {
+        let cell = |row: usize| match name {
+            "point" => (row + 1).to_string(),
+            _ => "holdout".to_owned(),
+        };
+        if !columns.iter().any(|(own, _)| *own == name) {
+            columns.push((name, (0..table.rows.len()).map(cell).collect()));
         }
     }
-    let cells = |row: usize| {
-        columns
-            .iter()
-            .map(|(_, cells)| cells[row].as_str())
-            .collect::<StringRecord>()
-    };
-    let rows = table
-        .rows
-        .iter()
+    let lines = table.rows.iter().map(|(line, _)| *line);
+    let cells = |k: usize| columns.iter().map(|(_, cells)| cells[k].as_str()).collect();
+    let rows = lines
         .enumerate()
-        .map(|(row, (line, _))| (*line, cells(row)))
+        .map(|(k, line)| (line, cells(k)))
         .collect();
-    let names = columns.iter().map(|(name, _)| name.clone()).collect();
+    let names = columns.iter().map(|(name, _)| (*name).to_owned()).collect();
     Ok(Some(table.of_session(name, names, rows)))
 }

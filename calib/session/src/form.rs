@@ -1,7 +1,7 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are
 //! neither.
 
-use crate::cell::{Content, content, grouped, is_accounted, name_of};
+use crate::cell::{Content, content, grouped, is_accounted, is_among, name_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::{is_unit, written};
 use crate::separated::{Separator, records};
@@ -14,8 +14,8 @@ const BELOW: usize = 8;
 pub(crate) const LOOK: usize = 2000;
 /// How the columns are called under which an oscilloscope writes, once below the header, the first
 /// time and the step of its samples.
-const START: [&str; 5] = ["start", "x0", "xzero", "xorigin", "t0"];
-const STEP: [&str; 6] = ["increment", "xincrement", "delta", "interval", "dx", "dt"];
+const START: &str = "start|x0|xzero|xorigin|t0";
+const STEP: &str = "increment|xincrement|delta|interval|dx|dt";
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
 const LVM: [&str; 2] = ["LabVIEW Measurement", "***End_of_Header***"];
 
@@ -288,14 +288,14 @@ impl Form {
         {
             return None;
         }
-        let stated = |names: &[&str]| {
+        let stated = |names: &str| {
             let called = |name: &String| {
                 let word: String = name
                     .to_lowercase()
                     .chars()
                     .filter(|c| c.is_alphanumeric())
                     .collect();
-                names.contains(&word.as_str())
+                is_among(names, &word)
             };
             let column = self.columns.iter().position(called)?;
             let alone = rows
@@ -306,7 +306,7 @@ impl Form {
                 head.get(column)?.parse::<f64>().ok().filter(|_| alone)?,
             ))
         };
-        let (start, step) = (stated(&START)?, stated(&STEP)?);
+        let (start, step) = (stated(START)?, stated(STEP)?);
         let [of_start, of_step] = [start.0, step.0].map(|k| &self.columns[k]);
         self.remarks.push(format!(
             "{} counts samples: times in s by {of_start} and {of_step}",
@@ -363,23 +363,19 @@ impl Form {
                 others.push(Vec::new());
                 elsewhere = true;
             }
-            let rows = if elsewhere {
-                others.last_mut()
-            } else {
-                parts.last_mut()
-            };
-            if let Some(rows) = rows {
+            let tables = if elsewhere { &mut others } else { &mut parts };
+            if let Some(rows) = tables.last_mut() {
                 rows.push((line, cells));
             }
         }
-        for (other, (line, cells)) in others
-            .iter()
-            .filter_map(|other| Some((other, other.first()?)))
-        {
-            let (rows, named) = (other.len() - 1, quote(&joined(cells)));
-            self.warnings.push(format!(
-                "another table begins in line {line} ({named}): its {rows} line(s) are not read"
-            ));
+        for other in &others {
+            if let Some(((line, cells), rows)) = other.split_first() {
+                self.warnings.push(format!(
+                    "another table begins in line {line} ({}): its {} line(s) are not read",
+                    quote(&joined(cells)),
+                    rows.len()
+                ));
+            }
         }
         for (k, mut part) in parts.into_iter().enumerate() {
             // Directly below a header a line without any number is no reading: units, or how the
@@ -617,30 +613,9 @@ fn begins_like_number(cell: &str) -> bool {
 
 /// Names of what is computed of a column and written below it.
 fn is_statistic(cell: &str) -> bool {
-    const NAMES: &[&str] = &[
-        "mean",
-        "average",
-        "avg",
-        "median",
-        "sum",
-        "total",
-        "min",
-        "minimum",
-        "max",
-        "maximum",
-        "std",
-        "stdev",
-        "std dev",
-        "sd",
-        "standard deviation",
-        "mittelwert",
-        "mittel",
-        "summe",
-        "stabw",
-        "standardabweichung",
-    ];
+    const NAMES: &str = "mean|average|avg|median|sum|total|min|minimum|max|maximum|std|stdev|std dev|sd|standard deviation|mittelwert|mittel|summe|stabw|standardabweichung";
     let word = cell.to_lowercase().replace('.', "");
-    NAMES.contains(&word.trim_end_matches(':').trim())
+    is_among(NAMES, word.trim_end_matches(':').trim())
 }
 
 fn is_comment(cells: &StringRecord) -> bool {

@@ -6,17 +6,17 @@ use crate::foreign::as_imported;
 use crate::session::{LoadedSession, check_covariates, load};
 use crate::table::read_readings;
 use crate::warning::SessionWarning;
-use crate::whisker::{self, ColumnRequirement, WHISKER_COLUMNS};
-use crate::{axis, transducer, whisker_checks};
+use crate::whisker::{self, PM_PER_NM, WHISKER_COLUMNS};
+use crate::{transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::files::folder_of;
 use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
+use wcal_core::order_statistics::extent;
 use wcal_core::{
-    AxisRow, InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, TransducerRow,
-    WhiskerData, WhiskerRow,
+    FbgSpec, InputFile, Labelled, Purpose, RowLabel, Sealed, SealedRows, SessionData, SessionKind,
+    Trajectory, TransducerRow, WhiskerData, WhiskerRow,
 };
 
-const PM_PER_NM: f64 = 1000.0;
 /// Columns of the other kinds.
 const SCALAR_COLUMNS: [&str; 6] = [
     "stimulus",
@@ -73,90 +73,79 @@ pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), Ses
 /// Pause between sessions, s: creep of the wire has died out.
 const PAUSE_S: f64 = 3600.0;
 
-fn place_after((data, sealed): (&WhiskerData, &Sealed<WhiskerRow>), added: &mut Added) {
-    let of = |d: &WhiskerData, sealed: &Sealed<WhiskerRow>| -> Vec<(Option<f64>, u32)> {
-        let labels = d.rows.iter().map(Labelled::label).chain(sealed.labels());
-        labels.map(|l| (l.t_s, l.seating)).collect()
-    };
-    let (all, own) = (of(data, sealed), of(&added.data, &added.sealed));
-    let end_s = all.iter().filter_map(|r| r.0).fold(0.0, f64::max);
-    let seating = 1 + all.iter().map(|r| r.1).max().unwrap_or(0);
-    let shift_s = end_s + PAUSE_S
-        - own
-            .iter()
-            .filter_map(|r| r.0)
-            .fold(f64::INFINITY, f64::min)
-            .min(0.0);
-    added.every_row(&(seating, shift_s), |row, (seating, shift_s)| {
+fn place_after(own: &Rows<'_, WhiskerRow>, added: &mut Rows<'_, WhiskerRow>) {
+    let (own, theirs) = (own.labels(), added.labels());
+    let all = || own.iter().chain(&theirs);
+    let end_s = all().filter_map(|l| l.t_s).fold(0.0, f64::max);
+    let seating = 1 + all().map(|l| l.seating).max().unwrap_or(0);
+    let [begin_s, _] = extent(theirs.iter().filter_map(|l| l.t_s).chain([0.0]));
+    let shift_s = end_s + PAUSE_S - begin_s;
+    added.each(&(seating, shift_s), |row, (seating, shift_s)| {
         row.seating = *seating;
         row.t_s = row.t_s.map(|t| t + shift_s);
     });
 }
 
-/// Time and series of a row.
-type Series<R> = fn(&mut R) -> (&mut Option<f64>, &mut Option<u32>);
-
 /// Rows of a later session are series of their own, since a mounting has its own zero, and lie
 /// after the last reading by as long as the session before took: how long nothing was read is not
 /// known.
-fn place_series<R: Labelled>(
-    own: (&mut [R], &mut Sealed<R>),
-    added: (&mut [R], &mut Sealed<R>),
-    of: Series<R>,
-) {
-    fn first<R>(row: &mut R, of: &Series<R>) {
-        of(row).1.get_or_insert(1);
-    }
-    fn later<R>(row: &mut R, (of, shift_s, highest): &(Series<R>, f64, u32)) {
-        let (t_s, series) = of(row);
-        *t_s = t_s.map(|t| t + shift_s);
-        *series = Some(highest.saturating_add(series.unwrap_or(1)));
-    }
-    own.0.iter_mut().for_each(|row| first(row, &of));
-    own.1.relabel(&of, first);
-    let labels = own.0.iter().map(Labelled::label).chain(own.1.labels());
-    let highest = labels.filter_map(|label| label.series).max().unwrap_or(1);
-    let range = |rows: &[R], sealed: &Sealed<R>| {
-        let times = rows
-            .iter()
-            .map(Labelled::label)
-            .chain(sealed.labels())
-            .filter_map(|l| l.t_s);
-        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| {
-            [a.min(t), b.max(t)]
-        })
-    };
-    let ([begin_s, end_s], [theirs_s, _]) = (range(own.0, own.1), range(added.0, added.1));
+fn place_series(own: &mut Rows<'_, TransducerRow>, added: &mut Rows<'_, TransducerRow>) {
+    own.each(&(), |row, ()| {
+        row.replicate.get_or_insert(1);
+    });
+    let (own, theirs) = (own.labels(), added.labels());
+    let highest = own.iter().filter_map(|l| l.series).max().unwrap_or(1);
+    let [[begin_s, end_s], [theirs_s, _]] =
+        [own, theirs].map(|labels| extent(labels.iter().filter_map(|l| l.t_s)));
     let shift_s = if end_s > begin_s && theirs_s.is_finite() {
         2.0 * end_s - begin_s - theirs_s
     } else {
         0.0
     };
-    let with = (of, shift_s, highest);
-    added.0.iter_mut().for_each(|row| later(row, &with));
-    added.1.relabel(&with, later);
+    added.each(&(shift_s, highest), |row, (shift_s, highest)| {
+        row.t_s = row.t_s.map(|t| t + shift_s);
+        row.replicate = Some(highest.saturating_add(row.replicate.unwrap_or(1)));
+    });
 }
 
-/// Another whisker session that is taken over.
-struct Added {
-    data: WhiskerData,
-    sealed: Sealed<WhiskerRow>,
+/// All rows of a session, the sealed ones behind their seal.
+struct Rows<'a, R> {
+    open: &'a mut Vec<R>,
+    sealed: &'a mut Sealed<R>,
 }
 
-impl Added {
-    /// Relabels every row, the sealed ones behind their seal.
-    fn every_row<C>(&mut self, with: &C, change: fn(&mut WhiskerRow, &C)) {
-        self.data.rows.iter_mut().for_each(|row| change(row, with));
+impl<R: Labelled> Rows<'_, R> {
+    /// Relabels every row.
+    fn each<C>(&mut self, with: &C, change: fn(&mut R, &C)) {
+        self.open.iter_mut().for_each(|row| change(row, with));
         self.sealed.relabel(with, change);
     }
 
     /// Who the rows are.
-    fn labels(&self) -> impl Iterator<Item = wcal_core::RowLabel> {
-        self.data
-            .rows
-            .iter()
-            .map(Labelled::label)
-            .chain(self.sealed.labels())
+    fn labels(&self) -> Vec<RowLabel> {
+        let open = self.open.iter().map(Labelled::label);
+        open.chain(self.sealed.labels()).collect()
+    }
+
+    /// Takes over those of another session in `folder`: to the fit, or behind the seal; what was
+    /// sealed there stays sealed.
+    fn take_over(
+        self,
+        mut added: Self,
+        purpose: Purpose,
+        folder: &str,
+        source: fn(&mut R) -> &mut String,
+    ) {
+        added.each(&(folder, source), |row, (folder, source)| {
+            let name = source(row);
+            *name = format!("{folder}/{name}");
+        });
+        let rows = std::mem::take(added.open);
+        match purpose {
+            Purpose::Fit => self.open.extend(rows),
+            _ => self.sealed.extend(rows),
+        }
+        self.sealed.join(std::mem::take(added.sealed));
     }
 }
 
@@ -191,14 +180,16 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     } else {
         file
     };
-    let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
+    let warnings = &mut session.warnings;
     let mut known: Vec<String> = SCALAR_COLUMNS
         .iter()
         .chain(&WHISKER_COLUMNS)
         .map(|c| (*c).to_owned())
         .collect();
     let mut units = Vec::new();
-    if let SessionData::Transducer(data) = &session.data {
+    if let SessionData::Transducer(data) = &session.data
+        && session.kind == SessionKind::Transducer
+    {
         known.extend(data.covariates.iter().cloned());
         units.extend([
             ("stimulus", data.stimulus_unit.as_str()),
@@ -224,64 +215,45 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
         }
         None => read_readings(path, &name)?,
     };
-    let input = match (&mut session.data, &mut session.sealed) {
-        (
-            SessionData::Whisker(WhiskerData {
-                whisker,
-                fbg,
-                trajectories,
-                ..
-            }),
-            SealedRows::Whisker(holdout),
-        ) => {
-            let table = whisker::read_rows(&table, fbg, trajectories, ColumnRequirement::Session)?;
-            whisker_checks::check_stage(&table.rows, trajectories, warnings)?;
-            whisker_checks::check_reach(
-                &table.rows,
-                whisker_checks::length_mm(&whisker.rest_shape),
-            )?;
-            warnings.extend(table.warnings);
-            holdout.extend(table.rows.into_iter().map(|r| WhiskerRow {
+    match (&mut session.data, &mut session.sealed) {
+        (SessionData::Whisker(data), SealedRows::Whisker(holdout)) => {
+            let (shape, paths) = (&data.whisker.rest_shape, data.trajectories.as_slice());
+            let read = whisker::read_rows(&table, &mut data.fbg, Some(paths))?;
+            whisker_checks::check(&read.rows, shape, paths, warnings)?;
+            warnings.extend(read.warnings);
+            holdout.extend(read.rows.into_iter().map(|r| WhiskerRow {
                 sealed: r.role != Role::Rest,
                 ..r
             }));
-            InputFile {
-                purpose,
-                ..table.input
-            }
         }
         (SessionData::Transducer(data), SealedRows::Transducer(holdout)) => {
-            let table = transducer::read_rows(&table, purpose, warnings)?;
-            check_covariates(&name, &data.covariates, &table.covariates)?;
-            holdout.extend(table.rows);
-            table.input
-        }
-        (SessionData::Axis(_), SealedRows::Axis(holdout)) => {
-            let (rows, input) = axis::read_rows(&table, purpose, warnings)?;
+            let (rows, covariates) = transducer::read_rows(&table, data.model, warnings)?;
+            check_covariates(&name, &data.covariates, &covariates)?;
             holdout.extend(rows);
-            input
         }
         _ => return Err(other_kind(&name).into()),
-    };
-    session.inputs.push(input);
+    }
+    session.inputs.push(table.input(Purpose::Holdout));
     Ok(())
 }
 
 /// Pairs of another session count where the same cameras made them: then both share the same
 /// errors.
-fn merge_shapes(data: &mut WhiskerData, added: &mut Added, folder: &str) {
-    let Some(theirs) = added.data.shapes.take() else {
-        return;
-    };
+fn merge_shapes(
+    own: Option<&mut SessionShapes>,
+    theirs: &SessionShapes,
+    added: &mut Rows<'_, WhiskerRow>,
+    folder: &str,
+) {
     let alike = |own: &SessionShapes| {
         own.parameters == theirs.parameters && own.covariance == theirs.covariance
     };
-    if data.shapes.as_ref().is_some_and(alike) {
+    if own.as_deref().is_some_and(alike) {
         return;
     }
-    let dropped = added.labels().filter(|row| row.pictured).count();
-    added.every_row(&(), |row, ()| row.pair = None);
-    if let Some(own) = data.shapes.as_mut().filter(|_| dropped > 0) {
+    let dropped = added.labels().iter().filter(|row| row.pictured).count();
+    added.each(&(), |row, ()| row.pair = None);
+    if let Some(own) = own.filter(|_| dropped > 0) {
         let why =
             format!("{dropped} pairs of that session were made with other cameras than this one's");
         own.left_out.push(PairLeftOut {
@@ -318,89 +290,79 @@ fn attach_session(
             SessionData::Whisker(data),
             SealedRows::Whisker(own),
             SessionData::Whisker(theirs),
-            SealedRows::Whisker(sealed),
+            SealedRows::Whisker(mut sealed),
         ) => {
-            if data.whisker.rest_shape != theirs.whisker.rest_shape
-                || data.whisker.diameter_mm != theirs.whisker.diameter_mm
+            let WhiskerData {
+                whisker,
+                moments,
+                fbg,
+                trajectories,
+                mut rows,
+                twin,
+                shapes,
+                ..
+            } = theirs;
+            if data.whisker.rest_shape != whisker.rest_shape
+                || data.whisker.diameter_mm != whisker.diameter_mm
             {
                 return Err(differs("wire").field("whisker").into());
             }
-            if data.moments != theirs.moments {
+            if data.moments != moments {
                 return Err(differs("moment axes and sign").field("moments").into());
             }
-            let mut added = Added {
-                data: theirs,
-                sealed,
+            let mut added = Rows {
+                open: &mut rows,
+                sealed: &mut sealed,
             };
-            merge_trajectories(
-                data,
-                &mut added,
-                &renamed("session.toml"),
-                &mut session.warnings,
-            )?;
-            merge_nominals(data, &mut added);
-            merge_shapes(data, &mut added, &folder);
+            let (file, warnings) = (renamed("session.toml"), &mut session.warnings);
+            merge_trajectories(data, trajectories, &mut added, &file, warnings)?;
+            merge_nominals(&data.fbg, &fbg, &mut added);
+            if let Some(theirs) = shapes {
+                merge_shapes(data.shapes.as_mut(), &theirs, &mut added, &folder);
+            }
+            let own = Rows {
+                open: &mut data.rows,
+                sealed: own,
+            };
             if purpose == Purpose::Fit {
-                if !added.data.twin.is_empty() {
+                if !twin.is_empty() {
                     let text = "labels of its twin are not used";
-                    session.warnings.push(SessionWarning::other(&folder, text));
+                    warnings.push(SessionWarning::other(&folder, text));
                 }
-                place_after((data, own), &mut added);
+                place_after(&own, &mut added);
+            } else {
+                // Of a session that is held out every row counts, whatever its role says.
+                added.each(&(), |r, ()| r.sealed = true);
             }
-            // Of a session that is held out every row counts, whatever its role says.
-            if purpose == Purpose::Holdout {
-                added.every_row(&(), |r, ()| r.sealed = true);
-            }
-            let theirs = (added.data.rows, added.sealed);
-            take_over((&mut data.rows, own), theirs, purpose, &folder, |row| {
-                &mut row.source
-            });
+            own.take_over(added, purpose, &folder, |row| &mut row.source);
         }
         (
             SessionData::Transducer(data),
             SealedRows::Transducer(own),
-            SessionData::Transducer(mut added),
+            SessionData::Transducer(mut theirs),
             SealedRows::Transducer(mut sealed),
-        ) => {
+        ) if session.kind == other.kind => {
             if (&data.stimulus_unit, &data.response_unit)
-                != (&added.stimulus_unit, &added.response_unit)
+                != (&theirs.stimulus_unit, &theirs.response_unit)
             {
                 return Err(differs("units").field("transducer").into());
             }
-            check_covariates(
-                &renamed(&other.points_file),
-                &data.covariates,
-                &added.covariates,
-            )?;
+            let file = renamed(&other.points_file);
+            check_covariates(&file, &data.covariates, &theirs.covariates)?;
+            let [mut own, mut added] = [
+                Rows {
+                    open: &mut data.rows,
+                    sealed: own,
+                },
+                Rows {
+                    open: &mut theirs.rows,
+                    sealed: &mut sealed,
+                },
+            ];
             if purpose == Purpose::Fit {
-                let of: Series<TransducerRow> = |row| (&mut row.t_s, &mut row.replicate);
-                place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
+                place_series(&mut own, &mut added);
             }
-            take_over(
-                (&mut data.rows, own),
-                (added.rows, sealed),
-                purpose,
-                &folder,
-                |row| &mut row.source,
-            );
-        }
-        (
-            SessionData::Axis(data),
-            SealedRows::Axis(own),
-            SessionData::Axis(mut added),
-            SealedRows::Axis(mut sealed),
-        ) => {
-            if purpose == Purpose::Fit {
-                let of: Series<AxisRow> = |row| (&mut row.t_s, &mut row.cycle);
-                place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
-            }
-            take_over(
-                (&mut data.rows, own),
-                (added.rows, sealed),
-                purpose,
-                &folder,
-                |row| &mut row.source,
-            );
+            own.take_over(added, purpose, &folder, |row| &mut row.source);
         }
         _ => return Err(other_kind(&renamed("session.toml")).into()),
     }
@@ -440,40 +402,18 @@ fn other_kind(file: &str) -> InputError {
     InputError::new(file, "the kind of the session", "another one").field("kind")
 }
 
-/// Rows of another session in `folder`: to the fit, or behind the seal; what was sealed there stays
-/// sealed.
-fn take_over<R>(
-    own: (&mut Vec<R>, &mut Sealed<R>),
-    (mut rows, mut sealed): (Vec<R>, Sealed<R>),
-    purpose: Purpose,
-    folder: &str,
-    source: fn(&mut R) -> &mut String,
-) {
-    fn rename<R>(row: &mut R, (folder, source): &(&str, fn(&mut R) -> &mut String)) {
-        let name = source(row);
-        *name = format!("{folder}/{name}");
-    }
-    let with = (folder, source);
-    rows.iter_mut().for_each(|row| rename(row, &with));
-    sealed.relabel(&with, rename);
-    match purpose {
-        Purpose::Fit => own.0.extend(rows),
-        _ => own.1.extend(rows),
-    }
-    own.1.join(sealed);
-}
-
 /// Takes over the other session's trajectories; an id that means something else here is replaced by
 /// a free one.
 fn merge_trajectories(
     data: &mut WhiskerData,
-    added: &mut Added,
+    theirs: Vec<Trajectory>,
+    added: &mut Rows<'_, WhiskerRow>,
     file: &str,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(), InputError> {
     const SAME: f64 = 1e-6;
-    for mut trajectory in std::mem::take(&mut added.data.trajectories) {
-        let same = |t: &wcal_core::Trajectory| {
+    for mut trajectory in theirs {
+        let same = |t: &Trajectory| {
             (t.origin_mm - trajectory.origin_mm).norm() < SAME
                 && (t.direction - trajectory.direction).norm() < SAME
         };
@@ -483,19 +423,15 @@ fn merge_trajectories(
             Some(_) => {
                 let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
                 // Ids of rows that are still to be renamed must not be hit either.
-                let floor = added
-                    .labels()
-                    .filter_map(|l| l.trajectory)
-                    .max()
-                    .unwrap_or(0);
-                let new = highest.max(floor).checked_add(1);
+                let ids = added.labels().into_iter().filter_map(|l| l.trajectory);
+                let new = ids.chain([highest]).max().and_then(|id| id.checked_add(1));
                 let new = new.ok_or_else(|| {
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")
                 })?;
                 let old = trajectory.id;
                 let text = format!("trajectory {old} is another path here and is called {new}");
                 warnings.push(SessionWarning::other(file, text));
-                added.every_row(&(old, new), |row, (old, new)| {
+                added.each(&(old, new), |row, (old, new)| {
                     if row.trajectory == Some(*old) {
                         row.trajectory = Some(*new);
                     }
@@ -509,17 +445,16 @@ fn merge_trajectories(
 }
 
 /// Shifts count from this session's nominal wavelengths.
-fn merge_nominals(data: &WhiskerData, added: &mut Added) {
-    let theirs = &added.data.fbg;
-    let sensing = match (data.fbg.nominal_nm, theirs.nominal_nm) {
+fn merge_nominals(own: &FbgSpec, theirs: &FbgSpec, added: &mut Rows<'_, WhiskerRow>) {
+    let sensing = match (own.nominal_nm, theirs.nominal_nm) {
         (Some(here), Some(there)) => [there[0] - here[0], there[1] - here[1]],
         _ => [0.0; 2],
     };
-    let reference = match (data.fbg.reference_nominal_nm, theirs.reference_nominal_nm) {
+    let reference = match (own.reference_nominal_nm, theirs.reference_nominal_nm) {
         (Some(here), Some(there)) => there - here,
         _ => 0.0,
     };
-    added.every_row(&(sensing, reference), |row, (sensing, reference)| {
+    added.each(&(sensing, reference), |row, (sensing, reference)| {
         row.shift_pm[0] += PM_PER_NM * sensing[0];
         row.shift_pm[1] += PM_PER_NM * sensing[1];
         row.reference_shift_pm = row.reference_shift_pm.map(|pm| pm + PM_PER_NM * reference);

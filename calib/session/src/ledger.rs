@@ -12,7 +12,7 @@ use crate::error::SessionError;
 use crate::foreign::as_imported;
 use crate::session::{LoadedSession, load};
 use crate::table::read_own;
-use crate::whisker::load_table;
+use crate::whisker::{PM_PER_NM, load_table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,17 +20,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 use wcal_core::files::{folder_of, read_text, write_atomic};
 use wcal_core::{
-    AxisRow, FbgSpec, Ledger, Opening, Provenance, SealedRows, SessionData, TransducerRow,
-    WhiskerRow, document, fingerprint,
+    FbgSpec, Ledger, Opening, Provenance, SealedRows, SessionData, TransducerRow, WhiskerRow,
+    document, fingerprint,
 };
 
 /// Name of the file, beside the session or in the output folder.
 const NAME: &str = "unsealed.json";
 /// Format tag of `unsealed.json`.
 const FORMAT: &str = "wcal-unsealed/3";
-/// Format that kept files in place of rows.
-const OF_FILES: &str = "wcal-unsealed/2";
-const PM_PER_NM: f64 = 1000.0;
 
 /// A decision that met held-out rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -52,43 +49,8 @@ struct RecordedLook {
     decision: Option<String>,
 }
 
-/// A record of [`OF_FILES`]. Which rows its looks met is not known: they count for any.
-#[derive(Deserialize)]
-struct OlderLedger {
-    looks: Vec<OlderLook>,
-}
-
-#[derive(Deserialize)]
-struct OlderLook {
-    look: usize,
-    when: String,
-    program: String,
-    decision: Option<String>,
-}
-
-impl From<OlderLook> for RecordedLook {
-    fn from(
-        OlderLook {
-            look,
-            when,
-            program,
-            decision,
-        }: OlderLook,
-    ) -> Self {
-        Self {
-            look,
-            when,
-            program,
-            rows: BTreeSet::new(),
-            files: BTreeSet::new(),
-            decision,
-        }
-    }
-}
-
 impl RecordedLook {
-    /// Whether most of its rows are among `rows`, or most of these among its own; true where its
-    /// rows are not known.
+    /// Whether most of its rows are among `rows`, or most of these among its own.
     fn met(&self, rows: &BTreeSet<String>) -> bool {
         2 * self.rows.intersection(rows).count() >= self.rows.len().min(rows.len())
     }
@@ -132,9 +94,6 @@ fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         other => other.map_err(|e| wrong(e.to_string()))?,
     };
-    if let Ok(older) = document::from_json::<OlderLedger>(&text, OF_FILES, &[]) {
-        return Ok(older.looks.into_iter().map(RecordedLook::from).collect());
-    }
     let file: LedgerFile =
         document::from_json(&text, FORMAT, &[]).map_err(|e| wrong(e.to_string()))?;
     Ok(file.looks)
@@ -155,10 +114,6 @@ fn of_transducer(row: &TransducerRow, (): &()) -> (String, Vec<f64>) {
     (row.source.clone(), vec![row.stimulus, row.response])
 }
 
-fn of_axis(row: &AxisRow, (): &()) -> (String, Vec<f64>) {
-    (row.source.clone(), vec![row.commanded_mm, row.measured_mm])
-}
-
 /// A session's sealed rows by their hashes, each with its file.
 fn sealed_rows(session: &LoadedSession) -> BTreeMap<String, String> {
     match (&session.sealed, &session.data) {
@@ -166,7 +121,6 @@ fn sealed_rows(session: &LoadedSession) -> BTreeMap<String, String> {
             rows.fingerprints(&data.fbg, of_whisker)
         }
         (SealedRows::Transducer(rows), _) => rows.fingerprints(&(), of_transducer),
-        (SealedRows::Axis(rows), _) => rows.fingerprints(&(), of_axis),
         (SealedRows::Whisker(_), _) => BTreeMap::new(),
     }
 }
@@ -181,8 +135,7 @@ fn rows_of(table: &Path, session: &LoadedSession) -> Result<BTreeSet<String>, Se
                 .map(|row| fingerprint(&of_whisker(row, &data.fbg).1))
                 .collect());
         }
-        SessionData::Transducer(_) => ["stimulus", "response"],
-        SessionData::Axis(_) => ["commanded_mm", "measured_mm"],
+        SessionData::Transducer(data) => data.model.columns(),
     };
     let (name, kept) = (table.display().to_string(), columns.map(str::to_owned));
     let table = match as_imported(table, &name, &session.imported, &kept, &[])? {
@@ -395,19 +348,6 @@ mod tests {
         {
             assert_eq!(look(more, Some("first")), number + 2, "{more}");
         }
-    }
-
-    #[test]
-    fn looks_of_a_record_that_kept_files_count_for_any_rows() {
-        let [session, out] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-        let older = r#"{"format":"wcal-unsealed/2","looks":[{"look":1,"when":"","program":"","files":[{"sha256":"a","path":"h.csv"}],"decision":"first"}]}"#;
-        std::fs::write(session.path().join(NAME), older).unwrap();
-        let look = |rows: &str| {
-            ledger(&[session.path()], out.path(), rows)
-                .record(Some("second"))
-                .unwrap()
-        };
-        assert_eq!([look("ab"), look("ab"), look("xy")], [2, 2, 2]);
     }
 
     #[test]

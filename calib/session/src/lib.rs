@@ -1,4 +1,4 @@
-//! Session folders: reading with every check, writing without half-written files.
+//! Session folders: reading with every check.
 //!
 //! [`load`] turns a folder (`session.toml` and the tables it names) into
 //! [`wcal_core::SessionData`]. Whatever cannot be used is one [`SessionError`] that names file,
@@ -33,9 +33,8 @@ mod warning;
 mod whisker;
 mod whisker_checks;
 mod whisker_meta;
-mod write;
 
-pub use cell::name_of as column_name;
+pub use cell::{is_among, name_of as column_name};
 pub use edit::set_entries;
 
 pub use error::{InputError, SessionError};
@@ -56,4 +55,3 @@ pub use warning::{SessionWarning, WarningKind, named};
 
 pub use whisker::{IN_SESSION, WHISKER_COLUMNS, load_table};
 pub use whisker_meta::check_wire;
-pub use write::{SessionFiles, write_session};

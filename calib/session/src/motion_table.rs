@@ -64,49 +64,36 @@ pub fn has_motion(path: &Path) -> Result<bool, SessionError> {
 /// # Errors
 /// What cannot be used, by line and column.
 pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
+    const EITHER: &str = "either object_x_mm .. object_z_mm (base frame) or base_x_mm .. base_z_mm (world frame, the object at rest)";
+    const ONE: &str = "object_x_mm .. object_z_mm or base_x_mm .. base_z_mm (_m for metres)";
+    const ALL: &str =
+        "base_qw, base_qx, base_qy and base_qz in addition to base_x_mm, or none of them";
     let table = read_text_table(path, &TextTableLayout::default())?;
-    let name = path.display().to_string();
-    if table.rows.len() > MAX_ROWS {
-        let expected = format!("at most {MAX_ROWS} rows");
-        return Err(InputError::new(&name, expected, table.rows.len().to_string()).into());
+    let wrong = |expected: &str, found: String| InputError::new(&table.file, expected, found);
+    let count = table.rows.len();
+    if count > MAX_ROWS {
+        return Err(wrong(&format!("at most {MAX_ROWS} rows"), count.to_string()).into());
     }
     let time = table.column("t_s")?;
-    let (columns, mm, posed) = match [
-        place_columns(&table, "object"),
-        place_columns(&table, "base"),
-    ] {
+    let (columns, mm, posed) = match ["object", "base"].map(|of| place_columns(&table, of)) {
         [Some((columns, mm)), None] => (columns, mm, false),
         [None, Some((columns, mm))] => (columns, mm, true),
-        [Some(_), Some(_)] => {
-            const EITHER: &str = "either object_x_mm .. object_z_mm (base frame) or base_x_mm .. base_z_mm (world frame, the object at rest)";
-            return Err(InputError::new(&name, EITHER, "both").into());
-        }
+        [Some(_), Some(_)] => return Err(wrong(EITHER, "both".to_owned()).into()),
         [None, None] => {
-            const ONE: &str =
-                "object_x_mm .. object_z_mm or base_x_mm .. base_z_mm (_m for metres)";
             let found = format!("the columns {}", table.columns.join(", "));
-            return Err(InputError::new(&name, ONE, found).into());
+            return Err(wrong(ONE, found).into());
         }
     };
-    let turn: Vec<usize> = TURN.iter().filter_map(|c| table.column(c).ok()).collect();
+    let turn = TURN.iter().filter_map(|c| table.column(c).ok());
+    let turn: Vec<usize> = turn.collect();
     if !matches!((turn.len(), posed), (0, _) | (4, true)) {
-        const ALL: &str =
-            "base_qw, base_qx, base_qy and base_qz in addition to base_x_mm, or none of them";
-        let found = turn
-            .iter()
-            .map(|c| table.columns[*c].as_str())
-            .collect::<Vec<_>>()
-            .join(", ");
-        return Err(InputError::new(&name, ALL, found).into());
+        let found: Vec<&str> = turn.iter().map(|c| table.columns[*c].as_str()).collect();
+        return Err(wrong(ALL, found.join(", ")).into());
     }
-    let mut rows = Vec::with_capacity(table.rows.len());
+    let mut rows = Vec::with_capacity(count);
     for (k, (line, _)) in table.rows.iter().enumerate() {
-        let cells = |columns: &[usize]| -> Result<Option<Vec<f64>>, SessionError> {
-            let all = columns
-                .iter()
-                .map(|c| table.number(k, *c))
-                .collect::<Result<Vec<_>, _>>()?;
-            Ok(all.into_iter().collect())
+        let cells = |columns: &[usize]| -> Result<Option<Vec<f64>>, InputError> {
+            columns.iter().map(|c| table.number(k, *c)).collect()
         };
         let (Some(t_s), Some(place), Some(turn)) =
             (table.number(k, time)?, cells(&columns)?, cells(&turn)?)
@@ -120,9 +107,8 @@ pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
             (true, q) => {
                 let q = Quaternion::new(q[0], q[1], q[2], q[3]);
                 if !((q.norm() - 1.0).abs() < 1e-3) {
-                    let found = format!("norm {}", q.norm());
-                    let error = InputError::new(&name, "a unit quaternion", found).at(*line);
-                    return Err(error.field("base_qw..base_qz").into());
+                    let error = wrong("a unit quaternion", format!("norm {}", q.norm()));
+                    return Err(error.at(*line).field("base_qw..base_qz").into());
                 }
                 // The object's frame is the world's: p_base = R' (p - t).
                 let back = UnitQuaternion::new_normalize(q)
@@ -138,7 +124,7 @@ pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
             moved_mm,
         });
     }
-    let in_file = |e: InputError| e.of_source(&name, |line| line, |_| None);
+    let in_file = |e: InputError| e.of_source(&table.file, |line| line, |_| None);
     let log = MotionLog::new(rows).map_err(in_file)?;
     Ok(LoggedMotion {
         log,

@@ -19,55 +19,33 @@ const PREFIXES: [(&str, &str, f64); 8] = [
 ];
 /// Words for them, and other units: in small letters, with the base and the factor (inch,
 /// pound-force, kilopond and psi by their definitions).
-const WORDS: [(&str, &str, f64); 52] = [
+const WORDS: [(&str, &str, f64); 30] = [
     ("newton", "N", 1.0),
     ("pascal", "Pa", 1.0),
     ("volt", "V", 1.0),
-    ("ampere", "A", 1.0),
-    ("amp", "A", 1.0),
-    ("meter", "m", 1.0),
-    ("metre", "m", 1.0),
+    ("ampere|amp", "A", 1.0),
+    ("meter|metre", "m", 1.0),
     ("gram", "g", 1.0),
     ("kelvin", "K", 1.0),
     ("ohm", "Ohm", 1.0),
-    ("sec", "s", 1.0),
-    ("second", "s", 1.0),
-    ("sekunde", "s", 1.0),
-    ("sekunden", "s", 1.0),
-    ("msec", "s", 1e-3),
-    ("usec", "s", 1e-6),
-    ("milli", "s", 1e-3),
-    ("micro", "s", 1e-6),
-    ("min", "s", 60.0),
-    ("minute", "s", 60.0),
-    ("minuten", "s", 60.0),
-    ("h", "s", 3600.0),
-    ("hr", "s", 3600.0),
-    ("hour", "s", 3600.0),
-    ("std", "s", 3600.0),
-    ("stunde", "s", 3600.0),
-    ("stunden", "s", 3600.0),
-    ("d", "s", 86_400.0),
-    ("day", "s", 86_400.0),
-    ("tag", "s", 86_400.0),
-    ("tage", "s", 86_400.0),
-    ("in", "m", 0.0254),
-    ("inch", "m", 0.0254),
+    ("sec|second|sekunde|sekunden", "s", 1.0),
+    ("msec|milli", "s", 1e-3),
+    ("usec|micro", "s", 1e-6),
+    ("min|minute|minuten", "s", 60.0),
+    ("h|hr|hour|std|stunde|stunden", "s", 3600.0),
+    ("d|day|tag|tage", "s", 86_400.0),
+    ("in|inch", "m", 0.0254),
     ("lbf", "N", 4.448_221_615_260_5),
-    ("kgf", "N", 9.806_65),
+    ("kgf|kp", "N", 9.806_65),
     ("psi", "Pa", 6_894.757_293_168),
     ("bar", "Pa", 1e5),
     ("mbar", "Pa", 1e2),
-    ("degc", "degC", 1.0),
-    ("celsius", "degC", 1.0),
-    ("degf", "degF", 1.0),
-    ("fahrenheit", "degF", 1.0),
-    ("f", "degF", 1.0),
+    ("degc|celsius", "degC", 1.0),
+    ("degf|fahrenheit|f", "degF", 1.0),
     ("t", "g", 1e6),
     ("lb", "g", 453.592_37),
     ("oz", "g", 28.349_523_125),
     ("ft", "m", 0.3048),
-    ("kp", "N", 9.806_65),
     ("atm", "Pa", 101_325.0),
     ("torr", "Pa", 133.322_368_421),
     ("mmhg", "Pa", 133.322_387_415),
@@ -96,13 +74,9 @@ fn parsed(unit: &str) -> Option<(&'static str, f64)> {
         .find_map(|(p, _, f)| Some((symbol(unit.strip_prefix(p)?)?, *f)));
     let unit = unit.to_lowercase();
     let word = |text: &str| {
-        let is = |(w, ..): &&(&str, _, _)| {
-            *w == text || w.len() > 1 && text.strip_suffix('s') == Some(*w)
-        };
-        WORDS
-            .iter()
-            .find(is)
-            .map(|(_, base, factor)| (*base, *factor))
+        let is = |w: &str| w == text || w.len() > 1 && text.strip_suffix('s') == Some(w);
+        let found = WORDS.iter().find(|(words, ..)| words.split('|').any(is));
+        found.map(|(_, base, factor)| (*base, *factor))
     };
     let long = || {
         PREFIXES

@@ -7,6 +7,8 @@ use crate::row::Row;
 use crate::table::TextTable;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{HashMap, HashSet};
+use wcal_core::TransducerRow;
+use wcal_core::order_statistics::extent;
 use wcal_core::text::number;
 
 /// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38
@@ -154,11 +156,7 @@ fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
             .iter()
             .flatten()
             .filter(|v| !usual(**v) && v.abs() != code.abs());
-        let [low, high] = others
-            .clone()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| {
-                [a.min(*v), b.max(*v)]
-            });
+        let [low, high] = extent(others.clone().copied());
         let times = if usual(code) { 1.0 } else { DECADE };
         others.count() >= MIN_OTHERS && (low - code).max(code - high) > times * (high - low)
     };
@@ -175,10 +173,7 @@ fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
 /// Whether readings are whole multiples of a step of their display, with few steps between the
 /// lowest and the highest.
 fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
-    let span = |[a, b]: [f64; 2], v: f64| [a.min(v), b.max(v)];
-    let [low, high] = readings
-        .clone()
-        .fold([f64::INFINITY, f64::NEG_INFINITY], span);
+    let [low, high] = extent(readings.clone());
     let unit = 10f64.powf(((high - low) / COARSE_STEPS).log10().ceil());
     !(high > low)
         || readings
@@ -304,32 +299,34 @@ pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(),
     Ok(())
 }
 
-/// A row as its place in the sequence shows it: line in the file, position or stimulus, time,
-/// direction.
-pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
-
 /// A clock that stands still, or a direction that says the opposite of the moves at rows before and
 /// after which the position rises, or falls. At the turns, and where targets are approached singly,
 /// nothing is contradicted, nor by a table whose moves or directions have one sign alone.
-pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
-    let first = rows
-        .first()
-        .and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
-    if let Some((line, t_s)) = first.filter(|(_, t_s)| rows.iter().all(|r| r.2 == Some(*t_s))) {
+pub(crate) fn contradiction(
+    file: &str,
+    setting: &str,
+    rows: &[TransducerRow],
+) -> Result<(), InputError> {
+    if let [first, _, ..] = rows
+        && let Some(t_s) = first.t_s
+        && rows.iter().all(|r| r.t_s == first.t_s)
+    {
         let found = format!("t_s {} in all {} rows", number(t_s, 12), rows.len());
         let error = InputError::new(file, "a time that runs", found)
-            .at(line)
+            .at(first.line)
             .field("t_s");
         return Err(
             error.hint("leave --time out at import: the order of the rows then stands for it")
         );
     }
-    let way = |w: &[Step]| (w[1].1 - w[0].1).signum() * f64::from(u8::from(w[1].1 != w[0].1));
-    let within = rows
+    let way = |w: &[TransducerRow]| {
+        let rises = w[1].stimulus.partial_cmp(&w[0].stimulus);
+        f64::from(rises.map_or(0, |order| order as i8))
+    };
+    let seen: Vec<(usize, f64, f64)> = rows
         .windows(3)
-        .filter(|w| way(&w[..2]) * way(&w[1..]) > 0.0);
-    let seen: Vec<(usize, f64, f64)> = within
-        .filter_map(|w| Some((w[1].0, way(w), w[1].3?)))
+        .filter(|w| way(&w[..2]) * way(&w[1..]) > 0.0)
+        .filter_map(|w| Some((w[1].line, way(w), w[1].direction?)))
         .collect();
     let both = |f: fn(&(usize, f64, f64)) -> f64| {
         seen.iter().any(|s| f(s) > 0.0) && seen.iter().any(|s| f(s) < 0.0)
@@ -532,7 +529,7 @@ mod tests {
     }
 
     /// `cycles` of five positions up and down; `direction` by cycle and way.
-    fn axis(cycles: usize, direction: impl Fn(usize, f64) -> f64) -> Vec<Step> {
+    fn axis(cycles: usize, direction: impl Fn(usize, f64) -> f64) -> Vec<TransducerRow> {
         let of = |k: usize| {
             let (cycle, place) = (k / 10, k % 10);
             let (x, way) = if place < 5 {
@@ -540,14 +537,27 @@ mod tests {
             } else {
                 (9 - place, -1.0)
             };
-            (k + 2, x as f64, None, Some(direction(cycle, way)))
+            TransducerRow {
+                source: "t.csv".to_owned(),
+                line: k + 2,
+                point: k as i64,
+                role: wcal_core::Role::Calibration,
+                stimulus: x as f64,
+                stimulus_sd: None,
+                response: 0.0,
+                t_s: None,
+                temperature_degc: None,
+                direction: Some(direction(cycle, way)),
+                replicate: None,
+                covariates: Vec::new(),
+            }
         };
         (0..10 * cycles).map(of).collect()
     }
 
     #[test]
     fn a_direction_against_the_moves_is_named_and_other_conventions_are_not() {
-        let named = |rows: &[Step]| {
+        let named = |rows: &[TransducerRow]| {
             contradiction("t.csv", "commanded_mm", rows)
                 .err()
                 .map(|e| e.to_string())
@@ -564,7 +574,10 @@ mod tests {
         assert!(named(&axis(3, |_, _| 1.0)).is_none());
         // Forward and backward readings listed in rising order.
         let mut list = axis(2, |_, way| way);
-        list.sort_by(|a, b| b.3.partial_cmp(&a.3).unwrap().then(a.1.total_cmp(&b.1)));
+        list.sort_by(|a, b| {
+            let ways = b.direction.partial_cmp(&a.direction).unwrap();
+            ways.then(a.stimulus.total_cmp(&b.stimulus))
+        });
         assert!(named(&list).is_none());
     }
 }

@@ -2,22 +2,20 @@
 
 use crate::document::{parse, sections};
 use crate::error::{InputError, SessionError, quote};
-use crate::shapes::Expected;
 use crate::table::read_readings;
-use crate::transducer::{self, TransducerSection};
 use crate::warning::SessionWarning;
-use crate::whisker::{self, ColumnRequirement};
 use crate::whisker_meta::{self, MomentSection, TrajectorySection, WhiskerSection};
-use crate::{axis, whisker_checks};
+use crate::{transducer, whisker, whisker_checks};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::provenance::sha256_hex;
+use wcal_core::shapes_document::ShapesSource;
 use wcal_core::text::brief;
 use wcal_core::{
-    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData,
-    SessionKind, TransducerData, TransducerRow, WhiskerData, WhiskerRow, format, ranges,
+    FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData, SessionKind,
+    TransducerData, TransducerRow, WhiskerData, WhiskerRow, format, ranges,
 };
 
 const NAME: &str = "session.toml";
@@ -64,6 +62,22 @@ pub struct LoadedSession {
     pub pictures: Option<PathBuf>,
 }
 
+impl LoadedSession {
+    /// The data of a whisker.
+    ///
+    /// # Errors
+    /// Where it is a session of another kind.
+    pub fn whisker(&self) -> Result<&WhiskerData, InputError> {
+        let found = self.kind.to_string();
+        match &self.data {
+            SessionData::Whisker(data) => Ok(data),
+            SessionData::Transducer(_) => {
+                Err(InputError::new(NAME, "a session of kind \"whisker\"", found).field("kind"))
+            }
+        }
+    }
+}
+
 /// `session.toml`.
 #[derive(Deserialize)]
 struct Document {
@@ -79,7 +93,7 @@ struct Document {
     fbg: FbgSpec,
     #[serde(default)]
     trajectory: Vec<TrajectorySection>,
-    transducer: Option<TransducerSection>,
+    transducer: Option<TransducerData>,
     #[serde(default)]
     provenance: ProvenanceSection,
 }
@@ -100,11 +114,11 @@ struct Files {
 /// What a reader asks of `[provenance]`: whether the data are simulated, and which cameras and rig
 /// its shapes come from.
 #[derive(Default, Deserialize)]
+#[serde(default)]
 struct ProvenanceSection {
-    #[serde(default)]
     simulated: bool,
-    cameras_sha256: Option<String>,
-    shapes_rig_sha256: Option<String>,
+    cameras_sha256: String,
+    shapes_rig_sha256: String,
 }
 
 /// Keys that people and other programs write for themselves, and tables that are free.
@@ -130,8 +144,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         .into());
     }
     let path = folder.join(NAME);
-    let bytes = read_within(&path, MAX_DOCUMENT_BYTES)
-        .map_err(|e| SessionError::io("reading", &path, e))?;
+    let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io(&path, e))?;
     let meta = parse(NAME, &bytes)?;
     format::expect(
         SESSION_FORMAT,
@@ -157,35 +170,23 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         sha256: sha256_hex(&bytes),
         purpose: Purpose::Description,
     }];
-    let Document {
-        id,
-        kind,
-        medium,
-        created,
-        files,
-        provenance,
-        ..
-    } = &document;
+    let (id, kind, files) = (document.id.clone(), document.kind, &document.files);
     if id.trim().is_empty() {
-        return Err(
-            InputError::new(NAME, "a session identifier", "an empty text")
-                .field("id")
-                .into(),
-        );
+        let error = InputError::new(NAME, "a session identifier", "an empty text");
+        return Err(error.field("id").into());
     }
-    let (id, kind, simulated) = (id.clone(), *kind, provenance.simulated);
-    let created = created.as_ref().map(|time| {
+    let simulated = document.provenance.simulated;
+    let created = document.created.as_ref();
+    let created = created.map(|time| {
         time.as_str()
             .map_or_else(|| time.to_string(), str::to_owned)
     });
-    let medium = medium.clone().unwrap_or_else(|| {
+    let medium = document.medium.clone().unwrap_or_else(|| {
         if kind != SessionKind::Whisker {
             return "unspecified".to_owned();
         }
-        warnings.push(SessionWarning::other(
-            NAME,
-            "medium is not given; taken as \"air\"",
-        ));
+        let text = "medium is not given; taken as \"air\"";
+        warnings.push(SessionWarning::other(NAME, text));
         "air".to_owned()
     });
     files.check(folder)?;
@@ -205,16 +206,12 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
                 load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?;
             (SessionData::Whisker(data), SealedRows::Whisker(sealed))
         }
-        SessionKind::Transducer => {
+        SessionKind::Transducer | SessionKind::Axis => {
             let (data, sealed) = load_transducer(document, folder, &mut inputs, &mut warnings)?;
             (
                 SessionData::Transducer(data),
                 SealedRows::Transducer(sealed),
             )
-        }
-        SessionKind::Axis => {
-            let (data, sealed) = load_axis(folder, &document.files, &mut inputs, &mut warnings)?;
-            (SessionData::Axis(data), SealedRows::Axis(sealed))
         }
     };
     let folder = folder.to_owned();
@@ -330,15 +327,10 @@ fn load_whisker(
         provenance,
         ..
     } = document;
-    let ProvenanceSection {
-        cameras_sha256,
-        shapes_rig_sha256: rig_sha256,
-        ..
-    } = provenance;
-    let expected = Expected {
-        session,
-        cameras_sha256,
-        rig_sha256,
+    let expected = ShapesSource {
+        session: Some(session),
+        cameras_sha256: provenance.cameras_sha256,
+        rig_sha256: provenance.shapes_rig_sha256,
     };
     let shape = match &files.rest_shape {
         Some(name) => {
@@ -353,19 +345,11 @@ fn load_whisker(
         .spec(NAME, shape, warnings)?;
     let moments = moments.axes(NAME)?;
     let trajectories = whisker_meta::trajectories(NAME, trajectory)?;
-    let length_mm = whisker_checks::length_mm(&whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let path = folder.join(name);
-        let table = read_readings(&path, name)?;
-        let table =
-            whisker::read_rows(&table, &mut fbg, &trajectories, ColumnRequirement::Session)?;
-        // A factor of 1000 is named as such before it is called out of reach.
-        whisker_checks::check_stage(&table.rows, &trajectories, warnings)?;
-        whisker_checks::check_reach(&table.rows, length_mm)?;
-        inputs.push(InputFile {
-            purpose,
-            ..table.input
-        });
+        let table = read_readings(&folder.join(name), name)?;
+        inputs.push(table.input(purpose));
+        let table = whisker::read_rows(&table, &mut fbg, Some(&trajectories))?;
+        whisker_checks::check(&table.rows, &whisker.rest_shape, &trajectories, warnings)?;
         warnings.extend(table.warnings);
         Ok(table.rows)
     };
@@ -428,18 +412,16 @@ fn load_transducer(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(TransducerData, Sealed<TransducerRow>), SessionError> {
-    let Document {
-        files, transducer, ..
-    } = document;
-    let TransducerSection {
-        stimulus_unit,
-        response_unit,
-        model,
-        deviation,
-    } = transducer.ok_or_else(|| no_section("transducer"))?;
+    let files = document.files;
+    let data = match document.kind {
+        SessionKind::Axis => TransducerData::axis(Vec::new()),
+        _ => document
+            .transducer
+            .ok_or_else(|| no_section("transducer"))?,
+    };
     for (key, unit) in [
-        ("stimulus_unit", &stimulus_unit),
-        ("response_unit", &response_unit),
+        ("stimulus_unit", &data.stimulus_unit),
+        ("response_unit", &data.response_unit),
     ] {
         if unit.trim().is_empty() {
             let field = format!("transducer.{key}");
@@ -448,30 +430,25 @@ fn load_transducer(
                 .into());
         }
     }
-    let table = read_readings(&folder.join(&files.points), &files.points)?;
-    let table = transducer::read_rows(&table, Purpose::Fit, warnings)?;
-    inputs.push(table.input);
-    let (mut rows, covariates) = (table.rows, table.covariates);
+    let mut read = |name: &str, purpose: Purpose| -> Result<_, SessionError> {
+        let table = read_readings(&folder.join(name), name)?;
+        inputs.push(table.input(purpose));
+        Ok(transducer::read_rows(&table, data.model, warnings)?)
+    };
+    let (mut rows, covariates) = read(&files.points, Purpose::Fit)?;
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        let table = read_readings(&folder.join(name), name)?;
-        let sealed = transducer::read_rows(&table, Purpose::Holdout, warnings)?;
-        check_covariates(name, &covariates, &sealed.covariates)?;
-        inputs.push(sealed.input);
-        holdout.extend(sealed.rows);
+        let (sealed, others) = read(name, Purpose::Holdout)?;
+        check_covariates(name, &covariates, &others)?;
+        holdout.extend(sealed);
     }
     require_unsealed(&files.points, rows.len())?;
-    Ok((
-        TransducerData {
-            stimulus_unit,
-            response_unit,
-            model,
-            deviation,
-            covariates,
-            rows,
-        },
-        holdout,
-    ))
+    let data = TransducerData {
+        covariates,
+        rows,
+        ..data
+    };
+    Ok((data, holdout))
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.
@@ -496,27 +473,6 @@ pub(crate) fn check_covariates(
         list(holdout),
     )
     .at(1))
-}
-
-fn load_axis(
-    folder: &Path,
-    files: &Files,
-    inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<(AxisData, Sealed<AxisRow>), SessionError> {
-    let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) =
-            axis::read_rows(&read_readings(&folder.join(name), name)?, purpose, warnings)?;
-        inputs.push(input);
-        Ok(rows)
-    };
-    let mut rows = read(&files.points, Purpose::Fit)?;
-    let mut holdout = seal(&mut rows, |r| r.role);
-    if let Some(name) = &files.holdout {
-        holdout.extend(read(name, Purpose::Holdout)?);
-    }
-    require_unsealed(&files.points, rows.len())?;
-    Ok((AxisData { rows }, holdout))
 }
 
 /// Takes the rows with the role "holdout" out of a points table.

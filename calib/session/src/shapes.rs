@@ -36,18 +36,6 @@ const MAX_DERIVATIVE: f64 = 1e7;
 /// Relative size of a negative eigenvalue that is rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// What a session says of the cameras and the rig that its shapes must come from; none where it
-/// does not say.
-#[derive(Debug, Default)]
-pub(crate) struct Expected {
-    /// Identifier of the session.
-    pub session: String,
-    /// `cameras_sha256` of `[provenance]`.
-    pub cameras_sha256: Option<String>,
-    /// `shapes_rig_sha256` of `[provenance]`.
-    pub rig_sha256: Option<String>,
-}
-
 /// shapes.json, each pair read by itself so that a damaged one does not take the others with it.
 #[derive(Deserialize)]
 struct Shapes {
@@ -96,18 +84,19 @@ pub(crate) fn in_words(left_out: &[PairLeftOut]) -> String {
     )
 }
 
-/// Reads the shapes and gives each usable pair to its row.
+/// Reads the shapes and gives each usable pair to its row. `expected`: what the session says of the
+/// cameras and the rig that they must come from; empty where it does not say.
 ///
 /// # Errors
 /// Where the file cannot be read or is no shapes.json.
 pub(crate) fn read(
     path: &Path,
     name: &str,
-    expected: &Expected,
+    expected: &ShapesSource,
     rows: &mut [WhiskerRow],
     purpose: Purpose,
 ) -> Result<(SessionShapes, InputFile), SessionError> {
-    let io = |e| SessionError::io("reading", path, e);
+    let io = |e| SessionError::io(path, e);
     let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(io)?;
     let document = parsed(name, &bytes)?;
     let covariance: Vec<Vec<f64>> = document
@@ -122,18 +111,11 @@ pub(crate) fn read(
         .enumerate()
         .map(|(k, row)| (row.point, k))
         .collect();
-    let mut left_out = Vec::new();
+    let (shared, mut left_out) = (document.shared_parameters.len(), Vec::new());
     for pair in document.pairs {
-        let pair = match (pair.0, &all) {
-            (Ok(pair), None) => pair,
-            (Ok(pair), Some(why)) => {
-                left_out.push(PairLeftOut {
-                    name: pair.name,
-                    why: why.clone(),
-                });
-                continue;
-            }
-            (Err(damaged), _) => {
+        let pair = match pair.0 {
+            Ok(pair) => pair,
+            Err(damaged) => {
                 left_out.push(damaged);
                 continue;
             }
@@ -141,19 +123,17 @@ pub(crate) fn read(
         let place = pair.point.and_then(|point| by_point.get(&point).copied());
         // At rest the wire is free: such a pair says nothing of a contact, and nothing is wrong
         // with it.
-        if place.is_some_and(|k| rows[k].role == Role::Rest) {
+        if all.is_none() && place.is_some_and(|k| rows[k].role == Role::Rest) {
             continue;
         }
-        let taken = place.is_some_and(|k| rows[k].pair.is_some());
-        let why = match (unusable(&pair, document.shared_parameters.len()), place) {
-            (Some(why), _) => Some(why),
-            (None, None) => Some(match pair.point {
-                Some(point) => format!("its point {point} is not in the points table"),
-                None => "it names no point of the session".to_owned(),
-            }),
-            (None, Some(_)) => taken.then(|| "another pair has its point already".to_owned()),
+        let misplaced = || match (place, pair.point) {
+            (Some(k), _) if rows[k].pair.is_none() => None,
+            (Some(_), _) => Some("another pair has its point already".to_owned()),
+            (None, Some(point)) => Some(format!("its point {point} is not in the points table")),
+            (None, None) => Some("it names no point of the session".to_owned()),
         };
-        match (why, place) {
+        let why = all.clone().or_else(|| unusable(&pair, shared));
+        match (why.or_else(misplaced), place) {
             (None, Some(k)) => rows[k].pair = Some(Arc::new(pair)),
             (why, _) => left_out.push(PairLeftOut {
                 name: pair.name,
@@ -199,25 +179,27 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
 }
 
 /// Why none of the pairs belongs to this session; none where they may.
-fn foreign(source: &ShapesSource, expected: &Expected) -> Option<String> {
-    if let Some(other) = source.session.as_ref().filter(|s| **s != expected.session) {
+fn foreign(source: &ShapesSource, expected: &ShapesSource) -> Option<String> {
+    if let (Some(other), Some(own)) = (&source.session, &expected.session)
+        && other != own
+    {
         return Some(format!(
             "the pictures are those of session {}, not of {}",
             quote(other),
-            quote(&expected.session)
+            quote(own)
         ));
     }
-    let differs = |stated: &str, wanted: &Option<String>| {
-        !stated.is_empty() && wanted.as_ref().is_some_and(|w| w != stated)
-    };
-    if differs(&source.cameras_sha256, &expected.cameras_sha256) {
-        return Some(
-            "the shapes were made with another calibration of the cameras than the session states"
-                .to_owned(),
-        );
-    }
-    differs(&source.rig_sha256, &expected.rig_sha256)
-        .then(|| "the shapes were made with another rig than the session states".to_owned())
+    let made = [
+        (
+            "another calibration of the cameras",
+            &source.cameras_sha256,
+            &expected.cameras_sha256,
+        ),
+        ("another rig", &source.rig_sha256, &expected.rig_sha256),
+    ];
+    made.into_iter()
+        .find(|(_, stated, wanted)| !stated.is_empty() && !wanted.is_empty() && stated != wanted)
+        .map(|(what, ..)| format!("the shapes were made with {what} than the session states"))
 }
 
 /// Why the covariance of the shared errors is none; none where it is one.
@@ -239,12 +221,11 @@ fn no_covariance(covariance: &[Vec<f64>], shared: usize) -> Option<String> {
 /// Why a pair cannot be used with the wavelengths; none where it can.
 fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
     if pair.status != "ok" {
-        let unsaid = pair.why.is_empty();
-        return Some(if unsaid {
-            "stereo-shape rejected it".to_owned()
-        } else {
-            pair.why.clone()
-        });
+        let why = match pair.why.as_str() {
+            "" => "stereo-shape rejected it",
+            why => why,
+        };
+        return Some(why.to_owned());
     }
     let Some(groove) = &pair.groove else {
         return Some("the rig tag is not seen".to_owned());
@@ -267,7 +248,7 @@ fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
 
 /// A coordinate or a standard deviation that can be true.
 fn sensible(v: &f64) -> bool {
-    v.is_finite() && v.abs() <= MAX_MM
+    v.abs() <= MAX_MM
 }
 
 /// What is wrong with the groove's numbers; none where nothing is.
@@ -329,7 +310,7 @@ fn inconsistent(pair: &PairDocument, errors: &PairErrors, shared: usize) -> Opti
             .flatten()
             .chain(&c.groove_mm)
             .chain([&c.contact_arclength_mm]);
-        lengths && numbers.all(|v| v.is_finite() && v.abs() <= most)
+        lengths && numbers.all(|v| v.abs() <= most)
     };
     let own = errors.own.iter().all(|c| whole(c, MAX_MM));
     let derivatives = errors.shared.iter().all(|c| whole(c, MAX_DERIVATIVE));

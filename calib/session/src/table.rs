@@ -83,7 +83,7 @@ pub struct TextTable {
 /// from the header's.
 pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
     let file = path.display().to_string();
-    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
+    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
     let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, &bytes, other))?;
     if text.contains('\r') && !text.contains('\n') {
         text = text.replace('\r', "\n");
@@ -106,7 +106,7 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
         std::io::ErrorKind::NotFound => {
             InputError::new(name, "a file in the session's folder", "no such file").into()
         }
-        _ => SessionError::io("reading", path, e),
+        _ => SessionError::io(path, e),
     })?;
     let way_out = |error: InputError| error.hint("wcal import reads it as it is");
     let text = utf8(&bytes).map_err(|other| {

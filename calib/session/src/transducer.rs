@@ -1,64 +1,53 @@
-//! Sessions of kind "transducer": one stimulus, one response.
+//! Sessions of kind "transducer" and "axis": one stimulus, one response.
 
+use crate::axis::unit_mismatch;
 use crate::error::InputError;
 use crate::row::{PointNumbers, Row, clock_problem};
 use crate::screening::{contradiction, copied, exchanged, overflow};
 use crate::table::TextTable;
 use crate::warning::SessionWarning;
-use serde::Deserialize;
+use crate::whisker::unknown_columns;
 use wcal_core::text::brief;
-use wcal_core::{InputFile, Purpose, TransducerModel, TransducerRow};
+use wcal_core::{TransducerModel, TransducerRow};
 
-/// `[transducer]`.
-#[derive(Deserialize)]
-pub(crate) struct TransducerSection {
-    pub(crate) stimulus_unit: String,
-    pub(crate) response_unit: String,
-    pub(crate) model: TransducerModel,
-    #[serde(default)]
-    pub(crate) deviation: bool,
-}
-
-/// Rows, names of the covariates, the file's hash.
-pub(crate) struct TransducerTable {
-    pub(crate) rows: Vec<TransducerRow>,
-    pub(crate) covariates: Vec<String>,
-    pub(crate) input: InputFile,
-}
-
-/// Reads the rows of a table. Columns beyond the known ones are covariates when their first cell is
-/// a number.
+/// Reads the rows of a table, and names its covariates: of a transducer columns beyond the known
+/// ones whose first cell is a number.
 pub(crate) fn read_rows(
     table: &TextTable,
-    purpose: Purpose,
+    model: TransducerModel,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<TransducerTable, InputError> {
-    let name = &table.file;
+) -> Result<(Vec<TransducerRow>, Vec<String>), InputError> {
+    let (name, axis) = (&table.file, model == TransducerModel::Axis);
+    let [set, read] = model.columns();
+    // The repetition of a stroke is its cycle.
     let group = table.group();
-    let required = ["point", "role", "stimulus", "response"];
-    let known = [
-        &["stimulus_sd", "t_s", "temperature_degc", "direction"][..],
-        &group,
-    ]
-    .concat();
-    let others = table.others(&required, &known)?;
+    let mut known = [&["t_s", "temperature_degc", "direction"][..], &group].concat();
+    known.extend((!axis).then_some("stimulus_sd"));
+    let others = table.others(&["point", "role", set, read], &known)?;
     let (covariates, without): (Vec<String>, Vec<String>) = others
         .into_iter()
-        .partition(|column| matches!(Row::new(table, 0).number(column), Ok(Some(_))));
-    let without = without
-        .iter()
-        .map(|column| format!("column {} holds no numbers and is not used", brief(column)));
-    warnings.extend(without.map(|text| SessionWarning::other(name, text)));
+        .partition(|c| !axis && matches!(Row::new(table, 0).number(c), Ok(Some(_))));
+    if axis {
+        warnings.extend(unknown_columns(name, without));
+    } else {
+        warnings.extend(without.iter().map(|column| {
+            let text = format!("column {} holds no numbers and is not used", brief(column));
+            SessionWarning::other(name, text)
+        }));
+    }
     let mut points = PointNumbers::default();
     Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
-    let read: Vec<&str> = ["response", "temperature_degc"]
-        .into_iter()
-        .chain(covariates.iter().map(String::as_str))
-        .collect();
-    exchanged(table, ["stimulus", "response"])?;
-    warnings.extend(overflow(table, [&["stimulus"], &read], &mut out)?);
-    warnings.extend(copied(table, Some("response"), &mut out)?);
+    exchanged(table, [set, read])?;
+    // A column that holds something else is named as that before its single values are judged.
+    if axis {
+        let rows = Row::all(table).map(|row| Ok([row.required(set)?, row.required(read)?]));
+        unit_mismatch(name, &rows.collect::<Result<Vec<_>, InputError>>()?)?;
+    }
+    let mut sensed = vec![read, "temperature_degc"];
+    sensed.extend(covariates.iter().map(String::as_str));
+    warnings.extend(overflow(table, [&[set], &sensed], &mut out)?);
+    warnings.extend(copied(table, Some(read), &mut out)?);
     let mut rows = Vec::new();
     for row in Row::all(table).filter(|row| !out[row.index]) {
         let covariate = |column: &String| {
@@ -66,13 +55,13 @@ pub(crate) fn read_rows(
             row.number(column)?.ok_or_else(missing)
         };
         rows.push(TransducerRow {
-            source: name.to_owned(),
+            source: name.clone(),
             line: row.line,
             point: row.point()?,
             role: row.role()?,
-            stimulus: row.required("stimulus")?,
-            stimulus_sd: row.not_negative("stimulus_sd")?,
-            response: row.required("response")?,
+            stimulus: row.required(set)?,
+            stimulus_sd: row.not_negative("stimulus_sd")?.filter(|_| !axis),
+            response: row.required(read)?,
             t_s: row.number("t_s")?,
             temperature_degc: row.temperature()?,
             direction: row.sign("direction")?,
@@ -83,16 +72,8 @@ pub(crate) fn read_rows(
                 .collect::<Result<_, InputError>>()?,
         });
     }
-    let steps: Vec<_> = rows
-        .iter()
-        .map(|r| (r.line, r.stimulus, r.t_s, r.direction))
-        .collect();
-    contradiction(name, "stimulus", &steps)?;
+    contradiction(name, set, &rows)?;
     warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
     warnings.extend(table.warning());
-    Ok(TransducerTable {
-        rows,
-        covariates,
-        input: table.input(purpose),
-    })
+    Ok((rows, covariates))
 }

@@ -24,7 +24,8 @@ pub enum WarningKind {
     ClockProblem,
     /// Rows are left out of the table; their points.
     LeftOut(Vec<i64>),
-    /// The file ends within its last row, where a copy that was cut off would.
+    /// The file ends within its last row, where a copy that was cut off would; many programs write
+    /// no line end after it, so no result is doubted for that.
     OpenEnd,
     /// A column that no reader knows.
     UnknownColumn(String),
@@ -33,7 +34,8 @@ pub enum WarningKind {
     /// Points left out: the stage moved in their averaging windows, or stood where it had not been
     /// sent.
     StageMoved,
-    /// A grating reads the same in every row while another grating changes.
+    /// A grating reads the same in every row while another grating changes: what follows from its
+    /// readings means nothing.
     Stuck,
     /// Anything else.
     Other,
@@ -67,31 +69,6 @@ impl SessionWarning {
     pub(crate) fn other(file: &str, text: impl Into<String>) -> Self {
         Self::new(file, WarningKind::Other, text)
     }
-
-    /// Whether it says that a grating does not respond: what follows from its readings means
-    /// nothing.
-    pub fn is_stuck(&self) -> bool {
-        self.kind == WarningKind::Stuck
-    }
-
-    /// Whether it is said and no more: many programs write no line end after the last row.
-    pub fn is_remark(&self) -> bool {
-        self.kind == WarningKind::OpenEnd
-    }
-
-    /// Whether it says that time runs backwards.
-    pub fn is_clock_problem(&self) -> bool {
-        self.kind == WarningKind::ClockProblem
-    }
-
-    /// Points of rows that were left out of the table.
-    pub(crate) fn left_out(&self) -> &[i64] {
-        if let WarningKind::LeftOut(points) = &self.kind {
-            points
-        } else {
-            &[]
-        }
-    }
 }
 
 /// As a sentence.
@@ -103,10 +80,9 @@ impl Serialize for SessionWarning {
 
 impl fmt::Display for SessionWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let head = if self.is_clock_problem() {
-            "clock_problem: "
-        } else {
-            ""
+        let head = match self.kind {
+            WarningKind::ClockProblem => "clock_problem: ",
+            _ => "",
         };
         write!(
             f,

@@ -15,24 +15,13 @@ use wcal_core::{FbgSpec, InputFile, Purpose, Role, Trajectory, TwinLabel, Whiske
 
 /// No strain within the fibre's limit shifts a grating further than this, nm.
 const LARGEST_SHIFT_NM: f64 = 20.0;
-const PM_PER_NM: f64 = 1000.0;
-
-/// What a table must hold.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum ColumnRequirement {
-    /// Role, trajectory and groove as in a session.
-    Session,
-    /// Wavelengths are enough.
-    Readings,
-}
+pub(crate) const PM_PER_NM: f64 = 1000.0;
 
 /// Readings with what was noticed while reading them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReadingTable {
     /// Rows in file order.
     pub rows: Vec<WhiskerRow>,
-    /// The file and its hash.
-    pub input: InputFile,
     /// What deserves attention.
     pub warnings: Vec<SessionWarning>,
 }
@@ -44,12 +33,7 @@ pub struct ReadingTable {
 /// As [`crate::load`]: the first cell that cannot be used.
 pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
     let table = read_own(path, &path.display().to_string())?;
-    Ok(read_rows(
-        &table,
-        &mut fbg.clone(),
-        &[],
-        ColumnRequirement::Readings,
-    )?)
+    Ok(read_rows(&table, &mut fbg.clone(), None)?)
 }
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their
@@ -93,16 +77,16 @@ pub const IN_SESSION: [&str; 6] = [
 const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
 const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];
 
-/// Reads the rows of a table of readings. A missing `reference_nominal_nm` is set from the first
+/// Reads the rows of a table of readings: of a session with role, one of its `trajectories` and
+/// groove, else wavelengths are enough. A missing `reference_nominal_nm` is set from the first
 /// reading (its offset is part of the zero).
 pub(crate) fn read_rows(
     table: &TextTable,
     fbg: &mut FbgSpec,
-    trajectories: &[Trajectory],
-    requirement: ColumnRequirement,
+    trajectories: Option<&[Trajectory]>,
 ) -> Result<ReadingTable, InputError> {
     let name = &table.file;
-    let in_session = requirement == ColumnRequirement::Session;
+    let in_session = trajectories.is_some();
     let shifts = SHIFTS[..2]
         .iter()
         .all(|column| table.place(column).is_some());
@@ -144,7 +128,6 @@ pub(crate) fn read_rows(
     if in_session {
         warnings.extend(copied(table, None, &mut out)?);
     }
-    let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut rows) = (PointNumbers::default(), Vec::new());
     for row in Row::all(table) {
         // The number of a copy was noted with the row that it copies.
@@ -154,7 +137,7 @@ pub(crate) fn read_rows(
         if out[row.index] {
             continue;
         }
-        let reading = read_row(&row, gratings, fbg, &known, requirement)?;
+        let reading = read_row(&row, gratings, fbg, trajectories)?;
         if in_session {
             match row.stream()? {
                 "lost" => lost.push(reading.point),
@@ -191,11 +174,7 @@ pub(crate) fn read_rows(
     }));
     warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
     warnings.extend(table.warning());
-    Ok(ReadingTable {
-        rows,
-        input: table.input(Purpose::Description),
-        warnings,
-    })
+    Ok(ReadingTable { rows, warnings })
 }
 
 /// Readings of a table that a grating at work does not repeat to the last digit.
@@ -236,10 +215,8 @@ fn read_row(
     row: &Row<'_>,
     gratings: [&str; 3],
     fbg: &mut FbgSpec,
-    known: &HashSet<u32>,
-    requirement: ColumnRequirement,
+    trajectories: Option<&[Trajectory]>,
 ) -> Result<WhiskerRow, InputError> {
-    let in_session = requirement == ColumnRequirement::Session;
     let role = if row.table.place("role").is_some() {
         row.role()?
     } else {
@@ -247,8 +224,8 @@ fn read_row(
     };
     let mut trajectory = row.count("trajectory", 0)?;
     let groove_mm = groove(row)?;
-    if in_session {
-        let is_known = trajectory.is_some_and(|id| known.contains(&id));
+    if let Some(known) = trajectories {
+        let is_known = known.iter().any(|t| trajectory == Some(t.id));
         if role == Role::Rest {
             trajectory = trajectory.filter(|_| is_known);
         } else if !is_known {
@@ -403,7 +380,11 @@ pub(crate) fn read_twin(
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
     let left_out: HashSet<i64> = warnings
         .iter()
-        .flat_map(SessionWarning::left_out)
+        .filter_map(|warning| match &warning.kind {
+            WarningKind::LeftOut(points) => Some(points),
+            _ => None,
+        })
+        .flatten()
         .copied()
         .collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());

@@ -12,15 +12,27 @@ const AGREEMENT_MM: f64 = 0.05;
 const UNIT_RATIO_TOLERANCE: f64 = 0.02;
 
 /// Length of the wire, mm.
-pub(crate) fn length_mm(shape: &RestShape) -> f64 {
+fn length_mm(shape: &RestShape) -> f64 {
     match shape {
         RestShape::StraightArc { length_mm, .. } => *length_mm,
         RestShape::Polyline(points) => points.windows(2).map(|w| (w[1] - w[0]).norm()).sum(),
     }
 }
 
+/// Checks rows against the stage's way and the wire's reach.
+pub(crate) fn check(
+    rows: &[WhiskerRow],
+    shape: &RestShape,
+    trajectories: &[Trajectory],
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<(), InputError> {
+    // A factor of 1000 is named as such before it is called out of reach.
+    check_stage(rows, trajectories, warnings)?;
+    check_reach(rows, length_mm(shape))
+}
+
 /// Every pose that is pressed must lie within the wire's length of its root.
-pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), InputError> {
+fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), InputError> {
     for row in rows.iter().filter(|r| r.role != Role::Rest) {
         let Some(groove) = row.groove_mm else {
             continue;
@@ -43,7 +55,7 @@ pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), Inp
 
 /// Compares groove with origin + stage * direction. A disagreement is a warning, unless it is a
 /// factor of 1000.
-pub(crate) fn check_stage(
+fn check_stage(
     rows: &[WhiskerRow],
     trajectories: &[Trajectory],
     warnings: &mut Vec<SessionWarning>,

@@ -13,7 +13,7 @@ use clap::Args;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal::output::{OutputFolder, Overwrite, ResultKind, unsaid, within};
+use wcal::output::{OutputFolder, Overwrite, ResultKind, within};
 use wcal::picture_output::provenance;
 use wcal::progress::Progress;
 use wcal::track::filters_for;
@@ -57,15 +57,8 @@ pub struct EvaluateArgs {
     pub json: bool,
 }
 
-const RESULT: ResultKind<'_> = ResultKind {
-    command: "evaluate",
-    document: "evaluation.json",
-    format_prefix: "wcal-evaluation/",
-    files: &[],
-    kept: &[],
-    resumes: false,
-    made_of: unsaid,
-};
+const RESULT: ResultKind<'_> =
+    ResultKind::new("evaluate", "evaluation.json", "wcal-evaluation/", &[]);
 /// Runs the command.
 ///
 /// # Errors

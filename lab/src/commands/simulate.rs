@@ -13,19 +13,15 @@ pub use inputs::whisker;
 pub use order::Order;
 pub use slurm::SlurmArgs;
 use std::process::ExitCode;
-use wcal::output::{ResultKind, unsaid, within};
+use wcal::output::{ResultKind, within};
 use wcal::progress::Progress;
 use wcal_lab_sweeps::SweepPlan;
 
 /// Shards and what lies beside them; a second run goes on with them.
 const RESULT: ResultKind<'_> = ResultKind {
-    command: "simulate",
-    document: "*.json",
-    format_prefix: "\"wcal-sweep",
-    files: &["*.parquet"],
     kept: &["convex", "slurm"],
     resumes: true,
-    made_of: unsaid,
+    ..ResultKind::new("simulate", "*.json", "\"wcal-sweep", &["*.parquet"])
 };
 
 /// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds

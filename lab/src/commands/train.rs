@@ -12,18 +12,14 @@ pub use arguments::TrainArgs;
 use burn::tensor::Device;
 use std::process::ExitCode;
 use sweeps::Sweeps;
-use wcal::output::{ResultKind, unsaid};
+use wcal::output::ResultKind;
 use wcal::progress::Progress;
 
 /// A model, and what a second run goes on from.
 const RESULT: ResultKind<'_> = ResultKind {
-    command: "train",
-    document: "model.json",
-    format_prefix: "wcal-model/",
-    files: &["model.safetensors"],
     kept: &["checkpoint", "sweeps"],
     resumes: true,
-    made_of: unsaid,
+    ..ResultKind::new("train", "model.json", "wcal-model/", &["model.safetensors"])
 };
 
 /// Runs the command.

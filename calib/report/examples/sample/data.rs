@@ -65,7 +65,6 @@ pub(crate) fn transducer() -> ReportInput {
     verify.after = Some(error(2.12e-4));
     let mut noise = Noise(3);
     let mut input = ReportInput::new(verify, provenance("sample-transducer"));
-    input.title = "Load cell, straight line declared".into();
     input.simulated_by = Some(SAMPLE.into());
     input.residuals = (0..40)
         .map(|k| {
@@ -121,7 +120,6 @@ pub(crate) fn axis() -> ReportInput {
     verify.after = Some(error);
     let mut noise = Noise(5);
     let mut input = ReportInput::new(verify, provenance("sample-axis"));
-    input.title = "Stage, 6000 positions".into();
     input.simulated_by = Some(SAMPLE.into());
     input.residuals = (0..6000)
         .map(|k| {

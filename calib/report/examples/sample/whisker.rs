@@ -91,7 +91,6 @@ pub(crate) fn whisker() -> ReportInput {
         "2 readings rejected as slips".into(),
     ];
     let mut input = ReportInput::new(verify, provenance("sample-whisker"));
-    input.title = "Whisker 3, 27 poses with return strokes".into();
     input.simulated_by = Some(SAMPLE.into());
     input.facts = vec![
         Fact::new("wire", "NiTi, 0.3 mm, 60 mm"),
@@ -102,10 +101,10 @@ pub(crate) fn whisker() -> ReportInput {
     ];
     input.residuals = whisker_residuals();
     input.twin = (1..=9).map(twin).collect();
-    input.further_errors = vec![NamedError {
-        name: "black-box GP (rival)".into(),
-        error: whisker_error(0.911, [0.80, 1.03], 0.0131, [0.0110, 0.0152]),
-    }];
+    input.further_errors = vec![(
+        "black-box GP (rival)".into(),
+        whisker_error(0.911, [0.80, 1.03], 0.0131, [0.0110, 0.0152]),
+    )];
     tracing(&mut input);
     input
 }
@@ -159,7 +158,6 @@ fn tracing(input: &mut ReportInput) {
         row(&["hysteresis"], "play operators", 789.6, -11.2, 0.0005),
         row(&[], "", 0.0, -406.0, 0.0005),
     ];
-    input.versions = vec![Fact::new("rustc", "1.95.0")];
 }
 
 fn twin(id: u32) -> TwinTrajectory {

@@ -60,8 +60,6 @@ pub(crate) enum Layer {
     VerticalRule {
         /// Value of x.
         at: f64,
-        /// Hover text; may be empty.
-        label: String,
     },
 }
 

@@ -1,6 +1,6 @@
 //! Held-out errors, what the model after says of them, and the noise floor: table and picture.
 
-use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
+use crate::input::{MOMENT_NAMES, ReportInput};
 use crate::markup::{Table, TableCell, escape, with_sign};
 use crate::number::{NOT_AVAILABLE, join_unit, number, p_value, percent, with_interval};
 use crate::plot::{Axis, Layer, Marker, Plot, svg};
@@ -62,7 +62,7 @@ fn models(input: &ReportInput) -> Vec<Model<'_>> {
     let further = input
         .further_errors
         .iter()
-        .map(|e| model(&e.name, "s3", &e.error));
+        .map(|(name, e)| model(name, "s3", e));
     before.chain(after).chain(further).collect()
 }
 
@@ -440,9 +440,8 @@ fn rows_chart(
         .enumerate()
         .map(|(k, row)| (place(k), row.name.clone()))
         .collect();
-    let word = String::new();
     let mut layers: Vec<Layer> = rule
-        .map(|at| Layer::VerticalRule { at, label: word })
+        .map(|at| Layer::VerticalRule { at })
         .into_iter()
         .collect();
     for (k, row) in rows.iter().enumerate() {
@@ -525,15 +524,15 @@ const NAME: usize = 32;
 
 /// Every session's error after over its error before, in one picture: sessions of any unit side by
 /// side.
-pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
-    let row = |entry: &IndexEntry| {
-        let key = summary_key(&entry.verify)?;
+pub(crate) fn overview_figure(reports: &[(String, ReportInput)]) -> String {
+    let row = |(_, ReportInput { verify, .. }): &(String, ReportInput)| {
+        let key = summary_key(verify)?;
         let of = |error: &Option<HeldOutError>| error.as_ref()?.rmse.get(key).copied();
-        let (before, after) = (of(&entry.verify.before)?, of(&entry.verify.after)?);
+        let (before, after) = (of(&verify.before)?, of(&verify.after)?);
         let within = |share: &f64| *share > 0.0 && share.is_finite();
         let value = Some(after / before).filter(within)?;
-        let expected = expected(&entry.verify, key);
-        let (mark, class) = if entry.verify.simulated {
+        let expected = expected(verify, key);
+        let (mark, class) = if verify.simulated {
             (" (SIMULATED)", "s4")
         } else {
             ("", "s1")
@@ -541,7 +540,7 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
         Some(Row {
             name: format!(
                 "{}{mark}",
-                entry.title.chars().take(NAME).collect::<String>()
+                verify.session.chars().take(NAME).collect::<String>()
             ),
             class,
             value,
@@ -549,7 +548,7 @@ pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
             other: expected.map(|e| e / before).filter(within),
         })
     };
-    let rows: Vec<Row> = entries.iter().filter_map(row).collect();
+    let rows: Vec<Row> = reports.iter().filter_map(row).collect();
     if rows.is_empty() {
         return String::new();
     }
@@ -578,11 +577,12 @@ fn summary_key(verify: &VerifyDocument) -> Option<&String> {
 }
 
 /// One line for the overview: quantity, before, after and expected with their unit.
-pub(crate) fn summary(verify: &VerifyDocument, response_unit: &str) -> Option<[String; 4]> {
+pub(crate) fn summary(input: &ReportInput) -> Option<[String; 4]> {
+    let verify = &input.verify;
     let before = verify.before.as_ref()?;
     let after = verify.after.as_ref()?;
     let key = summary_key(verify)?;
-    let (name, unit, _) = describe(key, &verify.noise_floor, response_unit);
+    let (name, unit, _) = describe(key, &verify.noise_floor, input.response_unit());
     let text = |error: &HeldOutError| error.rmse.get(key).map(|v| join_unit(&number(*v), &unit));
     let expected = expected(verify, key).map_or("unknown".into(), |v| join_unit(&number(v), &unit));
     Some([name, text(before)?, text(after)?, expected])

@@ -18,9 +18,6 @@ pub(super) fn body(input: &ReportInput) -> String {
         facts.row(["seed of verify".into(), input.verify.seed.to_string()]);
     }
     facts.row(["result format".into(), input.verify.format.clone()]);
-    for fact in &input.versions {
-        facts.row([fact.name.clone(), fact.value.clone()]);
-    }
     let mut files = Table::new("Files read", &["file", "SHA-256"]);
     let own = input
         .verify

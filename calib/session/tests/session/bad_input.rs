@@ -4,7 +4,9 @@ use crate::broken::{Base, TABLE, WHISKER_POINTS};
 use std::fs;
 use std::path::Path;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
-use wcal_session::{LoadedSession, add_session, attach_holdout, examine, load, load_table};
+use wcal_session::{
+    LoadedSession, WarningKind, add_session, attach_holdout, examine, load, load_table,
+};
 
 #[test]
 fn good_sessions_load_without_warnings() {
@@ -151,7 +153,7 @@ fn time_that_runs_backwards_is_a_clock_problem_not_an_error() {
     let warning = session
         .warnings
         .iter()
-        .find(|w| w.is_clock_problem())
+        .find(|w| w.kind == WarningKind::ClockProblem)
         .unwrap()
         .to_string();
     assert!(
@@ -375,7 +377,6 @@ fn every_session_among_the_fixtures_loads() {
         let found = match &session.data {
             SessionData::Whisker(d) => d.rows.len(),
             SessionData::Transducer(d) => d.rows.len(),
-            SessionData::Axis(d) => d.rows.len(),
         };
         assert_eq!((found, session.sealed.len()), (rows, holdout), "{name}");
         assert!(

@@ -1,35 +1,7 @@
-//! Files and sessions are written whole or not at all.
+//! Foreign tables are read by their layout.
 
 use std::fs;
-use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
-
-const TOML: &str = "format = \"wcal-session/1\"\nid = \"t\"\nkind = \"transducer\"\n[files]\npoints = \"points.csv\"\n\
-    [transducer]\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\nmodel = \"linear\"\n";
-
-fn session(points: &str) -> SessionFiles {
-    SessionFiles {
-        session_toml: TOML.to_owned(),
-        tables: vec![("points.csv".to_owned(), points.as_bytes().to_vec())],
-    }
-}
-
-#[test]
-fn a_session_that_does_not_load_is_not_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("s");
-    let error = write_session(
-        &out,
-        &session("point,role,stimulus,response\n1,calibration,1,x\n"),
-    )
-    .unwrap_err();
-    assert!(error.to_string().contains("response"), "{error}");
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
-    let good = session("point,role,stimulus,response\n1,calibration,1,2\n");
-    assert_eq!(write_session(&out, &good).unwrap().folder, out);
-    let error = write_session(&out, &good).unwrap_err().to_string();
-    assert!(error.contains("does not exist yet"), "{error}");
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-}
+use wcal_session::{Separator, TextTableLayout, read_text_table};
 
 #[test]
 fn foreign_tables_are_read_by_their_layout() {

@@ -9,13 +9,11 @@ use super::Noise;
 use super::whisker_stages::data;
 use std::f64::consts::TAU;
 use wcal_core::Sealed;
-use wcal_core::observation::{
-    AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow, WhiskerData,
-};
+use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow, WhiskerData};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
 use wcal_verify::levels::NORMAL_95;
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 use wcal_verify::whisker::{Verified, verify_whisker};
 
@@ -161,7 +159,7 @@ fn request() -> VerifyRequest {
     }
 }
 
-fn scalar(data: ScalarData<'_>) -> ScalarVerification {
+fn scalar(data: &TransducerData) -> ScalarVerification {
     verify_scalar("simulated", data, Sealed::default(), &request()).unwrap()
 }
 
@@ -211,7 +209,7 @@ fn transducer() -> TransducerData {
 fn of_transducer(change: Change, make: impl Fn(&mut TransducerData)) -> Answer {
     let mut data = transducer();
     make(&mut data);
-    let v = scalar(ScalarData::Transducer(&data));
+    let v = scalar(&data);
     let rows: Vec<_> = v.whole.as_ref().unwrap().frame.rows.clone();
     let at = v.model.as_ref().unwrap().predict(&rows).unwrap();
     Answer::of(&v.document, change)
@@ -219,7 +217,7 @@ fn of_transducer(change: Change, make: impl Fn(&mut TransducerData)) -> Answer {
 }
 
 /// Three strokes either way of a screw with a period, a reversal and a drift.
-fn axis() -> AxisData {
+fn axis() -> TransducerData {
     let mut n = Noise::new(12);
     let row = |k: usize| {
         let (place, up) = (k % 80, k % 80 < 40);
@@ -232,29 +230,29 @@ fn axis() -> AxisData {
         let t_s = 4.0 * k as f64;
         let error_um =
             3.0 * (TAU * x / 24.0).sin() + if up { 0.0 } else { 2.5 } + 0.01 * t_s + 0.2 * n.next();
-        AxisRow {
+        TransducerRow {
             source: "simulated".into(),
             line: k + 2,
             point: k as i64,
             role: Role::Calibration,
-            commanded_mm: x,
-            measured_mm: x + 1e-3 * error_um,
+            stimulus: x,
+            response: x + 1e-3 * error_um,
             t_s: Some(t_s),
             direction: Some(if up { 1.0 } else { -1.0 }),
-            cycle: None,
+            replicate: None,
             temperature_degc: Some(20.0 + 0.03 * n.next()),
+            stimulus_sd: None,
+            covariates: Vec::new(),
         }
     };
-    AxisData {
-        rows: (0..240).map(row).collect(),
-    }
+    TransducerData::axis((0..240).map(row).collect())
 }
 
 /// `sign`: of the positions.
-fn of_axis(change: Change, sign: f64, make: impl Fn(&mut AxisRow)) -> Answer {
+fn of_axis(change: Change, sign: f64, make: impl Fn(&mut TransducerRow)) -> Answer {
     let mut data = axis();
     data.rows.iter_mut().for_each(make);
-    let v = scalar(ScalarData::Axis(&data));
+    let v = scalar(&data);
     let rows: Vec<_> = v.whole.as_ref().unwrap().frame.rows.clone();
     let at = v.model.as_ref().unwrap().predict(&rows).unwrap();
     let Answer(outcome, mut numbers) = Answer::of(&v.document, change);
@@ -400,12 +398,12 @@ fn an_axiss_answer_is_that_of_its_physics() {
     same(
         "unit",
         of_axis(change, 1.0, |r| {
-            (r.commanded_mm, r.measured_mm) = (1e-3 * r.commanded_mm, 1e-3 * r.measured_mm)
+            (r.stimulus, r.response) = (1e-3 * r.stimulus, 1e-3 * r.response)
         }),
     );
     assert!(told.is_empty(), "{told:#?}");
     let turned = of_axis(NONE, -1.0, |r| {
-        (r.commanded_mm, r.measured_mm) = (-r.commanded_mm, -r.measured_mm);
+        (r.stimulus, r.response) = (-r.stimulus, -r.response);
         r.direction = r.direction.map(|d| -d);
     });
     // Of a mirrored axis the names alone: intervals are by differences to one side, draws and folds
@@ -414,7 +412,7 @@ fn an_axiss_answer_is_that_of_its_physics() {
     // Control: one place a micrometre further.
     assert!(
         as_it_is
-            .difference(&of_axis(NONE, 1.0, |r| r.measured_mm +=
+            .difference(&of_axis(NONE, 1.0, |r| r.response +=
                 if r.point == 7 { 1e-3 } else { 0.0 }))
             .is_some()
     );

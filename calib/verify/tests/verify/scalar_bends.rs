@@ -7,7 +7,7 @@ use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// A reading: stimulus, time, series.
@@ -55,13 +55,7 @@ fn run(data: &TransducerData) -> ScalarVerification {
         search,
         ..VerifyRequest::default()
     };
-    verify_scalar(
-        "simulated",
-        ScalarData::Transducer(data),
-        Sealed::default(),
-        &request,
-    )
-    .unwrap()
+    verify_scalar("simulated", data, Sealed::default(), &request).unwrap()
 }
 
 /// `count` places from `low` to `high`, `times` over.

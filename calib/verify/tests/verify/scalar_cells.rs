@@ -4,15 +4,13 @@
 use super::{Noise, names};
 use rayon::prelude::*;
 use wcal_core::Sealed;
-use wcal_core::observation::{
-    AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow,
-};
+use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarRow, ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
-fn run(data: ScalarData, seed: u64) -> ScalarVerification {
+fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
     let options = VerifyRequest {
         search: Options {
             seed,
@@ -31,7 +29,7 @@ fn cycles(
     first: u32,
     count: u32,
     mut error: impl FnMut(usize, usize, f64) -> f64,
-) -> Vec<AxisRow> {
+) -> Vec<TransducerRow> {
     let n = places.len();
     (0..2 * n * count as usize)
         .map(|k| {
@@ -41,24 +39,26 @@ fn cycles(
             } else {
                 (2 * n - 1 - at, -1.0)
             };
-            AxisRow {
+            TransducerRow {
                 source: "simulated".into(),
                 line: k + 2,
                 point: k as i64,
                 role: Role::Calibration,
-                commanded_mm: places[step],
-                measured_mm: places[step] + 1e-3 * error(k, step, way),
+                stimulus: places[step],
+                response: places[step] + 1e-3 * error(k, step, way),
                 t_s: None,
                 direction: None,
-                cycle: Some(first + (k / (2 * n)) as u32),
+                replicate: Some(first + (k / (2 * n)) as u32),
                 temperature_degc: None,
+                stimulus_sd: None,
+                covariates: Vec::new(),
             }
         })
         .collect()
 }
 
-fn axis(rows: Vec<AxisRow>) -> AxisData {
-    AxisData { rows }
+fn axis(rows: Vec<TransducerRow>) -> TransducerData {
+    TransducerData::axis(rows)
 }
 
 fn even(count: usize) -> Vec<f64> {
@@ -66,8 +66,8 @@ fn even(count: usize) -> Vec<f64> {
 }
 
 /// Share of fresh readings inside the stated 95 % intervals.
-fn coverage(v: &ScalarVerification, fresh: &[AxisRow]) -> f64 {
-    let rows: Vec<ScalarRow> = fresh.iter().map(Into::into).collect();
+fn coverage(v: &ScalarVerification, fresh: &[TransducerRow]) -> f64 {
+    let rows: Vec<ScalarRow> = fresh.iter().map(ScalarRow::of_axis).collect();
     let predicted = v.model.as_ref().unwrap().predict(&rows).unwrap();
     let inside = rows
         .iter()
@@ -92,7 +92,7 @@ fn errors_of_places_are_a_table_that_holds_on_further_cycles() {
             };
             let fitted = cycles(&places, 1, 6, &mut error);
             let fresh = cycles(&places, 7, 10, &mut error);
-            let v = run(ScalarData::Axis(&axis(fitted)), seed);
+            let v = run(&axis(fitted), seed);
             let named = names(&v).into_iter().map(str::to_owned).collect();
             let after = v.document.after.as_ref().unwrap().rmse["error_rmse_um"];
             (named, coverage(&v, &fresh), after)
@@ -129,9 +129,7 @@ fn laws_keep_their_names_where_places_repeat() {
                 _ => 0.0,
             };
             let v = run(
-                ScalarData::Axis(&axis(cycles(&places, 1, 6, |_, p, way| {
-                    law(p, way) + rng.next()
-                }))),
+                &axis(cycles(&places, 1, 6, |_, p, way| law(p, way) + rng.next())),
                 seed,
             );
             let right = [
@@ -200,9 +198,7 @@ fn few_levels_and_repeated_poses_give_no_law() {
             };
             let own: Vec<f64> = loads.iter().map(|_| 0.05 * rng.next()).collect();
             let v = run(
-                ScalarData::Transducer(&levels(&loads, 6, |p, x| {
-                    0.2 * x + own[p] + 0.002 * rng.next()
-                })),
+                &levels(&loads, 6, |p, x| 0.2 * x + own[p] + 0.002 * rng.next()),
                 seed,
             );
             assert_eq!(
@@ -228,10 +224,7 @@ fn few_levels_and_repeated_poses_give_no_law() {
     let bent = levels(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 6, |_, x| {
         0.2 * x + 0.01 * x * x + 0.002 * rng.next()
     });
-    assert_eq!(
-        names(&run(ScalarData::Transducer(&bent), 1)),
-        ["nonlinearity-quadratic"]
-    );
+    assert_eq!(names(&run(&bent, 1)), ["nonlinearity-quadratic"]);
 }
 
 #[test]
@@ -251,7 +244,7 @@ fn a_bend_in_a_further_column_is_its_driver() {
         }
     };
     of(&mut data, &mut rng, 2);
-    let v = run(ScalarData::Transducer(&data), 1);
+    let v = run(&data, 1);
     let driver = v
         .document
         .unknown
@@ -262,10 +255,7 @@ fn a_bend_in_a_further_column_is_its_driver() {
         (Verdict::UnknownEffect, Some(("a", "quadratic")))
     );
     of(&mut data, &mut rng, 1);
-    assert_eq!(
-        names(&run(ScalarData::Transducer(&data), 1)),
-        ["cross-axis"]
-    );
+    assert_eq!(names(&run(&data, 1)), ["cross-axis"]);
 }
 
 #[test]
@@ -278,7 +268,7 @@ fn a_series_is_left_out_in_blocks_and_states_the_error_of_its_gaps() {
         zero = 0.935 * zero + 0.355 * rng.next();
         2.0 * x + zero + 0.05 * rng.next()
     });
-    let v = run(ScalarData::Transducer(&data), 1);
+    let v = run(&data, 1);
     assert!(
         v.document
             .reason
@@ -291,10 +281,7 @@ fn a_series_is_left_out_in_blocks_and_states_the_error_of_its_gaps() {
     assert!((0.6..1.5).contains(&stated), "{stated}");
     // Independent readings of the same loads: stimuli are left out as ever.
     let mut rng = Noise::new(501);
-    let v = run(
-        ScalarData::Transducer(&levels(&loads, 40, |_, x| 2.0 * x + rng.next())),
-        1,
-    );
+    let v = run(&levels(&loads, 40, |_, x| 2.0 * x + rng.next()), 1);
     assert!(
         v.document.reason.contains("stimuli"),
         "{}",

@@ -8,7 +8,7 @@ use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// Stimulus, response, cycle, further columns, time.
@@ -60,13 +60,7 @@ fn stating(
         },
         ..VerifyRequest::default()
     };
-    verify_scalar(
-        "simulated",
-        ScalarData::Transducer(&data),
-        Sealed::default(),
-        &options,
-    )
-    .unwrap()
+    verify_scalar("simulated", &data, Sealed::default(), &options).unwrap()
 }
 
 pub(super) fn linear(readings: Vec<Reading>) -> ScalarVerification {

@@ -6,7 +6,7 @@ use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_session::{Separator, TextTableLayout, read_text_table};
-use wcal_verify::scalar::{ScalarData, ScalarVerification, polynomial::polynomial, verify_scalar};
+use wcal_verify::scalar::{ScalarVerification, polynomial::polynomial, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// A NIST file as a transducer session; without a column `x` the stimulus is the number of the
@@ -59,13 +59,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
 }
 
 fn verify(data: &TransducerData) -> ScalarVerification {
-    let v = verify_scalar(
-        "test",
-        ScalarData::Transducer(data),
-        Sealed::default(),
-        &VerifyRequest::default(),
-    )
-    .unwrap();
+    let v = verify_scalar("test", data, Sealed::default(), &VerifyRequest::default()).unwrap();
     println!("{:?} {}", v.document.verdict, v.document.reason);
     for e in &v.document.effects {
         println!(

@@ -4,13 +4,11 @@
 use super::Noise;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
-use wcal_core::observation::{
-    AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow,
-};
+use wcal_core::Sealed;
+use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::{HoldoutOutcome, Verdict};
-use wcal_core::{Sealed, SealedRows};
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// Reading of a simulated sweep, before the response is known.
@@ -81,24 +79,26 @@ fn transducer(
     }
 }
 
-fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> AxisData {
+fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> TransducerData {
     let rows = sweep
         .iter()
         .enumerate()
-        .map(|(k, r)| AxisRow {
+        .map(|(k, r)| TransducerRow {
             source: "simulated".into(),
             line: k + 2,
             point: k as i64,
             role: Role::Calibration,
-            commanded_mm: r.x,
-            measured_mm: r.x + 1e-3 * error_um(k, r),
+            stimulus: r.x,
+            response: r.x + 1e-3 * error_um(k, r),
             t_s: Some(r.t_s),
             direction: Some(r.direction),
-            cycle: None,
+            replicate: None,
             temperature_degc: Some(20.0 + r.rise),
+            stimulus_sd: None,
+            covariates: Vec::new(),
         })
         .collect();
-    AxisData { rows }
+    TransducerData::axis(rows)
 }
 
 fn quick(seed: u64) -> VerifyRequest {
@@ -113,7 +113,7 @@ fn quick(seed: u64) -> VerifyRequest {
     }
 }
 
-fn run(data: ScalarData, seed: u64) -> ScalarVerification {
+fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
     verify_scalar("simulated", data, Sealed::default(), &quick(seed)).unwrap()
 }
 
@@ -145,19 +145,19 @@ fn nothing_is_named_in_null_sessions() {
                         (r.t_s, r.temperature_degc, r.direction) = (None, None, None);
                         r.covariates.clear();
                     }
-                    run(ScalarData::Transducer(&data), seed)
+                    run(&data, seed)
                 }
                 1 => {
                     let sweep = triangles(2, 9, &mut rng);
                     let data = transducer(&sweep, TransducerModel::Quadratic, |r| {
                         r.x - 0.01 * r.x * r.x + 0.02 * rng.next()
                     });
-                    run(ScalarData::Transducer(&data), seed)
+                    run(&data, seed)
                 }
                 _ => {
                     let sweep = triangles(2, 10, &mut rng);
                     let data = axis(&sweep, |_, _| 3.0 + 1.5 * rng.next());
-                    run(ScalarData::Axis(&data), seed)
+                    run(&data, seed)
                 }
             };
             let named = v.document.effects.iter().map(|e| e.id.clone()).collect();
@@ -220,7 +220,7 @@ fn linear_with(seed: u64, extra: impl Fn(&Reading) -> f64) -> ScalarVerification
     let data = transducer(&sweep, TransducerModel::Linear, |r| {
         0.1 + 0.2 * r.x + extra(r) + 0.01 * rng.next()
     });
-    run(ScalarData::Transducer(&data), seed)
+    run(&data, seed)
 }
 
 const DRAWS: u64 = 6;
@@ -256,7 +256,7 @@ fn memory_effects_of_a_transducer_are_named() {
             k += 1;
             0.1 + 0.2 * clean[k - 1] + 0.01 * rng.next()
         });
-        run(ScalarData::Transducer(&data), seed)
+        run(&data, seed)
     };
     // A fine Euler integration of its own, not the catalogue's exact step.
     let creep = |sweep: &[Reading]| -> Vec<f64> {
@@ -313,7 +313,7 @@ fn noise_effects_are_named() {
         let data = transducer(&sweep, TransducerModel::Linear, |r| {
             0.2 * r.x + (0.001 + 0.004 * r.x) * rng.next()
         });
-        run(ScalarData::Transducer(&data), seed)
+        run(&data, seed)
     });
     let single = share("outliers", DRAWS, |seed| {
         linear_with(seed, |r| {
@@ -333,7 +333,7 @@ fn effects_of_an_axis_are_named() {
         let mut rng = Noise::new(seed);
         let sweep = triangles(3, 20, &mut rng);
         let data = axis(&sweep, |_, r| 4.0 + error(r) + 1.0 * rng.next());
-        run(ScalarData::Axis(&data), seed)
+        run(&data, seed)
     };
     let check = |id: &str, error: &(dyn Fn(&Reading) -> f64 + Sync)| {
         // A drift is named alone in eight of ten: fewer draws say little of that.
@@ -397,14 +397,10 @@ fn the_interval_of_a_scale_is_the_one_of_the_straight_line() {
             let mut rng = Noise::new(seed);
             let sweep = triangles(3, 20, &mut rng);
             let data = axis(&sweep, |_, r| 4.0 + 0.4 * r.x + rng.next());
-            let v = run(ScalarData::Axis(&data), seed);
+            let v = run(&data, seed);
             let p = &v.document.effects[0].parameters[0];
-            let x: Vec<f64> = data.rows.iter().map(|r| r.commanded_mm).collect();
-            let y: Vec<f64> = data
-                .rows
-                .iter()
-                .map(|r| r.measured_mm - r.commanded_mm)
-                .collect();
+            let x: Vec<f64> = data.rows.iter().map(|r| r.stimulus).collect();
+            let y: Vec<f64> = data.rows.iter().map(|r| r.response - r.stimulus).collect();
             (p.name == "relative_scale" && v.document.effects.len() == 1).then(|| {
                 (
                     [p.value, p.interval95[0], p.interval95[1]],
@@ -444,14 +440,8 @@ fn sealed_readings_are_predicted_and_never_fitted() {
     });
     let held_out = data.rows.split_off(90);
     let run = |held_out: Vec<TransducerRow>| {
-        let sealed = ScalarData::sealed(SealedRows::Transducer(Sealed::new(held_out)));
-        verify_scalar(
-            "simulated",
-            ScalarData::Transducer(&data),
-            sealed,
-            &quick(1),
-        )
-        .unwrap()
+        let sealed = Sealed::new(held_out);
+        verify_scalar("simulated", &data, sealed, &quick(1)).unwrap()
     };
     let clean = run(held_out.clone());
     assert_eq!(clean.document.after.as_ref().unwrap().split, "holdout");
@@ -484,7 +474,7 @@ fn poor_data_are_refused_or_narrowed() {
     let mut rng = Noise::new(1);
     let sweep = triangles(2, 10, &mut rng);
     let mut data = transducer(&sweep, TransducerModel::Linear, |r| r.x + 0.01 * rng.next());
-    let full = run(ScalarData::Transducer(&data), 1);
+    let full = run(&data, 1);
     assert!(
         full.document
             .detectable
@@ -501,7 +491,7 @@ fn poor_data_are_refused_or_narrowed() {
         (r.t_s, r.temperature_degc, r.direction) = (None, None, None);
     }
     // In the order of strokes the rows themselves tell the direction.
-    let strokes = run(ScalarData::Transducer(&data), 1);
+    let strokes = run(&data, 1);
     assert!(
         strokes
             .document
@@ -517,7 +507,7 @@ fn poor_data_are_refused_or_narrowed() {
             .any(|n| n.contains("order of the readings"))
     );
     data.rows = (0..40).map(|k| data.rows[k * 7 % 40].clone()).collect();
-    let narrow = run(ScalarData::Transducer(&data), 1);
+    let narrow = run(&data, 1);
     for id in ["hysteresis", "backlash", "temperature", "lag", "creep"] {
         let row = narrow
             .document
@@ -532,20 +522,11 @@ fn poor_data_are_refused_or_narrowed() {
     for r in &mut constant.rows {
         r.stimulus = 3.0;
     }
-    assert_eq!(
-        run(ScalarData::Transducer(&constant), 1).document.verdict,
-        Verdict::Refused
-    );
+    assert_eq!(run(&constant, 1).document.verdict, Verdict::Refused);
     data.rows.truncate(3);
-    assert_eq!(
-        run(ScalarData::Transducer(&data), 1).document.verdict,
-        Verdict::Refused
-    );
+    assert_eq!(run(&data, 1).document.verdict, Verdict::Refused);
     data.rows.clear();
-    assert_eq!(
-        run(ScalarData::Transducer(&data), 1).document.verdict,
-        Verdict::Refused
-    );
+    assert_eq!(run(&data, 1).document.verdict, Verdict::Refused);
 }
 
 #[test]
@@ -553,10 +534,7 @@ fn an_exact_line_is_adequate() {
     let mut rng = Noise::new(1);
     let sweep = triangles(2, 10, &mut rng);
     let data = transducer(&sweep, TransducerModel::Linear, |r| 0.5 + 0.3 * r.x);
-    assert_eq!(
-        run(ScalarData::Transducer(&data), 1).document.verdict,
-        Verdict::Adequate
-    );
+    assert_eq!(run(&data, 1).document.verdict, Verdict::Adequate);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::{EffectParameter, Verdict, VerifyDocument};
 use wcal_verify::method::options::Options;
-use wcal_verify::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
+use wcal_verify::scalar::{ScalarRow, ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// A linear transducer at `stimuli` in their order, one reading a second where `timed`; further
@@ -58,13 +58,7 @@ fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
         },
         ..VerifyRequest::default()
     };
-    verify_scalar(
-        "simulated",
-        ScalarData::Transducer(data),
-        Sealed::default(),
-        &options,
-    )
-    .unwrap()
+    verify_scalar("simulated", data, Sealed::default(), &options).unwrap()
 }
 
 fn value<'a>(v: &'a ScalarVerification, name: &str) -> Option<&'a EffectParameter> {

@@ -8,7 +8,7 @@ use crate::dataset::{Dataset, MissingShard, MujocoSweeps, RodSweeps, SweepEngine
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
-use wcal::picture_output::write;
+use wcal::output::write_file;
 use wcal::progress::Progress;
 use wcal_lab_sweeps::SweepPlan;
 use wcal_mujoco::mjcf::MjcfOptions;
@@ -147,9 +147,8 @@ impl Order {
         } else {
             format!("dataset-{}-of-{shares}.json", share + 1)
         };
-        write(
-            &args.out,
-            &name,
+        write_file(
+            &args.out.join(&name),
             serde_json::to_string_pretty(&document)?.as_bytes(),
         )?;
         Ok(document)

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use wcal::picture_output::write;
+use wcal::output::write_file;
 
 /// Version of `slurm/submission.json`.
 const FORMAT: &str = "wcal-slurm/1";
@@ -86,8 +86,8 @@ pub fn submit(
         return Ok(None);
     }
     refuse_a_second(&folder)?;
-    write(&folder, "array.sh", array.as_bytes())?;
-    write(&folder, "check.sh", check.as_bytes())?;
+    write_file(&folder.join("array.sh"), array.as_bytes())?;
+    write_file(&folder.join("check.sh"), check.as_bytes())?;
     let array_job = sbatch(&[], &folder.join("array.sh"))?;
     // After any end: the check names what a failed task left out.
     let check_job = sbatch(
@@ -101,9 +101,8 @@ pub fn submit(
         tasks,
         shards,
     };
-    write(
-        &folder,
-        "submission.json",
+    write_file(
+        &folder.join("submission.json"),
         serde_json::to_string_pretty(&submission)?.as_bytes(),
     )?;
     Ok(Some(submission))

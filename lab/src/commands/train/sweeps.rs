@@ -11,8 +11,8 @@ use anyhow::{Context, ensure};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use wcal::output::write_file;
 use wcal::output::{Overwrite, within};
-use wcal::picture_output::write;
 use wcal::progress::Progress;
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::{SweepPlan, objects};
@@ -116,7 +116,7 @@ fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
         return Ok(earlier_s);
     };
     let wall_s = earlier_s.unwrap_or(0.0) + more_s;
-    write(&folder, name, wall_s.to_string().as_bytes())?;
+    write_file(&folder.join(name), wall_s.to_string().as_bytes())?;
     Ok(Some(wall_s))
 }
 

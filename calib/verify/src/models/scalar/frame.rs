@@ -9,17 +9,8 @@ use crate::method::settings::{means, reliability, settings};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use wcal_core::observation::{AxisData, TransducerData, TransducerModel};
-use wcal_core::{Sealed, SealedRows};
-
-/// Session of one of the two scalar kinds.
-#[derive(Debug, Clone, Copy)]
-pub enum ScalarData<'a> {
-    /// Stimulus and response.
-    Transducer(&'a TransducerData),
-    /// Commanded and measured position.
-    Axis(&'a AxisData),
-}
+use wcal_core::Sealed;
+use wcal_core::observation::{TransducerModel, TransducerRow};
 
 /// Declared model of the session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -31,7 +22,36 @@ pub enum Declared {
     Axis,
 }
 
+impl From<TransducerModel> for Declared {
+    fn from(model: TransducerModel) -> Self {
+        match model {
+            TransducerModel::Constant => Self::Polynomial(0),
+            TransducerModel::Linear => Self::Polynomial(1),
+            TransducerModel::Quadratic => Self::Polynomial(2),
+            TransducerModel::Axis => Self::Axis,
+        }
+    }
+}
+
 impl Declared {
+    /// A session's row in the form that is fitted.
+    fn form(self) -> fn(TransducerRow) -> ScalarRow {
+        match self {
+            Self::Polynomial(_) => |row| (&row).into(),
+            Self::Axis => |row| ScalarRow::of_axis(&row),
+        }
+    }
+
+    /// Rows of the points table.
+    pub fn rows(self, rows: &[TransducerRow]) -> Vec<ScalarRow> {
+        rows.iter().cloned().map(self.form()).collect()
+    }
+
+    /// Rows of the session's sealed table in this form, still sealed.
+    pub fn sealed(self, rows: Sealed<TransducerRow>) -> Sealed<ScalarRow> {
+        rows.convert(self.form())
+    }
+
     /// A sentence about stimulus and response in the words of the session's kind: an axis has
     /// commanded and measured positions.
     pub fn format_text(self, sentence: &str) -> String {
@@ -56,62 +76,6 @@ pub struct Names {
     pub deviation: bool,
     /// Further covariates.
     pub covariates: Vec<String>,
-}
-
-impl ScalarData<'_> {
-    /// Rows of the points table.
-    pub fn rows(&self) -> Vec<ScalarRow> {
-        match self {
-            Self::Transducer(d) => d.rows.iter().map(Into::into).collect(),
-            Self::Axis(d) => d.rows.iter().map(Into::into).collect(),
-        }
-    }
-
-    /// Rows of the session's sealed table in this form, still sealed; none of another kind of
-    /// session.
-    pub fn sealed(rows: SealedRows) -> Sealed<ScalarRow> {
-        match rows {
-            SealedRows::Transducer(rows) => rows.convert(|row| (&row).into()),
-            SealedRows::Axis(rows) => rows.convert(|row| (&row).into()),
-            SealedRows::Whisker(_) => Sealed::default(),
-        }
-    }
-
-    /// Kind as in `verify.json`.
-    pub fn kind(&self) -> &'static str {
-        match self {
-            Self::Transducer(_) => "transducer",
-            Self::Axis(_) => "axis",
-        }
-    }
-
-    /// Declared model.
-    pub fn declared(&self) -> Declared {
-        match self {
-            Self::Transducer(d) => Declared::Polynomial(match d.model {
-                TransducerModel::Constant => 0,
-                TransducerModel::Linear => 1,
-                TransducerModel::Quadratic => 2,
-            }),
-            Self::Axis(_) => Declared::Axis,
-        }
-    }
-
-    /// Names of further covariates.
-    pub(crate) fn covariate_names(&self) -> Vec<String> {
-        match self {
-            Self::Transducer(d) => d.covariates.clone(),
-            Self::Axis(_) => Vec::new(),
-        }
-    }
-
-    /// Units of stimulus and response.
-    pub fn units(&self) -> (String, String) {
-        match self {
-            Self::Transducer(d) => (d.stimulus_unit.clone(), d.response_unit.clone()),
-            Self::Axis(_) => ("mm".to_owned(), "um".to_owned()),
-        }
-    }
 }
 
 /// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for

@@ -28,7 +28,7 @@ pub mod verify;
 
 pub use crate::method::noise::spread::Spread;
 
-pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
+pub use frame::{Declared, Frame, ScalarRow, Scaling};
 
 pub use model::{ModelError, ScalarModel};
 pub use polynomial::Polynomial;

@@ -1,6 +1,6 @@
 //! One reading of a transducer or an axis.
 
-use wcal_core::observation::{AxisRow, Role, TransducerRow};
+use wcal_core::observation::{Role, TransducerRow};
 
 /// One reading; `y` is the response, or measured - commanded in um.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,20 +48,12 @@ impl From<&TransducerRow> for ScalarRow {
     }
 }
 
-impl From<&AxisRow> for ScalarRow {
-    fn from(r: &AxisRow) -> Self {
+impl ScalarRow {
+    /// Of an axis: what its measured position is off, um.
+    pub fn of_axis(r: &TransducerRow) -> Self {
         Self {
-            origin: (r.source.clone(), r.line, r.point),
-            role: r.role,
-            x: r.commanded_mm,
-            x_sd: None,
-            y: 1e3 * (r.measured_mm - r.commanded_mm),
-            t_s: r.t_s,
-            temperature_degc: r.temperature_degc,
-            direction: r.direction,
-            cycle: r.cycle,
-            covariates: Vec::new(),
-            place: None,
+            y: 1e3 * (r.response - r.stimulus),
+            ..r.into()
         }
     }
 }

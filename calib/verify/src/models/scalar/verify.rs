@@ -2,7 +2,7 @@
 //! reports and calibration need of it.
 
 use super::admission::{number, thin};
-use super::frame::{Frame, Names, ScalarData, ScalarRow, Scaling};
+use super::frame::{Declared, Frame, Names, Scaling};
 use super::model::ScalarModel;
 use super::polynomial::Polynomial;
 use super::range_limit::range_limits;
@@ -15,6 +15,7 @@ use crate::method::noise::spread::Spread;
 use crate::method::search_result::RankedHypothesis;
 use crate::verify::{Verification, Verified, VerifyRequest, verify};
 use wcal_core::Sealed;
+use wcal_core::observation::{TransducerData, TransducerRow};
 use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::VerifyDocument;
 
@@ -51,9 +52,9 @@ pub struct ScalarVerification {
 }
 
 /// A session whose data cannot be used.
-fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarVerification {
+fn refused(session: &str, data: &TransducerData, seed: u64, why: &str) -> ScalarVerification {
     ScalarVerification {
-        document: VerifyDocument::refused(session, data.kind(), why, seed),
+        document: VerifyDocument::refused(session, data.model.kind().to_string(), why, seed),
         residual_sd: [f64::NAN; 2],
         ..ScalarVerification::default()
     }
@@ -65,11 +66,12 @@ fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarV
 /// Where the declared model has no fit, or the explanation to be accepted is not open.
 pub fn verify_scalar(
     session: &str,
-    data: ScalarData<'_>,
-    sealed: Sealed<ScalarRow>,
+    data: &TransducerData,
+    sealed: Sealed<TransducerRow>,
     request: &VerifyRequest,
 ) -> Result<ScalarVerification, VerifyError> {
-    let (mut points, declared) = (data.rows(), data.declared());
+    let declared = Declared::from(data.model);
+    let mut points = declared.rows(&data.rows);
     number(&mut points);
     let limits = range_limits(&points, declared);
     points.retain(|r| !limits.iter().any(|l| l.origins.contains(&r.origin)));
@@ -79,24 +81,24 @@ pub fn verify_scalar(
         ..Scaling::of(&rows)
     }
     .with_unreliability(&rows, declared);
-    let (stimulus, response) = data.units();
-    let scaling = match data {
-        ScalarData::Transducer(_) => scaling.of_transducer(&rows, &stimulus),
-        ScalarData::Axis(_) => scaling.with_places(&rows),
+    let scaling = match declared {
+        Declared::Polynomial(_) => scaling.of_transducer(&rows, &data.stimulus_unit),
+        Declared::Axis => scaling.with_places(&rows),
     };
-    let deviation = matches!(data, ScalarData::Transducer(data) if data.deviation);
     let names = Names {
-        stimulus,
-        response,
-        deviation,
-        covariates: data.covariate_names(),
+        stimulus: data.stimulus_unit.clone(),
+        response: data.response_unit.clone(),
+        deviation: data.deviation,
+        covariates: data.covariates.clone(),
     };
     let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
         .of_session(names, points, limits);
-    Ok(match verify(model, sealed, &[], request)? {
-        Verified::Done(v) => for_report(session, *v, request),
-        Verified::Refused(why) => refused(session, data, request.search.seed, &why),
-    })
+    Ok(
+        match verify(model, declared.sealed(sealed), &[], request)? {
+            Verified::Done(v) => for_report(session, *v, request),
+            Verified::Refused(why) => refused(session, data, request.search.seed, &why),
+        },
+    )
 }
 
 /// What a report shows of a verification.

@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// Values of `statistic`, one a draw, in order; the same for the same seed.
-pub fn replicates<T>(
+pub(crate) fn replicates<T>(
     draws: usize,
     seed: u64,
     mut statistic: impl FnMut(&mut ChaCha8Rng) -> T,
@@ -25,12 +25,12 @@ pub fn replicates<T>(
 }
 
 /// `units` numbers below `units`, drawn with replacement.
-pub fn redrawn<R: Rng>(units: usize, rng: &mut R) -> impl Iterator<Item = usize> + '_ {
+pub(crate) fn redrawn<R: Rng>(units: usize, rng: &mut R) -> impl Iterator<Item = usize> + '_ {
     (0..units).map(move |_| rng.random_range(0..units))
 }
 
 /// Central 95 % of the replicates, wider as few `units` ask for; none for fewer than two.
-pub fn expanded_interval95(replicates: Vec<f64>, units: usize) -> Option<[f64; 2]> {
+pub(crate) fn expanded_interval95(replicates: Vec<f64>, units: usize) -> Option<[f64; 2]> {
     let n = units as f64;
     let t = StudentsT::new(0.0, 1.0, n - 1.0)
         .ok()

@@ -26,6 +26,21 @@ pub struct Parameters {
     pub dmax: f64,
 }
 
+impl Parameters {
+    pub(super) fn of([damping_nms_rad, width_mm, d0, dmax]: [f64; 4]) -> Self {
+        Self {
+            damping_nms_rad,
+            width_mm,
+            d0,
+            dmax,
+        }
+    }
+
+    pub(super) fn array(&self) -> [f64; 4] {
+        [self.damping_nms_rad, self.width_mm, self.d0, self.dmax]
+    }
+}
+
 /// What is wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Targets {
@@ -162,12 +177,7 @@ impl TrialRig {
             bare_bounce: 1.0,
         };
         let hard = Touch::default();
-        let bare = Parameters {
-            damping_nms_rad: 0.0,
-            width_mm: hard.width_mm,
-            d0: hard.impedance[0],
-            dmax: hard.impedance[1],
-        };
+        let bare = Parameters::of([0.0, hard.width_mm, hard.impedance[0], hard.impedance[1]]);
         bench.bare_bounce = bounce(&bench.released(&bare, true)?)
             .unwrap_or(1.0)
             .max(1e-3);

@@ -48,11 +48,15 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
         format!("tcp://{}", text("/stage_tcp")?).into(),
     );
     let mut interrogator = table(&mut rig, "interrogator")?;
-    if interrogator.get("driver").and_then(toml::Value::as_str) == Some("hyperion") {
-        interrogator.insert("address".to_owned(), text("/hyperion/commands")?.into());
-        interrogator.insert("peaks_address".to_owned(), text("/hyperion/peaks")?.into());
-    } else {
-        interrogator.insert("address".to_owned(), text("/sm130")?.into());
+    let driver = interrogator.get("driver").and_then(toml::Value::as_str);
+    let own = addresses.get(driver.unwrap_or_default());
+    let own = own.and_then(serde_json::Value::as_object);
+    let own = own.ok_or_else(|| {
+        anyhow!("expected the driver of a device under [interrogator] in the rig")
+    })?;
+    for (key, address) in own {
+        let address = address.as_str().unwrap_or_default();
+        interrogator.insert(key.clone(), address.into());
     }
     rig.insert("stage".to_owned(), stage.into());
     rig.insert("interrogator".to_owned(), interrogator.into());

@@ -95,6 +95,7 @@ impl ClockPair {
         let (host0, device0) = *self.origin.get_or_insert((host_s, device_s));
         let x = host_s - host0;
         let y = device_s - device0 - x;
+        // A delay makes y small, never large.
         if y > self.earliest.1 {
             self.earliest = (x, y);
         }
@@ -152,6 +153,7 @@ impl ClockPair {
     pub(crate) fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
         let last_s = self.current.map_or(0.0, |(_, x, _)| x);
+        // Half the length: from the middle, a wrong drift is off by it at both ends.
         (fit.drift.abs() - BROKEN_CLOCK) * last_s / 2.0 > ALIGNED_S * self.clock_scale
     }
 
@@ -162,6 +164,7 @@ impl ClockPair {
         points.extend(self.current.map(|(_, x, y)| (x, y)));
         points.retain(|p| self.delay_of(*p) <= late_s(self.clock_scale));
         let n = points.len() as f64;
+        // About the mean time: there offset and drift do not trade.
         let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;
         let sxx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
         let scatter_s = scatter(&points);

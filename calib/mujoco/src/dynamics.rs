@@ -94,6 +94,7 @@ impl Sensitivity {
 
 /// Standard deviations with all free, from the demands' changes over a step of each.
 fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
+    // N = J^T J; its inverse is the covariance of parameters with unit demands.
     let normal = Matrix4::from_fn(|i, j| {
         let pairs = changes[i].iter().zip(&changes[j]);
         pairs

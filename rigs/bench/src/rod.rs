@@ -132,6 +132,7 @@ impl Taper {
         match self {
             Self::None => 1.0,
             Self::Linear(e) => 1.0 + e * fraction,
+            // EI goes with the fourth power of a diameter that is linear along the wire.
             Self::Cone(e) => (1.0 + ((1.0 + e).powf(0.25) - 1.0) * fraction).powi(4),
         }
     }
@@ -153,6 +154,7 @@ pub struct Equilibrium {
 /// exp of a rotation vector, and its left integral applied to e1 (the chord of a helix).
 fn helix(phi: &V3) -> (M3, V3) {
     let t2 = phi.norm_squared();
+    // Near zero the closed forms divide 0 by 0: their series stand in for them.
     let (a, b, c) = if t2 < 1e-4 {
         (
             1.0 - t2 / 6.0 + t2 * t2 / 120.0,
@@ -163,6 +165,7 @@ fn helix(phi: &V3) -> (M3, V3) {
         let t = t2.sqrt();
         (t.sin() / t, (1.0 - t.cos()) / t2, (t - t.sin()) / (t2 * t))
     };
+    // Rodrigues' formula, and its integral over the element: the chord of a helix.
     let k = phi.cross_matrix();
     let k2 = k * k;
     (
@@ -227,6 +230,7 @@ impl Wire {
         let mut walk = Walk::from_root(self, point, force);
         for (ends, count, curvature) in sections {
             if ends[1] - ends[0] >= 1e-9 {
+                // The rest curvature jumps here: the next element's first guess jumps with it.
                 walk.u.y += curvature;
                 walk.along(force, ends, count * refine, curvature, |_| {});
             }
@@ -250,6 +254,7 @@ impl Wire {
             } else {
                 0.0
             };
+            // Past the contact nothing pulls.
             let loaded = if ends[1] <= contact_mm { 1.0 } else { 0.0 };
             walk.along(&(force * loaded), ends, count, curvature, |r| line.push(r));
         }
@@ -407,6 +412,7 @@ impl Wire {
         let mut j = Matrix4::zeros();
         let force_step = 1e-6 * x.xyz().norm().max(0.1 * self.force_scale(point));
         for k in 0..4 {
+            // Forward differences: Newton needs the slope's direction, not its last digits.
             let h = if k == 3 { 1e-6 } else { force_step };
             let mut y = *x;
             y[k] += h;
@@ -417,6 +423,7 @@ impl Wire {
 
     /// First guess a little after touch: a straight cantilever's force along `direction`.
     pub fn touch(&self, arclength_mm: f64, push: &V3) -> Equilibrium {
+        // Tip load of a straight cantilever: F = 3 EI w / s^3.
         let force_n = push * (3.0 * self.ei_nmm2 / arclength_mm.powi(3));
         let (at, tangent) = self.rest(arclength_mm);
         Equilibrium {
@@ -441,6 +448,7 @@ struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// At the root, which turns with the moment of `force` at `point`.
     fn from_root(wire: &'a Wire, point: &'a V3, force: &V3) -> Self {
+        // A clamp that gives turns in proportion to its moment, about y and z alone.
         let (base, [of_y, of_z]) = (point.cross(force), wire.root_compliance);
         Self {
             wire,
@@ -462,6 +470,7 @@ impl<'a> Walk<'a> {
     ) {
         let h = (to - from) / count as f64;
         for i in 0..count {
+            // The stiffness at an element's middle keeps the scheme of second order.
             let fraction = (from + (i as f64 + 0.5) * h) / self.wire.length_mm;
             self.bend(force, curvature, h, self.wire.taper.factor(fraction));
             let (turn, chord) = helix(&(self.u * h));
@@ -476,6 +485,7 @@ impl<'a> Walk<'a> {
         let (ei, gj) = (self.wire.ei_nmm2 * factor, self.wire.gj_nmm2 * factor);
         for _ in 0..12 {
             let mut mean = V3::zeros();
+            // Two Gauss points take the mean of a cubic exactly.
             for g in GAUSS {
                 let (turn, chord) = helix(&(self.u * (h * g)));
                 let at = self.r + self.frame * (chord * (h * g));

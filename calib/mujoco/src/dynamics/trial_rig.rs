@@ -83,6 +83,7 @@ pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
     let rest = moment[moment.len() - tail..].iter().sum::<f64>() / tail as f64;
     let size = |k: usize| (moment[k] - rest).abs();
     let start = size(0);
+    // The last crossing: a vibration passes 1/e many times before it stays below.
     let last = (0..moment.len())
         .rev()
         .find(|k| size(*k) > start / std::f64::consts::E)?;
@@ -383,6 +384,7 @@ fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
         let squares: Vec<f64> = s.moments_nmm.windows(3).filter_map(off).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
+    // Where one sweep is free of the ball a share of its moment would mean nothing.
     let both = slow
         .moments_nmm
         .iter()

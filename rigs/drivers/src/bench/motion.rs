@@ -78,6 +78,7 @@ impl Motion {
     pub(super) fn go(&mut self, t_s: f64, target_mm: f64, speed_mm_s: f64) {
         let mut plan = self.cut(t_s);
         let (x, v, a) = (plan.x_mm, plan.v_mm_s, self.acceleration_mm_s2);
+        // v^2 = 2 a d: the way to standstill.
         let braking_mm = v * v / (2.0 * a) * v.signum();
         // Moving away, or too fast to stop in time: come to rest first.
         if v != 0.0 && (target_mm - (x + braking_mm)) * v < 0.0 {
@@ -90,6 +91,7 @@ impl Motion {
         let top = peak.min(speed_mm_s.max(1e-9));
         let ramp = (top - v0) / a;
         self.push(&mut plan, ramp.abs(), side * a * ramp.signum());
+        // What is left between the two ramps goes at full speed.
         let ramps_mm = (top * top - v0 * v0).abs() / (2.0 * a) + top * top / (2.0 * a);
         self.push(&mut plan, ((distance - ramps_mm) / top).max(0.0), 0.0);
         self.push(&mut plan, top / a, -side * a);

@@ -135,6 +135,7 @@ impl Physics {
     /// state after the last step.
     fn carriage_mm(&self, stage_mm: f64) -> f64 {
         let e = &self.scenario.effects;
+        // A screw's error repeats with its turn.
         let screw = (stage_mm - self.scenario.stage.contact_mm()) * (1.0 + e.stage_scale)
             + e.periodic_um * 1e-3 * (std::f64::consts::TAU * stage_mm / SCREW_LEAD_MM).sin();
         // Play operator: the carriage follows the nut only once the play is used up.

@@ -4,13 +4,13 @@ use crate::camera_pair::{CameraPair, FramePair};
 use crate::clocks::ClockPair;
 use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
-use crate::monitor::Monitor;
-use crate::pictures::PREVIEW_PERIOD_S;
+use crate::monitor::{Monitor, lock};
+use crate::pictures::{PREVIEW_PERIOD_S, exposure_s};
 use crate::recorder::Recorder;
 use crate::steps::disk;
 use crate::sweep::{INTERRUPTED, Watched};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wcal_core::device::{CameraFrame, DeviceErrorKind};
 
@@ -43,18 +43,14 @@ pub(crate) fn watch(
             Ok(found) => {
                 refused = 0;
                 lock(monitor).pair(Some(found.skew_ms));
-                let wanted = lock(monitor).wanted_picture();
-                let shows = |since_s: f64| {
-                    eyes.iter()
-                        .zip(&found.frames)
-                        .all(|(e, f)| e.exposed_after(since_s, f))
+                let wanted = lock(monitor).picture;
+                let shows = |(_, since_s): &(u32, f64)| {
+                    let mut both = eyes.iter().zip(&found.frames);
+                    both.all(|(eye, frame)| eye.exposed_after(*since_s, frame))
                 };
-                let step = wanted
-                    .filter(|(_, since_s)| shows(*since_s))
-                    .map(|(step, _)| step);
-                eyes.iter_mut()
-                    .zip(&found.frames)
-                    .for_each(|(eye, frame)| eye.note(frame));
+                let step = wanted.filter(shows).map(|(step, _)| step);
+                let both = eyes.iter_mut().zip(&found.frames);
+                both.for_each(|(eye, frame)| eye.note(frame));
                 let host_s = found.frames[0].clocks.host_s;
                 let show = host_s - shown_s >= PREVIEW_PERIOD_S;
                 if show {
@@ -62,7 +58,7 @@ pub(crate) fn watch(
                 }
                 let recorded = record(&found, names, recorder, step, show);
                 if step.is_some() {
-                    lock(monitor).end_picture();
+                    lock(monitor).picture = None;
                 }
                 recorded
             }
@@ -73,15 +69,12 @@ pub(crate) fn watch(
                 if refused >= REFUSED_LIMIT {
                     lock(monitor).fail_with(e);
                 }
-                let kind = "pair-refused".to_owned();
-                recorder.event(
-                    pair.host_s(),
-                    &SweepEvent {
-                        kind,
-                        detail,
-                        ..SweepEvent::default()
-                    },
-                )
+                let event = SweepEvent {
+                    kind: "pair-refused".to_owned(),
+                    detail,
+                    ..SweepEvent::default()
+                };
+                recorder.event(pair.host_s(), &event)
             }
             // The sweep hears of it by itself.
             Err(e) if e.kind == DeviceErrorKind::Interrupted => {
@@ -132,11 +125,7 @@ impl CameraClock {
     /// itself, which is added. Without a clock of the camera's own a frame is accepted only when
     /// the previous one arrived after that time, too.
     fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
-        let exposure_s = frame
-            .measured_exposure_ms
-            .or(frame.commanded_exposure_ms)
-            .unwrap_or(0.0)
-            * 1e-3;
+        let exposure_s = exposure_s(frame).unwrap_or(0.0);
         match (frame.clocks.device_s, self.clocks.device_s(host_s)) {
             (Some(begin_s), Some(wanted_s)) => begin_s >= wanted_s + exposure_s,
             _ => self.last_host_s >= host_s,
@@ -149,8 +138,4 @@ impl CameraClock {
             self.clocks.add(frame.clocks.host_s, device_s);
         }
     }
-}
-
-fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
-    monitor.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,5 +1,5 @@
-//! A device's clock that steps or stands still, distinguished from a device or a computer that is
-//! late.
+//! The clock of a stream: one that steps or stands still, distinguished from a device or a computer
+//! that is late; and the readings before, by which alone the clocks are aligned.
 //!
 //! ```text
 //! x host time, y device time less x, n scans since the last good one, p time of a scan by the device's own clock
@@ -12,15 +12,15 @@
 //! A gap in the stream whose scans were not counted raises device and host time alike: y stays
 //! below its earlier maximum. A single wrong stamp is off for its own scan only.
 
+use crate::clocks::ClockPair;
 use std::fmt;
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 use wcal_core::order_statistics::median;
 
 /// Smallest step that is named, s: what an alignment of clocks tolerates.
 const STEP_S: f64 = 0.02;
-/// A clock that does not go on for this long (wall time) stands still, s.
-const STILL_S: f64 = 2.0;
-/// A jump ahead is settled within this time (wall), s.
+/// A clock that does not go on for this long (wall time) stands still, and a jump ahead is settled
+/// within it, s.
 const SETTLED_S: f64 = 2.0;
 /// Scans by which the time of a scan is known.
 const LEARNED: usize = 50;
@@ -72,12 +72,11 @@ impl fmt::Display for ClockFault {
 impl ClockFault {
     /// As an error of the interrogator.
     pub fn error(&self) -> DeviceError {
-        let (kind, expected) = (DeviceErrorKind::Clock, "a device clock that runs on");
         DeviceError::new(
-            kind,
+            DeviceErrorKind::Clock,
             "interrogator",
             "read the stream",
-            expected,
+            "a device clock that runs on",
             self.to_string(),
         )
     }
@@ -107,7 +106,7 @@ struct Doubt {
 }
 
 /// Watches the clock of one stream.
-#[derive(Debug, Clone)]
+#[derive(Debug, Default)]
 pub struct ClockWatch {
     clock_scale: f64,
     last: Option<TimedReading>,
@@ -121,6 +120,14 @@ pub struct ClockWatch {
     /// Device time has not risen with the last reading.
     standing: bool,
     stopped: bool,
+    /// Host and device time up to the first fault, single wrong stamps left out.
+    pub(crate) pair: ClockPair,
+    count: usize,
+    /// Readings of which it is not certain yet whether they came after a fault: host and device
+    /// time, s.
+    held: Vec<(f64, f64)>,
+    /// Number of the first reading from after a fault.
+    pub(crate) broken: Option<usize>,
 }
 
 impl ClockWatch {
@@ -128,24 +135,45 @@ impl ClockWatch {
     pub fn new(clock_scale: f64) -> Self {
         Self {
             clock_scale,
-            last: None,
-            risen: None,
             earliest_s: f64::NEG_INFINITY,
-            first_periods: Vec::new(),
-            period_s: None,
-            doubt: None,
-            standing: false,
-            stopped: false,
+            pair: ClockPair::new(clock_scale),
+            ..Self::default()
         }
     }
 
     /// Takes the next reading in order of arrival; what its clock has done, once each time.
     pub fn take(&mut self, serial: u64, host_s: f64, device_s: f64) -> Option<ClockFault> {
-        let now = TimedReading {
+        let fault = self.judge(TimedReading {
             serial,
             host_s,
             device_s,
-        };
+        });
+        if fault.is_some() {
+            let first = self.count - self.held.len();
+            self.broken.get_or_insert(first);
+            self.held.clear();
+        }
+        self.count += 1;
+        if self.broken.is_none() {
+            self.held.push((host_s, device_s));
+            if !self.is_unsure() {
+                self.settle_held();
+            }
+        }
+        fault
+    }
+
+    /// What was held is good, but for single wrong stamps: those that seem to have come before they
+    /// were made.
+    pub(crate) fn settle_held(&mut self) {
+        for (host_s, device_s) in self.held.drain(..) {
+            if device_s - host_s <= self.earliest_s + STEP_S {
+                self.pair.add(host_s, device_s);
+            }
+        }
+    }
+
+    fn judge(&mut self, now: TimedReading) -> Option<ClockFault> {
         let Some(last) = self.last.replace(now) else {
             self.begin_anew(now);
             return None;
@@ -160,7 +188,7 @@ impl ClockWatch {
         }
         let stopped = self.stands_still(now);
         if self.doubt.is_none() {
-            self.earliest_s = self.earliest_s.max(device_s - host_s);
+            self.earliest_s = self.earliest_s.max(now.device_s - now.host_s);
         }
         stopped
     }
@@ -169,12 +197,6 @@ impl ClockWatch {
     /// stands still.
     pub fn is_unsure(&self) -> bool {
         self.doubt.is_some() || self.standing
-    }
-
-    /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem
-    /// to have come before it was made.
-    pub(crate) fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
-        device_s - host_s <= self.earliest_s + STEP_S
     }
 
     /// After a step nothing known before holds but the rate.
@@ -248,8 +270,8 @@ impl ClockWatch {
             }
             return None;
         }
-        let still =
-            now.host_s - risen.host_s > STILL_S * self.clock_scale && now.serial != risen.serial;
+        let still_s = now.host_s - risen.host_s;
+        let still = still_s > SETTLED_S * self.clock_scale && now.serial != risen.serial;
         (still && !std::mem::replace(&mut self.stopped, true)).then_some(ClockFault::Stopped {
             at_s: risen.device_s,
             serial: risen.serial,

@@ -28,7 +28,6 @@ const ALIGNED_S: f64 = 0.02;
 #[derive(Debug, Clone)]
 pub struct ClockPair {
     clock_scale: f64,
-    late_s: f64,
     origin: Option<(f64, f64)>,
     /// The least delayed pair of all.
     earliest: (f64, f64),
@@ -82,12 +81,10 @@ impl Default for ClockPair {
 impl ClockPair {
     /// No pair yet; host times run `clock_scale` times as fast as real time.
     pub fn new(clock_scale: f64) -> Self {
-        let earliest = (0.0, f64::NEG_INFINITY);
         Self {
             clock_scale,
-            late_s: late_s(clock_scale),
             origin: None,
-            earliest,
+            earliest: (0.0, f64::NEG_INFINITY),
             best: Vec::new(),
             current: None,
         }
@@ -96,7 +93,9 @@ impl ClockPair {
     /// Adds the arrival of a reading.
     pub fn add(&mut self, host_s: f64, device_s: f64) {
         let (host0, device0) = *self.origin.get_or_insert((host_s, device_s));
-        let (x, y) = (host_s - host0, device_s - device0 - (host_s - host0));
+        let x = host_s - host0;
+        let y = device_s - device0 - x;
+        // A delay makes y small, never large.
         if y > self.earliest.1 {
             self.earliest = (x, y);
         }
@@ -123,14 +122,10 @@ impl ClockPair {
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
         let (host0, device0) = self.origin?;
         let recent = self.best.iter().rev().take(RECENT).map(|p| p.1);
-        let offset = recent
-            .chain(self.current.map(|c| c.2))
-            .fold(f64::NEG_INFINITY, f64::max);
-        Some(
-            self.fit()?
-                .device_s(host_s)
-                .max(host_s - host0 + device0 + offset),
-        )
+        let recent = recent.chain(self.current.map(|c| c.2));
+        let offset = recent.fold(f64::NEG_INFINITY, f64::max);
+        let by_line = self.fit()?.device_s(host_s);
+        Some(by_line.max(host_s - host0 + device0 + offset))
     }
 
     /// How much later a reading arrived than the least delayed one, s, less what a working clock
@@ -139,7 +134,8 @@ impl ClockPair {
         let Some((host0, device0)) = self.origin else {
             return 0.0;
         };
-        self.delay_of((host_s - host0, device_s - device0 - (host_s - host0)))
+        let x = host_s - host0;
+        self.delay_of((x, device_s - device0 - x))
     }
 
     fn delay_of(&self, (x, y): (f64, f64)) -> f64 {
@@ -148,7 +144,7 @@ impl ClockPair {
 
     /// Whether a reading came so late that the bench or this computer had fallen behind.
     pub(crate) fn is_late(&self, host_s: f64, device_s: f64) -> bool {
-        self.delay_s(host_s, device_s) > self.late_s
+        self.delay_s(host_s, device_s) > late_s(self.clock_scale)
     }
 
     /// Whether host times cannot be converted to device times: the line drifts more than a working
@@ -157,6 +153,7 @@ impl ClockPair {
     pub(crate) fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
         let last_s = self.current.map_or(0.0, |(_, x, _)| x);
+        // Half the length: from the middle, a wrong drift is off by it at both ends.
         (fit.drift.abs() - BROKEN_CLOCK) * last_s / 2.0 > ALIGNED_S * self.clock_scale
     }
 
@@ -165,26 +162,24 @@ impl ClockPair {
         let (host0, device0) = self.origin?;
         let mut points = self.best.clone();
         points.extend(self.current.map(|(_, x, y)| (x, y)));
-        points.retain(|p| self.delay_of(*p) <= self.late_s);
+        points.retain(|p| self.delay_of(*p) <= late_s(self.clock_scale));
         let n = points.len() as f64;
+        // About the mean time: there offset and drift do not trade.
         let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;
         let sxx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
         let scatter_s = scatter(&points);
+        let highest = points.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max);
         // Fewer pairs do not separate a drift from delays.
-        let (drift, offset_s, drift_sd) = if points.len() >= 5 {
-            let (slope, at_zero) = upper_line(&points, mean_x);
-            (slope, at_zero, scatter_s / sxx.sqrt())
-        } else {
-            (
-                0.0,
-                points.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max),
-                f64::INFINITY,
-            )
+        let (drift, at_zero, drift_sd) = match points.len() {
+            ..5 => (0.0, highest, f64::INFINITY),
+            _ => {
+                let (slope, at_zero) = upper_line(&points, mean_x);
+                (slope, at_zero, scatter_s / sxx.sqrt())
+            }
         };
-        let offset_s = device0 - host0 + offset_s;
         Some(ClockFit {
             origin_host_s: host0,
-            offset_s,
+            offset_s: device0 - host0 + at_zero,
             drift,
             drift_sd,
             scatter_s,

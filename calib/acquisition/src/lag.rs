@@ -36,6 +36,7 @@ pub(crate) fn estimate_s(
             let Some(depth) = depth_mm(t - lag_s) else {
                 continue;
             };
+            // Without contact the wire does not follow the groove.
             let x = depth.max(0.0);
             n += 1.0;
             for (sum, y) in sums.iter_mut().zip([a - a0, b - b0]) {

@@ -3,7 +3,7 @@
 
 use prost::{Message, Name};
 use prost_types::Timestamp;
-use std::fmt;
+use std::fmt::Display;
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth, StageReading};
 use wcal_core::ranges::{OutOfRange, Range};
 use wcal_core::text::brief;
@@ -61,42 +61,23 @@ pub(crate) fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
-/// Numbers that the fields of a message may have. A time in seconds still distinguishes
-/// microseconds, and whole numbers are exact as floats.
-mod range {
-    use wcal_core::ranges::Range;
-
-    pub(super) const HOST_S: Range = Range::real("host_s", -1e10, 1e10);
-    pub(super) const DEVICE_S: Range = Range::real("device_s", -1e10, 1e10);
-    pub(super) const SERIAL: Range = Range::whole("serial", 0.0, 9e15);
-    pub(super) const CHANNELS: Range = Range::whole("channels", 0.0, 1024.0);
-    pub(super) const PEAKS: Range = Range::whole("peaks_per_channel", 0.0, 65_536.0);
-    pub(super) const PEAKS_NM: Range = Range::real("peaks_nm", -1e6, 1e6);
-    pub(super) const HEALTH: Range = Range::whole("health", 0.0, 63.0);
-    pub(super) const ERROR_CODE: Range = Range::whole("error_code", 0.0, 255.0);
-    pub(super) const BUFFER_PERCENT: Range = Range::whole("buffer_percent", 0.0, 255.0);
-    pub(super) const COMMANDED_MM: Range = Range::real("commanded_mm", -1e6, 1e6);
-    pub(super) const MEASURED_MM: Range = Range::real("measured_mm", -1e6, 1e6);
-    pub(super) const STEP: Range = Range::whole("step", 0.0, 1e8);
-    pub(super) const TRAJECTORY: Range = Range::whole("trajectory", 0.0, 4e9);
-    pub(super) const REPLICATE: Range = Range::whole("replicate", 0.0, 1e8);
-    pub(super) const TARGET_MM: Range = Range::real("target_mm", -1e6, 1e6);
-    pub(super) const DIRECTION: Range = Range::whole("direction", -1.0, 1.0);
-    pub(super) const SPEED_MM_S: Range = Range::real("speed_mm_s", 0.0, 1e6);
-    pub(super) const BEGIN_S: Range = Range::real("begin_s", -1e10, 1e10);
-    pub(super) const END_S: Range = Range::real("end_s", -1e10, 1e10);
-    pub(super) const ARRIVED_S: Range = Range::real("arrived_s", -1e10, 1e10);
-    pub(super) const ROWS_HZ: Range = Range::real("rows_hz", 0.0, 1e5);
-    pub(super) const TRIGGER: Range = Range::whole("trigger", 0.0, 9e15);
-    pub(super) const EXPOSURE_S: Range = Range::real("exposure_s", 0.0, 1e4);
-    pub(super) const TIMESTAMP_S: Range = Range::real("timestamp", -1e10, 1e10);
+/// A time; in seconds it still distinguishes microseconds.
+fn time(field: &'static str, value_s: f64) -> Result<(), OutOfRange> {
+    Range::real(field, -1e10, 1e10).judge_own(value_s)
 }
 
-/// Judges numbers by the ranges of their fields.
-fn judge<const N: usize>(numbers: [(Range, f64); N]) -> Result<(), OutOfRange> {
-    numbers
-        .iter()
-        .try_for_each(|(range, value)| range.judge_own(*value))
+/// A place, mm, or a wavelength, nm.
+fn place(field: &'static str, value: f64) -> Result<(), OutOfRange> {
+    Range::real(field, -1e6, 1e6).judge_own(value)
+}
+
+fn amount(field: &'static str, value: f64, most: f64) -> Result<(), OutOfRange> {
+    Range::real(field, 0.0, most).judge_own(value)
+}
+
+/// A whole number, which is exact as a float.
+fn count(field: &'static str, value: f64, most: f64) -> Result<(), OutOfRange> {
+    Range::whole(field, 0.0, most).judge_own(value)
 }
 
 /// Time of a picture, s.
@@ -106,7 +87,7 @@ fn judge<const N: usize>(numbers: [(Range, f64); N]) -> Result<(), OutOfRange> {
 pub(crate) fn picture_time_s(timestamp: Option<Timestamp>) -> Result<f64, OutOfRange> {
     let at = timestamp.unwrap_or_default();
     let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
-    range::TIMESTAMP_S.judge_own(at_s).map(|()| at_s)
+    time("timestamp", at_s).map(|()| at_s)
 }
 
 /// Messages that were left out, each alone: their bytes or a number in them are none that a device
@@ -119,7 +100,7 @@ pub struct Refused {
 
 impl Refused {
     /// Counts a message of a topic.
-    pub(crate) fn add(&mut self, topic: &str, why: impl fmt::Display) {
+    pub(crate) fn add(&mut self, topic: &str, why: impl Display) {
         self.count += 1;
         self.first
             .get_or_insert_with(|| format!("{}: {why}", brief(topic)));
@@ -133,28 +114,12 @@ impl Refused {
 
     /// In words; none where there are none.
     pub fn text(&self) -> Option<String> {
-        let text = |first| {
-            format!(
-                "{} messages that make no sense left out; the first: {first}",
-                self.count
-            )
-        };
-        self.first.as_ref().map(text)
+        let (count, first) = (self.count, self.first.as_ref()?);
+        Some(format!(
+            "{count} messages that make no sense left out; the first: {first}"
+        ))
     }
 }
-
-/// A message that a recording may hold.
-pub trait McapMessage: Message + Name + Default {
-    /// Self-contained schema of its package: an encoded `FileDescriptorSet`.
-    fn schema() -> &'static [u8] {
-        SCHEMAS
-            .iter()
-            .find(|(package, _)| *package == Self::PACKAGE)
-            .map_or(&[], |(_, set)| set)
-    }
-}
-
-impl<M: Message + Name + Default> McapMessage for M {}
 
 /// A time as Foxglove's messages state it.
 pub(crate) fn stamp(seconds: f64) -> Timestamp {
@@ -167,7 +132,13 @@ pub(crate) fn stamp(seconds: f64) -> Timestamp {
 
 /// A message whose numbers are judged: before it is written, and before anything is made of what
 /// was read.
-pub trait RecordedMessage: McapMessage {
+pub trait RecordedMessage: Message + Name + Default {
+    /// Self-contained schema of its package: an encoded `FileDescriptorSet`.
+    fn schema() -> &'static [u8] {
+        let mut all = SCHEMAS.iter();
+        let own = all.find(|(package, _)| *package == Self::PACKAGE);
+        own.map_or(&[], |(_, set)| set)
+    }
     /// Holds every number against what its field may have.
     ///
     /// # Errors
@@ -177,23 +148,19 @@ pub trait RecordedMessage: McapMessage {
 
 impl RecordedMessage for Scan {
     fn check(&self) -> Result<(), OutOfRange> {
-        judge([
-            (range::SERIAL, self.serial as f64),
-            (range::HOST_S, self.host_s),
-            (range::DEVICE_S, self.device_s),
-            (range::CHANNELS, self.peaks_per_channel.len() as f64),
-            (range::HEALTH, f64::from(self.health)),
-            (range::ERROR_CODE, f64::from(self.error_code)),
-            (range::BUFFER_PERCENT, f64::from(self.buffer_percent)),
-        ])?;
-        self.peaks_per_channel
-            .iter()
-            .try_for_each(|n| range::PEAKS.judge_own(f64::from(*n)))?;
+        count("serial", self.serial as f64, 9e15)?;
+        time("host_s", self.host_s)?;
+        time("device_s", self.device_s)?;
+        count("channels", self.peaks_per_channel.len() as f64, 1024.0)?;
+        count("health", self.health.into(), 63.0)?;
+        count("error_code", self.error_code.into(), 255.0)?;
+        count("buffer_percent", self.buffer_percent.into(), 255.0)?;
+        for peaks in &self.peaks_per_channel {
+            count("peaks_per_channel", (*peaks).into(), 65_536.0)?;
+        }
         // NaN is what a unit sends in place of a peak that it does not have.
-        let peaks = self.peaks_nm.iter().filter(|nm| !nm.is_nan());
-        peaks
-            .copied()
-            .try_for_each(|nm| range::PEAKS_NM.judge_own(nm))
+        let mut peaks = self.peaks_nm.iter().filter(|nm| !nm.is_nan());
+        peaks.try_for_each(|nm| place("peaks_nm", *nm))
     }
 }
 
@@ -258,11 +225,9 @@ impl Scan {
 
 impl RecordedMessage for StagePosition {
     fn check(&self) -> Result<(), OutOfRange> {
-        judge([
-            (range::HOST_S, self.host_s),
-            (range::COMMANDED_MM, self.commanded_mm.unwrap_or(0.0)),
-            (range::MEASURED_MM, self.measured_mm),
-        ])
+        time("host_s", self.host_s)?;
+        place("commanded_mm", self.commanded_mm.unwrap_or(0.0))?;
+        place("measured_mm", self.measured_mm)
     }
 }
 
@@ -280,18 +245,16 @@ impl From<&StageReading> for StagePosition {
 
 impl RecordedMessage for SweepEvent {
     fn check(&self) -> Result<(), OutOfRange> {
-        judge([
-            (range::STEP, f64::from(self.step)),
-            (range::TRAJECTORY, f64::from(self.trajectory)),
-            (range::REPLICATE, f64::from(self.replicate)),
-            (range::TARGET_MM, self.target_mm),
-            (range::DIRECTION, f64::from(self.direction)),
-            (range::SPEED_MM_S, self.speed_mm_s),
-            (range::BEGIN_S, self.begin_s),
-            (range::END_S, self.end_s),
-            (range::ARRIVED_S, self.arrived_s),
-            (range::ROWS_HZ, self.rows_hz),
-        ])
+        count("step", self.step.into(), 1e8)?;
+        count("trajectory", self.trajectory.into(), 4e9)?;
+        count("replicate", self.replicate.into(), 1e8)?;
+        place("target_mm", self.target_mm)?;
+        Range::whole("direction", -1.0, 1.0).judge_own(self.direction.into())?;
+        amount("speed_mm_s", self.speed_mm_s, 1e6)?;
+        time("begin_s", self.begin_s)?;
+        time("end_s", self.end_s)?;
+        time("arrived_s", self.arrived_s)?;
+        amount("rows_hz", self.rows_hz, 1e5)
     }
 }
 
@@ -309,13 +272,11 @@ impl RecordedMessage for Log {
 
 impl RecordedMessage for FrameInfo {
     fn check(&self) -> Result<(), OutOfRange> {
-        judge([
-            (range::TRIGGER, self.trigger as f64),
-            (range::HOST_S, self.host_s),
-            (range::DEVICE_S, self.device_s.unwrap_or(0.0)),
-            (range::EXPOSURE_S, self.exposure_s.unwrap_or(0.0)),
-            (range::STEP, f64::from(self.step.unwrap_or(0))),
-        ])
+        count("trigger", self.trigger as f64, 9e15)?;
+        time("host_s", self.host_s)?;
+        time("device_s", self.device_s.unwrap_or(0.0))?;
+        amount("exposure_s", self.exposure_s.unwrap_or(0.0), 1e4)?;
+        count("step", self.step.unwrap_or(0).into(), 1e8)
     }
 }
 
@@ -326,7 +287,7 @@ mod tests {
     use prost_types::{FieldDescriptorProto, FileDescriptorSet};
 
     /// Fields of a message as its schema states them.
-    fn fields<M: McapMessage>() -> Vec<FieldDescriptorProto> {
+    fn fields<M: RecordedMessage>() -> Vec<FieldDescriptorProto> {
         let set = FileDescriptorSet::decode(M::schema()).unwrap();
         let messages = set.file.into_iter().flat_map(|f| f.message_type);
         messages

@@ -7,7 +7,6 @@
 
 use crate::assign::{Assigned, ChannelMap};
 use crate::clock_watch::ClockWatch;
-use crate::clocks::ClockPair;
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
@@ -43,7 +42,6 @@ pub(crate) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
 }
 
 /// Watches a stream.
-#[derive(Debug)]
 pub struct Monitor {
     map: ChannelMap,
     temperature_ratio: [f64; 2],
@@ -53,14 +51,12 @@ pub struct Monitor {
     latest: Assigned,
     blocks: VecDeque<Block>,
     unusable_run: u32,
-    clocks: ClockPair,
-    clock_watch: ClockWatch,
+    clock: ClockWatch,
     fault: Option<DeviceError>,
     /// Step whose settled pose is to be pictured, and since when, host time, s.
-    picture: Option<(u32, f64)>,
+    pub(crate) picture: Option<(u32, f64)>,
 }
 
-#[derive(Debug, Clone, Copy)]
 struct Block {
     start_s: f64,
     count: f64,
@@ -82,8 +78,7 @@ impl Monitor {
             latest: Assigned::default(),
             blocks: VecDeque::new(),
             unusable_run: 0,
-            clocks: ClockPair::new(clock_scale),
-            clock_watch: ClockWatch::new(clock_scale),
+            clock: ClockWatch::new(clock_scale),
             fault: None,
             picture: None,
         }
@@ -99,14 +94,11 @@ impl Monitor {
             self.counts.lost = self.counts.lost.saturating_add(reading.serial - expected);
         }
         self.next_serial = Some(reading.serial.saturating_add(1));
-        let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
+        let host_s = reading.clocks.host_s;
+        let device_s = reading.clocks.device_s.unwrap_or(host_s);
         self.latest_s = Some(device_s);
-        self.clocks.add(reading.clocks.host_s, device_s);
         // Every wait of a sweep counts by this clock.
-        if let Some(fault) = self
-            .clock_watch
-            .take(reading.serial, reading.clocks.host_s, device_s)
-        {
+        if let Some(fault) = self.clock.take(reading.serial, host_s, device_s) {
             self.fail_with(fault.error());
         }
         self.judge_health(reading);
@@ -120,38 +112,27 @@ impl Monitor {
                 self.counts.unusable += 1;
                 self.unusable_run += 1;
                 if self.unusable_run >= LOST_LIMIT {
-                    let found = if self.latest.crossing {
-                        "crossing peaks"
-                    } else {
-                        "a lost peak"
+                    let found = match self.latest.crossing {
+                        true => "crossing peaks",
+                        false => "a lost peak",
                     };
-                    self.fail(
-                        DeviceErrorKind::PeakLost,
-                        "assign peaks",
-                        "one peak a grating",
-                        found,
-                    );
+                    let kind = DeviceErrorKind::PeakLost;
+                    self.fail(kind, "assign peaks", "one peak a grating", found);
                 }
             }
         }
     }
 
     fn judge_health(&mut self, reading: &FbgReading) {
-        let faults = reading.health.faults();
+        let (faults, code) = (reading.health.faults(), reading.health.error_code);
         if faults == ["fan-fault"] || faults.is_empty() {
             return;
         }
-        let invalid = reading.health.error_code == 9;
-        let kind = if invalid {
-            DeviceErrorKind::DataInvalid
-        } else {
-            DeviceErrorKind::Health
+        let kind = match code {
+            9 => DeviceErrorKind::DataInvalid,
+            _ => DeviceErrorKind::Health,
         };
-        let found = format!(
-            "{} (error code {})",
-            faults.join(", "),
-            reading.health.error_code
-        );
+        let found = format!("{} (error code {code})", faults.join(", "));
         self.fail(kind, "read the stream", "a healthy unit", &found);
     }
 
@@ -166,31 +147,10 @@ impl Monitor {
         }
     }
 
-    /// Asks for a pair of pictures of the settled pose of a step, exposed after a host time, s.
-    pub(crate) fn want_picture(&mut self, step: u32, since_host_s: f64) {
-        self.picture = Some((step, since_host_s));
-    }
-
-    /// The step that is to be pictured, and the host time after which, s.
-    pub(crate) fn wanted_picture(&self) -> Option<(u32, f64)> {
-        self.picture
-    }
-
-    /// Withdraws the request for a picture, because it was taken or is too late; returns whether
-    /// there was one.
-    pub(crate) fn end_picture(&mut self) -> bool {
-        self.picture.take().is_some()
-    }
-
     /// Ends the sweep with this fault, unless there is one already.
-    pub fn fail(&mut self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) {
-        self.fail_with(DeviceError::new(
-            kind,
-            "interrogator",
-            action,
-            expected,
-            found,
-        ));
+    fn fail(&mut self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) {
+        let error = DeviceError::new(kind, "interrogator", action, expected, found);
+        self.fail_with(error);
     }
 
     /// Ends the sweep with this error, unless there is one already.
@@ -220,7 +180,7 @@ impl Monitor {
 
     /// Device time at a host time, s; the stream itself may not have got there yet.
     pub(crate) fn device_s_at(&self, host_s: f64) -> Option<f64> {
-        self.clocks.device_s(host_s)
+        self.clock.pair.device_s(host_s)
     }
 
     fn add_block(&mut self, device_s: f64, sensing_nm: [f64; 2]) {
@@ -243,56 +203,34 @@ impl Monitor {
                 sum_pm: value,
             }),
         }
-        while self
-            .blocks
-            .front()
-            .is_some_and(|b| b.start_s < device_s - KEPT_S)
-        {
-            self.blocks.pop_front();
-        }
+        let old = |b: &mut Block| b.start_s < device_s - KEPT_S;
+        while self.blocks.pop_front_if(old).is_some() {}
     }
 
     /// Usable scans between two device times of the last half minute, to within a block.
     pub(crate) fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
-        self.blocks
-            .iter()
-            .filter(|b| (begin_s..end_s).contains(&b.start_s))
-            .map(|b| b.count)
-            .sum()
+        let inside = |b: &&Block| (begin_s..end_s).contains(&b.start_s);
+        self.blocks.iter().filter(inside).map(|b| b.count).sum()
     }
 
     /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated,
     /// pm/s, with its standard error; `None` until the window is full since `since_s`.
     pub(crate) fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
-        let now_s = self.latest_s?;
-        let from_s = now_s - window_s;
-        if from_s < since_s {
-            return None;
-        }
-        let points: Vec<Block> = self
-            .blocks
-            .iter()
-            .filter(|b| b.start_s >= from_s)
-            .copied()
-            .collect();
-        if points.len() < 8 {
+        let from_s = self.latest_s? - window_s;
+        let inside = self.blocks.iter().filter(|b| b.start_s >= from_s);
+        if from_s < since_s || inside.clone().count() < 8 {
             return None;
         }
         let slopes = [0, 1].map(|k| {
-            let xy: Vec<(f64, f64)> = points
-                .iter()
-                .map(|b| {
-                    (
-                        b.start_s - from_s + b.sum_s / b.count,
-                        b.sum_pm[k] / b.count,
-                    )
-                })
-                .collect();
-            slope(&xy)
+            let mean = |b: &Block| {
+                let mean_s = b.start_s - from_s + b.sum_s / b.count;
+                (mean_s, b.sum_pm[k] / b.count)
+            };
+            slope(&inside.clone().map(mean).collect::<Vec<_>>())
         });
-        slopes
-            .into_iter()
-            .max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))
+        let size = |slope: &(f64, f64)| slope.0.abs();
+        let steeper = |a: &_, b: &_| size(a).total_cmp(&size(b));
+        slopes.into_iter().max_by(steeper)
     }
 }
 

@@ -46,6 +46,12 @@ pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
     Ok(bytes)
 }
 
+/// Exposure as the camera reports it, or as it was asked for, s.
+pub(crate) fn exposure_s(frame: &CameraFrame) -> Option<f64> {
+    let exposure_ms = frame.measured_exposure_ms.or(frame.commanded_exposure_ms);
+    exposure_ms.map(|ms| ms * 1e-3)
+}
+
 /// The encoders panic on a frame that was cut short; a camera may send one.
 fn check_whole(frame: &CameraFrame) -> Result<(), AcquisitionError> {
     let expected = u64::from(frame.width_px) * u64::from(frame.height_px);

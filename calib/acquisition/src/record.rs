@@ -29,7 +29,7 @@ use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::rig_devices::{CameraDriver, DeviceOpener, InterrogatorDriver, InterrogatorRig};
+use wcal_core::rig_devices::{DeviceOpener, InterrogatorDriver, InterrogatorRig};
 
 /// What came of it.
 #[derive(Debug)]
@@ -114,11 +114,8 @@ fn open_cameras(
         devices.camera(first, clock)?,
         devices.camera(second, clock)?,
     ];
-    // V4L2 counts the frames of each camera from its own start.
-    let own_numbers = [first, second]
-        .iter()
-        .any(|c| c.driver == CameraDriver::V4l2);
-    let pair = if own_numbers {
+    let alone = rig.camera.iter().any(|c| c.driver.counts_alone());
+    let pair = if alone {
         CameraPair::by_time
     } else {
         CameraPair::new

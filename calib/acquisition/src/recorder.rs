@@ -2,14 +2,14 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, Log, McapMessage, RecordedMessage, Refused, Scan, StagePosition,
-    SweepEvent, nanoseconds, stamp, topic,
+    CompressedImage, FrameInfo, Log, RecordedMessage, Refused, Scan, StagePosition, SweepEvent,
+    nanoseconds, stamp, topic,
 };
-use crate::pictures::{lossless, preview};
+use crate::pictures::{exposure_s, lossless, preview};
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{McapResult, WriteOptions, Writer};
+use mcap::{McapError, McapResult, WriteOptions, Writer};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
@@ -43,7 +43,7 @@ pub struct Recorder {
 
 struct Open {
     writer: Writer<BufWriter<File>>,
-    /// Number of each topic's channel, and of its next message.
+    /// Number of each topic's channel, and of its last message.
     channels: HashMap<String, (u16, u32)>,
     flushed: Instant,
     synced: Instant,
@@ -51,29 +51,31 @@ struct Open {
 }
 
 impl Open {
-    fn write<M: McapMessage>(&mut self, topic: &str, message: &M, host_s: f64) -> McapResult<()> {
-        if !self.channels.contains_key(topic) {
-            let schema = self
-                .writer
-                .add_schema(&M::full_name(), "protobuf", M::schema())?;
-            let channel = self
-                .writer
-                .add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
-            self.channels.insert(topic.to_owned(), (channel, 0));
-        }
-        let Some((channel_id, sequence)) = self.channels.get_mut(topic) else {
-            return Ok(());
+    fn write<M: RecordedMessage>(
+        &mut self,
+        topic: &str,
+        message: &M,
+        host_s: f64,
+    ) -> McapResult<()> {
+        let writer = &mut self.writer;
+        let (channel_id, sequence) = match self.channels.get(topic) {
+            Some((channel, last)) => (*channel, last.wrapping_add(1)),
+            None => {
+                let schema = writer.add_schema(&M::full_name(), "protobuf", M::schema())?;
+                let about = BTreeMap::new();
+                (writer.add_channel(schema, topic, "protobuf", &about)?, 0)
+            }
         };
+        let own = (channel_id, sequence);
+        self.channels.insert(topic.to_owned(), own);
         let time = nanoseconds(host_s);
         let header = MessageHeader {
-            channel_id: *channel_id,
-            sequence: *sequence,
+            channel_id,
+            sequence,
             log_time: time,
             publish_time: time,
         };
-        *sequence = sequence.wrapping_add(1);
-        self.writer
-            .write_to_known_channel(&header, &message.encode_to_vec())
+        writer.write_to_known_channel(&header, &message.encode_to_vec())
     }
 }
 
@@ -84,15 +86,10 @@ impl Recorder {
     /// # Errors
     /// When the file exists or cannot be written.
     pub fn create(path: &Path, about: BTreeMap<String, String>) -> Result<Self, AcquisitionError> {
-        let file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(path)
-            .map_err(AcquisitionError::io("creating", path))?;
-        let copy = file
-            .try_clone()
-            .map_err(AcquisitionError::io("creating", path))?;
-        let failed = |e| not_written(path, &e);
+        let io = |e| AcquisitionError::io("creating", path)(e);
+        let file = File::create_new(path).map_err(io)?;
+        let copy = file.try_clone().map_err(io)?;
+        let failed = |e: McapError| AcquisitionError::Recorder(why(path, &e));
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
         let options = WriteOptions::new()
             .chunk_size(Some(512 * 1024))
@@ -106,18 +103,16 @@ impl Recorder {
             })
             .map_err(failed)?;
         let now = Instant::now();
-        let open = Open {
-            writer,
-            channels: HashMap::new(),
-            flushed: now,
-            synced: now,
-            refused: Refused::default(),
-        };
-        let (open, path) = (Mutex::new(open), path.to_owned());
         let recorder = Self {
-            open,
+            open: Mutex::new(Open {
+                writer,
+                channels: HashMap::new(),
+                flushed: now,
+                synced: now,
+                refused: Refused::default(),
+            }),
             file: copy,
-            path,
+            path: path.to_owned(),
             syncing: Mutex::default(),
             failed: OnceLock::new(),
         };
@@ -130,7 +125,8 @@ impl Recorder {
     }
 
     fn failed(&self, error: &dyn std::error::Error) -> AcquisitionError {
-        first_failure(&self.path, &self.failed, error)
+        let first = self.failed.get_or_init(|| why(&self.path, error));
+        AcquisitionError::Recorder(first.clone())
     }
 
     /// Records a message; false where a reader would refuse it: it is omitted and counted.
@@ -240,20 +236,11 @@ impl Recorder {
             trigger: frame.trigger,
             host_s: frame.clocks.host_s,
             device_s: frame.clocks.device_s,
-            exposure_s: frame
-                .measured_exposure_ms
-                .or(frame.commanded_exposure_ms)
-                .map(|ms| ms * 1e-3),
+            exposure_s: exposure_s(frame),
             step,
         };
         if self.message(topic::FRAME, &info, frame.clocks.host_s)? && step.is_some() {
-            self.picture(
-                &format!("{}{name}", topic::POSE_PICTURE),
-                name,
-                frame,
-                "png",
-                lossless(frame)?,
-            )?;
+            self.picture(topic::POSE_PICTURE, name, frame, "png", lossless(frame)?)?;
         }
         Ok(())
     }
@@ -263,13 +250,7 @@ impl Recorder {
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
     pub fn preview(&self, name: &str, frame: &CameraFrame) -> Result<(), AcquisitionError> {
-        self.picture(
-            &format!("{}{name}", topic::CAMERA),
-            name,
-            frame,
-            "jpeg",
-            preview(frame)?,
-        )
+        self.picture(topic::CAMERA, name, frame, "jpeg", preview(frame)?)
     }
 
     fn picture(
@@ -286,7 +267,8 @@ impl Recorder {
             data,
             format: format.to_owned(),
         };
-        self.message(topic, &image, frame.clocks.host_s).map(drop)
+        let topic = format!("{topic}{name}");
+        self.message(&topic, &image, frame.clocks.host_s).map(drop)
     }
 
     /// Closes the file with its index.
@@ -307,24 +289,9 @@ impl Recorder {
     }
 }
 
-fn first_failure(
-    path: &Path,
-    first: &OnceLock<String>,
-    error: &dyn std::error::Error,
-) -> AcquisitionError {
-    AcquisitionError::Recorder(first.get_or_init(|| why(path, error)).clone())
-}
-
 /// Which file was not written, and why: a full disk says so in its own words.
 fn why(path: &Path, error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |e| e.source()).map(ToString::to_string);
-    format!(
-        "{}: {}",
-        path.display(),
-        causes.collect::<Vec<_>>().join(": ")
-    )
-}
-
-fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {
-    AcquisitionError::Recorder(why(path, error))
+    let place = std::iter::once(path.display().to_string());
+    place.chain(causes).collect::<Vec<_>>().join(": ")
 }

@@ -1,15 +1,15 @@
 //! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
 
 use crate::assign::{Assigned, ChannelMap};
+use crate::clock_watch::ClockWatch;
 use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
-use crate::message::{Scan, StagePosition, SweepEvent};
+use crate::message::{Scan, StagePosition, SweepEvent, topic};
 use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
 use crate::run_file::RunFile;
-use crate::sound_clock::SoundClock;
 use crate::stage_track::Track;
 use crate::tables::{self, Row, Stream};
 use crate::windows::{Window, missing_share, windows_of};
@@ -42,16 +42,11 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
 /// Which one, and the way out.
 pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
     for part in parts {
-        if std::fs::metadata(part)
-            .map_err(AcquisitionError::io("opening", part))?
-            .len()
-            == 0
-        {
-            let expected =
-                "a recording (copy it again, or remove the file if it never had content)";
+        let about = std::fs::metadata(part).map_err(AcquisitionError::io("opening", part))?;
+        if about.len() == 0 {
             return Err(AcquisitionError::input(
                 part.display().to_string(),
-                expected,
+                "a recording (copy it again, or remove the file if it never had content)",
                 "0 bytes",
             ));
         }
@@ -61,31 +56,23 @@ pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
 
 /// Refuses recordings of which no row comes: empty tables would replace those of better recordings.
 fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), AcquisitionError> {
-    let (expected, found) = match result {
-        _ if rows > 0 => return Ok(()),
-        Reduction {
-            events: 0, scans, ..
-        } => (
-            format!("events of a sweep ({})", crate::message::topic::EVENT),
-            match result.refused.text() {
-                Some(refused) => format!("none among {scans} scans, {refused}"),
-                None => format!("none among {scans} scans: what the sweep did is not known"),
-            },
-        ),
-        Reduction {
-            events,
-            empty_windows,
-            ..
-        } => (
-            "a reading (a sweep that stopped before its first has nothing to reduce)".to_owned(),
-            format!("none among {events} events, {empty_windows} windows without usable scans"),
-        ),
+    if rows > 0 {
+        return Ok(());
+    }
+    let place = first.display().to_string();
+    let (events, empty) = (result.events, result.empty_windows);
+    if events > 0 {
+        let expected = "a reading (a sweep that stopped before its first has nothing to reduce)";
+        let found = format!("none among {events} events, {empty} windows without usable scans");
+        return Err(AcquisitionError::input(place, expected, found));
+    }
+    let expected = format!("events of a sweep ({})", topic::EVENT);
+    let why = match result.refused.text() {
+        Some(refused) => format!(", {refused}"),
+        None => ": what the sweep did is not known".to_owned(),
     };
-    Err(AcquisitionError::input(
-        first.display().to_string(),
-        expected,
-        found,
-    ))
+    let found = format!("none among {} scans{why}", result.scans);
+    Err(AcquisitionError::input(place, expected, found))
 }
 
 /// Rebuilds the tables of a recorded session.
@@ -110,21 +97,15 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let mut origin_s = None;
     let mut clocks = Vec::new();
     for (number, part) in parts.iter().enumerate() {
-        let mut own = Vec::new();
-        clocks.push(reduce_part(
-            part,
-            &rig,
-            &mut origin_s,
-            &mut own,
-            &mut result,
-        )?);
+        let (own_clocks, mut own) = reduce_part(part, &rig, &mut origin_s, &mut result)?;
+        clocks.push(own_clocks);
         own.iter_mut().for_each(|row| row.part = number);
         add_part(&mut rows, own);
     }
     nothing_reduced(&parts[0], rows.len(), &result)?;
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
-    result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
+    result.outliers = rows.iter().map(|r| r.serials.len()).sum();
     result.marked = [Stream::Lost, Stream::Late, Stream::Moved]
         .map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
@@ -133,26 +114,17 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
     }
-    let names: Vec<String> = parts
-        .iter()
-        .filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
-        .collect();
-    let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
+    let name = |part: &PathBuf| Some(part.file_name()?.to_string_lossy().into_owned());
+    let names: Vec<String> = parts.iter().filter_map(name).collect();
     let added = added_later(folder);
     let session = |result: &Reduction| -> Result<(), AcquisitionError> {
-        let text = tables::session_toml(&rig, &run, &names, holdout, result, &added)?;
+        let text = tables::session_toml(&rig, &run, &names, result, &added)?;
         Ok(write_atomic(&folder.join("session.toml"), text.as_bytes())?)
     };
     // Pictures are large: where the disk has no room for them the tables are there.
     session(&result)?;
-    result.pictures[0] = write_pictures(
-        folder,
-        &run.id,
-        &cameras,
-        &parts,
-        &clocks,
-        &pictured_rows(&rows),
-    )?;
+    let pictured = pictured_rows(&rows);
+    result.pictures[0] = write_pictures(folder, &run.id, &cameras, &parts, &clocks, &pictured)?;
     if result.pictures[0] > 0 {
         session(&result)?;
     }
@@ -187,26 +159,27 @@ fn pictured_rows(rows: &[Row]) -> Vec<PicturedRow> {
     let mut next = [0; 2];
     let mut all = Vec::new();
     for row in rows {
-        let (part, step, sealed) = (row.part, row.step, row.sealed);
-        let point = next[usize::from(sealed)];
-        next[usize::from(sealed)] += 1;
+        let next = &mut next[usize::from(row.sealed)];
         all.extend(row.average_s.map(|_| PicturedRow {
-            part,
-            step,
-            point,
-            sealed,
+            part: row.part,
+            step: row.step,
+            point: *next,
+            sealed: row.sealed,
         }));
+        *next += 1;
     }
     all
 }
 
 /// What a recording holds beside the scans' wavelengths.
+#[derive(Default)]
 struct Contents {
     events: Vec<SweepEvent>,
     stage: Vec<StagePosition>,
-    clocks: ClockPair,
-    sound: SoundClock,
-    cameras: BTreeMap<String, ClockFit>,
+    clock: ClockWatch,
+    /// Events before the first fault of the clock.
+    events_before_fault: usize,
+    cameras: BTreeMap<String, ClockPair>,
     scans: u64,
 }
 
@@ -217,107 +190,88 @@ fn read_contents(
     origin_s: &mut Option<f64>,
     result: &mut Reduction,
 ) -> Result<Contents, AcquisitionError> {
-    let scans_before = result.scans;
-    let (mut events, mut stage, mut clocks) =
-        (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
+    let mut all = Contents {
+        clock: ClockWatch::new(rig.clock_scale),
+        ..Contents::default()
+    };
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
-    let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
-    let mut sound = SoundClock::new(rig.clock_scale);
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
-            sound.take(&scan, &mut clocks, events.len(), &mut result.clock_faults);
+            let fault = all.clock.take(scan.serial, scan.host_s, scan.device_s);
+            result.clock_faults.extend(fault.map(|f| f.to_string()));
             origin_s.get_or_insert(scan.device_s);
-            result.scans += 1;
+            all.scans += 1;
             let missing = next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
             result.lost = result.lost.saturating_add(missing);
             result.gaps += u64::from(missing > 0);
             next_serial = Some(scan.serial.saturating_add(1));
         }
-        Message::Stage(reading) => stage.push(reading),
+        Message::Stage(reading) => all.stage.push(reading),
         Message::Event(event) => {
             if event.kind == "pair-refused" {
                 result.pairs[1] += 1;
-                result
-                    .refused_why
-                    .get_or_insert_with(|| event.detail.clone());
+                let why = || event.detail.clone();
+                result.refused_why.get_or_insert_with(why);
             }
             result.pictures[1] += usize::from(event.kind == "picture-missed");
-            events.push(event);
+            all.events_before_fault += usize::from(all.clock.broken.is_none());
+            all.events.push(event);
         }
         Message::Picture(camera, host_s, device_s) => {
             pictures += 1;
             // The list of frames has it, too, where there is one.
-            cameras.entry(camera).or_default().add(host_s, device_s);
+            let pair = all.cameras.entry(camera).or_default();
+            pair.add(host_s, device_s);
         }
         Message::Frame(frame) => {
             frames += 1;
             let device_s = frame.device_s.unwrap_or(frame.host_s);
-            cameras
-                .entry(frame.camera)
-                .or_default()
-                .add(frame.host_s, device_s);
+            let pair = all.cameras.entry(frame.camera).or_default();
+            pair.add(frame.host_s, device_s);
         }
         Message::PosePicture(..) | Message::Other(..) => {}
     })?;
     // Older recordings contain every picture and no list of frames.
     result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
-    sound.settle(&mut clocks);
-    result.events += events.len();
+    all.clock.settle_held();
+    result.scans += all.scans;
+    result.events += all.events.len();
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
     result.repeated += end.repeated;
     result.refused.join(end.refused);
-    let cameras: BTreeMap<String, ClockFit> = cameras
-        .into_iter()
-        .filter_map(|(name, pair)| Some((name, pair.fit()?)))
-        .collect();
-    result
-        .camera_clocks
-        .extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
-    Ok(Contents {
-        events,
-        stage,
-        clocks,
-        sound,
-        cameras,
-        scans: result.scans - scans_before,
-    })
+    Ok(all)
 }
 
 fn reduce_part(
     path: &Path,
     rig: &Rig,
     origin_s: &mut Option<f64>,
-    rows: &mut Vec<Row>,
     result: &mut Reduction,
-) -> Result<PartClocks, AcquisitionError> {
-    let Contents {
-        events,
-        stage,
-        clocks,
-        sound,
-        cameras,
-        scans,
-    } = read_contents(path, rig, origin_s, result)?;
+) -> Result<(PartClocks, Vec<Row>), AcquisitionError> {
+    let all = read_contents(path, rig, origin_s, result)?;
+    let (events, clocks, scans) = (&all.events, &all.clock.pair, all.scans);
+    let cameras = all.cameras.into_iter();
+    let cameras: BTreeMap<String, ClockFit> = cameras
+        .filter_map(|(name, pair)| Some((name, pair.fit()?)))
+        .collect();
+    result.camera_clocks.extend(cameras.clone());
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else {
-        return Ok(PartClocks::default());
+        return Ok(Default::default());
     };
     let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
-    let track = Track::new(&stage, &fit, rig.stage.zero_mm);
+    let track = Track::new(&all.stage, &fit, rig.stage.zero_mm);
     let foreign = |found: String| {
-        let place = format!("{}: {}", path.display(), crate::message::topic::EVENT);
+        let place = format!("{}: {}", path.display(), topic::EVENT);
         let expected = "events of one sweep, whose windows hold a scan once";
         AcquisitionError::input(place, expected, found)
     };
-    let mut windows = windows_of(&events, scans).map_err(&foreign)?;
+    let mut windows = windows_of(events, scans).map_err(foreign)?;
     windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
     // Second pass: samples into their windows.
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
-    // The stage's position is known by host time: without aligned clocks no row can be assigned
-    // one.
-    let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     let (mut count, mut visits) = (0, 0);
     let most_visits = MAX_WINDOWS_PER_SCAN.saturating_mul(scans);
@@ -328,7 +282,7 @@ fn reduce_part(
         }
         visits += syncs.len() as u64;
         let t_s = scan.device_s;
-        let unclocked = sound.broken.is_some_and(|(first, _)| count >= first);
+        let unclocked = all.clock.broken.is_some_and(|first| count >= first);
         count += 1;
         if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1))
         {
@@ -341,22 +295,27 @@ fn reduce_part(
         if !unclocked {
             result.longest_delay_s = result.longest_delay_s.max(clocks.delay_s(scan.host_s, t_s));
         }
+        let assigned = map.assign(&scan.reading());
         for (sync, signal) in syncs.iter().zip(&mut sync_signals) {
             if (sync.begin_s..=sync.end_s).contains(&t_s)
-                && let Some([a, b]) = map.assign(&scan.reading()).usable()
+                && let Some([a, b]) = assigned.usable()
             {
                 signal.push((t_s, a, b));
             }
         }
         // A window that was over before the clock's fault has no scans from after it, whatever time
         // they state.
-        let after_fault = sound.broken.filter(|_| unclocked).map(|(_, events)| events);
+        let from_event = if unclocked {
+            all.events_before_fault
+        } else {
+            0
+        };
         visits += take_sample(
             &mut windows,
             &scan,
-            &map.assign(&scan.reading()),
+            &assigned,
             late || unclocked,
-            after_fault,
+            from_event,
         );
     })?;
     if visits > most_visits {
@@ -365,25 +324,25 @@ fn reduce_part(
         )));
     }
     for signal in &sync_signals {
-        result
-            .lag_s
-            .extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
+        let depth_mm = |t_s| track.at(t_s).map(|place| place.0);
+        result.lag_s.extend(lag::estimate_s(signal, depth_mm));
     }
-    add_rows(
-        rig,
-        windows,
-        &events,
-        &track,
-        (origin_s, unaligned),
-        &lost,
-        rows,
-        result,
-    );
-    Ok(PartClocks {
+    // The stage's position is known by host time: without aligned clocks no row can be assigned
+    // one.
+    if clocks.is_unaligned() {
+        windows.iter_mut().for_each(|window| window.late = true);
+    }
+    // In the order of the work, which a clock that was set does not change.
+    windows.sort_by_key(|w| w.event);
+    let row = |w: &Window| row_of(rig, &events[w.event], w, &track, origin_s, &lost);
+    let rows: Vec<Row> = windows.iter().filter_map(row).collect();
+    result.empty_windows += windows.len() - rows.len();
+    let clocks = PartClocks {
         interrogator: Some(fit),
         cameras,
         origin_s,
-    })
+    };
+    Ok((clocks, rows))
 }
 
 /// Adds a recording's clock; by how much it was set since the first one, s.
@@ -401,80 +360,38 @@ fn add_clock(result: &mut Reduction, fit: ClockFit, clock_scale: f64) -> f64 {
     set_s
 }
 
-/// A scan into the windows that it lies in; windows on the fly may touch each other, and none is
-/// longer than a settled one. `after_fault`: events before a fault of the clock after which the
-/// scan came. Returns how many windows were looked at.
+/// A scan into the windows that it lies in, of the events from `from_event` on; windows on the fly
+/// may touch each other, and none is longer than a settled one. Returns how many windows were
+/// looked at.
 fn take_sample(
     windows: &mut [Window],
     scan: &Scan,
     assigned: &Assigned,
     late: bool,
-    after_fault: Option<usize>,
+    from_event: usize,
 ) -> u64 {
     let mut visits = 0;
     let t_s = scan.device_s;
     let from = windows.partition_point(|w| w.end_s < t_s);
     for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
         visits += 1;
-        if t_s > window.end_s || after_fault.is_some_and(|events| window.event < events) {
+        if t_s > window.end_s || window.event < from_event {
             continue;
         }
         window.late |= late;
-        match assigned.usable() {
-            Some(sensing) => {
-                window.samples.serials.push(scan.serial);
-                window.samples.times_s.push(t_s - window.begin_s);
-                window
-                    .samples
-                    .reference_nm
-                    .push(assigned.reference_nm.unwrap_or(f64::NAN));
-                window.samples.sensing_nm[0].push(sensing[0]);
-                window.samples.sensing_nm[1].push(sensing[1]);
-            }
-            None => window.samples.unusable += 1,
-        }
+        let samples = &mut window.samples;
+        let Some(sensing) = assigned.usable() else {
+            samples.unusable += 1;
+            continue;
+        };
+        samples.serials.push(scan.serial);
+        samples.times_s.push(t_s - window.begin_s);
+        let reference_nm = assigned.reference_nm.unwrap_or(f64::NAN);
+        samples.reference_nm.push(reference_nm);
+        let both = samples.sensing_nm.iter_mut().zip(sensing);
+        both.for_each(|(all, nm)| all.push(nm));
     }
     visits
-}
-
-/// Rows of the windows, in the order of the work, which a clock that was set does not change.
-#[allow(
-    clippy::too_many_arguments,
-    reason = "what a part's second pass has gathered"
-)]
-fn add_rows(
-    rig: &Rig,
-    mut windows: Vec<Window>,
-    events: &[SweepEvent],
-    track: &Track,
-    (origin_s, unaligned): (f64, bool),
-    lost: &[[f64; 2]],
-    rows: &mut Vec<Row>,
-    result: &mut Reduction,
-) {
-    windows.sort_by_key(|w| w.event);
-    for window in windows {
-        let event = &events[window.event];
-        let stream = match window.late || unaligned {
-            true => Stream::Late,
-            false
-                if event.kind == "window"
-                    && track.has_left(event.target_mm, window.begin_s, window.end_s) =>
-            {
-                Stream::Moved
-            }
-            false if missing_share(&window, lost) > MAX_MISSING => Stream::Lost,
-            false => Stream::Whole,
-        };
-        match row_of(rig, event, &window, track, origin_s) {
-            Some(row) => rows.push(Row {
-                stream,
-                settled: row.settled && stream != Stream::Moved,
-                ..row
-            }),
-            None => result.empty_windows += 1,
-        }
-    }
 }
 
 /// By how much a clock was set between two recordings, s; 0 within what a working clock may have
@@ -497,17 +414,27 @@ fn row_of(
     window: &Window,
     track: &Track,
     origin_s: f64,
+    lost: &[[f64; 2]],
 ) -> Option<Row> {
     let mean = window.samples.mean()?;
     let moving = event.kind == "moving";
+    let (begin_s, end_s) = (window.begin_s, window.end_s);
     let (t_s, stage_mm, speed_mm_s) = if moving {
-        let t_s = window.begin_s + mean.time_s;
+        let t_s = begin_s + mean.time_s;
         let (mm, speed) = track.at(t_s)?;
         (t_s, mm, speed.abs())
     } else {
-        (window.end_s, track.mean(window.begin_s, window.end_s)?, 0.0)
+        (end_s, track.mean(begin_s, end_s)?, 0.0)
+    };
+    let stream = match window.late {
+        true => Stream::Late,
+        false if !moving && track.has_left(event.target_mm, begin_s, end_s) => Stream::Moved,
+        false if missing_share(window, lost) > MAX_MISSING => Stream::Lost,
+        false => Stream::Whole,
     };
     let loaded = event.role != "rest" && stage_mm >= 0.0;
+    let trajectory = rig.trajectory(event.trajectory).filter(|_| loaded);
+    let serials = mean.outliers.iter().map(|k| window.samples.serials[*k]);
     Some(Row {
         role: event.role.clone(),
         part: 0,
@@ -519,24 +446,13 @@ fn row_of(
         stage_mm,
         direction: event.direction,
         speed_mm_s,
-        dwell_s: if moving {
-            0.0
-        } else {
-            window.end_s - event.arrived_s
-        },
-        average_s: (!moving).then_some(window.end_s - window.begin_s),
-        groove_mm: rig
-            .trajectory(event.trajectory)
-            .filter(|_| loaded)
-            .map(|t| t.groove_mm(stage_mm)),
-        settled: event.settled || moving,
-        stream: Stream::Whole,
+        dwell_s: if moving { 0.0 } else { end_s - event.arrived_s },
+        average_s: (!moving).then_some(end_s - begin_s),
+        groove_mm: trajectory.map(|t| t.groove_mm(stage_mm)),
+        settled: (event.settled || moving) && stream != Stream::Moved,
+        stream,
         unusable: window.samples.unusable,
-        serials: mean
-            .outliers
-            .iter()
-            .map(|k| window.samples.serials[*k])
-            .collect(),
+        serials: serials.collect(),
         mean,
     })
 }

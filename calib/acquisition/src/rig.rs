@@ -8,8 +8,7 @@ use wcal_core::document::from_toml;
 use wcal_core::observation::WHISKER_RANGES;
 pub use wcal_core::rig_devices::RIG_FORMAT;
 use wcal_core::rig_devices::{
-    CameraRig, GratingRig, GrooveRig, InterrogatorRig, MountRig, RIG_RANGES, StageDriver, StageRig,
-    TagRig,
+    CameraRig, GratingRig, GrooveRig, InterrogatorRig, MountRig, RIG_RANGES, StageRig, TagRig,
 };
 use wcal_core::rigid::RigidPose;
 use wcal_session::SessionError;
@@ -136,7 +135,7 @@ impl Rig {
             );
         }
         if let Some((field, expected, found)) = addresses_that_clash(s, &rig.mount) {
-            return fail(field, expected, found);
+            return fail(field, &expected, found);
         }
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
@@ -235,47 +234,32 @@ impl Rig {
 /// Names of a whisker's gratings: the reference, which carries no strain, and the two that do.
 const GRATINGS: [&str; 3] = ["fbg_ref", "fbg_1", "fbg_2"];
 
-/// The highest address of a unit on an ASCII chain.
-const ASCII_ADDRESSES: u8 = 99;
-
 /// What is wrong with the addresses of stage and mount: field, expected, found.
 fn addresses_that_clash(
     stage: &StageRig,
     mount: &MountRig,
-) -> Option<(&'static str, &'static str, String)> {
-    let ascii = stage.driver == StageDriver::ZaberAscii;
-    if ascii && stage.address > ASCII_ADDRESSES {
-        return Some((
-            "stage.address",
-            "a whole number between 1 and 99",
-            stage.address.to_string(),
-        ));
+) -> Option<(&'static str, String, String)> {
+    let Some(last) = stage.driver.last_shared_address() else {
+        let expected = "kind = \"manual\": the stage's driver has no mount on its line";
+        let alone = *mount == MountRig::Manual;
+        return (!alone).then(|| ("mount.kind", expected.to_owned(), "zaber".to_owned()));
+    };
+    let of_unit = format!("a whole number between 1 and {last}");
+    if stage.address > last {
+        return Some(("stage.address", of_unit, stage.address.to_string()));
     }
-    let MountRig::Zaber { address, .. } = mount else {
+    let MountRig::Zaber { address, .. } = *mount else {
         return None;
     };
-    if !ascii {
-        let expected = "kind = \"manual\" beside a stage with driver zaber-binary";
-        return Some(("mount.kind", expected, "zaber".to_owned()));
-    }
-    if *address > ASCII_ADDRESSES {
-        return Some((
-            "mount.address",
-            "a whole number between 1 and 99",
-            address.to_string(),
-        ));
+    if address > last {
+        return Some(("mount.address", of_unit, address.to_string()));
     }
     // The mount is axis 1 of its unit: its turns would drive the stage.
-    (*address == stage.address && stage.axis == 1).then(|| {
-        let found = format!(
-            "[stage] address = {}, axis = 1 and [mount] address = {address}",
-            stage.address
-        );
-        (
-            "mount.address",
-            "another unit or axis than the stage's",
-            found,
-        )
+    (address == stage.address && stage.axis == 1).then(|| {
+        let found =
+            format!("[stage] address = {address}, axis = 1 and [mount] address = {address}");
+        let expected = "another unit or axis than the stage's".to_owned();
+        ("mount.address", expected, found)
     })
 }
 

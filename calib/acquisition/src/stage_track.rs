@@ -86,6 +86,7 @@ impl Track {
                 .map(|p| f(p.0 - t_s - mean_s, p.1 - mean_mm))
                 .sum::<f64>()
         };
+        // Least squares about the mean: slope sum(s mm) / sum(s^2).
         let speed = sum(&|s, mm| s * mm) / sum(&|s, _| s * s);
         Some((mean_mm - speed * mean_s, speed))
     }

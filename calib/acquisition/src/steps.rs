@@ -9,7 +9,7 @@ use crate::plan::{ARRIVAL_MM, Plan, Pose, Step};
 use crate::recorder::{Level, Recorder};
 use crate::rig::Rig;
 use std::collections::BTreeSet;
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission, Stage, StageReading};
@@ -100,18 +100,13 @@ impl Sweep<'_, '_, '_> {
     pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
         self.reference(allowed)?;
         let first_scan = Deadline::uninterruptible(SILENCE * 2);
-        while lock(self.bench.monitor).device_s().is_none() {
+        while self.monitor().device_s().is_none() {
             let over = first_scan.is_over();
             self.tick(POLL_STANDING)?;
-            if over && lock(self.bench.monitor).device_s().is_none() {
-                let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(
-                    kind,
-                    "interrogator",
-                    "wait for scans",
-                    "scans",
-                    "silence",
-                ));
+            if over && self.monitor().device_s().is_none() {
+                let (kind, action) = (DeviceErrorKind::Timeout, "wait for scans");
+                let device = "interrogator";
+                return Err(DeviceError::new(kind, device, action, "scans", "silence"));
             }
         }
         self.event("start", SweepEvent::default())?;
@@ -168,32 +163,26 @@ impl Sweep<'_, '_, '_> {
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
         self.bench.mount.select(trajectory)?;
         self.trajectory = Some(trajectory);
-        let begin_s = self.stage_s();
-        self.event(
-            "mount",
-            SweepEvent {
-                trajectory,
-                begin_s,
-                ..SweepEvent::default()
-            },
-        )
+        let event = SweepEvent {
+            trajectory,
+            begin_s: self.stage_s(),
+            ..SweepEvent::default()
+        };
+        self.event("mount", event)
     }
 
     /// Waits at rest until the drift gate opens, or the soak time is over.
     fn soak(&mut self) -> Result<(), DeviceError> {
         let begin_s = self.device_s();
-        let settle = self.plan.settle;
-        let gate = self.wait_for_gate(begin_s, settle.window_s * 5.0, self.plan.soak_s)?;
-        let (end_s, settled) = (self.device_s(), gate);
-        self.event(
-            "soak",
-            SweepEvent {
-                begin_s,
-                end_s,
-                settled,
-                ..SweepEvent::default()
-            },
-        )
+        let window_s = self.plan.settle.window_s * 5.0;
+        let settled = self.wait_for_gate(begin_s, window_s, self.plan.soak_s)?;
+        let event = SweepEvent {
+            begin_s,
+            end_s: self.device_s(),
+            settled,
+            ..SweepEvent::default()
+        };
+        self.event("soak", event)
     }
 
     /// In and out of contact at a known speed: the signal reveals the delay between the devices.
@@ -206,17 +195,14 @@ impl Sweep<'_, '_, '_> {
         self.go_through(there_and_back, speed_mm_s)?;
         let end_s = self.stage_s() + 0.3;
         self.wait_until(end_s)?;
-        let trajectory = self.trajectory.unwrap_or(0);
-        self.event(
-            "sync",
-            SweepEvent {
-                begin_s,
-                end_s,
-                speed_mm_s,
-                trajectory,
-                ..SweepEvent::default()
-            },
-        )
+        let event = SweepEvent {
+            begin_s,
+            end_s,
+            speed_mm_s,
+            trajectory: self.trajectory.unwrap_or(0),
+            ..SweepEvent::default()
+        };
+        self.event("sync", event)
     }
 
     /// Move, dwell, drift gate, averaging window.
@@ -232,37 +218,34 @@ impl Sweep<'_, '_, '_> {
                 "step {}: the signal did not settle in {} s",
                 self.step, settle.timeout_s
             );
-            self.bench
-                .recorder
-                .text(self.last.clocks.host_s, Level::Warning, &text)
-                .map_err(|e| disk(&e))?;
+            let recorder = self.bench.recorder;
+            let noted = recorder.text(self.last.clocks.host_s, Level::Warning, &text);
+            noted.map_err(|e| disk(&e))?;
         }
         if !self.rig.camera.is_empty() {
             let since_host_s = self.last.clocks.host_s;
-            lock(self.bench.monitor).want_picture(self.step as u32, since_host_s);
+            self.monitor().picture = Some((self.step as u32, since_host_s));
         }
         let (begin_s, end_s) = self.window(pose.average_s)?;
         self.wait_for_picture()?;
-        self.event(
-            "window",
-            SweepEvent {
-                begin_s,
-                end_s,
-                arrived_s,
-                settled,
-                ..pose_event(pose)
-            },
-        )
+        let event = SweepEvent {
+            begin_s,
+            end_s,
+            arrived_s,
+            settled,
+            ..pose_event(pose)
+        };
+        self.event("window", event)
     }
 
     /// The stage stands until the pair of the pose is recorded; after a time limit the sweep
     /// continues without it.
     fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
         let deadline = Deadline::uninterruptible(PICTURE);
-        while lock(self.bench.monitor).wanted_picture().is_some() && !deadline.is_over() {
+        while self.monitor().picture.is_some() && !deadline.is_over() {
             self.tick(POLL_STANDING)?;
         }
-        if lock(self.bench.monitor).end_picture() {
+        if self.monitor().picture.take().is_some() {
             self.event("picture-missed", SweepEvent::default())?;
         }
         Ok(())
@@ -275,7 +258,7 @@ impl Sweep<'_, '_, '_> {
             let begin_s = self.device_s();
             let end_s = begin_s + average_s;
             self.wait_until(end_s)?;
-            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= min_scans {
+            if self.monitor().scans_between(begin_s, end_s) >= min_scans {
                 return Ok((begin_s, end_s));
             }
         }
@@ -322,18 +305,14 @@ impl Sweep<'_, '_, '_> {
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
-        let off_mm = self.last.measured_mm - target_mm;
-        if off_mm.abs() > ARRIVAL_MM {
-            let (expected, found) = (
-                format!("{target_mm:.4} mm"),
-                format!("{:.4} mm", self.last.measured_mm),
-            );
+        let found_mm = self.last.measured_mm;
+        if (found_mm - target_mm).abs() > ARRIVAL_MM {
             return Err(DeviceError::new(
                 DeviceErrorKind::Stalled,
                 "stage",
                 "move",
-                expected,
-                found,
+                format!("{target_mm:.4} mm"),
+                format!("{found_mm:.4} mm"),
             ));
         }
         self.stands_mm = Some(target_mm);
@@ -346,25 +325,17 @@ impl Sweep<'_, '_, '_> {
         let Some(target_mm) = self.stands_mm else {
             return Ok(());
         };
-        if !self.last.moving && (self.last.measured_mm - target_mm).abs() <= ARRIVAL_MM {
+        let (moving, at_mm) = (self.last.moving, self.last.measured_mm);
+        if !moving && (at_mm - target_mm).abs() <= ARRIVAL_MM {
             return Ok(());
         }
-        let moves = if self.last.moving {
-            "moving"
-        } else {
-            "standing"
-        };
-        let found = format!(
-            "it {moves} at {:.4} mm: another program or a hand moves it",
-            self.last.measured_mm
-        );
-        let expected = format!("the stage at {target_mm:.4} mm, where it was sent");
+        let moves = if moving { "moving" } else { "standing" };
         self.of_stage(Err(DeviceError::new(
             DeviceErrorKind::Displaced,
             "stage",
             "stand",
-            expected,
-            found,
+            format!("the stage at {target_mm:.4} mm, where it was sent"),
+            format!("it {moves} at {at_mm:.4} mm: another program or a hand moves it"),
         )))
     }
 
@@ -430,7 +401,7 @@ impl Sweep<'_, '_, '_> {
         let gate = self.plan.settle.gate_pm_per_s;
         let deadline = self.by_device_clock(timeout_s);
         loop {
-            let drift = lock(self.bench.monitor).drift_pm_per_s(since_s, window_s);
+            let drift = self.monitor().drift_pm_per_s(since_s, window_s);
             if drift.is_some_and(|(slope, error)| slope.abs() < gate && error < gate) {
                 return Ok(true);
             }
@@ -446,38 +417,36 @@ impl Sweep<'_, '_, '_> {
     fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
         (self.bench.pause)(pause);
         self.bench.interrupt.check("sweep", "run")?;
-        if let Some(fault) = lock(self.bench.monitor).fault() {
+        if let Some(fault) = self.monitor().fault() {
             return Err(fault.clone());
         }
         let reading = self.bench.stage.read();
         let reading = self.of_stage(reading)?;
         self.note(reading)?;
         self.still_there()?;
-        let (latest, counts, device_s) = {
-            let monitor = lock(self.bench.monitor);
-            (monitor.latest(), monitor.counts(), monitor.device_s())
+        let progress = {
+            let monitor = self.monitor();
+            let [first_nm, second_nm] = monitor.latest().sensing_nm;
+            Progress {
+                step: self.step,
+                steps: self.steps,
+                stage_mm: self.last.measured_mm - self.rig.stage.zero_mm,
+                wavelengths_nm: [monitor.latest().reference_nm, first_nm, second_nm],
+                counts: monitor.counts(),
+                device_s: monitor.device_s(),
+            }
         };
-        (self.progress)(&Progress {
-            step: self.step,
-            steps: self.steps,
-            stage_mm: self.last.measured_mm - self.rig.stage.zero_mm,
-            wavelengths_nm: [
-                latest.reference_nm,
-                latest.sensing_nm[0],
-                latest.sensing_nm[1],
-            ],
-            counts,
-            device_s,
-        });
+        (self.progress)(&progress);
         Ok(())
+    }
+
+    fn monitor(&self) -> MutexGuard<'_, Monitor> {
+        lock(self.bench.monitor)
     }
 
     /// Remembers that it was the stage that failed.
     pub(crate) fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
-        if done
-            .as_ref()
-            .is_err_and(|e| e.kind != DeviceErrorKind::Interrupted)
-        {
+        if matches!(&done, Err(e) if e.kind != DeviceErrorKind::Interrupted) {
             self.fault = Fault::Stage;
         }
         done
@@ -491,14 +460,14 @@ impl Sweep<'_, '_, '_> {
 
     /// Device time of the newest scan, s.
     fn device_s(&self) -> f64 {
-        lock(self.bench.monitor).device_s().unwrap_or(0.0)
+        self.monitor().device_s().unwrap_or(0.0)
     }
 
     /// Device time of the last stage reading, s: a stream that is behind has not shown that moment
     /// yet.
     fn stage_s(&self) -> f64 {
-        let (monitor, host_s) = (lock(self.bench.monitor), self.last.clocks.host_s);
-        monitor.device_s_at(host_s).unwrap_or(0.0)
+        let host_s = self.last.clocks.host_s;
+        self.monitor().device_s_at(host_s).unwrap_or(0.0)
     }
 
     fn event(&mut self, kind: &str, event: SweepEvent) -> Result<(), DeviceError> {
@@ -507,10 +476,8 @@ impl Sweep<'_, '_, '_> {
             step: self.step as u32,
             ..event
         };
-        self.bench
-            .recorder
-            .event(self.last.clocks.host_s, &event)
-            .map_err(|e| disk(&e))
+        let recorded = self.bench.recorder.event(self.last.clocks.host_s, &event);
+        recorded.map_err(|e| disk(&e))
     }
 }
 
@@ -529,12 +496,6 @@ fn pose_event(pose: &Pose) -> SweepEvent {
 
 /// The recording could not be written: where, and why.
 pub(crate) fn disk(error: &AcquisitionError) -> DeviceError {
-    let kind = DeviceErrorKind::Configuration;
-    DeviceError::new(
-        kind,
-        "recorder",
-        "record",
-        "space on disk",
-        error.to_string(),
-    )
+    let (kind, expected) = (DeviceErrorKind::Configuration, "space on disk");
+    DeviceError::new(kind, "recorder", "record", expected, error.to_string())
 }

@@ -3,11 +3,12 @@
 use crate::clocks::ClockFit;
 use crate::error::AcquisitionError;
 use crate::reduction::Reduction;
-use crate::rig::Rig;
+use crate::rig::{Rig, TrajectoryRig};
 use crate::run_file::RunFile;
 use crate::windows::WindowMean;
 use nalgebra::Vector3;
-use toml::{Table, Value};
+use serde_json::{Value, json};
+use wcal_core::FbgSpec;
 use wcal_session::SIMULATED_COLUMN;
 
 /// Columns of points.csv and holdout.csv.
@@ -48,7 +49,7 @@ const COMPENSATION: [&str; 8] = [
 
 /// What the stream did in the averaging window of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stream {
+pub(crate) enum Stream {
     /// Its scans are there, and came in time.
     Whole,
     /// Scans are missing.
@@ -62,7 +63,7 @@ pub enum Stream {
 
 impl Stream {
     /// As in the column `stream`.
-    pub fn word(self) -> &'static str {
+    fn word(self) -> &'static str {
         match self {
             Self::Whole => "ok",
             Self::Lost => "lost",
@@ -74,7 +75,7 @@ impl Stream {
 
 /// A reduced reading.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub(crate) struct Row {
     /// Role.
     pub role: String,
     /// Recording, from 0.
@@ -116,11 +117,10 @@ pub struct Row {
 fn csv_text(
     write: impl FnOnce(&mut csv::Writer<Vec<u8>>) -> csv::Result<()>,
 ) -> Result<Vec<u8>, AcquisitionError> {
+    let failed = |e: &dyn std::error::Error| AcquisitionError::Recorder(e.to_string());
     let mut writer = csv::Writer::from_writer(Vec::new());
-    write(&mut writer).map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
-    writer
-        .into_inner()
-        .map_err(|e| AcquisitionError::Recorder(e.to_string()))
+    write(&mut writer).map_err(|e| failed(&e))?;
+    writer.into_inner().map_err(|e| failed(&e))
 }
 
 /// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv,
@@ -132,77 +132,75 @@ pub(crate) fn write_tables(
     rig: &Rig,
     rows: &[Row],
     simulated: bool,
-) -> Result<Vec<(String, Vec<u8>)>, AcquisitionError> {
+) -> Result<Vec<(&'static str, Vec<u8>)>, AcquisitionError> {
     let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.sealed);
-    let mut files = vec![("points.csv".to_owned(), rows_csv(&points, simulated)?)];
-    if !holdout.is_empty() {
-        files.push(("holdout.csv".to_owned(), rows_csv(&holdout, simulated)?));
+    let both = [("points.csv", points), ("holdout.csv", holdout)];
+    let mut files = Vec::new();
+    for (file, rows) in &both {
+        if !rows.is_empty() || *file == "points.csv" {
+            files.push((*file, rows_csv(rows, simulated)?));
+        }
     }
-    let both = [("points.csv", &points), ("holdout.csv", &holdout)];
+    let mut numbered: Vec<(&str, usize, &Row)> = Vec::new();
+    for (file, rows) in &both {
+        numbered.extend(rows.iter().enumerate().map(|(k, row)| (*file, k, *row)));
+    }
     let compensation = csv_text(|out| {
         out.write_record(COMPENSATION)?;
-        for (file, rows) in both {
-            for (k, row) in rows.iter().enumerate() {
-                out.write_record(compensation_fields(rig, file, k, row))?;
-            }
-        }
-        Ok(())
+        numbered.iter().try_for_each(|(file, k, row)| {
+            out.write_record(compensation_fields(rig, file, *k, row))
+        })
     })?;
-    files.push(("compensation.csv".to_owned(), compensation));
+    files.push(("compensation.csv", compensation));
     let outliers = csv_text(|out| {
         out.write_record(["file", "point", "scan"])?;
-        for (file, rows) in both {
-            for (k, row) in rows.iter().enumerate() {
-                for serial in &row.serials {
-                    out.write_record([file.to_owned(), k.to_string(), serial.to_string()])?;
-                }
+        for (file, k, row) in &numbered {
+            for serial in &row.serials {
+                out.write_record([*file, &k.to_string(), &serial.to_string()])?;
             }
         }
         Ok(())
     })?;
-    files.push(("outliers.csv".to_owned(), outliers));
+    files.push(("outliers.csv", outliers));
     Ok(files)
 }
 
 fn rows_csv(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
     csv_text(|out| {
-        out.write_record(
-            COLUMNS
-                .iter()
-                .copied()
-                .chain(simulated.then_some(SIMULATED_COLUMN)),
-        )?;
+        let mark = simulated.then_some(SIMULATED_COLUMN);
+        out.write_record(COLUMNS.into_iter().chain(mark))?;
         for (k, row) in rows.iter().enumerate() {
-            let groove = |axis: usize| {
-                row.groove_mm
-                    .map_or(String::new(), |g| format!("{:.6}", g[axis]))
+            let digits = |value: Option<f64>, digits: usize| {
+                value.map_or(String::new(), |v| format!("{v:.digits$}"))
             };
+            let groove = |axis: usize| digits(row.groove_mm.map(|g| g[axis]), 6);
+            let [first_nm, second_nm] = row.mean.sensing_nm;
+            let [first_sd_pm, second_sd_pm] = row.mean.sensing_sd_pm;
             let fields = [
                 k.to_string(),
                 row.role.clone(),
                 row.trajectory.to_string(),
                 row.replicate.to_string(),
-                format!("{:.4}", row.t_s),
-                format!("{:.6}", row.stage_mm),
+                digits(Some(row.t_s), 4),
+                digits(Some(row.stage_mm), 6),
                 row.direction.to_string(),
-                format!("{:.4}", row.speed_mm_s),
-                format!("{:.4}", row.dwell_s),
+                digits(Some(row.speed_mm_s), 4),
+                digits(Some(row.dwell_s), 4),
                 groove(0),
                 groove(1),
                 groove(2),
                 String::new(),
-                row.mean
-                    .reference_nm
-                    .map_or(String::new(), |nm| format!("{nm:.7}")),
-                format!("{:.7}", row.mean.sensing_nm[0]),
-                format!("{:.7}", row.mean.sensing_nm[1]),
-                format!("{:.4}", row.mean.sensing_sd_pm[0]),
-                format!("{:.4}", row.mean.sensing_sd_pm[1]),
+                digits(row.mean.reference_nm, 7),
+                digits(Some(first_nm), 7),
+                digits(Some(second_nm), 7),
+                digits(Some(first_sd_pm), 4),
+                digits(Some(second_sd_pm), 4),
                 row.mean.samples.to_string(),
-                row.average_s.map_or(String::new(), |s| format!("{s:.4}")),
+                digits(row.average_s, 4),
                 row.stream.word().to_owned(),
             ];
-            out.write_record(fields.into_iter().chain(simulated.then(|| "1".to_owned())))?;
+            let mark = simulated.then(|| "1".to_owned());
+            out.write_record(fields.into_iter().chain(mark))?;
         }
         Ok(())
     })
@@ -220,12 +218,10 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
         let nominal = rig.grating(name).map_or(0.0, |g| g.nominal_nm);
         let shift = (row.mean.sensing_nm[k] - nominal) * 1e3 - ratios[k] * heat_pm;
         // Var(y) = var_g + r^2 var_ref: the temperature correction adds the reference's noise.
-        let variance =
-            row.mean.sensing_sd_pm[k].powi(2) + (ratios[k] * row.mean.reference_sd_pm).powi(2);
-        fields.extend([
-            format!("{shift:.4}"),
-            format!("{:.4}", (variance / n).sqrt()),
-        ]);
+        let of_reference = ratios[k] * row.mean.reference_sd_pm;
+        let variance = row.mean.sensing_sd_pm[k].powi(2) + of_reference.powi(2);
+        let sd = (variance / n).sqrt();
+        fields.extend([format!("{shift:.4}"), format!("{sd:.4}")]);
     }
     fields.extend([row.settled.to_string(), row.unusable.to_string()]);
     fields
@@ -234,21 +230,10 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
 /// Shift of each sensing grating per shift of the reference, from the rig's temperature
 /// coefficients; 0 without them.
 pub(crate) fn temperature_ratio(rig: &Rig) -> [f64; 2] {
-    let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
-    let reference = rig
-        .fbg
-        .get("reference_temperature_pm_per_degc")
-        .and_then(number);
-    let own = rig
-        .fbg
-        .get("temperature_pm_per_degc")
-        .and_then(Value::as_array);
-    match (reference, own) {
-        (Some(r), Some(list))
-            if r != 0.0 && list.len() == 2 && rig.grating("fbg_ref").is_some() =>
-        {
-            [0, 1].map(|k| number(&list[k]).unwrap_or(0.0) / r)
-        }
+    let fbg: FbgSpec = rig.fbg.clone().try_into().unwrap_or_default();
+    let reference = fbg.reference_temperature_pm_per_degc;
+    match (reference, fbg.temperature_pm_per_degc) {
+        (Some(r), Some(own)) if r != 0.0 && rig.grating("fbg_ref").is_some() => own.map(|k| k / r),
         _ => [0.0; 2],
     }
 }
@@ -265,164 +250,119 @@ pub(crate) const ADDED_LATER: [[&str; 2]; 4] = [
 ///
 /// # Errors
 /// When the rig's tables cannot be written as TOML.
-pub fn session_toml(
+pub(crate) fn session_toml(
     rig: &Rig,
     run: &RunFile,
     recordings: &[String],
-    holdout: bool,
     result: &Reduction,
     added: &[[String; 3]],
 ) -> Result<String, AcquisitionError> {
-    let there = [
-        (holdout, "holdout", "holdout.csv"),
-        (result.pictures[0] > 0, "pictures", "pictures/"),
-    ];
-    let there = there
-        .into_iter()
-        .filter(|entry| entry.0)
-        .map(|(_, key, file)| (key, file.into()));
-    let files = [
-        ("points", "points.csv".into()),
-        ("recording", recordings[0].clone().into()),
-    ];
     let nominal = |name: &str| rig.grating(name).map(|g| g.nominal_nm);
-    let nominal_nm: Vec<f64> = ["fbg_1", "fbg_2"].into_iter().filter_map(nominal).collect();
-    let reference = nominal("fbg_ref").map(|nm| ("reference_nominal_nm", nm.into()));
-    let mut fbg = rig.fbg.clone();
-    fbg.extend(table(
-        [("nominal_nm", nominal_nm.into())]
-            .into_iter()
-            .chain(reference),
-    ));
-    let trajectories = rig.trajectory.iter().map(|t| {
-        let unit = Vector3::from(t.direction).normalize();
-        let entries = [
-            ("id", t.id.into()),
-            ("origin_mm", t.origin_mm.to_vec().into()),
-            ("direction", unit.as_slice().to_vec().into()),
-        ];
-        let nominal = t
-            .nominal_arclength_mm
-            .map(|s| ("nominal_arclength_mm", s.into()));
-        table(entries.into_iter().chain(nominal))
+    let trajectory = |t: &TrajectoryRig| {
+        json!({
+            "id": t.id,
+            "origin_mm": t.origin_mm,
+            "direction": Vector3::from(t.direction).normalize().as_slice(),
+            "nominal_arclength_mm": t.nominal_arclength_mm,
+        })
+    };
+    let simulated = run.is_simulated();
+    let mut session = json!({
+        "format": "wcal-session/1",
+        "id": run.id,
+        "kind": "whisker",
+        "medium": run.medium,
+        "created": run.created,
+        "files": {
+            "points": "points.csv",
+            "recording": recordings[0],
+            "holdout": (result.holdout > 0).then_some("holdout.csv"),
+            "pictures": (result.pictures[0] > 0).then_some("pictures/"),
+        },
+        "whisker": rig.whisker,
+        "moments": rig.moments,
+        "fbg": rig.fbg,
+        "trajectory": rig.trajectory.iter().map(trajectory).collect::<Vec<_>>(),
+        "devices": run.devices,
+        "provenance": {
+            "program": run.program,
+            "command": run.command,
+            "rig_sha256": run.rig_sha256,
+            "plan_sha256": run.plan_sha256,
+            "simulated": simulated.then_some(true),
+            "simulated_by": simulated.then_some("the virtual bench"),
+        },
     });
-    let simulated = [
-        ("simulated", true.into()),
-        ("simulated_by", "the virtual bench".into()),
-    ];
-    let provenance = [
-        ("program", run.program.clone().into()),
-        ("command", run.command.clone().into()),
-        ("rig_sha256", run.rig_sha256.clone().into()),
-        ("plan_sha256", run.plan_sha256.clone().into()),
-    ];
-    let provenance = provenance
-        .into_iter()
-        .chain(simulated.into_iter().filter(|_| run.is_simulated()));
-    let entries = [
-        ("format", "wcal-session/1".into()),
-        ("id", run.id.clone().into()),
-        ("kind", "whisker".into()),
-        ("medium", run.medium.clone().into()),
-        ("created", run.created.clone().into()),
-        ("files", table(files.into_iter().chain(there)).into()),
-        ("whisker", rig.whisker.clone().into()),
-        ("fbg", fbg.into()),
-        ("trajectory", trajectories.collect::<Vec<_>>().into()),
-        ("devices", devices(run, recordings, result).into()),
-        ("provenance", table(provenance).into()),
-    ];
-    let mut root = table(
-        entries
-            .into_iter()
-            .chain(rig.moments.clone().map(|m| ("moments", m.into()))),
-    );
+    session["fbg"]["nominal_nm"] = json!([nominal("fbg_1"), nominal("fbg_2")]);
+    session["fbg"]["reference_nominal_nm"] = json!(nominal("fbg_ref"));
+    for (role, identity) in &run.devices {
+        let device = &mut session["devices"][role];
+        for (key, value) in &identity.settings {
+            device[key] = json!(value);
+        }
+        device["settings"] = Value::Null;
+    }
+    session["devices"]["stream"] = stream(run, recordings, result);
     for [table, key, value] in added {
-        if let Some(table) = root.get_mut(table).and_then(Value::as_table_mut) {
-            table.insert(key.clone(), value.clone().into());
+        if session[table].is_object() {
+            session[table][key] = json!(value);
         }
     }
-    toml::to_string(&root).map_err(|e| AcquisitionError::Recorder(e.to_string()))
+    prune(&mut session);
+    // In the order of a table of TOML.
+    toml::Table::try_from(&session)
+        .and_then(|session| toml::to_string(&session))
+        .map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-fn table<'a>(entries: impl IntoIterator<Item = (&'a str, Value)>) -> Table {
-    entries
-        .into_iter()
-        .map(|(key, value)| (key.to_owned(), value))
-        .collect()
-}
-
-fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Table {
-    let mut devices = Table::new();
-    for (role, identity) in &run.devices {
-        let own = [
-            ("driver", &identity.driver),
-            ("model", &identity.model),
-            ("serial", &identity.serial),
-            ("firmware", &identity.firmware),
-        ];
-        let settings = identity.settings.iter().map(|(k, v)| (k.as_str(), v));
-        let all = own
-            .into_iter()
-            .chain(settings)
-            .map(|(key, value)| (key, value.clone().into()));
-        devices.insert(role.clone(), table(all).into());
+/// TOML has no null: what is not there has no entry.
+fn prune(value: &mut Value) {
+    match value {
+        Value::Object(entries) => {
+            entries.retain(|_, value| !value.is_null());
+            entries.values_mut().for_each(prune);
+        }
+        Value::Array(entries) => {
+            entries.retain(|value| !value.is_null());
+            entries.iter_mut().for_each(prune);
+        }
+        _ => {}
     }
-    let count = |n: u64| Value::Integer(n as i64);
-    let pairs = [("camera_pairs", 0), ("camera_pairs_refused", 1)];
-    let pairs = pairs.into_iter().filter(|_| result.pairs != [0; 2]);
-    let cameras = result
-        .camera_clocks
-        .iter()
-        .map(|(name, fit)| clock(fit, Some(name)));
-    let stream = [
-        ("scans", count(result.scans)),
-        ("lost_scans", count(result.lost)),
-        ("gaps", count(result.gaps)),
-        ("late_scans", count(result.late)),
-        ("longest_delay_s", result.longest_delay_s.into()),
-        ("damaged_chunks", count(result.damaged_chunks)),
-        ("warnings", result.warnings().into()),
-        ("recordings", recordings.to_vec().into()),
-        ("clock_scale", run.clock_scale.into()),
-        ("lag_s", result.lag_s.clone().into()),
-        (
-            "clocks",
-            result
-                .clocks
-                .iter()
-                .map(|fit| clock(fit, None))
-                .collect::<Vec<_>>()
-                .into(),
-        ),
-        ("camera_clocks", cameras.collect::<Vec<_>>().into()),
-    ];
-    let pairs = pairs.map(|(key, k)| (key, count(result.pairs[k])));
-    devices.insert(
-        "stream".to_owned(),
-        table(stream.into_iter().chain(pairs)).into(),
-    );
-    devices
+}
+
+fn stream(run: &RunFile, recordings: &[String], result: &Reduction) -> Value {
+    let of_interrogator = result.clocks.iter().map(|fit| clock(fit, None));
+    let cameras = result.camera_clocks.iter();
+    let of_cameras = cameras.map(|(name, fit)| clock(fit, Some(name)));
+    let pairs = (result.pairs != [0; 2]).then_some(result.pairs);
+    json!({
+        "scans": result.scans,
+        "lost_scans": result.lost,
+        "gaps": result.gaps,
+        "late_scans": result.late,
+        "longest_delay_s": result.longest_delay_s,
+        "damaged_chunks": result.damaged_chunks,
+        "warnings": result.warnings(),
+        "recordings": recordings,
+        "clock_scale": run.clock_scale,
+        "lag_s": result.lag_s,
+        "clocks": of_interrogator.collect::<Vec<_>>(),
+        "camera_clocks": of_cameras.collect::<Vec<_>>(),
+        "camera_pairs": pairs.map(|pairs| pairs[0]),
+        "camera_pairs_refused": pairs.map(|pairs| pairs[1]),
+    })
 }
 
 /// A clock fit, named where it is one of several.
-fn clock(fit: &ClockFit, name: Option<&str>) -> Table {
-    let entries = [
-        ("device_minus_host_s", fit.offset_s.into()),
-        ("drift_ppm", (fit.drift * 1e6).into()),
-        ("scatter_ms", (fit.scatter_s * 1e3).into()),
-    ];
-    // A recording of a few seconds does not determine the drift.
-    let sd = fit
-        .drift_sd
-        .is_finite()
-        .then(|| ("drift_sd_ppm", (fit.drift_sd * 1e6).into()));
-    table(
-        entries
-            .into_iter()
-            .chain(sd)
-            .chain(name.map(|name| ("name", name.into()))),
-    )
+fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
+    json!({
+        "device_minus_host_s": fit.offset_s,
+        "drift_ppm": fit.drift * 1e6,
+        "scatter_ms": fit.scatter_s * 1e3,
+        // A recording of a few seconds does not determine the drift: infinite, that is null.
+        "drift_sd_ppm": fit.drift_sd * 1e6,
+        "name": name,
+    })
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ const OUTLIER_SIGMA: f64 = 8.0;
 
 /// Samples of one window: scan number, reference and sensing gratings, nm.
 #[derive(Debug, Clone, Default)]
-pub struct Samples {
+pub(crate) struct Samples {
     /// Scan numbers.
     pub serials: Vec<u64>,
     /// Times since the window's begin, s.
@@ -34,7 +34,7 @@ pub struct Samples {
 
 /// Mean of a window.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WindowMean {
+pub(crate) struct WindowMean {
     /// Reference grating, nm, where there is one.
     pub reference_nm: Option<f64>,
     /// Spread of its single samples, pm.
@@ -54,7 +54,7 @@ pub struct WindowMean {
 
 impl Samples {
     /// The mean; `None` without two samples.
-    pub fn mean(&self) -> Option<WindowMean> {
+    pub(crate) fn mean(&self) -> Option<WindowMean> {
         let mut marked = vec![false; self.serials.len()];
         for values in &self.sensing_nm {
             mark(values, &mut marked);

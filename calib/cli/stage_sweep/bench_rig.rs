@@ -39,20 +39,24 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     let driver = rig
         .get("interrogator")
         .and_then(|i| i.get("driver")?.as_str());
-    let hyperion = driver == Some("hyperion");
-    let mut set = |table: &str, key: &str, address: String| -> Result<()> {
+    // One port is an address, several have names.
+    let own = addresses.get(driver.unwrap_or_default());
+    let port = |name: &str| own.and_then(|own| own.get(name)?.as_str());
+    let address = own.and_then(|own| own.as_str()).or(port("commands"));
+    let address = address.ok_or_else(|| {
+        anyhow!("expected the driver of a device under [interrogator] in the rig")
+    })?;
+    let mut set = |table: &str, key: &str, address: &str| -> Result<()> {
         let entries = rig.get_mut(table).and_then(toml::Value::as_table_mut);
         let entries =
             entries.ok_or_else(|| anyhow!("expected [{table}] in the rig, found none"))?;
         entries.insert(key.to_owned(), address.into());
         Ok(())
     };
-    set("stage", "port", format!("tcp://{}", text("/stage_tcp")?))?;
-    if hyperion {
-        set("interrogator", "address", text("/hyperion/commands")?)?;
-        set("interrogator", "peaks_address", text("/hyperion/peaks")?)?;
-    } else {
-        set("interrogator", "address", text("/sm130")?)?;
+    set("stage", "port", &format!("tcp://{}", text("/stage_tcp")?))?;
+    set("interrogator", "address", address)?;
+    if let Some(peaks) = port("peaks") {
+        set("interrogator", "peaks_address", peaks)?;
     }
     Ok(toml::to_string(&rig)?)
 }

@@ -150,6 +150,17 @@ pub enum StageDriver {
     ZaberBinary,
 }
 
+impl StageDriver {
+    /// Highest address of a unit on a line that the stage shares with a motorised mount; none where
+    /// the line carries no mount.
+    pub fn last_shared_address(self) -> Option<u8> {
+        match self {
+            Self::ZaberAscii => Some(99),
+            Self::ZaberBinary => None,
+        }
+    }
+}
+
 /// How a position is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -260,6 +271,14 @@ pub enum CameraDriver {
     Net,
     /// A folder of numbered pictures.
     Folder,
+}
+
+impl CameraDriver {
+    /// Whether each camera counts its pictures from its own start, so that numbers say nothing of a
+    /// pair.
+    pub fn counts_alone(self) -> bool {
+        self == Self::V4l2
+    }
 }
 
 /// A camera.

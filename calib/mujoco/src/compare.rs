@@ -63,6 +63,7 @@ pub fn statics(
     let held = held.ok_or_else(|| refuse("no equilibrium".to_owned()))?;
     // The same force on the link that holds its place.
     engine.load(&mjcf(whisker, options)?, false)?;
+    // At the arc length where the rod is held: there the two are compared.
     let link_mm = length_mm / options.links as f64;
     let link = ((held.arclength_mm / link_mm) as usize).min(options.links - 1);
     let along_mm = held.arclength_mm - link as f64 * link_mm;
@@ -84,5 +85,6 @@ pub fn statics(
 
 fn point_on(frame: &Frame, link: usize, along_mm: f64) -> Vector3<f64> {
     let at = |j: usize| Vector3::from(frame.links_m[j]) * 1e3;
+    // A link is straight between its joints.
     at(link) + (at(link + 1) - at(link)).normalize() * along_mm
 }

@@ -24,10 +24,12 @@ use trial_rig::TrialRig;
 pub use trial_rig::{Parameters, Score, Targets, ring_down_s};
 use wcal_core::observation::WhiskerSpec;
 
-/// The paper's grid: damping of its joints (N m s/rad), contact width (mm), impedances.
+/// The paper's grid: step, lowest and highest of damping of its joints (N m s/rad), contact width
+/// (mm), and both impedances.
+const STEPS: [f64; 4] = [0.005, 1.0, 0.05, 0.05];
+const LOWEST: [f64; 4] = [0.0, 1.0, 0.0, 0.05];
+const HIGHEST: [f64; 4] = [0.03, 10.0, 1.0, 1.0];
 const DAMPINGS: [f64; 7] = [0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03];
-const WIDTHS_MM: [f64; 2] = [1.0, 10.0];
-const IMPEDANCE_STEP: f64 = 0.05;
 
 /// A trial.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -92,6 +94,7 @@ impl Sensitivity {
 
 /// Standard deviations with all free, from the demands' changes over a step of each.
 fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
+    // N = J^T J; its inverse is the covariance of parameters with unit demands.
     let normal = Matrix4::from_fn(|i, j| {
         let pairs = changes[i].iter().zip(&changes[j]);
         pairs
@@ -134,12 +137,7 @@ pub fn fit_dynamics(
     };
     // Damping with a hard contact, then the contact with that damping: the two barely meet in
     // ring-down and overlap.
-    let mut best = Parameters {
-        damping_nms_rad: 0.0,
-        width_mm: 1.0,
-        d0: 0.95,
-        dmax: 1.0,
-    };
+    let mut best = Parameters::of([0.0, 1.0, 0.95, 1.0]);
     let mut least = f64::INFINITY;
     for damping in DAMPINGS {
         let tried = Parameters {
@@ -161,12 +159,7 @@ pub fn fit_dynamics(
             (0.8, 0.95),
             (0.95, 1.0),
         ] {
-            let tried = Parameters {
-                width_mm,
-                d0,
-                dmax,
-                ..best
-            };
+            let tried = Parameters::of([best.damping_nms_rad, width_mm, d0, dmax]);
             candidates.push((add(&mut bench, "grid-contact", tried, false)?, tried));
         }
     }
@@ -251,36 +244,16 @@ fn sensitivity(bench: &mut TrialRig, at: &Parameters) -> Result<Sensitivity, Twi
             .map(|(a, b)| b - a)
             .collect())
     };
-    let dmax = if at.dmax + IMPEDANCE_STEP <= 1.0 {
-        at.dmax + IMPEDANCE_STEP
-    } else {
-        at.dmax - IMPEDANCE_STEP
-    };
-    let mut changes = [
-        over(Parameters {
-            damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03),
-            ..*at
-        })?,
-        over(Parameters {
-            width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]),
-            ..*at
-        })?,
-        over(Parameters {
-            d0: step(at.d0, IMPEDANCE_STEP, at.dmax),
-            ..*at
-        })?,
-        over(Parameters {
-            dmax,
-            d0: at.d0.min(dmax),
-            ..*at
-        })?,
-    ];
-    // A demand that a step breaks tells nothing of its size.
-    changes
-        .iter_mut()
-        .flatten()
-        .filter(|d| !d.is_finite())
-        .for_each(|d| *d = 0.0);
+    let most = [HIGHEST[0], HIGHEST[1], at.dmax, HIGHEST[3]];
+    let mut changes: [Vec<f64>; 4] = Default::default();
+    for (k, own) in changes.iter_mut().enumerate() {
+        let mut x = at.array();
+        x[k] = step(x[k], STEPS[k], most[k]);
+        x[2] = x[2].min(x[3]);
+        // A demand that a step breaks tells nothing of its size.
+        let known = |d: f64| if d.is_finite() { d } else { 0.0 };
+        *own = over(Parameters::of(x))?.into_iter().map(known).collect();
+    }
     let [damping, width, d0, dmax] =
         [0, 1, 2, 3].map(|k| changes[k].iter().map(|d| d * d).sum::<f64>().sqrt());
     Ok(Sensitivity {
@@ -299,25 +272,15 @@ fn best_of(trials: &[Trial]) -> Option<usize> {
 }
 
 fn neighbours(p: &Parameters) -> Vec<Parameters> {
+    let lowest = [LOWEST[0], LOWEST[1], LOWEST[2], p.d0];
+    let highest = [HIGHEST[0], HIGHEST[1], p.dmax, HIGHEST[3]];
     let mut all = Vec::new();
     for sign in [-1.0, 1.0] {
-        let damping = (p.damping_nms_rad + sign * 0.005).clamp(0.0, 0.03);
-        all.push(Parameters {
-            damping_nms_rad: damping,
-            ..*p
-        });
-        all.push(Parameters {
-            width_mm: (p.width_mm + sign).clamp(WIDTHS_MM[0], WIDTHS_MM[1]),
-            ..*p
-        });
-        all.push(Parameters {
-            d0: (p.d0 + sign * IMPEDANCE_STEP).clamp(0.0, p.dmax),
-            ..*p
-        });
-        all.push(Parameters {
-            dmax: (p.dmax + sign * IMPEDANCE_STEP).clamp(p.d0, 1.0),
-            ..*p
-        });
+        for k in 0..4 {
+            let mut x = p.array();
+            x[k] = (x[k] + sign * STEPS[k]).clamp(lowest[k], highest[k]);
+            all.push(Parameters::of(x));
+        }
     }
     all.retain(|q| q != p);
     all
@@ -334,32 +297,14 @@ fn search(
     shared: &Shared,
     progress: &impl Fn(&Trial),
 ) -> Result<(), TwinError> {
-    let fault = |e: String| TwinError::value("NLopt", "a search", e);
     // Share of dmax stands for d0, so that d0 <= dmax holds by itself.
-    let start = [
-        from.damping_nms_rad,
-        from.width_mm,
-        from.d0 / from.dmax.max(1e-6),
-        from.dmax,
-    ];
+    let mut start = from.array();
+    start[2] = from.d0 / from.dmax.max(1e-6);
     let reach = [0.01, 2.0, 0.2, 0.1];
-    let (lowest, highest) = (
-        [0.0, WIDTHS_MM[0], 0.0, 0.05],
-        [0.03, WIDTHS_MM[1], 1.0, 1.0],
-    );
-    let lower: Vec<f64> = (0..4)
-        .map(|k| (start[k] - reach[k]).max(lowest[k]))
-        .collect();
-    let upper: Vec<f64> = (0..4)
-        .map(|k| (start[k] + reach[k]).min(highest[k]))
-        .collect();
+    let lower = [0, 1, 2, 3].map(|k| (start[k] - reach[k]).max(LOWEST[k]));
+    let upper = [0, 1, 2, 3].map(|k| (start[k] + reach[k]).min(HIGHEST[k]));
     let objective = |x: &[f64], _: Option<&mut [f64]>, _: &mut ()| {
-        let parameters = Parameters {
-            damping_nms_rad: x[0],
-            width_mm: x[1],
-            d0: x[2] * x[3],
-            dmax: x[3],
-        };
+        let parameters = Parameters::of([x[0], x[1], x[2] * x[3], x[3]]);
         let (bench, trials, error) = &mut *shared.borrow_mut();
         match bench.score(&parameters, true) {
             Ok(score) => {
@@ -380,12 +325,10 @@ fn search(
     };
     let mut opt = Nlopt::new(algorithm, 4, objective, Target::Minimize, ());
     opt.set_lower_bounds(&lower)
-        .map_err(|e| fault(format!("{e:?}")))?;
-    opt.set_upper_bounds(&upper)
-        .map_err(|e| fault(format!("{e:?}")))?;
-    opt.set_maxeval(evaluations.max(1))
-        .map_err(|e| fault(format!("{e:?}")))?;
-    let mut x: Vec<f64> = (0..4).map(|k| start[k].clamp(lower[k], upper[k])).collect();
+        .and_then(|_| opt.set_upper_bounds(&upper))
+        .and_then(|_| opt.set_maxeval(evaluations.max(1)))
+        .map_err(|e| TwinError::value("NLopt", "a search", format!("{e:?}")))?;
+    let mut x = [0, 1, 2, 3].map(|k| start[k].clamp(lower[k], upper[k]));
     // How it ended is not asked: the best trial counts.
     let _ = opt.optimize(&mut x);
     drop(opt);

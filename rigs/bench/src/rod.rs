@@ -132,6 +132,7 @@ impl Taper {
         match self {
             Self::None => 1.0,
             Self::Linear(e) => 1.0 + e * fraction,
+            // EI goes with the fourth power of a diameter that is linear along the wire.
             Self::Cone(e) => (1.0 + ((1.0 + e).powf(0.25) - 1.0) * fraction).powi(4),
         }
     }
@@ -153,6 +154,7 @@ pub struct Equilibrium {
 /// exp of a rotation vector, and its left integral applied to e1 (the chord of a helix).
 fn helix(phi: &V3) -> (M3, V3) {
     let t2 = phi.norm_squared();
+    // Near zero the closed forms divide 0 by 0: their series stand in for them.
     let (a, b, c) = if t2 < 1e-4 {
         (
             1.0 - t2 / 6.0 + t2 * t2 / 120.0,
@@ -163,6 +165,7 @@ fn helix(phi: &V3) -> (M3, V3) {
         let t = t2.sqrt();
         (t.sin() / t, (1.0 - t.cos()) / t2, (t - t.sin()) / (t2 * t))
     };
+    // Rodrigues' formula, and its integral over the element: the chord of a helix.
     let k = phi.cross_matrix();
     let k2 = k * k;
     (
@@ -215,39 +218,24 @@ impl Wire {
     /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns
     /// position and tangent.
     pub fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
-        let base = point.cross(force);
-        let root = V3::new(
-            0.0,
-            self.root_compliance[0] * base.y,
-            self.root_compliance[1] * base.z,
-        );
-        let mut frame = helix(&root).0;
-        let mut r = V3::zeros();
-        let mut u = V3::zeros();
         let split = self.straight_mm.min(sigma_mm);
         let sections = [
-            (0.0, split, self.elements[0], 0.0),
-            (split, sigma_mm, self.elements[1], 1.0 / self.arc_radius_mm),
+            ([0.0, split], self.elements[0], 0.0),
+            (
+                [split, sigma_mm],
+                self.elements[1],
+                1.0 / self.arc_radius_mm,
+            ),
         ];
-        for (from, to, count, curvature) in sections {
-            if to - from < 1e-9 {
-                continue;
-            }
-            let count = count * refine;
-            let h = (to - from) / count as f64;
-            let rest = V3::new(0.0, curvature, 0.0);
-            u += rest;
-            for i in 0..count {
-                let factor = self
-                    .taper
-                    .factor((from + (i as f64 + 0.5) * h) / self.length_mm);
-                u = self.element(point, force, &frame, &r, u, &rest, h, factor);
-                let (turn, chord) = helix(&(u * h));
-                r += frame * (chord * h);
-                frame *= turn;
+        let mut walk = Walk::from_root(self, point, force);
+        for (ends, count, curvature) in sections {
+            if ends[1] - ends[0] >= 1e-9 {
+                // The rest curvature jumps here: the next element's first guess jumps with it.
+                walk.u.y += curvature;
+                walk.along(force, ends, count * refine, curvature, |_| {});
             }
         }
-        (r, frame.column(0).into_owned())
+        (walk.r, walk.frame.column(0).into_owned())
     }
 
     /// Centre line from root to tip in pieces of at most `step_mm`, loaded by `contact` (`None`: at
@@ -257,37 +245,18 @@ impl Wire {
             .map_or((V3::zeros(), V3::zeros(), 0.0), |(p, e)| {
                 (*p, e.force_n, e.arclength_mm)
             });
-        let base = point.cross(&force);
-        let root = V3::new(
-            0.0,
-            self.root_compliance[0] * base.y,
-            self.root_compliance[1] * base.z,
-        );
-        let (mut frame, mut r, mut u) = (helix(&root).0, V3::zeros(), V3::zeros());
-        let mut line = vec![r];
-        for (w, count) in self.pieces(contact_mm, step_mm) {
-            let h = (w[1] - w[0]) / count as f64;
-            let curvature = if w[0] >= self.straight_mm {
+        let mut walk = Walk::from_root(self, &point, &force);
+        let mut line = vec![walk.r];
+        for (ends, count) in self.pieces(contact_mm, step_mm) {
+            let in_arc = ends[0] >= self.straight_mm;
+            let curvature = if in_arc {
                 1.0 / self.arc_radius_mm
             } else {
                 0.0
             };
-            let rest = V3::new(0.0, curvature, 0.0);
-            let load = if w[1] <= contact_mm {
-                force
-            } else {
-                V3::zeros()
-            };
-            for i in 0..count {
-                let factor = self
-                    .taper
-                    .factor((w[0] + (i as f64 + 0.5) * h) / self.length_mm);
-                u = self.element(&point, &load, &frame, &r, u, &rest, h, factor);
-                let (turn, chord) = helix(&(u * h));
-                r += frame * (chord * h);
-                frame *= turn;
-                line.push(r);
-            }
+            // Past the contact nothing pulls.
+            let loaded = if ends[1] <= contact_mm { 1.0 } else { 0.0 };
+            walk.along(&(force * loaded), ends, count, curvature, |r| line.push(r));
         }
         line
     }
@@ -310,45 +279,6 @@ impl Wire {
         let long = cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9);
         long.map(|w| ([w[0], w[1]], ((w[1] - w[0]) / step_mm).ceil() as usize))
             .collect()
-    }
-
-    /// Curvature of one element: fixed point of "elastic moment = mean applied moment".
-    #[allow(clippy::too_many_arguments)]
-    fn element(
-        &self,
-        point: &V3,
-        force: &V3,
-        frame: &M3,
-        r: &V3,
-        guess: V3,
-        rest: &V3,
-        h: f64,
-        factor: f64,
-    ) -> V3 {
-        let mut u = guess;
-        for _ in 0..12 {
-            let mut mean = V3::zeros();
-            for g in GAUSS {
-                let (turn, chord) = helix(&(u * (h * g)));
-                let at = r + frame * (chord * (h * g));
-                mean += (frame * turn).tr_mul(&(point - at).cross(force)) * 0.5;
-            }
-            let ei = self.ei_nmm2 * factor;
-            let mut bend = V3::new(0.0, mean.y / ei, mean.z / ei);
-            if self.law != MomentLaw::Linear {
-                let size = bend.norm();
-                if size > 0.0 {
-                    bend *= self.law.curvature(size) / size;
-                }
-            }
-            let next = rest + bend + V3::new(mean.x / (self.gj_nmm2 * factor), 0.0, 0.0);
-            let change = (next - u).norm();
-            u = next;
-            if change < 1e-14 {
-                break;
-            }
-        }
-        u
     }
 
     /// What must vanish: position mismatch in mm, and the tangential force less `drag` times the
@@ -482,6 +412,7 @@ impl Wire {
         let mut j = Matrix4::zeros();
         let force_step = 1e-6 * x.xyz().norm().max(0.1 * self.force_scale(point));
         for k in 0..4 {
+            // Forward differences: Newton needs the slope's direction, not its last digits.
             let h = if k == 3 { 1e-6 } else { force_step };
             let mut y = *x;
             y[k] += h;
@@ -492,6 +423,7 @@ impl Wire {
 
     /// First guess a little after touch: a straight cantilever's force along `direction`.
     pub fn touch(&self, arclength_mm: f64, push: &V3) -> Equilibrium {
+        // Tip load of a straight cantilever: F = 3 EI w / s^3.
         let force_n = push * (3.0 * self.ei_nmm2 / arclength_mm.powi(3));
         let (at, tangent) = self.rest(arclength_mm);
         Equilibrium {
@@ -499,6 +431,77 @@ impl Wire {
             arclength_mm,
             tangent,
             moment_nmm: at.cross(&force_n),
+        }
+    }
+}
+
+/// A walk along the loaded wire, element by element.
+struct Walk<'a> {
+    wire: &'a Wire,
+    point: &'a V3,
+    frame: M3,
+    r: V3,
+    /// Curvature of the last element.
+    u: V3,
+}
+
+impl<'a> Walk<'a> {
+    /// At the root, which turns with the moment of `force` at `point`.
+    fn from_root(wire: &'a Wire, point: &'a V3, force: &V3) -> Self {
+        // A clamp that gives turns in proportion to its moment, about y and z alone.
+        let (base, [of_y, of_z]) = (point.cross(force), wire.root_compliance);
+        Self {
+            wire,
+            point,
+            frame: helix(&V3::new(0.0, of_y * base.y, of_z * base.z)).0,
+            r: V3::zeros(),
+            u: V3::zeros(),
+        }
+    }
+
+    /// `count` elements between two arc lengths; `pass` hears where each ends.
+    fn along(
+        &mut self,
+        force: &V3,
+        [from, to]: [f64; 2],
+        count: usize,
+        curvature: f64,
+        mut pass: impl FnMut(V3),
+    ) {
+        let h = (to - from) / count as f64;
+        for i in 0..count {
+            // The stiffness at an element's middle keeps the scheme of second order.
+            let fraction = (from + (i as f64 + 0.5) * h) / self.wire.length_mm;
+            self.bend(force, curvature, h, self.wire.taper.factor(fraction));
+            let (turn, chord) = helix(&(self.u * h));
+            self.r += self.frame * (chord * h);
+            self.frame *= turn;
+            pass(self.r);
+        }
+    }
+
+    /// Curvature of one element: fixed point of "elastic moment = mean applied moment".
+    fn bend(&mut self, force: &V3, curvature: f64, h: f64, factor: f64) {
+        let (ei, gj) = (self.wire.ei_nmm2 * factor, self.wire.gj_nmm2 * factor);
+        for _ in 0..12 {
+            let mut mean = V3::zeros();
+            // Two Gauss points take the mean of a cubic exactly.
+            for g in GAUSS {
+                let (turn, chord) = helix(&(self.u * (h * g)));
+                let at = self.r + self.frame * (chord * (h * g));
+                mean += (self.frame * turn).tr_mul(&(self.point - at).cross(force)) * 0.5;
+            }
+            let mut bend = V3::new(0.0, mean.y / ei, mean.z / ei);
+            let size = bend.norm();
+            if self.wire.law != MomentLaw::Linear && size > 0.0 {
+                bend *= self.wire.law.curvature(size) / size;
+            }
+            let next = V3::new(0.0, curvature, 0.0) + bend + V3::new(mean.x / gj, 0.0, 0.0);
+            let change = (next - self.u).norm();
+            self.u = next;
+            if change < 1e-14 {
+                break;
+            }
         }
     }
 }

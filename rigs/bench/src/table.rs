@@ -103,6 +103,7 @@ impl<'a> Follower<'a> {
         stage_max_mm: f64,
     ) -> Result<Self, WireError> {
         let stage_mm = 0.08 * stage_max_mm;
+        // Well past touch: at touch itself the force vanishes and its direction with it.
         let push = path.offset_mm + path.direction * stage_mm;
         let mut last = wire.touch(path.arclength_mm, &push);
         // The drag is brought in gently: force and arc length change with it.
@@ -158,6 +159,7 @@ impl<'a> Follower<'a> {
         let mut guess = self.last;
         match self.before {
             Some((x, e)) if (self.stage_mm - x).abs() > 1e-6 => {
+                // Force and arc length are smooth in the stage: a secant is a good start.
                 let share = ((stage_mm - self.stage_mm) / (self.stage_mm - x)).clamp(-2.0, 2.0);
                 guess.force_n += (self.last.force_n - e.force_n) * share;
                 guess.arclength_mm += (self.last.arclength_mm - e.arclength_mm) * share;
@@ -281,6 +283,7 @@ fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, WireError> {
     if low > high {
         std::mem::swap(&mut low, &mut high);
     }
+    // Bisection: the push has one sign on either side of touch.
     for _ in 0..40 {
         let mid = 0.5 * (low + high);
         if push(&follower.to(mid)?) > 0.0 {
@@ -323,6 +326,7 @@ fn crossing(
                 }
                 if gap * low.1 < 0.0 {
                     high = (secant, gap);
+                    // Illinois: an end that stays counts half, or the secant would creep.
                     low.1 *= 0.5;
                 } else {
                     low = (secant, gap);
@@ -344,6 +348,7 @@ fn chebyshev(
     n: usize,
     mut f: impl FnMut(f64) -> Result<Node, WireError>,
 ) -> Result<Vec<Node>, WireError> {
+    // Nodes that crowd at the ends keep the error even over the piece.
     let angle = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) / n as f64;
     let mut values = vec![[0.0; 3]; n];
     for i in (0..n).rev() {
@@ -368,6 +373,7 @@ fn clenshaw(c: &[Node], x: f64) -> Node {
     for (k, o) in out.iter_mut().enumerate() {
         let (mut b1, mut b2) = (0.0, 0.0);
         for c in c.iter().skip(1).rev() {
+            // Clenshaw: T_(n+1) = 2 x T_n - T_(n-1), summed from the highest term down.
             (b1, b2) = (2.0 * x * b1 - b2 + c[k], b1);
         }
         *o = x * b1 - b2 + c[0][k];

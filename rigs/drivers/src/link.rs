@@ -7,13 +7,15 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::DeviceError;
+use wcal_core::device::{DeviceError, DeviceErrorKind};
 
 /// Longest wait for a connection: an address that nobody answers at would take the system two
 /// minutes.
 pub(crate) const CONNECT: Duration = Duration::from_secs(3);
 /// Longest wait until the other end takes what is sent.
 const SEND: Duration = Duration::from_secs(3);
+/// Longest wait for the reply to a command.
+pub(crate) const REPLY: Duration = Duration::from_secs(3);
 
 /// Connects to `host:port`. Names are resolved and the handshake is made in its own thread, since
 /// neither can be interrupted.
@@ -109,8 +111,13 @@ pub(crate) fn write(
 #[derive(Debug)]
 pub(crate) struct Link {
     stream: TcpStream,
-    pub(crate) name: String,
+    name: String,
     interrupt: Interrupt,
+    /// What came and was not taken yet.
+    pub(crate) buffer: Vec<u8>,
+    /// Replies that had not come when their command was given up. Replies have no number, but come
+    /// in the order of their commands: those that are late for earlier ones are left out.
+    pub(crate) owed: usize,
 }
 
 impl Link {
@@ -131,9 +138,22 @@ impl Link {
                 stream,
                 name,
                 interrupt: interrupt.clone(),
+                buffer: Vec::new(),
+                owed: 0,
             }),
             Err(e) => Err(trouble::of_connection(&name, address, &e, &deadline)),
         }
+    }
+
+    /// An error of the device.
+    pub(crate) fn error(
+        &self,
+        kind: DeviceErrorKind,
+        action: &str,
+        expected: &str,
+        found: impl Into<String>,
+    ) -> DeviceError {
+        DeviceError::new(kind, &self.name, action, expected, found)
     }
 
     /// A deadline from now on.
@@ -161,7 +181,7 @@ impl Link {
         Ok(())
     }
 
-    /// Gives what came to `take`; false when nothing came until the deadline.
+    /// Puts what came into the buffer; false when nothing came until the deadline.
     ///
     /// # Errors
     /// `Disconnected` when the link is gone, `Interrupted` when the user wants an end.
@@ -169,16 +189,36 @@ impl Link {
         &mut self,
         action: &str,
         deadline: &Deadline,
-        take: impl FnOnce(&[u8]),
     ) -> Result<bool, DeviceError> {
         let mut bytes = [0_u8; 64 * 1024];
         match read(&mut self.stream, &mut bytes, deadline) {
             Ok(count) => {
-                take(&bytes[..count]);
+                self.buffer.extend_from_slice(&bytes[..count]);
                 Ok(true)
             }
             Err(e) if is_timeout(&e) => self.interrupt.check(&self.name, action).map(|()| false),
             Err(e) => Err(io_error(&self.name, action, &e)),
+        }
+    }
+
+    /// The first thing that `find` finds in what came.
+    ///
+    /// # Errors
+    /// `Timeout` where it was not `expected` in time, what `find` says, or as [`Self::receive`].
+    pub(crate) fn wait<T>(
+        &mut self,
+        action: &str,
+        expected: &str,
+        deadline: &Deadline,
+        mut find: impl FnMut(&mut Self) -> Result<Option<T>, DeviceError>,
+    ) -> Result<T, DeviceError> {
+        loop {
+            if let Some(found) = find(self)? {
+                return Ok(found);
+            }
+            if deadline.is_over() || !self.receive(action, deadline)? {
+                return Err(deadline.error(&self.name, action, expected, "none"));
+            }
         }
     }
 }
@@ -189,7 +229,6 @@ mod tests {
     use super::*;
     use std::net::TcpListener;
     use wcal_core::deadline::Signal;
-    use wcal_core::device::DeviceErrorKind;
 
     /// A listener that accepts nobody, with a full queue: the next connection is not answered.
     fn full() -> (TcpListener, Vec<TcpStream>, String) {
@@ -251,7 +290,7 @@ mod tests {
         let never = Interrupt::default();
         let mut link = Link::connect("unit".to_owned(), &address, &never).unwrap();
         let short = link.deadline(Duration::from_millis(30));
-        assert!(!link.receive("read", &short, |_| {}).unwrap());
+        assert!(!link.receive("read", &short).unwrap());
         // More than both ends can hold.
         let why = link.send(&vec![0; 64 << 20], "send").unwrap_err();
         assert_eq!(why.kind, DeviceErrorKind::Timeout, "{why}");

@@ -26,6 +26,21 @@ pub struct Parameters {
     pub dmax: f64,
 }
 
+impl Parameters {
+    pub(super) fn of([damping_nms_rad, width_mm, d0, dmax]: [f64; 4]) -> Self {
+        Self {
+            damping_nms_rad,
+            width_mm,
+            d0,
+            dmax,
+        }
+    }
+
+    pub(super) fn array(&self) -> [f64; 4] {
+        [self.damping_nms_rad, self.width_mm, self.d0, self.dmax]
+    }
+}
+
 /// What is wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Targets {
@@ -68,6 +83,7 @@ pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
     let rest = moment[moment.len() - tail..].iter().sum::<f64>() / tail as f64;
     let size = |k: usize| (moment[k] - rest).abs();
     let start = size(0);
+    // The last crossing: a vibration passes 1/e many times before it stays below.
     let last = (0..moment.len())
         .rev()
         .find(|k| size(*k) > start / std::f64::consts::E)?;
@@ -162,12 +178,7 @@ impl TrialRig {
             bare_bounce: 1.0,
         };
         let hard = Touch::default();
-        let bare = Parameters {
-            damping_nms_rad: 0.0,
-            width_mm: hard.width_mm,
-            d0: hard.impedance[0],
-            dmax: hard.impedance[1],
-        };
+        let bare = Parameters::of([0.0, hard.width_mm, hard.impedance[0], hard.impedance[1]]);
         bench.bare_bounce = bounce(&bench.released(&bare, true)?)
             .unwrap_or(1.0)
             .max(1e-3);
@@ -373,6 +384,7 @@ fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
         let squares: Vec<f64> = s.moments_nmm.windows(3).filter_map(off).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
+    // Where one sweep is free of the ball a share of its moment would mean nothing.
     let both = slow
         .moments_nmm
         .iter()

@@ -38,17 +38,14 @@ pub fn parse(line: &[u8]) -> Option<Command> {
     let mut words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
     let mut header = [None::<u8>; 3];
     for slot in &mut header {
+        let first = words.first();
+        *slot = first.and_then(|word| word.parse().ok());
         // `--` requests a reply without id.
-        let Some(number) = words
-            .first()
-            .and_then(|w| if w == "--" { Some(0) } else { w.parse().ok() })
-        else {
-            break;
-        };
-        let plain = words[0] != "--";
-        *slot = plain.then_some(number);
-        words.remove(0);
-        if !plain {
+        let asks_for_none = first.is_some_and(|word| word == "--");
+        if slot.is_some() || asks_for_none {
+            words.remove(0);
+        }
+        if slot.is_none() {
             break;
         }
     }
@@ -62,39 +59,33 @@ pub fn parse(line: &[u8]) -> Option<Command> {
 }
 
 /// Reply of a unit.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Answer {
+pub(super) struct Answer {
     /// Whether the command was accepted.
     pub ok: bool,
     /// Data or the reason of refusal.
     pub data: String,
-    /// Further information lines.
-    pub info: Vec<String>,
 }
 
 impl Answer {
     /// Accepted, with data.
-    pub fn ok(data: impl Into<String>) -> Self {
+    pub(super) fn ok(data: impl Into<String>) -> Self {
         Self {
             ok: true,
             data: data.into(),
-            info: Vec::new(),
         }
     }
 
     /// Refused, with the protocol's reason.
-    pub fn refused(reason: &str) -> Self {
+    pub(super) fn refused(reason: &str) -> Self {
         Self {
             ok: false,
             data: reason.to_owned(),
-            info: Vec::new(),
         }
     }
 }
 
 /// Sender and format of a reply.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Header<'a> {
+pub(super) struct Header {
     /// Own address.
     pub device: u8,
     /// Axis addressed.
@@ -104,12 +95,12 @@ pub struct Header<'a> {
     /// Moving.
     pub busy: bool,
     /// Highest flag, `--` when there is none.
-    pub flag: &'a str,
+    pub flag: &'static str,
     /// Put checksums on what is sent.
     pub checked: bool,
 }
 
-impl Header<'_> {
+impl Header {
     fn address(&self) -> String {
         match self.id {
             Some(id) => format!("{:02} {} {id:02}", self.device, self.axis),
@@ -118,53 +109,41 @@ impl Header<'_> {
     }
 
     fn seal(&self, mark: char, body: &str) -> String {
-        if self.checked {
-            format!("{mark}{body}:{:02X}\r\n", lrc(body.as_bytes()))
-        } else {
-            format!("{mark}{body}\r\n")
+        match self.checked {
+            true => format!("{mark}{body}:{:02X}\r\n", lrc(body.as_bytes())),
+            false => format!("{mark}{body}\r\n"),
         }
     }
 
-    /// The reply and its info lines; data that do not fit one packet continue in `cont` packets.
-    pub fn reply(&self, answer: &Answer) -> Vec<String> {
-        let state = if self.busy { "BUSY" } else { "IDLE" };
+    fn state(&self) -> &str {
+        if self.busy { "BUSY" } else { "IDLE" }
+    }
+
+    /// The reply; data that do not fit one packet continue in `cont` packets.
+    pub(super) fn reply(&self, answer: &Answer) -> Vec<String> {
         let verdict = if answer.ok { "OK" } else { "RJ" };
-        let head = format!("{} {verdict} {state} {}", self.address(), self.flag);
+        let (address, state) = (self.address(), self.state());
+        let mut head = format!("{address} {verdict} {state} {}", self.flag);
+        let (mut mark, mut rest) = ('@', answer.data.clone());
         let mut packets = Vec::new();
-        // One byte each for the mark and the backslash, three for the checksum.
-        let room = |head: &str| MAX_PACKET.saturating_sub(head.len() + 6);
-        let (first, mut rest) = split_words(&answer.data, room(&head));
-        packets.push(self.seal(
-            '@',
-            &format!("{head} {first}{}", if rest.is_empty() { "" } else { "\\" }),
-        ));
-        let mut index = 0;
-        while !rest.is_empty() {
-            index += 1;
-            let head = format!("{} cont {index}", self.address());
-            let (part, more) = split_words(&rest, room(&head));
-            packets.push(self.seal(
-                '#',
-                &format!("{head} {part}{}", if more.is_empty() { "" } else { "\\" }),
-            ));
-            rest = more;
+        loop {
+            // One byte each for the mark and the backslash, three for the checksum.
+            let room = MAX_PACKET.saturating_sub(head.len() + 6);
+            let (part, more) = split_words(&rest, room);
+            let goes_on = if more.is_empty() { "" } else { "\\" };
+            packets.push(self.seal(mark, &format!("{head} {part}{goes_on}")));
+            if more.is_empty() {
+                return packets;
+            }
+            head = format!("{address} cont {}", packets.len());
+            (mark, rest) = ('#', more);
         }
-        packets.extend(
-            answer
-                .info
-                .iter()
-                .map(|line| self.seal('#', &format!("{} {line}", self.address()))),
-        );
-        packets
     }
 
     /// An alert: sent without a request.
-    pub fn alert(&self) -> String {
-        let state = if self.busy { "BUSY" } else { "IDLE" };
-        self.seal(
-            '!',
-            &format!("{:02} {} {state} {}", self.device, self.axis, self.flag),
-        )
+    pub(super) fn alert(&self) -> String {
+        let (device, axis, state) = (self.device, self.axis, self.state());
+        self.seal('!', &format!("{device:02} {axis} {state} {}", self.flag))
     }
 }
 
@@ -181,7 +160,7 @@ fn split_words(text: &str, room: usize) -> (String, String) {
 mod tests {
     use super::*;
 
-    fn header(checked: bool, id: Option<u8>) -> Header<'static> {
+    fn header(checked: bool, id: Option<u8>) -> Header {
         Header {
             device: 1,
             axis: 1,

@@ -13,7 +13,7 @@ const PRIORITY: [&str; 17] = [
 const UNTIL_HOME: [&str; 2] = ["WR", "WH"];
 
 /// Fixed properties of an axis.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct AxisSpec {
     /// Microstep size.
     pub unit: Microsteps,
@@ -33,8 +33,9 @@ type Refusal = &'static str;
 pub struct Axis {
     /// Fixed properties.
     pub spec: AxisSpec,
-    motion: Motion,
-    speed_mm_s: f64,
+    pub(super) motion: Motion,
+    /// Speed of moves that name none, mm/s.
+    pub speed_mm_s: f64,
     homing_until_s: Option<f64>,
     sticky: BTreeSet<&'static str>,
     stall_armed: bool,
@@ -47,11 +48,8 @@ impl Axis {
     /// At `x_mm`, with or without a reference.
     pub fn new(spec: AxisSpec, x_mm: f64, homed: bool) -> Self {
         let motion = Motion::at_rest(x_mm, spec.acceleration_mm_s2);
-        let sticky = if homed {
-            BTreeSet::new()
-        } else {
-            BTreeSet::from(["WR"])
-        };
+        let mut sticky = BTreeSet::from(["WR"]);
+        sticky.retain(|_| !homed);
         Self {
             speed_mm_s: spec.max_speed_mm_s,
             spec,
@@ -68,9 +66,7 @@ impl Axis {
     pub fn update(&mut self, t_s: f64) -> bool {
         if self.homing_until_s.is_some_and(|end| t_s >= end) {
             self.homing_until_s = None;
-            UNTIL_HOME.iter().for_each(|f| {
-                self.sticky.remove(f);
-            });
+            self.sticky.retain(|f| !UNTIL_HOME.contains(f));
         }
         if self.stall_armed && self.busy(t_s) {
             self.stall_armed = false;
@@ -107,11 +103,8 @@ impl Axis {
 
     /// Flags shown, highest priority first.
     pub fn flags(&self) -> Vec<&'static str> {
-        PRIORITY
-            .iter()
-            .copied()
-            .filter(|f| self.sticky.contains(f))
-            .collect()
+        let all = PRIORITY.into_iter();
+        all.filter(|f| self.sticky.contains(f)).collect()
     }
 
     /// What `warnings clear` takes away.
@@ -189,21 +182,6 @@ impl Axis {
         Ok(())
     }
 
-    /// Speed of moves that name none, mm/s.
-    pub fn speed_mm_s(&self) -> f64 {
-        self.speed_mm_s
-    }
-
-    /// Acceleration of moves, mm/s^2.
-    pub(crate) fn set_acceleration(&mut self, mm_s2: f64) {
-        self.motion.set_acceleration(mm_s2);
-    }
-
-    /// Acceleration of moves, mm/s^2.
-    pub fn acceleration_mm_s2(&self) -> f64 {
-        self.motion.acceleration_mm_s2()
-    }
-
     /// The next (or present) motion stalls.
     pub fn arm_stall(&mut self) {
         self.stall_armed = true;
@@ -224,11 +202,9 @@ impl Axis {
 
     /// Power lost and back: standing where it was, reference gone.
     pub(crate) fn power_cycle(&mut self, t_s: f64) {
-        self.endless = [false; 2];
-        self.motion.freeze(t_s);
-        self.motion.set_acceleration(self.spec.acceleration_mm_s2);
-        self.sticky = BTreeSet::from(["WR"]);
-        self.homing_until_s = None;
+        self.stop_dead(t_s, "WR");
+        self.sticky.retain(|f| *f == "WR");
+        self.motion.acceleration_mm_s2 = self.spec.acceleration_mm_s2;
         self.speed_mm_s = self.spec.max_speed_mm_s;
     }
 

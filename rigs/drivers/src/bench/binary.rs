@@ -44,7 +44,6 @@ impl Message {
 }
 
 /// The binary face of an axis.
-#[derive(Debug, Clone)]
 pub struct BinaryUnit {
     number: u8,
     device_id: u32,
@@ -74,17 +73,17 @@ impl BinaryUnit {
         let command = self.pending.take()?;
         let stalled = axis.flags().contains(&"FS");
         // Firmware 5 answers a stalled home with error 1; moves answer with where the carriage is.
-        if stalled && command == 1 {
-            return Some(Message {
-                unit: self.number,
-                command: ERROR,
-                data: 1,
-            });
+        match stalled && command == 1 {
+            true => self.say(ERROR, 1),
+            false => self.say(command, axis.steps(t_s)),
         }
+    }
+
+    fn say(&self, command: u8, data: i64) -> Option<Message> {
         Some(Message {
             unit: self.number,
             command,
-            data: axis.steps(t_s) as i32,
+            data: data as i32,
         })
     }
 
@@ -95,20 +94,8 @@ impl BinaryUnit {
         }
         let unit = axis.spec.unit;
         let speed = |data: i32| f64::from(data) * SPEED_STEPS * unit.size_um / 1000.0;
-        let reply = |data: i64| {
-            Some(Message {
-                unit: self.number,
-                command: message.command,
-                data: data as i32,
-            })
-        };
-        let fail = |code: i32| {
-            Some(Message {
-                unit: self.number,
-                command: ERROR,
-                data: code,
-            })
-        };
+        let reply = |data: i64| self.say(message.command, data);
+        let fail = |code: u8| self.say(ERROR, code.into());
         let started = match message.command {
             0 => {
                 axis.power_cycle(t_s);
@@ -134,21 +121,12 @@ impl BinaryUnit {
             50 => return reply(self.device_id.into()),
             51 => return reply(self.firmware.into()),
             53 => {
-                let setting = |command: u8, data: i64| {
-                    Some(Message {
-                        unit: self.number,
-                        command,
-                        data: data as i32,
-                    })
-                };
+                let steps_s = axis.speed_mm_s * 1000.0 / unit.size_um;
                 return match message.data {
-                    40 => setting(40, MODE | i64::from(axis.homed()) << 7),
-                    42 => setting(
-                        42,
-                        (axis.speed_mm_s() * 1000.0 / unit.size_um / SPEED_STEPS).round() as i64,
-                    ),
-                    44 => setting(44, axis.spec.limit_steps),
-                    103 if self.firmware >= OWN_HOME_STATUS => setting(103, axis.homed().into()),
+                    40 => self.say(40, MODE | i64::from(axis.homed()) << 7),
+                    42 => self.say(42, (steps_s / SPEED_STEPS).round() as i64),
+                    44 => self.say(44, axis.spec.limit_steps),
+                    103 if self.firmware >= OWN_HOME_STATUS => self.say(103, axis.homed().into()),
                     _ => fail(53),
                 };
             }
@@ -163,7 +141,7 @@ impl BinaryUnit {
                 self.pending = Some(message.command);
                 None
             }
-            Err(_) => fail(message.command.into()),
+            Err(_) => fail(message.command),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! Two cameras that see the bench; frames over TCP (firmware-notes/cameras.md).
 
-use super::link::Wire;
+use super::link::{Wire, sent_so_far};
+use super::lock::guard;
 use super::scene::SceneState;
 use super::world::BenchState;
-use std::io::{self, Read};
+use std::io;
 use std::net::TcpStream;
 use std::time::Duration;
 
@@ -22,7 +23,6 @@ const COMMAND_LIMIT: usize = 64;
 /// # Errors
 /// Why the link ended.
 pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Result<()> {
-    link.set_write_timeout(Some(Duration::from_secs(5)))?;
     let spec = &shared.scenario.cameras;
     let period_s = 1.0 / spec.rate_hz;
     let mut trigger = (shared.clock.now_s() / period_s).ceil() as u64;
@@ -33,16 +33,12 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> i
         let now_s = shared.clock.now_s();
         if now_s < due_s {
             obey(shared, &mut link, &mut heard)?;
-            std::thread::sleep(
-                shared
-                    .clock
-                    .wall(due_s - now_s)
-                    .min(Duration::from_millis(20)),
-            );
+            let wait = shared.clock.wall(due_s - now_s);
+            std::thread::sleep(wait.min(Duration::from_millis(20)));
             continue;
         }
         let second = index == 1;
-        let state = shared.camera_state();
+        let state = guard(&shared.faults).cameras;
         let late_s = if second { state.skew_ms * 1e-3 } else { 0.0 };
         let mut bytes = Vec::new();
         bytes.extend(MAGIC);
@@ -58,8 +54,10 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> i
         } else {
             frozen = None;
         }
-        if !(second && shared.loses_frame()) {
-            Wire::send(&mut link, &bytes)?;
+        if second && state.lose > 0 {
+            guard(&shared.faults).cameras.lose -= 1;
+        } else {
+            link.send(&bytes)?;
         }
         trigger = (trigger + 1).max((shared.clock.now_s() / period_s) as u64);
     }
@@ -71,14 +69,7 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> i
 fn obey(shared: &BenchState, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
     let mut bytes = [0_u8; COMMAND_LIMIT];
     // Commands are executed as they arrive, without a reply.
-    link.set_nonblocking(true)?;
-    let found = link.read(&mut bytes);
-    link.set_nonblocking(false)?;
-    let count = match found {
-        Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
-        Err(e) if e.kind() == io::ErrorKind::WouldBlock => 0,
-        other => other?,
-    };
+    let count = sent_so_far(link, &mut bytes)?;
     for byte in &bytes[..count] {
         if *byte != b'\n' {
             heard.push(*byte);
@@ -107,7 +98,7 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
     let Some(scene) = &shared.scene else {
         return vec![GREY; (width * height) as usize];
     };
-    let state = shared.camera_state();
+    let state = guard(&shared.faults).cameras;
     let (trajectory, depth_mm, moving) = shared.world().camera_view(due_s, &shared.scenario);
     let seen = SceneState {
         trajectory,
@@ -124,13 +115,9 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
         return small;
     }
     let (bin, width) = (bin as usize, width as usize);
-    let mut grey = Vec::with_capacity(width * height as usize);
-    for row in small.chunks_exact(width / bin) {
-        let wide: Vec<u8> = row
-            .iter()
-            .flat_map(|v| std::iter::repeat_n(*v, bin))
-            .collect();
-        (0..bin).for_each(|_| grey.extend_from_slice(&wide));
-    }
-    grey
+    let wide = |row: &[u8]| {
+        let line: Vec<u8> = row.iter().flat_map(|v| vec![*v; bin]).collect();
+        line.repeat(bin)
+    };
+    small.chunks_exact(width / bin).flat_map(wide).collect()
 }

@@ -1,6 +1,9 @@
 //! Faults of the virtual bench, from the scenario or on command.
 
+use super::scenario::CameraScenario;
+use super::unit_clock::UnitClock;
 use serde::Deserialize;
+use std::collections::VecDeque;
 
 /// One fault.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -175,6 +178,60 @@ pub struct ScheduledFault {
     /// What happens.
     #[serde(flatten)]
     pub fault: Fault,
+}
+
+/// Faults that are on, or that the next replies of the stage will have.
+#[derive(Default)]
+pub(crate) struct FaultState {
+    /// The cables of stage and interrogator are out.
+    pub stage_out: bool,
+    /// See `stage_out`.
+    pub interrogator_out: bool,
+    /// Of the next replies, one each.
+    pub replies: VecDeque<Fault>,
+    /// Instead of replies alerts without an end, or replies of another unit (true).
+    pub flood: Option<bool>,
+    /// No new connection is answered.
+    pub never_accepts: bool,
+    /// Bench time until which the stream is held back, s.
+    pub pause_until_s: f64,
+    /// Garbage bytes go before the next scan.
+    pub garbage: bool,
+    /// What is wrong with the interrogator's clock.
+    pub unit_clock: UnitClock,
+    pub cameras: CameraState,
+}
+
+/// State of the picture stream.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct CameraState {
+    /// The second camera repeats its last picture.
+    pub frozen: bool,
+    /// Extra delay of the second camera, ms.
+    pub skew_ms: f64,
+    /// Attitude of the chessboard that is held up.
+    pub board: Option<usize>,
+    /// Exposure relative to the right one.
+    pub exposure: f64,
+    /// Shift (mm) and rotation vector (degrees) of the second camera since the board was shown.
+    pub moved: ([f64; 3], [f64; 3]),
+    /// Frames of the second camera still to be lost.
+    pub lose: u64,
+}
+
+impl FaultState {
+    /// No fault but those that a scenario's cameras have from the start.
+    pub(crate) fn of(cameras: &CameraScenario) -> Self {
+        Self {
+            cameras: CameraState {
+                skew_ms: cameras.skew_ms,
+                exposure: cameras.exposure,
+                moved: (cameras.errors.moved_mm, cameras.errors.moved_deg),
+                ..CameraState::default()
+            },
+            ..Self::default()
+        }
+    }
 }
 
 /// A fault from a line of text: its name (`stall`), or a JSON object with a `kind`.

@@ -7,13 +7,13 @@
 //! stream                handed over in blocks of 50 ms; time goes on when the reader has taken a block in
 //! ```
 
+use super::axis::Axis;
 use super::clock::BenchClock;
 use super::lock::guard;
 use super::plant::Plant;
 use super::scenario::Scenario;
-use super::world::BenchState;
-use crate::zaber::flags::is_latched;
-use crate::zaber::flags::remedy;
+use super::world::{BenchState, Scan};
+use crate::zaber::flags::{is_latched, remedy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::{Arc, Condvar, Mutex};
@@ -58,10 +58,10 @@ impl InProcess {
     /// A bench whose time stands.
     pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
-        let shared = BenchState::by_clock(scenario, plant, BenchClock::standing());
+        let shared = BenchState::new(scenario, plant, BenchClock::standing());
         shared.scan();
         Self {
-            shared,
+            shared: Arc::new(shared),
             stream: Arc::default(),
             answers: Arc::new(Mutex::new(answers)),
         }
@@ -91,7 +91,7 @@ impl InProcess {
         }
         self.shared.scan();
         s.handed_s = now_s;
-        s.made = self.shared.newest().map_or(0, |scan| scan.serial + 1);
+        s.made = self.shared.next_serial();
         changed.notify_all();
         let open = |s: &mut Stream| s.reading && s.taken < s.made;
         let waited = changed.wait_timeout_while(s, GONE, open);
@@ -101,12 +101,10 @@ impl InProcess {
         }
     }
 
-    fn answer_s(&self, [low, high]: [f64; 2]) -> f64 {
-        guard(&self.answers).random_range(low..high)
-    }
-
-    fn host_s(&self, t_s: f64) -> f64 {
-        self.shared.clock.epoch_s(t_s)
+    /// Lets a time of a range pass, s, by the dice.
+    fn pass_some(&self, [low, high]: [f64; 2]) {
+        let seconds = guard(&self.answers).random_range(low..high);
+        self.pass(seconds);
     }
 
     fn unit(&self, index: usize) -> Unit {
@@ -127,21 +125,21 @@ struct Unit {
 
 impl Unit {
     fn refused(&self, action: &str, found: &str) -> DeviceError {
-        let (kind, device) = (
+        DeviceError::new(
             DeviceErrorKind::Rejected,
             format!("virtual unit {}", self.index + 1),
-        );
-        DeviceError::new(kind, device, action, "a command that the unit takes", found)
+            action,
+            "a command that the unit takes",
+            found,
+        )
     }
 
     /// Does something with the axis at the present time.
-    fn axis<T>(&self, f: impl FnOnce(&mut super::axis::Axis, f64) -> T) -> Result<T, DeviceError> {
+    fn axis<T>(&self, f: impl FnOnce(&mut Axis, f64) -> T) -> Result<T, DeviceError> {
         let t_s = self.bench.shared.clock.now_s();
         let mut world = self.bench.shared.world();
-        let unit = world
-            .units
-            .get_mut(self.index)
-            .ok_or_else(|| self.refused("answer", "no such unit"))?;
+        let unit = world.units.get_mut(self.index);
+        let unit = unit.ok_or_else(|| self.refused("answer", "no such unit"))?;
         unit.axis.update(t_s);
         Ok(f(&mut unit.axis, t_s))
     }
@@ -155,7 +153,7 @@ impl Stage for Unit {
             model: format!("virtual {}", spec.device_id),
             serial: spec.serial.to_string(),
             firmware: spec.firmware.clone(),
-            settings: Vec::new(),
+            ..DeviceIdentity::default()
         })
     }
 
@@ -165,54 +163,44 @@ impl Stage for Unit {
 
     fn start_home(&mut self) -> Result<(), DeviceError> {
         self.commanded_mm = Some(0.0);
-        self.axis(super::axis::Axis::home)?
+        self.axis(Axis::home)?
             .map_err(|e| self.refused("search the reference", e))
     }
 
     fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
-        let (target_mm, moved) = self.axis(|axis, t_s| {
-            let steps = axis.spec.unit.from_mm(target_mm);
-            (
-                axis.spec.unit.to_mm(steps as f64),
-                axis.move_to(t_s, steps, Some(speed_mm_s)),
-            )
+        let (commanded_mm, moved) = self.axis(|axis, t_s| {
+            let unit = axis.spec.unit;
+            let steps = unit.from_mm(target_mm);
+            let moved = axis.move_to(t_s, steps, Some(speed_mm_s));
+            (unit.to_mm(steps as f64), moved)
         })?;
-        self.commanded_mm = Some(target_mm);
+        self.commanded_mm = Some(commanded_mm);
         moved.map_err(|e| self.refused("move", e))
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
-        self.bench.pass(self.bench.answer_s(HEARD_S));
+        self.bench.pass_some(HEARD_S);
         let (homed, measured_mm, moving, flags) = self.axis(|axis, t_s| {
             let mm = axis.spec.unit.to_mm(axis.steps(t_s) as f64);
-            (
-                axis.homed() || axis.busy(t_s),
-                mm,
-                axis.busy(t_s),
-                axis.flags(),
-            )
+            (axis.homed(), mm, axis.busy(t_s), axis.flags())
         })?;
-        self.bench.pass(self.bench.answer_s(ANSWERED_S));
-        if !homed {
-            let (expected, found) = (
-                "a homed axis",
-                flags.join(" ") + flags.first().map_or("", |f| remedy(f)),
-            );
-            let error = self.refused("read position", &found);
+        self.bench.pass_some(ANSWERED_S);
+        if !homed && !moving {
+            let found = flags.join(" ") + flags.first().map_or("", |f| remedy(f));
             return Err(DeviceError {
                 kind: DeviceErrorKind::NotHomed,
-                expected: expected.to_owned(),
-                ..error
+                expected: "a homed axis".to_owned(),
+                ..self.refused("read position", &found)
             });
         }
-        let host_s = self.bench.host_s(self.bench.shared.clock.now_s());
+        let clock = &self.bench.shared.clock;
         Ok(StageReading {
             commanded_mm: self.commanded_mm,
             measured_mm,
             moving,
-            flags: flags.iter().map(|f| (*f).to_owned()).collect(),
+            flags: flags.into_iter().map(str::to_owned).collect(),
             clocks: Clocks {
-                host_s,
+                host_s: clock.epoch_s(clock.now_s()),
                 device_s: None,
             },
         })
@@ -224,15 +212,12 @@ impl Stage for Unit {
             axis.clear_flags();
             shown
         })?;
-        Ok(shown
-            .into_iter()
-            .filter(|flag| is_latched(flag))
-            .map(str::to_owned)
-            .collect())
+        let latched = shown.into_iter().filter(|flag| is_latched(flag));
+        Ok(latched.map(str::to_owned).collect())
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
-        self.axis(super::axis::Axis::stop)?;
+        self.axis(Axis::stop)?;
         while self.axis(|axis, t_s| axis.busy(t_s))? {
             self.bench.pass(BLOCK_S);
         }
@@ -268,10 +253,8 @@ impl Mount for OwnMount {
 
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let steps = i64::from(trajectory) * self.steps_per_trajectory;
-        let speed_mm_s = self.speed_mm_s;
-        let moved = self
-            .unit
-            .axis(|axis, t_s| axis.move_to(t_s, steps, Some(speed_mm_s)))?;
+        let turn = |axis: &mut Axis, t_s| axis.move_to(t_s, steps, Some(self.speed_mm_s));
+        let moved = self.unit.axis(turn)?;
         moved.map_err(|e| self.unit.refused("turn", e))?;
         while self.unit.read()?.moving {}
         Ok(())
@@ -320,36 +303,26 @@ impl Interrogator for OwnInterrogator {
         if guard(stream).made <= next {
             return Ok(Vec::new());
         }
-        let scans = self.bench.shared.scans_from(next);
+        let shared = &self.bench.shared;
+        let scans = shared.scans_from(next);
         self.next = scans.last().map_or(next, |s| s.serial + 1);
-        Ok(scans.iter().map(|scan| self.reading(scan)).collect())
+        let reading = |scan: &Scan| FbgReading {
+            serial: scan.serial,
+            // All gratings on the first optical channel.
+            peaks_nm: vec![scan.ascending_nm()],
+            health: scan.health,
+            clocks: Clocks {
+                host_s: shared.clock.epoch_s(scan.t_s + ARRIVAL_S),
+                device_s: Some(shared.device_s(scan.t_s)),
+            },
+        };
+        Ok(scans.iter().map(reading).collect())
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         guard(&self.bench.stream.0).reading = false;
         self.bench.stream.1.notify_all();
         Ok(())
-    }
-}
-
-impl OwnInterrogator {
-    /// All gratings on the first optical channel.
-    fn reading(&self, scan: &super::world::Scan) -> FbgReading {
-        let mut peaks: Vec<f64> = scan.peaks_nm.iter().flatten().copied().collect();
-        peaks.sort_by(f64::total_cmp);
-        let (host_s, device_s) = (
-            self.bench.host_s(scan.t_s + ARRIVAL_S),
-            self.bench.shared.device_s(scan.t_s),
-        );
-        FbgReading {
-            serial: scan.serial,
-            peaks_nm: vec![peaks],
-            health: scan.health,
-            clocks: Clocks {
-                host_s,
-                device_s: Some(device_s),
-            },
-        }
     }
 }
 
@@ -371,12 +344,10 @@ impl DeviceOpener for InProcess {
         else {
             return Ok(None);
         };
-        let unit = self.unit(1);
-        let (steps_per_trajectory, speed_mm_s) = (*steps_per_trajectory, *speed_mm_s);
         Ok(Some(Box::new(OwnMount {
-            unit,
-            steps_per_trajectory,
-            speed_mm_s,
+            unit: self.unit(1),
+            steps_per_trajectory: *steps_per_trajectory,
+            speed_mm_s: *speed_mm_s,
         })))
     }
 
@@ -396,15 +367,11 @@ impl DeviceOpener for InProcess {
         rig: &CameraRig,
         _clock: HostClock,
     ) -> Result<Box<dyn Camera + Send>, DeviceError> {
-        let (kind, expected) = (
-            DeviceErrorKind::Configuration,
-            "a rig without cameras, or `wcal virtual-bench`",
-        );
         Err(DeviceError::new(
-            kind,
+            DeviceErrorKind::Configuration,
             "camera",
             "open",
-            expected,
+            "a rig without cameras, or `wcal virtual-bench`",
             format!("camera {}", rig.name),
         ))
     }

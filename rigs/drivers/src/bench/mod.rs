@@ -7,48 +7,51 @@ pub mod ascii;
 pub mod axis;
 pub mod binary;
 mod camera_server;
-pub mod clock;
+mod clock;
 pub mod faults;
 mod hyperion_server;
 pub mod in_process;
-pub mod link;
+mod link;
 mod lock;
-pub mod motion;
+mod motion;
 pub mod plant;
 pub mod scenario;
 pub mod scene;
 mod sm130_server;
 mod stage_server;
 pub mod unit;
-pub(crate) mod unit_clock;
-pub mod world;
+mod unit_clock;
+mod world;
 
-use faults::Fault;
+use clock::BenchClock;
+use faults::{Fault, FaultState};
 use link::Pty;
+use lock::guard;
 use plant::Plant;
 use scenario::Scenario;
 use schemars::JsonSchema;
 use serde::Serialize;
+use serialport::{SerialPort, TTYPort};
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::thread::JoinHandle;
+use std::thread::{JoinHandle, Scope};
 use std::time::Duration;
 use wcal_core::clock::late_s;
 use wcal_core::shared_time;
 use world::BenchState;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Serialize, JsonSchema)]
 pub struct Addresses {
     /// Path of the stage's pseudo-terminal.
     pub stage_pty: String,
     /// The stage on TCP.
     pub stage_tcp: SocketAddr,
-    /// sm130, host:port.
-    pub sm130: SocketAddr,
+    /// The sm130.
+    pub sm130: InterrogatorAddresses,
     /// The Hyperion.
-    pub hyperion: HyperionAddresses,
+    pub hyperion: InterrogatorAddresses,
     /// Cameras, host:port.
     pub cameras: Vec<SocketAddr>,
     /// Bench seconds per wall second.
@@ -57,13 +60,14 @@ pub struct Addresses {
     pub clock: SocketAddr,
 }
 
-/// Ports of the Hyperion.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct HyperionAddresses {
-    /// host:port.
-    pub commands: SocketAddr,
+/// Where an interrogator answers, by the keys of a rig.
+#[derive(Clone, Serialize, JsonSchema)]
+pub struct InterrogatorAddresses {
+    /// Commands, host:port.
+    pub address: SocketAddr,
     /// Streamed peaks.
-    pub peaks: SocketAddr,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peaks_address: Option<SocketAddr>,
 }
 
 /// A running bench; it ends when dropped.
@@ -80,42 +84,36 @@ impl VirtualBench {
     /// When a port or the pseudo-terminal cannot be opened.
     pub fn start(scenario: Scenario, plant: Box<dyn Plant>) -> io::Result<Self> {
         let (camera_count, speed) = (scenario.cameras.count, scenario.speed);
-        let shared = BenchState::new(scenario, plant);
+        let clock = BenchClock::start(speed);
+        let shared = Arc::new(BenchState::new(scenario, plant, clock));
         let mut threads = Vec::new();
-        let pty = Pty::open()?;
-        let stage_pty = pty.path().to_owned();
-        threads.push(serve_pty(&shared, pty));
-        let stage_tcp = listen(&shared, &mut threads, PortCable::Stage, |s, mut link| {
-            stage_server::serve(s, &mut link)
-        })?;
-        let sm130 = listen(
-            &shared,
-            &mut threads,
-            PortCable::Interrogator,
-            sm130_server::serve,
-        )?;
-        let commands = listen(
-            &shared,
-            &mut threads,
-            PortCable::Interrogator,
-            hyperion_server::serve,
-        )?;
-        let peaks = listen(
-            &shared,
-            &mut threads,
-            PortCable::Interrogator,
-            hyperion_server::serve,
-        )?;
-        let mut cameras = Vec::new();
-        for index in 0..camera_count {
-            let serve = move |s: &BenchState, link| camera_server::serve(s, link, index);
-            cameras.push(listen(&shared, &mut threads, PortCable::None, serve)?);
-        }
+        let mut listen = |cable: Cable, serve: Serve| listen(&shared, &mut threads, cable, serve);
+        let of_stage: Cable = Some(|faults| faults.stage_out);
+        let of_interrogator: Cable = Some(|faults| faults.interrogator_out);
+        let stage_tcp = listen(of_stage, |s, mut link| stage_server::serve(s, &mut link))?;
+        let sm130 = InterrogatorAddresses {
+            address: listen(of_interrogator, sm130_server::serve)?,
+            peaks_address: None,
+        };
+        let hyperion = InterrogatorAddresses {
+            address: listen(of_interrogator, hyperion_server::serve)?,
+            peaks_address: Some(listen(of_interrogator, hyperion_server::serve)?),
+        };
+        let of_camera: [Serve; 2] = [
+            |s, link| camera_server::serve(s, link, 0),
+            |s, link| camera_server::serve(s, link, 1),
+        ];
+        let cameras = of_camera[..camera_count].iter();
+        let cameras = cameras
+            .map(|serve| listen(None, *serve))
+            .collect::<io::Result<_>>()?;
+        let clock = listen(None, serve_clock)?;
+        let (master, slave) = TTYPort::pair()?;
+        let stage_pty = slave.name().unwrap_or_default();
+        threads.push(serve_pty(&shared, Pty { master, slave }));
         // Units reply with a scan from the first request on.
         shared.scan();
         threads.push(scanner(&shared));
-        let hyperion = HyperionAddresses { commands, peaks };
-        let clock = listen(&shared, &mut threads, PortCable::None, serve_clock)?;
         let addresses = Addresses {
             stage_pty,
             stage_tcp,
@@ -145,11 +143,7 @@ impl VirtualBench {
     /// True stage position (mm) and speed (mm/s) now; for tests of what a fault left behind.
     pub fn true_stage(&self) -> (f64, f64) {
         let t_s = self.shared.clock.now_s();
-        self.shared
-            .world()
-            .units
-            .first()
-            .map_or((0.0, 0.0), |u| u.axis.at(t_s))
+        self.shared.world().units[0].axis.at(t_s)
     }
 
     /// Time for which the bench's clock stood, s of bench time, where that is much: this computer
@@ -182,86 +176,70 @@ const SEND: Duration = Duration::from_secs(5);
 const UNANSWERED: Duration = Duration::from_millis(100);
 /// Most connections that fill a queue; the standard library asks for a queue of 128.
 const QUEUE: usize = 200;
+/// Between two looks of a thread at what there is to do.
+const LOOK: Duration = Duration::from_millis(4);
 
-/// Between two words on the bench's time.
-const TOLD: Duration = Duration::from_millis(10);
+/// Answers one client until it is gone.
+type Serve = fn(&BenchState, TcpStream) -> io::Result<()>;
+/// Whether the cable of a port is out; none where it hangs on no device's.
+type Cable = Option<fn(&FaultState) -> bool>;
 
-/// Which cable a port hangs on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum PortCable {
-    Stage,
-    Interrogator,
-    None,
-}
-
-impl PortCable {
-    fn is_out(self, shared: &BenchState) -> bool {
-        match self {
-            Self::Stage => shared.stage_cable.is_out(),
-            Self::Interrogator => shared.interrogator_cable.is_out(),
-            Self::None => false,
-        }
-    }
-}
-
-fn listen<F>(
+fn listen(
     shared: &Arc<BenchState>,
     threads: &mut Vec<JoinHandle<()>>,
-    cord: PortCable,
-    serve: F,
-) -> io::Result<SocketAddr>
-where
-    F: Fn(&BenchState, TcpStream) -> io::Result<()> + Send + Sync + Clone + 'static,
-{
+    cable: Cable,
+    serve: Serve,
+) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
     let address = listener.local_addr()?;
     listener.set_nonblocking(true)?;
     let shared = Arc::clone(shared);
     threads.push(std::thread::spawn(move || {
-        let mut clients: Vec<JoinHandle<()>> = Vec::new();
-        let mut queue = Vec::new();
-        while shared.goes_on() {
-            if cord != PortCable::None && shared.never_accepts() {
-                // With a full queue the system does not answer to another connection.
-                if queue.is_empty() {
-                    queue = std::iter::from_fn(|| {
-                        TcpStream::connect_timeout(&address, UNANSWERED).ok()
-                    })
-                    .take(QUEUE)
-                    .collect();
-                }
-                std::thread::sleep(Duration::from_millis(3));
-                continue;
-            }
-            queue.clear();
-            match listener.accept() {
-                // With the cable pulled no connection is accepted.
-                Ok((link, _)) if !cord.is_out(&shared) => {
-                    let (shared, serve) = (Arc::clone(&shared), serve.clone());
-                    clients.push(std::thread::spawn(move || {
-                        let set = link
-                            .set_nonblocking(false)
-                            .and_then(|()| link.set_nodelay(true));
-                        // A client that takes nothing must not hold up the end of the bench.
-                        if set
-                            .and_then(|()| link.set_write_timeout(Some(SEND)))
-                            .is_ok()
-                        {
-                            // Clients come and go; the end of a link is no event for the bench.
-                            let _ = serve(&shared, link);
-                        }
-                    }));
-                }
-                Ok(_) => {}
-                Err(_) => std::thread::sleep(Duration::from_millis(3)),
-            }
-            clients.retain(|c| !c.is_finished());
-        }
-        clients.into_iter().for_each(|c| {
-            let _ = c.join();
-        });
+        std::thread::scope(|clients| accept(&shared, &listener, address, cable, serve, clients));
     }));
     Ok(address)
+}
+
+fn accept<'s>(
+    shared: &'s BenchState,
+    listener: &TcpListener,
+    address: SocketAddr,
+    cable: Cable,
+    serve: Serve,
+    clients: &'s Scope<'s, '_>,
+) {
+    let mut queue = Vec::new();
+    while shared.goes_on() {
+        let [refuses, out] = cable.map_or([false; 2], |is_out| {
+            let faults = guard(&shared.faults);
+            [faults.never_accepts, is_out(&faults)]
+        });
+        if refuses {
+            // With a full queue the system does not answer to another connection.
+            if queue.is_empty() {
+                let more = || TcpStream::connect_timeout(&address, UNANSWERED).ok();
+                queue = std::iter::from_fn(more).take(QUEUE).collect();
+            }
+            std::thread::sleep(LOOK);
+            continue;
+        }
+        queue.clear();
+        match listener.accept() {
+            // With the cable pulled no connection is accepted.
+            Ok(_) if out => {}
+            // Clients come and go; the end of a link is no event for the bench.
+            Ok((link, _)) => drop(clients.spawn(move || answer(shared, link, serve).ok())),
+            Err(_) => std::thread::sleep(LOOK),
+        }
+    }
+}
+
+fn answer(shared: &BenchState, link: TcpStream, serve: Serve) -> io::Result<()> {
+    link.set_nonblocking(false)?;
+    link.set_nodelay(true)?;
+    // A client that takes nothing must not hold up the end of the bench.
+    link.set_write_timeout(Some(SEND))?;
+    serve(shared, link)
 }
 
 fn serve_pty(shared: &Arc<BenchState>, mut pty: Pty) -> JoinHandle<()> {
@@ -270,7 +248,7 @@ fn serve_pty(shared: &Arc<BenchState>, mut pty: Pty) -> JoinHandle<()> {
         while shared.goes_on() {
             // Ends when the cable is pulled: the pair is kept, but silent.
             let _ = stage_server::serve(&shared, &mut pty);
-            std::thread::sleep(Duration::from_millis(5));
+            std::thread::sleep(LOOK);
         }
     })
 }
@@ -281,7 +259,7 @@ fn scanner(shared: &Arc<BenchState>) -> JoinHandle<()> {
         while !shared.stopping() {
             shared.scan();
             shared_time::lives(shared.behind());
-            std::thread::sleep(Duration::from_millis(4));
+            std::thread::sleep(LOOK);
         }
     })
 }
@@ -290,7 +268,7 @@ fn scanner(shared: &Arc<BenchState>) -> JoinHandle<()> {
 fn serve_clock(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     while shared.goes_on() {
         link.write_all(&shared_time::state_ns().map(u64::to_le_bytes).concat())?;
-        std::thread::sleep(TOLD);
+        std::thread::sleep(LOOK);
     }
     Ok(())
 }

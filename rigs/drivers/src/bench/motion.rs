@@ -39,22 +39,19 @@ impl MotionSegment {
             self.v_mm_s + self.a_mm_s2 * dt,
         )
     }
-
-    fn end_s(&self) -> f64 {
-        self.t_s + self.length_s
-    }
 }
 
 /// Position of one axis as a function of time.
 #[derive(Debug, Clone)]
-pub struct Motion {
+pub(super) struct Motion {
     pieces: VecDeque<MotionSegment>,
-    acceleration_mm_s2: f64,
+    /// Of later moves, mm/s^2.
+    pub(super) acceleration_mm_s2: f64,
 }
 
 impl Motion {
     /// At rest at `x_mm`; every move uses `acceleration_mm_s2`.
-    pub fn at_rest(x_mm: f64, acceleration_mm_s2: f64) -> Self {
+    pub(super) fn at_rest(x_mm: f64, acceleration_mm_s2: f64) -> Self {
         Self {
             pieces: VecDeque::from([MotionSegment::rest(-1.0, x_mm)]),
             acceleration_mm_s2,
@@ -62,7 +59,7 @@ impl Motion {
     }
 
     /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, those at its start.
-    pub fn at(&self, t_s: f64) -> (f64, f64) {
+    pub(super) fn at(&self, t_s: f64) -> (f64, f64) {
         let piece = self
             .pieces
             .iter()
@@ -73,34 +70,19 @@ impl Motion {
     }
 
     /// When the motion ends, s; the start of the last rest.
-    pub fn end_s(&self) -> f64 {
+    pub(super) fn end_s(&self) -> f64 {
         self.pieces.back().map_or(0.0, |p| p.t_s)
     }
 
-    /// Sets the acceleration of later moves, mm/s^2.
-    pub(crate) fn set_acceleration(&mut self, acceleration_mm_s2: f64) {
-        self.acceleration_mm_s2 = acceleration_mm_s2;
-    }
-
-    /// Acceleration of moves, mm/s^2.
-    pub fn acceleration_mm_s2(&self) -> f64 {
-        self.acceleration_mm_s2
-    }
-
     /// From the state at `t_s` to rest at `target_mm`, not faster than `speed_mm_s`.
-    pub fn go(&mut self, t_s: f64, target_mm: f64, speed_mm_s: f64) {
-        let (x, v) = self.cut(t_s);
-        let a = self.acceleration_mm_s2;
-        let mut plan = Plan {
-            t_s,
-            x_mm: x,
-            v_mm_s: v,
-            pieces: &mut self.pieces,
-        };
+    pub(super) fn go(&mut self, t_s: f64, target_mm: f64, speed_mm_s: f64) {
+        let mut plan = self.cut(t_s);
+        let (x, v, a) = (plan.x_mm, plan.v_mm_s, self.acceleration_mm_s2);
+        // v^2 = 2 a d: the way to standstill.
         let braking_mm = v * v / (2.0 * a) * v.signum();
         // Moving away, or too fast to stop in time: come to rest first.
         if v != 0.0 && (target_mm - (x + braking_mm)) * v < 0.0 {
-            plan.push(v.abs() / a, -a * v.signum());
+            self.push(&mut plan, v.abs() / a, -a * v.signum());
         }
         let side = (target_mm - plan.x_mm).signum();
         let (distance, v0) = ((target_mm - plan.x_mm).abs(), plan.v_mm_s.abs());
@@ -108,42 +90,31 @@ impl Motion {
         let peak = ((v0 * v0 + 2.0 * a * distance) / 2.0).sqrt();
         let top = peak.min(speed_mm_s.max(1e-9));
         let ramp = (top - v0) / a;
-        plan.push(ramp.abs(), side * a * ramp.signum());
+        self.push(&mut plan, ramp.abs(), side * a * ramp.signum());
+        // What is left between the two ramps goes at full speed.
         let ramps_mm = (top * top - v0 * v0).abs() / (2.0 * a) + top * top / (2.0 * a);
-        plan.push(((distance - ramps_mm) / top).max(0.0), 0.0);
-        plan.push(top / a, -side * a);
-        plan.rest(Some(target_mm));
+        self.push(&mut plan, ((distance - ramps_mm) / top).max(0.0), 0.0);
+        self.push(&mut plan, top / a, -side * a);
+        self.rest(plan.t_s, target_mm);
     }
 
     /// Decelerates to standstill from `t_s` on.
-    pub fn halt(&mut self, t_s: f64) {
-        let (x, v) = self.cut(t_s);
-        let a = self.acceleration_mm_s2;
-        let mut plan = Plan {
-            t_s,
-            x_mm: x,
-            v_mm_s: v,
-            pieces: &mut self.pieces,
-        };
-        plan.push(v.abs() / a, -a * v.signum());
-        plan.rest(None);
+    pub(super) fn halt(&mut self, t_s: f64) {
+        let mut plan = self.cut(t_s);
+        let (v, a) = (plan.v_mm_s, self.acceleration_mm_s2);
+        self.push(&mut plan, v.abs() / a, -a * v.signum());
+        self.rest(plan.t_s, plan.x_mm);
     }
 
     /// Stands still at once, as a stalled motor does.
-    pub(crate) fn freeze(&mut self, t_s: f64) {
-        let (x, _) = self.cut(t_s);
-        Plan {
-            t_s,
-            x_mm: x,
-            v_mm_s: 0.0,
-            pieces: &mut self.pieces,
-        }
-        .rest(None);
+    pub(super) fn freeze(&mut self, t_s: f64) {
+        let plan = self.cut(t_s);
+        self.rest(t_s, plan.x_mm);
     }
 
     /// State at `t_s`; drops what was planned after it and the distant past.
-    fn cut(&mut self, t_s: f64) -> (f64, f64) {
-        let state = self.at(t_s);
+    fn cut(&mut self, t_s: f64) -> PlannedState {
+        let (x_mm, v_mm_s) = self.at(t_s);
         while self.pieces.back().is_some_and(|p| p.t_s >= t_s) && self.pieces.len() > 1 {
             self.pieces.pop_back();
         }
@@ -153,39 +124,37 @@ impl Motion {
         while self.pieces.len() > 1 && self.pieces[1].t_s < t_s - HISTORY_S {
             self.pieces.pop_front();
         }
-        state
+        PlannedState { t_s, x_mm, v_mm_s }
     }
-}
 
-/// Appends pieces one after another.
-struct Plan<'a> {
-    t_s: f64,
-    x_mm: f64,
-    v_mm_s: f64,
-    pieces: &'a mut VecDeque<MotionSegment>,
-}
-
-impl Plan<'_> {
-    fn push(&mut self, length_s: f64, a_mm_s2: f64) {
+    /// Adds a piece of constant acceleration, and goes on to its end.
+    fn push(&mut self, plan: &mut PlannedState, length_s: f64, a_mm_s2: f64) {
         if length_s <= 0.0 {
             return;
         }
+        let PlannedState { t_s, x_mm, v_mm_s } = *plan;
         let piece = MotionSegment {
-            t_s: self.t_s,
+            t_s,
             length_s,
-            x_mm: self.x_mm,
-            v_mm_s: self.v_mm_s,
+            x_mm,
+            v_mm_s,
             a_mm_s2,
         };
-        (self.x_mm, self.v_mm_s) = piece.at(piece.end_s());
-        self.t_s = piece.end_s();
+        plan.t_s += length_s;
+        (plan.x_mm, plan.v_mm_s) = piece.at(plan.t_s);
         self.pieces.push_back(piece);
     }
 
-    fn rest(&mut self, exact_mm: Option<f64>) {
-        self.pieces
-            .push_back(MotionSegment::rest(self.t_s, exact_mm.unwrap_or(self.x_mm)));
+    fn rest(&mut self, t_s: f64, x_mm: f64) {
+        self.pieces.push_back(MotionSegment::rest(t_s, x_mm));
     }
+}
+
+/// Where the pieces planned so far end.
+struct PlannedState {
+    t_s: f64,
+    x_mm: f64,
+    v_mm_s: f64,
 }
 
 #[cfg(test)]

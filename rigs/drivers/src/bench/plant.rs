@@ -61,7 +61,7 @@ pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
 
 /// The sensor in its surroundings: stage errors, plant, memory, temperature, noise. Stepped once a
 /// scan.
-pub struct Physics {
+pub(super) struct Physics {
     scenario: Scenario,
     plant: Box<dyn Plant>,
     rng: ChaCha8Rng,
@@ -69,14 +69,15 @@ pub struct Physics {
     carriage_mm: Option<f64>,
     lagged_mm: Option<f64>,
     crept_nmm: [f64; 2],
-    temperature_step_degc: f64,
+    /// Step of the room's temperature so far, K.
+    pub(super) temperature_step_degc: f64,
     /// Bench time since which both zeros drift, and their rate, pm/s.
-    drift: (f64, f64),
+    pub(super) drift: (f64, f64),
 }
 
 impl Physics {
     /// The sensor of a scenario with a wire.
-    pub fn new(scenario: &Scenario, plant: Box<dyn Plant>) -> Self {
+    pub(super) fn new(scenario: &Scenario, plant: Box<dyn Plant>) -> Self {
         Self {
             plant,
             rng: ChaCha8Rng::seed_from_u64(scenario.seed),
@@ -90,18 +91,8 @@ impl Physics {
         }
     }
 
-    /// Steps the temperature, K.
-    pub(crate) fn step_temperature(&mut self, degc: f64) {
-        self.temperature_step_degc += degc;
-    }
-
-    /// Both zeros drift from `t_s` on.
-    pub fn drift(&mut self, t_s: f64, pm_per_s: f64) {
-        self.drift = (t_s, pm_per_s);
-    }
-
     /// Temperature at `t_s`, deg C.
-    pub fn temperature_degc(&self, t_s: f64) -> f64 {
+    fn temperature_degc(&self, t_s: f64) -> f64 {
         let t = &self.scenario.temperature;
         let swing = t.swing_degc * (std::f64::consts::TAU * t_s / t.swing_period_s.max(1e-3)).sin();
         t.start_degc + t.drift_degc_per_h * t_s / 3600.0 + swing + self.temperature_step_degc
@@ -109,7 +100,7 @@ impl Physics {
 
     /// Wavelengths (nm) of reference, first and second sensing grating with the stage at
     /// `stage_mm`.
-    pub fn step(&mut self, t_s: f64, trajectory: u32, stage_mm: f64) -> [f64; 3] {
+    pub(super) fn step(&mut self, t_s: f64, trajectory: u32, stage_mm: f64) -> [f64; 3] {
         let dt = (t_s - self.last_s).max(0.0);
         self.last_s = t_s;
         let depth_mm = self.depth_mm(stage_mm, dt);
@@ -120,17 +111,16 @@ impl Physics {
         let mut out = [0.0; 3];
         let noise = self.scenario.interrogator.noise_pm;
         let mut draw = || {
-            noise * {
-                let z: f64 = StandardNormal.sample(&mut self.rng);
-                z
-            }
+            let z: f64 = StandardNormal.sample(&mut self.rng);
+            noise * z
         };
         out[0] = fbg.reference_nominal_nm
             + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
         for g in 0..2 {
-            let linear = fbg.k_pm_per_nmm[g][0] * moment[0] + fbg.k_pm_per_nmm[g][1] * moment[1];
+            let [about_y, about_z] = fbg.k_pm_per_nmm[g];
+            let linear = about_y * moment[0] + about_z * moment[1];
             // Second order in the strain at the grating: in the moment along its own axis.
-            let along = linear / fbg.k_pm_per_nmm[g][0].hypot(fbg.k_pm_per_nmm[g][1]);
+            let along = linear / about_y.hypot(about_z);
             let pm = linear * (1.0 + effects.quadratic_fraction * along)
                 + fbg.zero_pm[g]
                 + fbg.temperature_pm_per_degc[g] * rise
@@ -141,15 +131,11 @@ impl Physics {
         out
     }
 
-    /// What cameras see.
-    pub fn scene(&self) -> Option<Arc<dyn Scene>> {
-        self.plant.scene()
-    }
-
     /// Carriage past the position of first contact, mm: screw errors and play, from the play's
     /// state after the last step.
     fn carriage_mm(&self, stage_mm: f64) -> f64 {
         let e = &self.scenario.effects;
+        // A screw's error repeats with its turn.
         let screw = (stage_mm - self.scenario.stage.contact_mm()) * (1.0 + e.stage_scale)
             + e.periodic_um * 1e-3 * (std::f64::consts::TAU * stage_mm / SCREW_LEAD_MM).sin();
         // Play operator: the carriage follows the nut only once the play is used up.
@@ -161,7 +147,7 @@ impl Physics {
 
     /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the
     /// reference of the play.
-    pub fn groove_mm(&self, stage_mm: f64) -> f64 {
+    pub(super) fn groove_mm(&self, stage_mm: f64) -> f64 {
         self.carriage_mm(stage_mm) + 5e-4 * self.scenario.effects.backlash_um
     }
 

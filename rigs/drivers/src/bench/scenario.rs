@@ -7,13 +7,14 @@ pub use cameras::CameraScenario;
 
 use super::faults::ScheduledFault;
 use super::unit::UnitSpec;
+use nalgebra::Vector3;
 use serde::Deserialize;
 use wcal_core::document::from_toml;
 use wcal_core::observation::WHISKER_RANGES;
 use wcal_core::ranges::Range;
 
 /// `format` of the scenario file.
-pub const FORMAT: &str = "wcal-scenario/1";
+const FORMAT: &str = "wcal-scenario/1";
 
 /// Numbers that a scenario may state, where a wrong one would stop or drown the bench.
 const RANGES: &[Range] = &[
@@ -138,11 +139,8 @@ impl Scenario {
                 "whisker: expected straight_mm within length_mm and G below E, found {w:?}"
             ));
         }
-        if let Some(t) = scenario
-            .trajectory
-            .iter()
-            .find(|t| norm(t.direction) < 1e-6)
-        {
+        let flat = |t: &&TrajectoryScenario| Vector3::from(t.direction).norm() < 1e-6;
+        if let Some(t) = scenario.trajectory.iter().find(flat) {
             return Err(format!(
                 "trajectory {}: expected a direction, found a zero vector",
                 t.id
@@ -159,10 +157,6 @@ impl Scenario {
             self.trajectory.clone()
         }
     }
-}
-
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Protocol of the stage.

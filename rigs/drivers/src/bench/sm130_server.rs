@@ -1,7 +1,8 @@
 //! An sm130 on TCP, written after the tables of docs/src/devices.md (firmware-notes/sm130.md) and
 //! independent of the client.
 
-use super::link::Wire;
+use super::link::{Wire, sent_so_far};
+use super::lock::guard;
 use super::scenario::TokenPlace;
 use super::world::{BenchState, Scan};
 use std::io;
@@ -20,27 +21,21 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> 
     let mut line = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;
-    while shared.goes_on() && !shared.interrogator_cable.is_out() {
-        if let Some(from) = stream_from {
-            stream_from = Some(stream(shared, &mut link, from)?);
-            link.set_nonblocking(true)?;
-            let count = match io::Read::read(&mut link, &mut bytes) {
-                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
-                Err(e) if e.kind() == io::ErrorKind::WouldBlock => 0,
-                other => other?,
-            };
-            link.set_nonblocking(false)?;
-            line.extend_from_slice(&bytes[..count]);
-        } else {
-            let count = Wire::receive(&mut link, &mut bytes)?;
-            line.extend_from_slice(&bytes[..count]);
-        }
+    while shared.goes_on() && !guard(&shared.faults).interrogator_out {
+        let count = match stream_from {
+            Some(from) => {
+                stream_from = Some(stream(shared, &mut link, from)?);
+                sent_so_far(&mut link, &mut bytes)?
+            }
+            None => link.receive(&mut bytes)?,
+        };
+        line.extend_from_slice(&bytes[..count]);
         while let Some(end) = line.iter().position(|b| *b == b'\n') {
             let command = String::from_utf8_lossy(&line[..end]).trim().to_owned();
             line.drain(..=end);
             let reply = match command.as_str() {
                 "#SET_STREAMING_DATA 1" => {
-                    stream_from = Some(shared.newest().map_or(0, |s| s.serial + 1));
+                    stream_from = Some(shared.next_serial());
                     framed(b"Streaming data enabled.\n")
                 }
                 "#SET_STREAMING_DATA 0" => {
@@ -57,14 +52,14 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> 
 
 /// Sends the scans that are there; the number of the next one.
 fn stream(shared: &BenchState, link: &mut TcpStream, from: u64) -> io::Result<u64> {
-    if shared.clock.now_s() < shared.paused_until_s() {
+    if shared.clock.now_s() < guard(&shared.faults).pause_until_s {
         std::thread::sleep(Duration::from_millis(5));
         return Ok(from);
     }
     let scans = shared.scans_from(from);
     let mut out = Vec::with_capacity(scans.len() * 128);
     for scan in &scans {
-        if shared.take_garbage() {
+        if std::mem::take(&mut guard(&shared.faults).garbage) {
             out.extend_from_slice(b"\x00\x17XX0000\xfe99");
         }
         let payload = frame(shared, scan);
@@ -80,8 +75,8 @@ fn stream(shared: &BenchState, link: &mut TcpStream, from: u64) -> io::Result<u6
 
 fn send(shared: &BenchState, link: &mut TcpStream, bytes: &[u8]) -> io::Result<()> {
     match shared.scenario.interrogator.split_bytes {
-        0 => Wire::send(link, bytes),
-        n => bytes.chunks(n).try_for_each(|part| Wire::send(link, part)),
+        0 => link.send(bytes),
+        n => bytes.chunks(n).try_for_each(|part| link.send(part)),
     }
 }
 
@@ -90,7 +85,6 @@ fn framed(payload: &[u8]) -> Vec<u8> {
 }
 
 fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
-    let rate = shared.scenario.interrogator.rate_hz;
     let text = match command.split_whitespace().next().unwrap_or_default() {
         "#GET_DATA" | "#GET_UNBUFFERED_DATA" => {
             return match shared.newest() {
@@ -98,54 +92,43 @@ fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
                 None => framed(b"No data.\n"),
             };
         }
-        "#IDN?" => "sm130-700 virtual x30 core, firmware 3.0.1".to_owned(),
-        "#GET_SN" => "VIR130".to_owned(),
-        "#GET_CAPABILITIES" => format!("FBG {rate} Hz"),
-        "#GET_NUM_DUT_CHANNELS" => "4".to_owned(),
-        "#GET_DATA_RATE_DIVIDER" | "#GET_DATA_INTERLEAVE" | "#GET_NUM_AVERAGES" => "1".to_owned(),
-        "#GET_BUFFER_ENABLE" => "1".to_owned(),
-        "#GET_BUFFER_COUNT" => "0".to_owned(),
-        name if name.starts_with("#SET_")
-            || name == "#FLUSH_BUFFER"
-            || name == "#SAVE_SETTINGS" =>
-        {
-            "Setting accepted.".to_owned()
-        }
-        _ => "Unknown command.".to_owned(),
+        "#IDN?" => "sm130-700 virtual x30 core, firmware 3.0.1",
+        "#GET_SN" => "VIR130",
+        "#GET_CAPABILITIES" => &format!("FBG {} Hz", shared.scenario.interrogator.rate_hz),
+        "#GET_NUM_DUT_CHANNELS" => "4",
+        "#GET_DATA_RATE_DIVIDER"
+        | "#GET_DATA_INTERLEAVE"
+        | "#GET_NUM_AVERAGES"
+        | "#GET_BUFFER_ENABLE" => "1",
+        "#GET_BUFFER_COUNT" => "0",
+        "#FLUSH_BUFFER" | "#SAVE_SETTINGS" => "Setting accepted.",
+        name if name.starts_with("#SET_") => "Setting accepted.",
+        _ => "Unknown command.",
     };
     framed(format!("{text}\n").as_bytes())
 }
 
 /// One data frame, field by field at its offset.
 fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
-    let mut counts: Vec<u32> = scan
-        .peaks_nm
-        .iter()
-        .flatten()
+    let peaks_nm = scan.peaks_nm.iter().flatten();
+    let mut counts: Vec<u32> = peaks_nm
         .map(|nm| (nm * GRANULARITY).round() as u32)
         .collect();
     counts.sort_unstable();
     let mut b = vec![0_u8; 88];
     let mut put = |at: usize, bytes: &[u8]| b[at..at + bytes.len()].copy_from_slice(bytes);
-    let device_s = shared.device_s(scan.t_s);
-    let microseconds = (device_s * 1e6).round() as u64;
+    let microseconds = (shared.device_s(scan.t_s) * 1e6).round() as u64;
     let h = scan.health;
     let bit = |on: bool, value: u8| if on { value } else { 0 };
-    put(
-        0,
-        &[
-            16,
-            0,
-            3,
-            0x20 | bit(h.calibration_fault, 0x40) | bit(h.fan_fault, 0x10),
-        ],
-    );
+    let flags = 0x20 | bit(h.calibration_fault, 0x40) | bit(h.fan_fault, 0x10);
+    put(0, &[16, 0, 3, flags]);
     put(4, &12_345_u16.to_le_bytes());
     let light =
         bit(h.soa_thermal, 8) | bit(h.soa_current, 4) | bit(h.tec_over, 2) | bit(h.tec_under, 1);
     put(7, &[light]);
-    put(12, &(counts.len() as u16).to_le_bytes());
-    put(16, &(counts.len() as u16).to_le_bytes());
+    for at in [12, 16] {
+        put(at, &(counts.len() as u16).to_le_bytes());
+    }
     put(24, &(scan.serial as u16).to_le_bytes());
     put(28, &(scan.serial as u32).to_le_bytes());
     put(32, &((microseconds % 1_000_000) as u32).to_le_bytes());
@@ -157,8 +140,6 @@ fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     put(72, &(GRANULARITY as u32).to_le_bytes());
     put(80, &(1_510_000_000_u32).to_le_bytes());
     put(84, &(1_590_000_000_u32).to_le_bytes());
-    for count in counts {
-        b.extend(count.to_le_bytes());
-    }
+    b.extend(counts.iter().flat_map(|count| count.to_le_bytes()));
     b
 }

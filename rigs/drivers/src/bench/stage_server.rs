@@ -2,7 +2,8 @@
 
 use super::ascii;
 use super::binary::{BinaryUnit, Message};
-use super::link::Wire;
+use super::link::{Wire, pour, reply};
+use super::lock::guard;
 use super::scenario::StageProtocol;
 use super::world::BenchState;
 use std::io;
@@ -25,7 +26,7 @@ pub(crate) fn serve(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> 
 }
 
 fn open(shared: &BenchState) -> bool {
-    shared.goes_on() && !shared.stage_cable.is_out()
+    shared.goes_on() && !guard(&shared.faults).stage_out
 }
 
 fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
@@ -36,17 +37,14 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
         let count = wire.receive(&mut bytes)?;
         heard |= count > 0;
         if heard {
-            shared.stage_cable.pour(wire, false)?;
+            pour(&shared.faults, wire, false)?;
         }
         let alerts: Vec<String> = {
             // The time is asked with the lock held: one from before it would put the units back.
             let mut world = shared.world();
             let t_s = shared.clock.now_s();
-            world
-                .units
-                .iter_mut()
-                .filter_map(|u| u.update(t_s))
-                .collect()
+            let units = world.units.iter_mut();
+            units.filter_map(|u| u.update(t_s)).collect()
         };
         for alert in alerts {
             wire.send(alert.as_bytes())?;
@@ -69,8 +67,8 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
                 let hearing = world.units.iter_mut().filter(|u| u.hears(&command, t_s));
                 hearing.map(|u| u.execute(&command, t_s).concat()).collect()
             };
-            for reply in replies {
-                shared.stage_cable.send(wire, reply.as_bytes())?;
+            for text in replies {
+                reply(&shared.faults, wire, text.as_bytes())?;
             }
         }
         if line.len() > MAX_LINE {
@@ -89,14 +87,13 @@ fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     let mut last = Instant::now();
     while open(shared) {
         let count = wire.receive(&mut bytes)?;
-        heard |= count > 0;
         if count > 0 {
-            last = Instant::now();
+            (heard, last) = (true, Instant::now());
         } else if last.elapsed() > FORGETS {
             pending.clear();
         }
         if heard {
-            shared.stage_cable.pour(wire, true)?;
+            pour(&shared.faults, wire, true)?;
         }
         if wrong_speed(shared, wire) {
             pending.clear();
@@ -107,17 +104,15 @@ fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
         {
             let mut world = shared.world();
             let t_s = shared.clock.now_s();
-            let Some(stage) = world.units.first_mut() else {
-                break;
-            };
-            answers.extend(face.update(&mut stage.axis, t_s));
+            let axis = &mut world.units[0].axis;
+            answers.extend(face.update(axis, t_s));
             while let Some((six, rest)) = pending.split_first_chunk::<6>() {
-                answers.extend(face.execute(&mut stage.axis, Message::from_bytes(*six), t_s));
+                answers.extend(face.execute(axis, Message::from_bytes(*six), t_s));
                 pending = rest.to_vec();
             }
         }
         for answer in answers {
-            shared.stage_cable.send(wire, &answer.bytes())?;
+            reply(&shared.faults, wire, &answer.bytes())?;
         }
     }
     Ok(())

@@ -65,13 +65,12 @@ impl Default for UnitSpec {
 }
 
 /// A unit with its address and settings.
-#[derive(Debug, Clone)]
 pub struct Unit {
     address: u8,
     spec: UnitSpec,
     /// The axis; public to the plant and to the fault injector.
     pub axis: Axis,
-    settings: BTreeMap<String, i64>,
+    settings: BTreeMap<&'static str, i64>,
     silent_until_s: f64,
 }
 
@@ -104,8 +103,8 @@ impl Unit {
     /// An alert when a motion ended and alerts are on.
     pub fn update(&mut self, t_s: f64) -> Option<String> {
         let ended = self.axis.update(t_s);
-        (ended && self.setting("comm.alert") == 1)
-            .then(|| self.header(None, 1, false, t_s, |h| h.alert()))
+        let asked = self.settings["comm.alert"] == 1;
+        (ended && asked).then(|| self.header(None, 1, false, t_s).alert())
     }
 
     /// Power lost and back: silent for a second of bench time.
@@ -124,93 +123,64 @@ impl Unit {
             self.dispatch(command, t_s)
         };
         let checked = match self.spec.checksums {
-            ChecksumHabit::Asked => command.checked || self.setting("comm.checksum") == 1,
+            ChecksumHabit::Asked => command.checked || self.settings["comm.checksum"] == 1,
             ChecksumHabit::Always => true,
             ChecksumHabit::Never => false,
         };
         self.axis.update(t_s);
-        self.header(command.id, command.axis, checked, t_s, |h| h.reply(&answer))
+        self.header(command.id, command.axis, checked, t_s)
+            .reply(&answer)
     }
 
-    fn header<R>(
-        &self,
-        id: Option<u8>,
-        axis: u8,
-        checked: bool,
-        t_s: f64,
-        f: impl FnOnce(Header<'_>) -> R,
-    ) -> R {
-        let flags = self.axis.flags();
-        let flag = flags.first().copied().unwrap_or("--");
-        f(Header {
+    fn header(&self, id: Option<u8>, axis: u8, checked: bool, t_s: f64) -> Header {
+        Header {
             device: self.address,
             axis,
             id,
             busy: self.axis.busy(t_s),
-            flag,
+            flag: self.axis.flags().first().unwrap_or(&"--"),
             checked,
-        })
+        }
     }
 
     fn dispatch(&mut self, command: &Command, t_s: f64) -> Answer {
         let words: Vec<&str> = command.words.iter().map(String::as_str).collect();
-        let done = |result: Result<(), &'static str>| match result {
-            Ok(()) => Answer::ok("0"),
-            Err(reason) => Answer::refused(reason),
-        };
-        match words.as_slice() {
-            [] => Answer::ok("0"),
-            ["home"] => done(self.axis.home(t_s)),
-            ["stop" | "estop"] => {
-                self.axis.stop(t_s);
-                Answer::ok("0")
+        let done = match words.as_slice() {
+            ["get", name] => {
+                let found = self.get(name, t_s);
+                return found.map_or_else(|| Answer::refused("BADCOMMAND"), Answer::ok);
             }
-            ["move", rest @ ..] => done(self.do_move(rest, t_s)),
-            ["get", name] => self
-                .get(name, t_s)
-                .map_or_else(|| Answer::refused("BADCOMMAND"), Answer::ok),
-            ["set", name, value] => done(self.set(name, value)),
-            ["warnings"] => self.warnings(),
+            ["warnings"] => return self.warnings(),
             ["warnings", "clear"] => {
                 let answer = self.warnings();
                 self.axis.clear_flags();
-                answer
+                return answer;
             }
+            ["tools", "echo", rest @ ..] => return Answer::ok(rest.join(" ")),
+            [] => Ok(()),
+            ["home"] => self.axis.home(t_s),
+            ["stop" | "estop"] => {
+                self.axis.stop(t_s);
+                Ok(())
+            }
+            ["move", rest @ ..] => self.do_move(rest, t_s),
+            ["set", name, value] => self.set(name, value),
             ["system", "reset"] => {
                 self.power_cycle(t_s);
-                Answer::ok("0")
+                Ok(())
             }
-            ["driver", "enable"] => {
-                self.axis.power_cycle(t_s);
-                Answer::ok("0")
-            }
-            ["driver", "disable"] => {
-                self.axis.stop_dead(t_s, "FD");
-                Answer::ok("0")
-            }
-            ["renumber", number] => match number.parse::<u8>() {
-                Ok(address) if (1..100).contains(&address) => {
+            ["renumber", number] => match number.parse() {
+                Ok(address @ 1..100) => {
                     self.address = address;
-                    Answer::ok("0")
+                    Ok(())
                 }
-                _ => Answer::refused("BADDATA"),
+                _ => Err("BADDATA"),
             },
-            ["tools", "echo", rest @ ..] => Answer::ok(rest.join(" ")),
-            ["help"] => Answer {
-                ok: true,
-                data: "0".to_owned(),
-                info: [
-                    "home",
-                    "move abs|rel|vel|min|max",
-                    "stop",
-                    "get",
-                    "set",
-                    "warnings",
-                ]
-                .map(str::to_owned)
-                .to_vec(),
-            },
-            _ => Answer::refused("BADCOMMAND"),
+            _ => Err("BADCOMMAND"),
+        };
+        match done {
+            Ok(()) => Answer::ok("0"),
+            Err(reason) => Answer::refused(reason),
         }
     }
 
@@ -218,11 +188,8 @@ impl Unit {
         let number = |text: &str| text.parse::<f64>().map_err(|_| "BADDATA");
         let unit = self.axis.spec.unit;
         // A third word is the speed of this move, a fourth its acceleration (firmware 7).
-        let speed = words
-            .get(2)
-            .map(|w| number(w))
-            .transpose()?
-            .map(|d| unit.speed_mm_s(d));
+        let speed = words.get(2).map(|w| number(w)).transpose()?;
+        let speed = speed.map(|d| unit.speed_mm_s(d));
         match words {
             ["abs", target, ..] => {
                 if !self.axis.homed() {
@@ -256,9 +223,9 @@ impl Unit {
             "pos" | "encoder.pos" => self.axis.steps(t_s).to_string(),
             "limit.max" => self.axis.spec.limit_steps.to_string(),
             "limit.min" => "0".to_owned(),
-            "maxspeed" => unit.speed_data(self.axis.speed_mm_s()).to_string(),
+            "maxspeed" => unit.speed_data(self.axis.speed_mm_s).to_string(),
             "accel" | "motion.accelonly" | "motion.decelonly" => unit
-                .acceleration_data(self.axis.acceleration_mm_s2())
+                .acceleration_data(self.axis.motion.acceleration_mm_s2)
                 .to_string(),
             "limit.home.triggered" => u8::from(self.axis.homed()).to_string(),
             "comm.address" => self.address.to_string(),
@@ -270,26 +237,18 @@ impl Unit {
         let number: f64 = value.parse().map_err(|_| "BADDATA")?;
         let unit = self.axis.spec.unit;
         match name {
-            "maxspeed" => self.axis.set_speed(unit.speed_mm_s(number)),
+            "maxspeed" => return self.axis.set_speed(unit.speed_mm_s(number)),
             "accel" if number > 0.0 => {
-                self.axis.set_acceleration(unit.acceleration_mm_s2(number));
-                Ok(())
+                self.axis.motion.acceleration_mm_s2 = unit.acceleration_mm_s2(number);
             }
-            _ => {
-                let slot = self.settings.get_mut(name).ok_or("BADCOMMAND")?;
-                *slot = number as i64;
-                Ok(())
-            }
+            _ => *self.settings.get_mut(name).ok_or("BADCOMMAND")? = number as i64,
         }
-    }
-
-    fn setting(&self, name: &str) -> i64 {
-        self.settings.get(name).copied().unwrap_or(0)
+        Ok(())
     }
 }
 
-fn default_settings() -> BTreeMap<String, i64> {
-    let list: [(&str, i64); 14] = [
+fn default_settings() -> BTreeMap<&'static str, i64> {
+    BTreeMap::from([
         ("comm.alert", 0),
         ("comm.checksum", 0),
         ("comm.protocol", 2),
@@ -304,8 +263,7 @@ fn default_settings() -> BTreeMap<String, i64> {
         ("system.led.enable", 1),
         ("system.voltage", 48),
         ("version.build", 1234),
-    ];
-    list.iter().map(|(k, v)| ((*k).to_owned(), *v)).collect()
+    ])
 }
 
 #[cfg(test)]

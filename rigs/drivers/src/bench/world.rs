@@ -1,14 +1,12 @@
 //! State shared by all servers of the virtual bench, and the scanner that makes the scans.
 
 use super::clock::BenchClock;
-use super::faults::{Fault, ScheduledFault};
-use super::link::{Cable, ReplyFault, UnsolicitedTraffic};
+use super::faults::{Fault, FaultState, ScheduledFault};
 use super::lock::guard;
 use super::plant::{Physics, Plant};
-use super::scenario::{CameraScenario, Scenario};
+use super::scenario::Scenario;
 use super::scene::Scene;
 use super::unit::{Unit, UnitSpec};
-use super::unit_clock::UnitClock;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -17,8 +15,8 @@ use wcal_core::device::InterrogatorHealth;
 use wcal_core::shared_time::lives;
 
 /// One scan as the optics saw it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scan {
+#[derive(Clone, Copy)]
+pub(crate) struct Scan {
     /// Running number.
     pub serial: u64,
     /// Bench time, s.
@@ -27,6 +25,15 @@ pub struct Scan {
     pub peaks_nm: [Option<f64>; 3],
     /// Health of the unit.
     pub health: InterrogatorHealth,
+}
+
+impl Scan {
+    /// Its peaks in ascending order, nm.
+    pub(crate) fn ascending_nm(&self) -> Vec<f64> {
+        let mut peaks: Vec<f64> = self.peaks_nm.iter().flatten().copied().collect();
+        peaks.sort_by(f64::total_cmp);
+        peaks
+    }
 }
 
 /// Everything that moves.
@@ -40,44 +47,8 @@ pub struct World {
     /// A grating whose peak has no value, and in how many scans.
     valueless: (usize, u64),
     skip: u64,
-    schedule: VecDeque<ScheduledFault>,
+    schedule: Vec<ScheduledFault>,
     scanned: u64,
-}
-
-/// Scans kept for clients that are behind.
-#[derive(Debug, Default)]
-pub struct Ring {
-    scans: VecDeque<Scan>,
-}
-
-/// State of the picture stream.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CameraState {
-    /// The second camera repeats its last picture.
-    pub frozen: bool,
-    /// Extra delay of the second camera, ms.
-    pub skew_ms: f64,
-    /// Attitude of the chessboard that is held up.
-    pub board: Option<usize>,
-    /// Exposure relative to the right one.
-    pub exposure: f64,
-    /// Shift (mm) and rotation vector (degrees) of the second camera since the board was shown.
-    pub moved: ([f64; 3], [f64; 3]),
-    /// Frames of the second camera still to be lost.
-    pub lose: u64,
-}
-
-impl CameraState {
-    fn new(cameras: &CameraScenario) -> Self {
-        Self {
-            frozen: false,
-            skew_ms: cameras.skew_ms,
-            board: None,
-            exposure: cameras.exposure,
-            moved: (cameras.errors.moved_mm, cameras.errors.moved_deg),
-            lose: 0,
-        }
-    }
 }
 
 /// Shared by all threads of one bench.
@@ -86,34 +57,19 @@ pub struct BenchState {
     pub scenario: Scenario,
     /// Bench time.
     pub clock: BenchClock,
-    /// Stage cable.
-    pub stage_cable: Cable,
-    /// Interrogator cable.
-    pub interrogator_cable: Cable,
-    /// Picture stream.
-    pub cameras: Mutex<CameraState>,
     /// What the cameras see.
-    pub scene: Option<Arc<dyn Scene>>,
+    pub(crate) scene: Option<Arc<dyn Scene>>,
+    pub(crate) faults: Mutex<FaultState>,
     world: Mutex<World>,
-    ring: Mutex<Ring>,
+    /// Scans kept for clients that are behind.
+    scans: Mutex<VecDeque<Scan>>,
     fresh: Condvar,
-    pause_until_s: Mutex<f64>,
-    /// What is wrong with the interrogator's clock.
-    unit_clock: Mutex<UnitClock>,
-    never_accepts: AtomicBool,
-    garbage: AtomicBool,
     stop: AtomicBool,
 }
 
 impl BenchState {
-    /// A bench that starts now.
-    pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Arc<Self> {
-        let clock = BenchClock::start(scenario.speed);
-        Self::by_clock(scenario, plant, clock)
-    }
-
     /// A bench by its own clock.
-    pub fn by_clock(scenario: Scenario, plant: Box<dyn Plant>, clock: BenchClock) -> Arc<Self> {
+    pub(crate) fn new(scenario: Scenario, plant: Box<dyn Plant>, clock: BenchClock) -> Self {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {
             let mount = UnitSpec {
@@ -128,35 +84,28 @@ impl BenchState {
         }
         let mut schedule = scenario.fault.clone();
         schedule.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let physics = Physics::new(&scenario, plant);
-        let scene = physics.scene();
+        let scene = plant.scene();
         let world = World {
             units,
-            physics,
+            physics: Physics::new(&scenario, plant),
             health: InterrogatorHealth::default(),
             lost: [false; 3],
             crossing: false,
             valueless: (0, 0),
             skip: 0,
-            schedule: schedule.into(),
+            schedule,
             scanned: 0,
         };
-        Arc::new(Self {
+        Self {
             clock,
-            stage_cable: Cable::default(),
-            interrogator_cable: Cable::default(),
-            cameras: Mutex::new(CameraState::new(&scenario.cameras)),
             scene,
+            faults: Mutex::new(FaultState::of(&scenario.cameras)),
             scenario,
             world: Mutex::new(world),
-            ring: Mutex::new(Ring::default()),
+            scans: Mutex::default(),
             fresh: Condvar::new(),
-            pause_until_s: Mutex::new(0.0),
-            unit_clock: Mutex::new(UnitClock::default()),
-            never_accepts: AtomicBool::new(false),
-            garbage: AtomicBool::new(false),
             stop: AtomicBool::new(false),
-        })
+        }
     }
 
     /// The moving parts.
@@ -164,31 +113,16 @@ impl BenchState {
         guard(&self.world)
     }
 
-    /// Picture stream state.
-    pub(crate) fn camera_state(&self) -> CameraState {
-        *guard(&self.cameras)
-    }
-
-    /// Shows the board in attitude `view`, or takes it away; an attitude that there is not is
-    /// refused.
-    pub(crate) fn show_board(&self, view: Option<usize>) -> bool {
-        let known = view.is_none_or(|k| k < self.scenario.cameras.board_views);
-        if known {
-            guard(&self.cameras).board = view;
+    /// Shows the board in attitude `view`, or takes it away; an attitude that there is not changes
+    /// nothing.
+    pub(crate) fn show_board(&self, view: Option<usize>) {
+        if view.is_none_or(|k| k < self.scenario.cameras.board_views) {
+            guard(&self.faults).cameras.board = view;
         }
-        known
-    }
-
-    /// True for each frame of the second camera that is to be lost.
-    pub(crate) fn loses_frame(&self) -> bool {
-        let mut state = guard(&self.cameras);
-        let lost = state.lose > 0;
-        state.lose = state.lose.saturating_sub(1);
-        lost
     }
 
     /// Whether the bench is shutting down.
-    pub fn stopping(&self) -> bool {
+    pub(crate) fn stopping(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }
 
@@ -198,74 +132,60 @@ impl BenchState {
         self.fresh.notify_all();
     }
 
-    /// True once after each request for garbage bytes.
-    pub(crate) fn take_garbage(&self) -> bool {
-        self.garbage.swap(false, Ordering::SeqCst)
-    }
-
-    /// Bench time until which the stream is held back.
-    pub(crate) fn paused_until_s(&self) -> f64 {
-        *guard(&self.pause_until_s)
-    }
-
     /// Whether the bench goes on; asked in every round of a thread that its time waits for.
-    pub fn goes_on(&self) -> bool {
+    pub(crate) fn goes_on(&self) -> bool {
         lives(Duration::ZERO);
         !self.stopping()
     }
 
     /// Wall time by which the scans that are made are behind.
-    pub fn behind(&self) -> Duration {
+    pub(crate) fn behind(&self) -> Duration {
         let made_s = self.world().scanned as f64 / self.scenario.interrogator.rate_hz;
         self.clock.wall(self.clock.now_s() - made_s)
     }
 
-    /// Whether no new connection is answered.
-    pub(crate) fn never_accepts(&self) -> bool {
-        self.never_accepts.load(Ordering::SeqCst)
-    }
-
     /// Time of the interrogator's clock at bench time `t_s`, s since 1970.
-    pub fn device_s(&self, t_s: f64) -> f64 {
+    pub(crate) fn device_s(&self, t_s: f64) -> f64 {
         let spec = &self.scenario.interrogator;
-        let own_s = guard(&self.unit_clock).at(t_s) + t_s * spec.clock_drift_ppm * 1e-6;
+        let own_s = guard(&self.faults).unit_clock.at(t_s) + t_s * spec.clock_drift_ppm * 1e-6;
         self.clock.epoch_s(own_s) + spec.clock_offset_s
     }
 
     /// The newest scan.
-    pub fn newest(&self) -> Option<Scan> {
-        guard(&self.ring).scans.back().copied()
+    pub(crate) fn newest(&self) -> Option<Scan> {
+        guard(&self.scans).back().copied()
+    }
+
+    /// Number of the next scan.
+    pub(crate) fn next_serial(&self) -> u64 {
+        self.newest().map_or(0, |scan| scan.serial + 1)
     }
 
     /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are
     /// missing.
     pub(crate) fn scans_from(&self, from: u64) -> Vec<Scan> {
-        let ring = guard(&self.ring);
         let waiting =
-            |r: &mut Ring| !self.stopping() && r.scans.back().is_none_or(|s| s.serial < from);
+            |s: &mut VecDeque<Scan>| !self.stopping() && s.back().is_none_or(|s| s.serial < from);
+        let moment = Duration::from_millis(20);
         let waited = self
             .fresh
-            .wait_timeout_while(ring, Duration::from_millis(20), waiting);
-        let (ring, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        let start = ring.scans.partition_point(|s| s.serial < from);
-        ring.scans.range(start..).take(4096).copied().collect()
+            .wait_timeout_while(guard(&self.scans), moment, waiting);
+        let (scans, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let start = scans.partition_point(|s| s.serial < from);
+        scans.range(start..).take(4096).copied().collect()
     }
 
     /// Makes all scans that are due, and carries out scheduled faults. Called by one thread only.
-    pub fn scan(&self) {
+    pub(crate) fn scan(&self) {
         let now_s = self.clock.now_s();
-        let due: Vec<Fault> = {
-            let mut world = self.world();
-            let mut due = Vec::new();
-            while world.schedule.front().is_some_and(|f| f.at_s <= now_s) {
-                due.extend(world.schedule.pop_front().map(|f| f.fault));
-            }
-            due
+        let due: Vec<ScheduledFault> = {
+            let schedule = &mut self.world().schedule;
+            let count = schedule.partition_point(|f| f.at_s <= now_s);
+            schedule.drain(..count).collect()
         };
-        for fault in due {
-            self.inject(fault);
-        }
-        let period_s = 1.0 / self.scenario.interrogator.rate_hz;
+        due.into_iter().for_each(|due| self.inject(due.fault));
+        let spec = &self.scenario.interrogator;
+        let period_s = 1.0 / spec.rate_hz;
         let mut fresh = Vec::new();
         {
             let mut world = self.world();
@@ -280,54 +200,70 @@ impl BenchState {
                 }
             }
         }
-        let mut ring = guard(&self.ring);
-        ring.scans.extend(fresh);
-        let excess = ring
-            .scans
-            .len()
-            .saturating_sub(self.scenario.interrogator.buffer);
-        ring.scans.drain(..excess);
-        drop(ring);
+        let mut scans = guard(&self.scans);
+        scans.extend(fresh);
+        let excess = scans.len().saturating_sub(spec.buffer);
+        scans.drain(..excess);
+        drop(scans);
         self.fresh.notify_all();
     }
 
     /// Carries out a fault now.
-    pub fn inject(&self, fault: Fault) {
+    pub(crate) fn inject(&self, fault: Fault) {
         let t_s = self.clock.now_s();
+        if let Fault::Board { view } = fault {
+            return self.show_board(view);
+        }
+        let (mut world, mut faults) = (self.world(), guard(&self.faults));
+        let stage = &mut world.units[0];
         match fault {
-            Fault::UnplugStage => self.stage_cable.unplug(true),
-            Fault::PlugStage => self.stage_cable.unplug(false),
-            Fault::LoseReply => self.stage_cable.disturb(ReplyFault::Lose),
-            Fault::CorruptReply => self.stage_cable.disturb(ReplyFault::Corrupt),
-            Fault::SplitReply => self.stage_cable.disturb(ReplyFault::Split),
-            Fault::DoubleReply => self.stage_cable.disturb(ReplyFault::Double),
-            Fault::NoiseReply => self.stage_cable.disturb(ReplyFault::Noise),
-            Fault::UnplugInterrogator => self.interrogator_cable.unplug(true),
-            Fault::PlugInterrogator => self.interrogator_cable.unplug(false),
-            Fault::StreamGap { seconds } => *guard(&self.pause_until_s) = t_s + seconds,
-            Fault::StreamGarbage => self.garbage.store(true, Ordering::SeqCst),
-            Fault::LateReply => self.stage_cable.disturb(ReplyFault::Late),
-            Fault::ForeignReply => self.stage_cable.disturb(ReplyFault::Foreign),
-            Fault::InfoLines => self.stage_cable.disturb(ReplyFault::Info),
-            Fault::AlertFlood { on } => self
-                .stage_cable
-                .flood(on.then_some(UnsolicitedTraffic::Alerts)),
-            Fault::ForeignFlood { on } => self
-                .stage_cable
-                .flood(on.then_some(UnsolicitedTraffic::Foreign)),
-            Fault::NeverAccept { on } => self.never_accepts.store(on, Ordering::SeqCst),
-            Fault::ClockDrift { ppm } => guard(&self.unit_clock).drift(t_s, ppm),
-            Fault::ClockStep { seconds } => guard(&self.unit_clock).step(t_s, seconds),
-            Fault::ClockStop { on } => guard(&self.unit_clock).stop(t_s, on),
-            Fault::FrozenCamera { on } => guard(&self.cameras).frozen = on,
-            Fault::CameraSkew { ms } => guard(&self.cameras).skew_ms = ms,
-            Fault::LostFrames { count } => guard(&self.cameras).lose += count,
-            Fault::CameraMoved { mm, deg } => guard(&self.cameras).moved = (mm, deg),
-            Fault::Exposure { factor } => guard(&self.cameras).exposure = factor,
-            Fault::Board { view } => {
-                self.show_board(view);
+            Fault::Stall => stage.axis.arm_stall(),
+            Fault::BusyForEver => stage.axis.arm_endless(),
+            Fault::Limit => stage.axis.stop_dead(t_s, "FE"),
+            Fault::Displaced => stage.axis.raise("WM"),
+            Fault::DriverOff => stage.axis.stop_dead(t_s, "FD"),
+            Fault::Critical => stage.axis.stop_dead(t_s, "FF"),
+            Fault::PowerCut | Fault::Reset => stage.power_cycle(t_s),
+            Fault::UnplugStage => faults.stage_out = true,
+            Fault::PlugStage => faults.stage_out = false,
+            Fault::LoseReply
+            | Fault::CorruptReply
+            | Fault::SplitReply
+            | Fault::DoubleReply
+            | Fault::NoiseReply
+            | Fault::LateReply
+            | Fault::ForeignReply
+            | Fault::InfoLines => faults.replies.push_back(fault),
+            Fault::AlertFlood { on } => faults.flood = on.then_some(false),
+            Fault::ForeignFlood { on } => faults.flood = on.then_some(true),
+            Fault::NeverAccept { on } => faults.never_accepts = on,
+            Fault::UnplugInterrogator => faults.interrogator_out = true,
+            Fault::PlugInterrogator => faults.interrogator_out = false,
+            Fault::StreamGap { seconds } => faults.pause_until_s = t_s + seconds,
+            Fault::StreamGarbage => faults.garbage = true,
+            Fault::ClockDrift { ppm } => faults.unit_clock.drift(t_s, ppm),
+            Fault::ClockStep { seconds } => faults.unit_clock.step(t_s, seconds),
+            Fault::ClockStop { on } => faults.unit_clock.stop(t_s, on),
+            Fault::FrozenCamera { on } => faults.cameras.frozen = on,
+            Fault::CameraSkew { ms } => faults.cameras.skew_ms = ms,
+            Fault::LostFrames { count } => faults.cameras.lose += count,
+            Fault::CameraMoved { mm, deg } => faults.cameras.moved = (mm, deg),
+            Fault::Exposure { factor } => faults.cameras.exposure = factor,
+            Fault::SignalDrift { pm_per_s } => world.physics.drift = (t_s, pm_per_s),
+            Fault::TemperatureStep { degc } => world.physics.temperature_step_degc += degc,
+            Fault::LostSamples { count } => world.skip += count,
+            Fault::CalibrationFault { on } => world.health.calibration_fault = on,
+            Fault::TecFault { on } => world.health.tec_over = on,
+            Fault::DataInvalid { on } => world.health.error_code = if on { 9 } else { 0 },
+            Fault::PeakCrossing { on } => world.crossing = on,
+            Fault::PeakLost { grating, on } if grating < world.lost.len() => {
+                world.lost[grating] = on
             }
-            other => self.world().inject(other, t_s),
+            Fault::NanPeak { grating, count } if grating < world.lost.len() => {
+                world.valueless = (grating, count)
+            }
+            // A grating that there is not.
+            Fault::PeakLost { .. } | Fault::NanPeak { .. } | Fault::Board { .. } => {}
         }
     }
 }
@@ -335,12 +271,11 @@ impl BenchState {
 impl World {
     /// Stage position (mm) and the trajectory that the mount presents.
     fn place(&self, t_s: f64, scenario: &Scenario) -> (f64, u32) {
-        let stage_mm = self.units.first().map_or(0.0, |u| u.axis.at(t_s).0);
         let trajectory = self.units.get(1).map_or(1, |mount| {
-            let steps = mount.axis.spec.unit.from_mm(mount.axis.at(t_s).0);
-            u32::try_from(steps / scenario.mount.steps_per_trajectory.max(1)).unwrap_or(0)
+            let steps = mount.axis.steps(t_s) / scenario.mount.steps_per_trajectory.max(1);
+            u32::try_from(steps).unwrap_or(0)
         });
-        (stage_mm, trajectory)
+        (self.units[0].axis.at(t_s).0, trajectory)
     }
 
     /// Trajectory, depth of the groove (mm), and whether stage or mount move.
@@ -358,9 +293,7 @@ impl World {
             peaks_nm[1] = Some(nm[2] + 0.0004);
         }
         for (peak, lost) in peaks_nm.iter_mut().zip(self.lost) {
-            if lost {
-                *peak = None;
-            }
+            *peak = peak.filter(|_| !lost);
         }
         let (grating, count) = &mut self.valueless;
         if *count > 0 {
@@ -372,37 +305,6 @@ impl World {
             t_s,
             peaks_nm,
             health: self.health,
-        }
-    }
-
-    fn inject(&mut self, fault: Fault, t_s: f64) {
-        let Some(stage) = self.units.first_mut() else {
-            return;
-        };
-        match fault {
-            Fault::Stall => stage.axis.arm_stall(),
-            Fault::BusyForEver => stage.axis.arm_endless(),
-            Fault::Limit => stage.axis.stop_dead(t_s, "FE"),
-            Fault::Displaced => stage.axis.raise("WM"),
-            Fault::DriverOff => stage.axis.stop_dead(t_s, "FD"),
-            Fault::Critical => stage.axis.stop_dead(t_s, "FF"),
-            Fault::PowerCut | Fault::Reset => stage.power_cycle(t_s),
-            Fault::SignalDrift { pm_per_s } => self.physics.drift(t_s, pm_per_s),
-            Fault::LostSamples { count } => self.skip += count,
-            Fault::CalibrationFault { on } => self.health.calibration_fault = on,
-            Fault::TecFault { on } => self.health.tec_over = on,
-            Fault::DataInvalid { on } => self.health.error_code = if on { 9 } else { 0 },
-            Fault::PeakLost { grating, on } => {
-                if let Some(slot) = self.lost.get_mut(grating) {
-                    *slot = on;
-                }
-            }
-            Fault::NanPeak { grating, count } if grating < self.lost.len() => {
-                self.valueless = (grating, count)
-            }
-            Fault::PeakCrossing { on } => self.crossing = on,
-            Fault::TemperatureStep { degc } => self.physics.step_temperature(degc),
-            _ => {}
         }
     }
 }

@@ -23,14 +23,8 @@ impl FolderCamera {
     /// `Configuration` when there is no picture with a number in its name.
     pub(crate) fn open(folder: &Path, period_s: f64) -> Result<Self, DeviceError> {
         let fail = |found: String| {
-            let name = format!("camera {}", folder.display());
-            DeviceError::new(
-                DeviceErrorKind::Configuration,
-                name,
-                "open",
-                "numbered .pgm pictures",
-                found,
-            )
+            let kind = DeviceErrorKind::Configuration;
+            error(folder, kind, "open", "numbered .pgm pictures", &found)
         };
         let entries = std::fs::read_dir(folder).map_err(|e| fail(e.to_string()))?;
         let mut files: Vec<(u64, PathBuf)> = entries
@@ -51,10 +45,17 @@ impl FolderCamera {
             period_s,
         })
     }
+}
 
-    fn name(&self) -> String {
-        format!("camera {}", self.folder.display())
-    }
+fn error(
+    place: &Path,
+    kind: DeviceErrorKind,
+    action: &str,
+    expected: &str,
+    found: &str,
+) -> DeviceError {
+    let device = format!("camera {}", place.display());
+    DeviceError::new(kind, device, action, expected, found)
 }
 
 /// The last group of digits.
@@ -85,36 +86,19 @@ impl Camera for FolderCamera {
         }
         let kind = DeviceErrorKind::Unsupported;
         let expected = "no exposure and gain: the pictures exist";
-        Err(DeviceError::new(
-            kind,
-            self.name(),
-            "configure",
-            expected,
-            "a setting",
-        ))
+        let place = &self.folder;
+        Err(error(place, kind, "configure", expected, "a setting"))
     }
 
     fn grab(&mut self, _timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let Some((number, path)) = self.files.get(self.next) else {
-            let kind = DeviceErrorKind::Disconnected;
-            return Err(DeviceError::new(
-                kind,
-                self.name(),
-                "grab",
-                "a further picture",
-                "the end",
-            ));
+            let (kind, place) = (DeviceErrorKind::Disconnected, &self.folder);
+            return Err(error(place, kind, "grab", "a further picture", "the end"));
         };
         self.next += 1;
         let bad = |found: String| {
             let kind = DeviceErrorKind::Protocol;
-            DeviceError::new(
-                kind,
-                format!("camera {}", path.display()),
-                "read",
-                "a P5 picture",
-                found,
-            )
+            error(path, kind, "read", "a P5 picture", &found)
         };
         let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;

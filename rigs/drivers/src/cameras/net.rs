@@ -22,7 +22,6 @@ const MAX_SIDE: u32 = 16_384;
 pub struct NetCamera {
     link: Link,
     clock: HostClock,
-    buffer: Vec<u8>,
 }
 
 impl NetCamera {
@@ -36,32 +35,23 @@ impl NetCamera {
         interrupt: &Interrupt,
     ) -> Result<Self, DeviceError> {
         let link = Link::connect(format!("camera {address}"), address, interrupt)?;
-        Ok(Self {
-            link,
-            clock,
-            buffer: Vec::new(),
-        })
+        Ok(Self { link, clock })
     }
+}
 
-    /// Length of the frame in the buffer, once its header is there.
-    fn frame_length(&self) -> Result<Option<usize>, DeviceError> {
-        if self.buffer.len() < HEADER {
-            return Ok(None);
-        }
-        let [width, height] = [4, 8].map(|at| u32_at(&self.buffer, at));
-        if &self.buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
-            let found = format!("{:?}, {width} x {height}", &self.buffer[..4]);
-            let kind = DeviceErrorKind::Protocol;
-            return Err(DeviceError::new(
-                kind,
-                &self.link.name,
-                "grab",
-                "a WCAM header",
-                found,
-            ));
-        }
-        Ok(Some(HEADER + width as usize * height as usize))
+/// The first frame in the buffer, once all of it is there.
+fn frame(link: &mut Link) -> Result<Option<Vec<u8>>, DeviceError> {
+    let buffer = &mut link.buffer;
+    if buffer.len() < HEADER {
+        return Ok(None);
     }
+    let [width, height] = [4, 8].map(|at| u32_at(buffer, at));
+    if &buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
+        let found = format!("{:?}, {width} x {height}", &buffer[..4]);
+        return Err(link.error(DeviceErrorKind::Protocol, "grab", "a WCAM header", found));
+    }
+    let length = HEADER + width as usize * height as usize;
+    Ok((buffer.len() >= length).then(|| buffer.drain(..length).collect()))
 }
 
 fn u64_at(b: &[u8], at: usize) -> u64 {
@@ -85,43 +75,25 @@ impl Camera for NetCamera {
         if exposure_ms.is_none() && gain_db.is_none() {
             return Ok(());
         }
-        let (kind, expected) = (
-            DeviceErrorKind::Unsupported,
-            "no exposure and gain: the stream has none",
-        );
-        Err(DeviceError::new(
-            kind,
-            &self.link.name,
-            "configure",
-            expected,
-            "a setting",
-        ))
+        let expected = "no exposure and gain: the stream has none";
+        let kind = DeviceErrorKind::Unsupported;
+        Err(self.link.error(kind, "configure", expected, "a setting"))
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let deadline = self.link.deadline(timeout);
-        loop {
-            if let Some(length) = self.frame_length()?
-                && self.buffer.len() >= length
-            {
-                let b: Vec<u8> = self.buffer.drain(..length).collect();
-                return Ok(CameraFrame {
-                    trigger: u64_at(&b, 16),
-                    commanded_exposure_ms: None,
-                    measured_exposure_ms: Some(f64::from_bits(u64_at(&b, 32))),
-                    width_px: u32_at(&b, 4),
-                    height_px: u32_at(&b, 8),
-                    grey: b[HEADER..].to_vec(),
-                    clocks: Clocks {
-                        host_s: self.clock.now_s(),
-                        device_s: Some(f64::from_bits(u64_at(&b, 24))),
-                    },
-                });
-            }
-            let take = |b: &[u8]| self.buffer.extend_from_slice(b);
-            if deadline.is_over() || !self.link.receive("grab", &deadline, take)? {
-                return Err(deadline.error(&self.link.name, "grab", "a picture", "none"));
-            }
-        }
+        let b = self.link.wait("grab", "a picture", &deadline, frame)?;
+        Ok(CameraFrame {
+            trigger: u64_at(&b, 16),
+            commanded_exposure_ms: None,
+            measured_exposure_ms: Some(f64::from_bits(u64_at(&b, 32))),
+            width_px: u32_at(&b, 4),
+            height_px: u32_at(&b, 8),
+            grey: b[HEADER..].to_vec(),
+            clocks: Clocks {
+                host_s: self.clock.now_s(),
+                device_s: Some(f64::from_bits(u64_at(&b, 24))),
+            },
+        })
     }
 }

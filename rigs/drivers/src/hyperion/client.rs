@@ -1,97 +1,60 @@
 //! A Hyperion unit: one connection for commands, one for streamed peaks.
 
 use super::frame::{self, Response};
-use crate::link::Link;
+use crate::link::{Link, REPLY};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
 
-/// Longest wait for the reply to a command.
-const REPLY: Duration = Duration::from_secs(3);
+const READ: &str = "read the stream";
 
 /// A connected unit.
 #[derive(Debug)]
 pub struct Hyperion {
-    commands: Channel,
+    commands: Link,
     peaks_address: String,
-    peaks: Option<Channel>,
+    peaks: Option<Link>,
     clock: HostClock,
     rate_hz: f64,
     interrupt: Interrupt,
 }
 
-/// One connection with its unread bytes.
-#[derive(Debug)]
-struct Channel {
-    link: Link,
-    buffer: Vec<u8>,
-    /// Responses that had not come when their command was given up.
-    owed: usize,
+fn link(address: &str, interrupt: &Interrupt) -> Result<Link, DeviceError> {
+    Link::connect(format!("hyperion {address}"), address, interrupt)
 }
 
-impl Channel {
-    fn connect(address: &str, interrupt: &Interrupt) -> Result<Self, DeviceError> {
-        let link = Link::connect(format!("hyperion {address}"), address, interrupt)?;
-        Ok(Self {
-            link,
-            buffer: Vec::new(),
-            owed: 0,
-        })
-    }
+fn next_response(link: &mut Link, action: &str) -> Result<Option<Response>, DeviceError> {
+    let parsed = frame::response(&link.buffer).map_err(|found| protocol(link, action, found))?;
+    Ok(parsed.map(|(response, length)| {
+        link.buffer.drain(..length);
+        response
+    }))
+}
 
-    fn next_response(&mut self, action: &str) -> Result<Option<Response>, DeviceError> {
-        let parsed = frame::response(&self.buffer).map_err(|found| self.protocol(action, found))?;
-        Ok(parsed.map(|(response, length)| {
-            self.buffer.drain(..length);
-            response
-        }))
-    }
+fn protocol(link: &Link, action: &str, found: String) -> DeviceError {
+    link.error(DeviceErrorKind::Protocol, action, "a response", found)
+}
 
-    fn protocol(&self, action: &str, found: String) -> DeviceError {
-        DeviceError::new(
-            DeviceErrorKind::Protocol,
-            &self.link.name,
-            action,
-            "a response",
-            found,
-        )
-    }
-
-    /// Sends a command and returns its response. Responses have no number, but come in the order of
-    /// their commands: those that are late for earlier ones are left out.
-    fn ask(&mut self, command: &str, arguments: &[u8]) -> Result<Response, DeviceError> {
-        self.link
-            .send(&frame::request(command, arguments, false), command)?;
-        self.owed += 1;
-        let deadline = self.link.deadline(REPLY);
-        loop {
-            while let Some(response) = self.next_response(command)? {
-                self.owed = self.owed.saturating_sub(1);
-                if self.owed > 0 {
-                    continue;
-                }
-                if response.status == 0 {
-                    return Ok(response);
-                }
-                let (kind, found) = (
-                    DeviceErrorKind::Rejected,
-                    format!("status {}: {}", response.status, response.message),
-                );
-                return Err(DeviceError::new(
-                    kind,
-                    &self.link.name,
-                    command,
-                    "status 0",
-                    found,
-                ));
-            }
-            let take = |b: &[u8]| self.buffer.extend_from_slice(b);
-            if deadline.is_over() || !self.link.receive(command, &deadline, take)? {
-                return Err(deadline.error(&self.link.name, command, "a reply", "none"));
+/// Sends a command and returns its response.
+fn ask(link: &mut Link, command: &str) -> Result<Response, DeviceError> {
+    link.send(&frame::request(command, b"", false), command)?;
+    link.owed += 1;
+    let deadline = link.deadline(REPLY);
+    let response = link.wait(command, "a reply", &deadline, |link| {
+        while let Some(response) = next_response(link, command)? {
+            link.owed = link.owed.saturating_sub(1);
+            if link.owed == 0 {
+                return Ok(Some(response));
             }
         }
+        Ok(None)
+    })?;
+    if response.status == 0 {
+        return Ok(response);
     }
+    let found = format!("status {}: {}", response.status, response.message);
+    Err(link.error(DeviceErrorKind::Rejected, command, "status 0", found))
 }
 
 impl Hyperion {
@@ -106,15 +69,13 @@ impl Hyperion {
         clock: HostClock,
         interrupt: &Interrupt,
     ) -> Result<Self, DeviceError> {
-        let commands = Channel::connect(commands, interrupt)?;
-        let (peaks_address, interrupt) = (peaks.to_owned(), interrupt.clone());
         Ok(Self {
-            commands,
-            peaks_address,
+            commands: link(commands, interrupt)?,
+            peaks_address: peaks.to_owned(),
             peaks: None,
             clock,
             rate_hz,
-            interrupt,
+            interrupt: interrupt.clone(),
         })
     }
 
@@ -123,19 +84,16 @@ impl Hyperion {
     /// # Errors
     /// `Protocol` when the record cannot be decoded, or what the link reports.
     pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
-        let response = self.commands.ask("#GetPeaks", b"")?;
+        let response = ask(&mut self.commands, "#GetPeaks")?;
         frame::peaks(&response.content, self.clock.now_s())
-            .map_err(|e| self.commands.protocol("scan", e))
+            .map_err(|e| protocol(&self.commands, "scan", e))
     }
 }
 
 impl Interrogator for Hyperion {
     fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
-        let mut text = |command: &str| {
-            self.commands
-                .ask(command, b"")
-                .map(|r| r.message.trim().to_owned())
-        };
+        let mut text =
+            |command: &str| ask(&mut self.commands, command).map(|r| r.message.trim().to_owned());
         let serial = text("#GetSerialNumber")?;
         let model = text("#GetInstrumentName")?;
         let firmware = text("#GetFirmwareVersion")?;
@@ -153,33 +111,24 @@ impl Interrogator for Hyperion {
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
-        let mut peaks = Channel::connect(&self.peaks_address, &self.interrupt)?;
-        peaks.ask("#EnablePeakDataStreaming", b"")?;
+        let mut peaks = link(&self.peaks_address, &self.interrupt)?;
+        ask(&mut peaks, "#EnablePeakDataStreaming")?;
         self.peaks = Some(peaks);
         Ok(())
     }
 
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         let Some(peaks) = self.peaks.as_mut() else {
-            let name = &self.commands.link.name;
-            let kind = DeviceErrorKind::Configuration;
-            return Err(DeviceError::new(
-                kind,
-                name,
-                "read the stream",
-                "a started stream",
-                "none",
-            ));
+            let (kind, expected) = (DeviceErrorKind::Configuration, "a started stream");
+            return Err(self.commands.error(kind, READ, expected, "none"));
         };
-        let deadline = peaks.link.deadline(timeout);
-        peaks.link.receive("read the stream", &deadline, |b| {
-            peaks.buffer.extend_from_slice(b)
-        })?;
+        let deadline = peaks.deadline(timeout);
+        peaks.receive(READ, &deadline)?;
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
-        while let Some(response) = peaks.next_response("read the stream")? {
+        while let Some(response) = next_response(peaks, READ)? {
             let reading = frame::peaks(&response.content, host_s);
-            readings.push(reading.map_err(|e| peaks.protocol("read the stream", e))?);
+            readings.push(reading.map_err(|e| protocol(peaks, READ, e))?);
         }
         Ok(readings)
     }

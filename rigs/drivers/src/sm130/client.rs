@@ -1,22 +1,17 @@
 //! The interrogator at the other end of a TCP connection.
 
 use super::stream::{StreamDecoder, StreamItem};
-use crate::link::Link;
+use crate::link::{Link, REPLY};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
-
-/// Longest wait for the reply to a command.
-const REPLY: Duration = Duration::from_secs(3);
 
 /// An sm130 or another unit of the x30 core.
 #[derive(Debug)]
 pub struct Sm130 {
     link: Link,
     decoder: StreamDecoder,
-    /// Text replies that had not come when their command was given up.
-    owed: usize,
     clock: HostClock,
     rate_hz: f64,
     streaming: bool,
@@ -37,7 +32,6 @@ impl Sm130 {
         Ok(Self {
             link,
             decoder: StreamDecoder::default(),
-            owed: 0,
             clock,
             rate_hz,
             streaming: false,
@@ -49,31 +43,23 @@ impl Sm130 {
         self.decoder.skipped()
     }
 
-    /// Sends a command and returns its text reply. Replies have no number, but come in the order of
-    /// their commands: those that are late for earlier ones are left out.
+    /// Sends a command and returns its text reply.
     ///
     /// # Errors
     /// `Timeout`, `Disconnected`, or `Protocol` when a frame came instead of text.
     pub fn command(&mut self, command: &str) -> Result<String, DeviceError> {
         self.send(command)?;
-        self.owed += 1;
+        self.link.owed += 1;
         let deadline = self.link.deadline(REPLY);
         loop {
             let found = self.item(command, &deadline, |item| {
                 !matches!(item, StreamItem::Frame(_))
             })?;
-            self.owed -= 1;
+            self.link.owed -= 1;
             match found {
-                _ if self.owed > 0 => {}
+                _ if self.link.owed > 0 => {}
                 StreamItem::Text(text) => return Ok(text),
-                other => {
-                    return Err(self.fail(
-                        DeviceErrorKind::Protocol,
-                        command,
-                        "text",
-                        format!("{other:?}"),
-                    ));
-                }
+                other => return Err(self.other(command, "text", &other)),
             }
         }
     }
@@ -86,23 +72,14 @@ impl Sm130 {
         self.send("#GET_UNBUFFERED_DATA")?;
         match self.item("#GET_UNBUFFERED_DATA", &self.link.deadline(REPLY), |_| true)? {
             StreamItem::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
-            other => Err(self.fail(
-                DeviceErrorKind::Protocol,
-                "scan",
-                "a data frame",
-                format!("{other:?}"),
-            )),
+            other => Err(self.other("scan", "a data frame", &other)),
         }
     }
 
-    fn fail(
-        &self,
-        kind: DeviceErrorKind,
-        action: &str,
-        expected: &str,
-        found: String,
-    ) -> DeviceError {
-        DeviceError::new(kind, &self.link.name, action, expected, found)
+    fn other(&self, action: &str, expected: &str, found: &StreamItem) -> DeviceError {
+        let found = format!("{found:?}");
+        self.link
+            .error(DeviceErrorKind::Protocol, action, expected, found)
     }
 
     fn send(&mut self, command: &str) -> Result<(), DeviceError> {
@@ -116,20 +93,11 @@ impl Sm130 {
         deadline: &Deadline,
         wanted: impl Fn(&StreamItem) -> bool,
     ) -> Result<StreamItem, DeviceError> {
-        loop {
-            while let Some(item) = self.decoder.next_item() {
-                if wanted(&item) {
-                    return Ok(item);
-                }
-            }
-            if deadline.is_over()
-                || !self
-                    .link
-                    .receive(action, deadline, |b| self.decoder.push(b))?
-            {
-                return Err(deadline.error(&self.link.name, action, "a reply", "none"));
-            }
-        }
+        let decoder = &mut self.decoder;
+        self.link.wait(action, "a reply", deadline, |link| {
+            decoder.take(&mut link.buffer);
+            Ok(std::iter::from_fn(|| decoder.next_item()).find(&wanted))
+        })
     }
 }
 
@@ -166,13 +134,8 @@ impl Interrogator for Sm130 {
     fn start(&mut self) -> Result<(), DeviceError> {
         let reply = self.command("#SET_STREAMING_DATA 1")?;
         if !reply.contains("enabled") {
-            let expected = "Streaming data enabled.";
-            return Err(self.fail(
-                DeviceErrorKind::Rejected,
-                "start streaming",
-                expected,
-                reply,
-            ));
+            let (kind, expected) = (DeviceErrorKind::Rejected, "Streaming data enabled.");
+            return Err(self.link.error(kind, "start streaming", expected, reply));
         }
         self.streaming = true;
         self.decoder.set_streaming(true);
@@ -181,16 +144,15 @@ impl Interrogator for Sm130 {
 
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         let deadline = self.link.deadline(timeout);
-        self.link
-            .receive("read the stream", &deadline, |b| self.decoder.push(b))?;
+        self.link.receive("read the stream", &deadline)?;
         let host_s = self.clock.now_s();
-        let mut readings = Vec::new();
-        while let Some(item) = self.decoder.next_item() {
-            if let StreamItem::Frame(frame) = item {
-                readings.push(frame.reading(host_s));
-            }
-        }
-        Ok(readings)
+        self.decoder.take(&mut self.link.buffer);
+        let frame = |item| match item {
+            StreamItem::Frame(frame) => Some(frame.reading(host_s)),
+            _ => None,
+        };
+        let items = std::iter::from_fn(|| self.decoder.next_item());
+        Ok(items.filter_map(frame).collect())
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {

@@ -51,6 +51,12 @@ impl StreamDecoder {
         self.buffer.extend_from_slice(bytes);
     }
 
+    /// Takes over what came.
+    pub(crate) fn take(&mut self, buffer: &mut Vec<u8>) {
+        self.push(buffer);
+        buffer.clear();
+    }
+
     /// While frames stream, the only text is about streaming: noise that looks like a short text is
     /// noise.
     pub fn set_streaming(&mut self, on: bool) {

@@ -1,42 +1,30 @@
 //! A T-series stage: binary protocol, six bytes a message (firmware-notes/zaber-binary.md).
 
-mod line;
-
-pub use line::BinaryLine;
-
+use super::axis::Axis;
+use super::binary_line::BinaryLine;
 use super::units::Microsteps;
-use super::wire::{Connect, Port};
-use line::{QUIET, REPLY};
+use super::wire::{Asks, REPLY};
+use super::{HALT, POLL};
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::{
-    Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading,
-};
+use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 use zproto::binary::command::untyped as command;
 
 /// Microsteps per second of one unit of speed data.
 const SPEED_STEPS: f64 = 9.375;
-const HALT: Duration = Duration::from_secs(3);
-/// Pause between polls while it comes to rest.
-const POLL: Duration = Duration::from_millis(5);
 /// Firmware, times 100, from which on the home status is a separate setting; before, it is a bit of
 /// the device mode.
 const OWN_HOME_STATUS: i32 = 600;
 const MODE_HOMED: i32 = 1 << 7;
 
 /// One unit on a binary chain.
-#[derive(Debug)]
 pub struct ZaberBinary {
     line: Rc<RefCell<BinaryLine>>,
-    unit: Microsteps,
-    limit_steps: i32,
+    axis: Axis,
     /// Firmware, times 100.
     firmware: i32,
-    clock: HostClock,
-    commanded_mm: Option<f64>,
     homed: bool,
     homing: bool,
     /// Where the last move is to end.
@@ -53,24 +41,22 @@ impl ZaberBinary {
         unit: Microsteps,
         clock: HostClock,
     ) -> Result<Self, DeviceError> {
-        let (limit_steps, firmware) = {
-            let mut line = line.borrow_mut();
-            let limit_steps = line.setting(command::SET_MAXIMUM_POSITION)?;
-            line.remember_speed()?;
-            let version = command::RETURN_FIRMWARE_VERSION;
-            (limit_steps, line.ask(version, 0, version)?)
-        };
+        let limit_steps = line.borrow_mut().setting(command::SET_MAXIMUM_POSITION)?;
+        line.borrow_mut().remember_speed()?;
         let mut stage = Self {
             line,
-            unit,
-            limit_steps,
-            firmware,
-            clock,
-            commanded_mm: None,
+            axis: Axis {
+                unit,
+                limit_steps: limit_steps.into(),
+                clock,
+                commanded_mm: None,
+            },
+            firmware: 0,
             homed: false,
             homing: false,
             target_steps: None,
         };
+        stage.firmware = stage.ask(command::RETURN_FIRMWARE_VERSION)?;
         stage.homed = stage.is_homed()?;
         Ok(stage)
     }
@@ -82,11 +68,12 @@ impl ZaberBinary {
         expected: &str,
         found: &str,
     ) -> DeviceError {
-        self.line.borrow().fail(kind, action, expected, found)
+        let mut line = self.line.borrow_mut();
+        line.wire().error(kind, action, expected, found)
     }
 
-    fn ask(&mut self, code: u8, data: i32) -> Result<i32, DeviceError> {
-        self.line.borrow_mut().ask(code, data, code)
+    fn ask(&mut self, code: u8) -> Result<i32, DeviceError> {
+        self.line.borrow_mut().ask(code, 0, code)
     }
 
     /// Whether the unit says that it has a reference.
@@ -103,102 +90,88 @@ impl ZaberBinary {
             "no reference (home status 0): `--home` searches it, and moves to the home switch";
         self.fail(DeviceErrorKind::NotHomed, action, "a homed axis", found)
     }
+
+    /// Starts a motion; its reply comes when it has ended.
+    fn start(&mut self, code: u8, data: i32) -> Result<(), DeviceError> {
+        let mut line = self.line.borrow_mut();
+        let deadline = Deadline::after(REPLY, &line.wire().interrupt);
+        line.send(code, data, &deadline)
+    }
 }
 
 impl Stage for ZaberBinary {
     fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
-        let model = self.ask(command::RETURN_DEVICE_ID, 0)?.to_string();
-        let serial = self.ask(command::RETURN_SERIAL_NUMBER, 0)?.to_string();
-        let settings = vec![
-            ("limit.max".to_owned(), self.limit_steps.to_string()),
-            ("microstep_um".to_owned(), self.unit.size_um.to_string()),
-        ];
+        let Axis {
+            unit, limit_steps, ..
+        } = self.axis;
         Ok(DeviceIdentity {
             driver: "zaber-binary".to_owned(),
-            model,
-            serial,
+            model: self.ask(command::RETURN_DEVICE_ID)?.to_string(),
+            serial: self.ask(command::RETURN_SERIAL_NUMBER)?.to_string(),
             firmware: format!("{:.2}", f64::from(self.firmware) / 100.0),
-            settings,
+            settings: vec![
+                ("limit.max".to_owned(), limit_steps.to_string()),
+                ("microstep_um".to_owned(), unit.size_um.to_string()),
+            ],
         })
     }
 
     fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError> {
-        Ok([0.0, self.unit.to_mm(f64::from(self.limit_steps))])
+        Ok(self.axis.travel_mm())
     }
 
     fn start_home(&mut self) -> Result<(), DeviceError> {
         (self.homing, self.target_steps) = (true, None);
-        self.commanded_mm = Some(0.0);
-        self.line.borrow_mut().start(command::HOME, 0)
+        self.axis.commanded_mm = Some(0.0);
+        self.start(command::HOME, 0)
     }
 
     fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
         let action = format!("move to {target_mm:.4} mm");
-        let steps = self.unit.from_mm(target_mm);
-        if !(0..=i64::from(self.limit_steps)).contains(&steps) || !target_mm.is_finite() {
-            let expected = format!("a target in 0..{} microsteps", self.limit_steps);
-            return Err(self.fail(
-                DeviceErrorKind::OutOfRange,
-                &action,
-                &expected,
-                &steps.to_string(),
-            ));
-        }
+        let unit = self.axis.unit;
+        let steps = self.axis.steps_to(target_mm).map_err(|expected| {
+            let (kind, found) = (DeviceErrorKind::OutOfRange, target_mm.to_string());
+            self.fail(kind, &action, &expected, &found)
+        })?;
         // A unit that was switched off since has lost it.
         self.homed = self.is_homed()?;
         if !self.homed {
             return Err(self.not_homed(&action));
         }
-        let speed = (speed_mm_s * 1000.0 / self.unit.size_um / SPEED_STEPS)
+        let speed = (speed_mm_s * 1000.0 / unit.size_um / SPEED_STEPS)
             .round()
             .max(1.0) as i32;
         self.line.borrow_mut().set_speed(speed)?;
-        self.commanded_mm = Some(self.unit.to_mm(steps as f64));
+        self.axis.commanded_mm = Some(unit.to_mm(steps as f64));
         self.target_steps = Some(steps);
-        self.line
-            .borrow_mut()
-            .start(command::MOVE_ABSOLUTE, steps as i32)
+        self.start(command::MOVE_ABSOLUTE, steps as i32)
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
         // Status first: a motion that ends between the two questions must not leave a position from
         // before its end.
-        let moving = self.ask(command::RETURN_STATUS, 0)? != 0;
-        let steps = self.ask(command::RETURN_CURRENT_POSITION, 0)?;
-        let host_s = self.clock.now_s();
+        let moving = self.ask(command::RETURN_STATUS)? != 0;
+        let steps = self.ask(command::RETURN_CURRENT_POSITION)?;
+        let host_s = self.axis.clock.now_s();
         if !moving {
             let searched = std::mem::take(&mut self.homing);
             if searched {
                 self.homed = self.is_homed()?;
             }
             // This protocol has no stall flag: a motion that ends elsewhere did not get there.
-            if searched && !self.homed
-                || self
-                    .target_steps
-                    .is_some_and(|target| target != i64::from(steps))
-            {
+            let elsewhere = self
+                .target_steps
+                .is_some_and(|target| target != i64::from(steps));
+            if searched && !self.homed || elsewhere {
                 let found = format!("standing at {steps} microsteps");
-                return Err(self.fail(
-                    DeviceErrorKind::Stalled,
-                    "read position",
-                    "the target",
-                    &found,
-                ));
+                let (kind, action) = (DeviceErrorKind::Stalled, "read position");
+                return Err(self.fail(kind, action, "the target", &found));
             }
         }
         if !self.homed && !self.homing {
             return Err(self.not_homed("read position"));
         }
-        Ok(StageReading {
-            commanded_mm: self.commanded_mm,
-            measured_mm: self.unit.to_mm(f64::from(steps)),
-            moving,
-            flags: Vec::new(),
-            clocks: Clocks {
-                host_s,
-                device_s: None,
-            },
-        })
+        Ok(self.axis.reading(host_s, steps.into(), moving, Vec::new()))
     }
 
     /// The protocol keeps no flag of a stall: whether one was before is not known, and the
@@ -210,33 +183,20 @@ impl Stage for ZaberBinary {
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
-        (self.commanded_mm, self.target_steps) = (None, None);
+        (self.axis.commanded_mm, self.target_steps) = (None, None);
         let mut line = self.line.borrow_mut();
         line.send(command::STOP, 0, &Deadline::uninterruptible(REPLY))?;
         let deadline = Deadline::uninterruptible(HALT);
         let status = command::RETURN_STATUS;
-        while line.repeatedly(status, 0, status, &Interrupt::default())? != 0 {
+        // What must be tried although the user wants an end.
+        let never = Interrupt::default();
+        while line.repeatedly(&never, |line, end| line.once(status, 0, status, end))? != 0 {
             if deadline.is_over() {
-                return Err(deadline.error(&line.name, "stop", "standstill", "still moving"));
+                let name = &line.wire().name;
+                return Err(deadline.error(name, "stop", "standstill", "still moving"));
             }
-            if let Some(port) = &mut line.port {
-                port.backend_mut().pause(POLL, &deadline);
-            }
+            line.wire().pause(POLL, &deadline);
         }
         Ok(())
     }
-}
-
-/// Whether a unit of this number answers in the binary protocol: an echo moves nothing and changes
-/// nothing.
-pub(crate) fn answers(place: &Port, number: u8, interrupt: &Interrupt, connect: &Connect) -> bool {
-    BinaryLine::open(place, number, interrupt, connect).is_ok_and(|mut line| {
-        let deadline = Deadline::after(REPLY, interrupt);
-        if let Some(port) = &mut line.port {
-            // A unit forgets a message that stops for 10 ms: what it was asked in another protocol
-            // is gone.
-            port.backend_mut().drain(QUIET);
-        }
-        line.catch_up(&deadline).is_ok()
-    })
 }

@@ -1,25 +1,18 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Connect, Port, Wire, closed};
+use super::wire::{Asks, Connect, Port, REPLY, Wire};
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 use zproto::ascii::Port as AsciiPort;
 use zproto::ascii::response::{AnyResponse, Flag, Reply, Status, check};
 use zproto::error::AsciiError;
 
-/// How long one reply may take.
-const REPLY: Duration = Duration::from_millis(400);
-/// Quiet time after which a disturbed line is clean.
-const QUIET: Duration = Duration::from_millis(30);
-/// Attempts of a request before its failure counts.
-const ATTEMPTS: u32 = 4;
 /// Speeds that units are found at: the factory's, then that of older and rig-configured ones.
 const SPEEDS: [u32; 2] = [115_200, 9600];
 
 /// A checked reply.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug)]
 pub struct Answer {
     /// Moving.
     pub busy: bool,
@@ -31,45 +24,32 @@ pub struct Answer {
 
 /// One open port with all units on it. Dropped, it leaves the units with the speeds that it found.
 pub struct Chain {
-    /// `None` while a lost link is opened again.
-    port: Option<AsciiPort<'static, Wire>>,
-    place: Port,
-    connect: Connect,
-    name: String,
-    repeats: u64,
-    interrupt: Interrupt,
+    port: AsciiPort<'static, Wire>,
     /// `maxspeed` of each axis as it was found, and whether it was changed since.
     speeds: BTreeMap<(u8, u8), (i64, bool)>,
-    /// The last exchange failed: who drops the chain does not wait for another.
-    failed: bool,
 }
 
-impl std::fmt::Debug for Chain {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Chain")
-            .field("name", &self.name)
-            .finish_non_exhaustive()
+impl Asks for Chain {
+    fn wire(&mut self) -> &mut Wire {
+        self.port.backend_mut()
     }
 }
 
 impl Drop for Chain {
     fn drop(&mut self) {
-        let changed = std::mem::take(&mut self.speeds);
-        for ((device, axis), (data, _)) in changed.into_iter().filter(|(_, (_, changed))| *changed)
-        {
-            if self.failed {
-                return;
+        for (target, (data, changed)) in std::mem::take(&mut self.speeds) {
+            if changed && !self.wire().failed {
+                // Nobody remains to tell; a unit that does not hear it keeps the sweep's speed.
+                let set = format!("set maxspeed {data}");
+                let sent = self.once(target, &set, &Deadline::uninterruptible(REPLY));
+                self.wire().failed = sent.is_err();
             }
-            // Nobody remains to tell; a unit that does not hear it keeps the sweep's speed.
-            let set = format!("set maxspeed {data}");
-            let sent = self.once((device, axis), &set, &Deadline::uninterruptible(REPLY));
-            self.failed = sent.is_err();
         }
     }
 }
 
 /// What came instead of the reply: none of it is an answer, and none of it prolongs the wait.
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct SkippedMessages {
     alerts: u32,
     others: u32,
@@ -119,18 +99,16 @@ impl Chain {
         interrupt: &Interrupt,
         connect: &Connect,
     ) -> Result<Self, DeviceError> {
-        let mut chain = Self {
-            port: None,
-            place: place.clone(),
-            connect: connect.clone(),
-            name: format!("stage {place}"),
-            repeats: 0,
-            interrupt: interrupt.clone(),
+        let mut port = AsciiPort::open_general_options()
+            .checksums(true)
+            .message_ids(true)
+            .open(Wire::open(place, interrupt, connect)?);
+        // Alerts may come at any time; state is always asked for, so they carry nothing new.
+        port.set_unexpected_alert_handler(|_| Ok(()));
+        Ok(Self {
+            port,
             speeds: BTreeMap::new(),
-            failed: false,
-        };
-        chain.reopen()?;
-        Ok(chain)
+        })
     }
 
     /// Opens a serial port at the first speed at which the unit of this address replies; where none
@@ -146,9 +124,9 @@ impl Chain {
     ) -> Result<(Self, u32), DeviceError> {
         for anybody in [false, true] {
             for baud in SPEEDS {
-                let mut chain =
-                    Self::open(&Port::Serial(path.to_owned(), baud), interrupt, connect)?;
-                chain.drain();
+                let place = Port::Serial(path.to_owned(), baud);
+                let mut chain = Self::open(&place, interrupt, connect)?;
+                chain.wire().drain();
                 let answered = match anybody {
                     false => chain
                         .once((address, 0), "", &Deadline::after(REPLY, interrupt))
@@ -162,63 +140,19 @@ impl Chain {
                 }
             }
         }
-        let (kind, expected) = (
-            DeviceErrorKind::Timeout,
-            format!("an answer at one of {SPEEDS:?} baud"),
-        );
         Err(DeviceError::new(
-            kind,
+            DeviceErrorKind::Timeout,
             format!("stage {path}"),
             "probe",
-            expected,
+            format!("an answer at one of {SPEEDS:?} baud"),
             "silence",
         ))
     }
 
-    /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All
-    /// who share the chain go on with the new one.
-    ///
-    /// # Errors
-    /// As [`Self::open`].
-    pub fn reopen(&mut self) -> Result<(), DeviceError> {
-        self.close();
-        let wire = Wire::open(&self.connect, &self.place, &self.name, &self.interrupt)?;
-        let mut port = AsciiPort::open_general_options()
-            .checksums(true)
-            .message_ids(true)
-            .open(wire);
-        // Alerts may come at any time; state is always asked for, so they carry nothing new.
-        port.set_unexpected_alert_handler(|_| Ok(()));
-        (self.port, self.failed) = (Some(port), false);
-        Ok(())
-    }
-
-    /// Gives the port back to the system.
-    pub fn close(&mut self) {
-        self.port = None;
-        self.failed = true;
-    }
-
-    /// Where the chain hangs.
-    pub fn place(&self) -> &Port {
-        &self.place
-    }
-
-    /// Waits between two questions.
-    pub fn pause(&mut self, pause: Duration, deadline: &Deadline) {
-        match &mut self.port {
-            Some(port) => port.backend_mut().pause(pause, deadline),
-            None => deadline.pause(pause),
-        }
-    }
-
     /// Addresses of the units that answer a question to all.
-    ///
-    /// # Errors
-    /// `Disconnected` or `Interrupted`.
-    pub fn units(&mut self) -> Result<Vec<u8>, DeviceError> {
-        let deadline = Deadline::after(REPLY, &self.interrupt);
-        self.drain();
+    pub(super) fn units(&mut self) -> Result<Vec<u8>, DeviceError> {
+        self.wire().drain();
+        let deadline = Deadline::after(REPLY, &self.wire().interrupt);
         let command = "get system.serial";
         self.send((0, 0), command, &deadline)?;
         let mut units = BTreeSet::new();
@@ -238,49 +172,28 @@ impl Chain {
     }
 
     /// Reads the speed of an axis, which is put back when the chain is dropped.
-    ///
-    /// # Errors
-    /// As [`Self::ask`].
-    pub(crate) fn remember_speed(&mut self, device: u8, axis: u8) -> Result<(), DeviceError> {
+    pub(super) fn remember_speed(&mut self, device: u8, axis: u8) -> Result<(), DeviceError> {
         // A chain that was opened again remembers what it found the first time.
         if self.speeds.contains_key(&(device, axis)) {
             return Ok(());
         }
-        let command = "get maxspeed";
-        let data = self.ask(device, axis, command)?.data;
-        let found = data
-            .parse()
-            .map_err(|_| self.error(DeviceErrorKind::Protocol, command, "a number", &data))?;
+        let found = self.number(device, axis, "get maxspeed")?;
         self.speeds.insert((device, axis), (found, false));
         Ok(())
     }
 
     /// Sets the speed of an axis.
-    ///
-    /// # Errors
-    /// As [`Self::ask`].
-    pub(crate) fn set_speed(&mut self, device: u8, axis: u8, data: i64) -> Result<(), DeviceError> {
+    pub(super) fn set_speed(&mut self, device: u8, axis: u8, data: i64) -> Result<(), DeviceError> {
         if let Some((found, changed)) = self.speeds.get_mut(&(device, axis)) {
             *changed |= *found != data;
         }
-        self.ask(device, axis, &format!("set maxspeed {data}"))
-            .map(|_| ())
-    }
-
-    fn drain(&mut self) {
-        if let Some(port) = &mut self.port {
-            port.backend_mut().drain(QUIET);
-        }
+        let set = format!("set maxspeed {data}");
+        self.ask(device, axis, &set).map(drop)
     }
 
     /// Requests that had to be repeated.
     pub fn repeats(&self) -> u64 {
-        self.repeats
-    }
-
-    /// Name for messages.
-    pub fn name(&self) -> &str {
-        &self.name
+        self.port.backend().repeats
     }
 
     /// Sends a command that may be sent again without harm (absolute moves and questions are), and
@@ -290,52 +203,35 @@ impl Chain {
     /// `Rejected` with the unit's reason, `Timeout` or `Protocol` after some attempts,
     /// `Disconnected`, `Interrupted`.
     pub fn ask(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
-        self.repeatedly(device, axis, command, &self.interrupt.clone())
+        let interrupt = self.wire().interrupt.clone();
+        self.repeatedly(&interrupt, |chain, end| {
+            chain.once((device, axis), command, end)
+        })
     }
 
     /// As [`Self::ask`], for what must be tried although the user wants an end: to stop.
-    ///
-    /// # Errors
-    /// As there, but never `Interrupted`.
-    pub(crate) fn ask_to_stop(
+    pub(super) fn ask_to_stop(
         &mut self,
         device: u8,
         axis: u8,
         command: &str,
     ) -> Result<Answer, DeviceError> {
-        self.repeatedly(device, axis, command, &Interrupt::default())
+        self.repeatedly(&Interrupt::default(), |chain, end| {
+            chain.once((device, axis), command, end)
+        })
     }
 
-    fn repeatedly(
+    /// The whole number that a unit answers.
+    pub(super) fn number(
         &mut self,
         device: u8,
         axis: u8,
         command: &str,
-        interrupt: &Interrupt,
-    ) -> Result<Answer, DeviceError> {
-        let mut last = None;
-        for attempt in 0..ATTEMPTS {
-            if attempt > 0 {
-                self.repeats += 1;
-                self.drain();
-            }
-            let done = self.once((device, axis), command, &Deadline::after(REPLY, interrupt));
-            self.failed = done
-                .as_ref()
-                .is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
-            match done {
-                Err(e) if e.kind.may_retry() => last = Some(e),
-                done => return done,
-            }
-        }
-        Err(last
-            .unwrap_or_else(|| self.error(DeviceErrorKind::Timeout, command, "a reply", "none")))
-    }
-
-    fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
-        self.port
-            .as_mut()
-            .ok_or_else(|| closed(&self.name, command_name(command)))
+    ) -> Result<i64, DeviceError> {
+        let data = self.ask(device, axis, command)?.data;
+        let kind = DeviceErrorKind::Protocol;
+        data.parse()
+            .map_err(|_| self.error(kind, command, "a number", &data))
     }
 
     /// Sends a command to a unit and axis; its number.
@@ -345,9 +241,8 @@ impl Chain {
         command: &str,
         deadline: &Deadline,
     ) -> Result<Option<u8>, DeviceError> {
-        let port = self.open_port(command)?;
-        port.backend_mut().until(deadline.clone());
-        let sent = port.command((device, axis, command));
+        self.wire().until(deadline.clone());
+        let sent = self.port.command((device, axis, command));
         sent.map_err(|e| self.translate(command, &e, deadline, &SkippedMessages::default()))
     }
 
@@ -359,7 +254,7 @@ impl Chain {
         passed: &mut SkippedMessages,
     ) -> Result<AnyResponse, DeviceError> {
         loop {
-            let found = self.open_port(command)?.response::<AnyResponse>();
+            let found = self.port.response::<AnyResponse>();
             match found.and_then(|r| r.check(check::unchecked()).map_err(AsciiError::from)) {
                 // An empty line, or the rest of one.
                 Err(
@@ -400,12 +295,19 @@ impl Chain {
             return Ok(answer);
         }
         let found = format!("{} with flag {}", answer.data, answer.flag);
-        Err(self.error(
-            DeviceErrorKind::Rejected,
-            command,
-            "an accepted command",
-            &found,
-        ))
+        let kind = DeviceErrorKind::Rejected;
+        Err(self.error(kind, command, "an accepted command", &found))
+    }
+
+    fn error(
+        &self,
+        kind: DeviceErrorKind,
+        command: &str,
+        expected: &str,
+        found: &str,
+    ) -> DeviceError {
+        let wire = self.port.backend();
+        wire.error(kind, command_name(command), expected, found)
     }
 
     fn translate(
@@ -418,12 +320,8 @@ impl Chain {
         let kind = match error {
             // In a flood the deadline falls into the middle of a line.
             e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
-                return deadline.error(
-                    &self.name,
-                    command_name(command),
-                    "a reply",
-                    &passed.text(),
-                );
+                let (name, action) = (&self.port.backend().name, command_name(command));
+                return deadline.error(name, action, "a reply", &passed.text());
             }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {
                 DeviceErrorKind::Disconnected
@@ -431,16 +329,6 @@ impl Chain {
             _ => DeviceErrorKind::Protocol,
         };
         self.error(kind, command, "a reply", error.to_string().trim())
-    }
-
-    fn error(
-        &self,
-        kind: DeviceErrorKind,
-        command: &str,
-        expected: &str,
-        found: &str,
-    ) -> DeviceError {
-        DeviceError::new(kind, &self.name, command_name(command), expected, found)
     }
 }
 

@@ -3,7 +3,7 @@
 use wcal_core::device::DeviceErrorKind;
 
 /// What a flag forbids, and its name; `None` for notices.
-pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
+pub(super) fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
     use DeviceErrorKind as Kind;
     Some(match flag {
         "WR" => (Kind::NotHomed, "no reference position"),
@@ -52,7 +52,10 @@ pub(crate) fn remedy(flag: &str) -> &'static str {
 
 /// The first flag of a list that forbids measuring. While homing a missing reference is no
 /// obstacle.
-pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {
+pub(super) fn worst(
+    flags: &[String],
+    homing: bool,
+) -> Option<(&str, DeviceErrorKind, &'static str)> {
     flags.iter().find_map(|flag| {
         let (kind, text) = meaning(flag)?;
         let excused = homing && kind == DeviceErrorKind::NotHomed;

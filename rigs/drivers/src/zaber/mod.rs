@@ -1,41 +1,27 @@
 //! Zaber stages: the ASCII protocol through `zproto`, the binary protocol of T-series units.
 
-pub mod binary;
-pub mod chain;
-pub mod checksum;
-pub mod flags;
-pub mod mount;
-pub mod stage;
+mod axis;
+mod binary;
+mod binary_line;
+mod chain;
+pub(crate) mod checksum;
+pub(crate) mod flags;
+mod mount;
+mod open;
+mod stage;
 pub mod units;
 pub mod wire;
 
-use wcal_core::device::{DeviceError, DeviceErrorKind};
+use std::time::Duration;
 
-pub use binary::{BinaryLine, ZaberBinary};
+pub use binary::ZaberBinary;
+pub use binary_line::BinaryLine;
 pub use chain::Chain;
-pub(crate) use mount::ZaberMount;
+pub(crate) use open::ZaberLines;
 pub use stage::ZaberStage;
 pub use wire::Port;
 
-/// Largest difference between a travel that is stated and that of the unit's limit: a microstep
-/// size that is wrong by 0.2 % scales every position.
-const TRAVEL_TOLERANCE: f64 = 1e-3;
-
-/// Refuses a travel that is not the one stated.
-pub(crate) fn check_travel(device: &str, stated_mm: f64, limit_mm: f64) -> Result<(), DeviceError> {
-    if (limit_mm - stated_mm).abs() <= TRAVEL_TOLERANCE * stated_mm {
-        return Ok(());
-    }
-    let expected = format!("the rig's travel of {stated_mm} mm");
-    let found = format!(
-        "{limit_mm:.3} mm by the unit's limit and the rig's microstep_um ({:+.2} %)",
-        100.0 * (limit_mm / stated_mm - 1.0)
-    );
-    Err(DeviceError::new(
-        DeviceErrorKind::Configuration,
-        device,
-        "open",
-        expected,
-        found,
-    ))
-}
+/// Longest wait for standstill after a stop.
+const HALT: Duration = Duration::from_secs(3);
+/// Pause between polls: the line carries some 500 questions a second.
+const POLL: Duration = Duration::from_millis(5);

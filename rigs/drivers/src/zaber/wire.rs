@@ -11,11 +11,17 @@ use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 use zproto::backend::Backend;
 
-/// Longest time in which a disturbed line is emptied.
+/// How long one reply may take.
+pub(super) const REPLY: Duration = Duration::from_millis(400);
+/// Attempts of a request before its failure counts.
+const ATTEMPTS: u32 = 4;
+/// Quiet time after which a disturbed line is clean.
+const QUIET: Duration = Duration::from_millis(30);
+/// Longest time in which it is emptied.
 const DRAIN: Duration = Duration::from_millis(100);
 
 /// Where a chain hangs.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub enum Port {
     /// `host:port`.
     Tcp(String),
@@ -111,11 +117,16 @@ pub fn connect(port: &Port, deadline: &Deadline) -> io::Result<Box<dyn ByteLink>
     }
 }
 
-/// An open link, buffered. Reading and writing end with the deadline of the exchange, however much
-/// the other end sends.
-#[derive(Debug)]
-pub struct Wire {
-    link: Box<dyn ByteLink>,
+/// A link to units, buffered, and opened again where it is lost. Reading and writing end with the
+/// deadline of the exchange, however much the other end sends.
+pub(super) struct Wire {
+    /// `None` once it was given back to the system.
+    link: Option<Box<dyn ByteLink>>,
+    place: Port,
+    connect: Connect,
+    /// For messages.
+    pub name: String,
+    pub interrupt: Interrupt,
     buffer: Vec<u8>,
     at: usize,
     /// Longest pause between two bytes.
@@ -123,54 +134,82 @@ pub struct Wire {
     deadline: Deadline,
     /// What had come at its end was looked for.
     looked: bool,
-    name: String,
+    /// Requests that had to be repeated.
+    pub repeats: u64,
+    /// The last exchange failed: who drops the line does not wait for another.
+    pub failed: bool,
 }
 
 impl Wire {
-    /// Opens the link of a unit that messages call `name`.
+    /// Opens a port.
     ///
     /// # Errors
     /// `Disconnected`, `Timeout` or `Interrupted`, in words that say what to do.
-    pub(crate) fn open(
-        connect: &Connect,
+    pub(super) fn open(
         place: &Port,
-        name: &str,
         interrupt: &Interrupt,
+        connect: &Connect,
     ) -> Result<Self, DeviceError> {
-        let deadline = Deadline::after(link::CONNECT, interrupt);
-        let link = connect(place, &deadline).map_err(|e| not_opened(name, place, &e, &deadline))?;
-        Ok(Self::over(link, name.to_owned(), deadline))
-    }
-
-    /// Over an open link; `name` is for messages.
-    pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
-        Self {
-            link,
+        let mut wire = Self {
+            link: None,
+            place: place.clone(),
+            connect: connect.clone(),
+            name: format!("stage {place}"),
+            interrupt: interrupt.clone(),
             buffer: Vec::new(),
             at: 0,
             timeout: None,
-            deadline,
+            deadline: Deadline::after(link::CONNECT, interrupt),
             looked: false,
-            name,
-        }
+            repeats: 0,
+            failed: false,
+        };
+        wire.reopen()?;
+        Ok(wire)
+    }
+
+    /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All
+    /// who share the wire go on with the new one.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub(super) fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.close();
+        let deadline = Deadline::after(link::CONNECT, &self.interrupt);
+        let opened = (self.connect)(&self.place, &deadline);
+        self.link = Some(opened.map_err(|e| match &self.place {
+            Port::Tcp(address) => trouble::of_connection(&self.name, address, &e, &deadline),
+            Port::Serial(path, _) => trouble::of_serial_port(&self.name, path, &e, &deadline),
+        })?);
+        self.failed = false;
+        Ok(())
+    }
+
+    /// Gives the port back to the system.
+    pub(super) fn close(&mut self) {
+        (self.link, self.failed) = (None, true);
+        (self.buffer, self.at) = (Vec::new(), 0);
     }
 
     /// Begins an exchange: all reading and writing from here on ends with this deadline.
-    pub fn until(&mut self, deadline: Deadline) {
+    pub(super) fn until(&mut self, deadline: Deadline) {
         self.deadline = deadline;
         self.looked = false;
     }
 
     /// Waits between two questions, not beyond the deadline.
-    pub fn pause(&mut self, pause: Duration, deadline: &Deadline) {
-        self.link.pause(pause, deadline);
+    pub(super) fn pause(&mut self, pause: Duration, deadline: &Deadline) {
+        match &mut self.link {
+            Some(link) => link.pause(pause, deadline),
+            None => deadline.pause(pause),
+        }
     }
 
-    /// Throws away what has arrived and what still arrives within `quiet`, for a tenth of a second
-    /// at most.
-    pub fn drain(&mut self, quiet: Duration) {
+    /// Throws away what has arrived and what still arrives, for a tenth of a second at most: a unit
+    /// forgets a message that stops for 10 ms.
+    pub(super) fn drain(&mut self) {
         let before = (self.timeout, self.deadline.clone());
-        self.timeout = Some(quiet);
+        self.timeout = Some(QUIET);
         self.until(Deadline::uninterruptible(DRAIN));
         let mut scrap = [0_u8; 256];
         // Not an error here: the use that follows reports a broken link.
@@ -178,12 +217,45 @@ impl Wire {
         (self.timeout, self.deadline) = before;
     }
 
-    /// Bytes that arrive before the deadline and before the longest pause.
-    fn receive(&mut self) -> io::Result<usize> {
-        let pause = self.timeout.map(|t| self.deadline.within(t));
-        self.link
-            .receive(&mut self.buffer, pause.as_ref().unwrap_or(&self.deadline))
+    pub(super) fn error(
+        &self,
+        kind: DeviceErrorKind,
+        action: &str,
+        expected: &str,
+        found: &str,
+    ) -> DeviceError {
+        DeviceError::new(kind, &self.name, action, expected, found)
     }
+}
+
+/// Who asks the units on a wire.
+pub(super) trait Asks {
+    fn wire(&mut self) -> &mut Wire;
+
+    /// Asks `once`, and again where no reply comes.
+    fn repeatedly<T>(
+        &mut self,
+        interrupt: &Interrupt,
+        once: impl Fn(&mut Self, &Deadline) -> Result<T, DeviceError>,
+    ) -> Result<T, DeviceError> {
+        let mut attempt = 1;
+        loop {
+            let done = once(self, &Deadline::after(REPLY, interrupt));
+            let failure = done.as_ref().err().map(|e| e.kind);
+            let wire = self.wire();
+            wire.failed = failure.is_some_and(|kind| kind != DeviceErrorKind::Rejected);
+            if attempt == ATTEMPTS || !failure.is_some_and(DeviceErrorKind::may_retry) {
+                return done;
+            }
+            attempt += 1;
+            wire.repeats += 1;
+            wire.drain();
+        }
+    }
+}
+
+fn closed() -> io::Error {
+    io::Error::new(ErrorKind::NotConnected, "the port is closed")
 }
 
 impl Read for Wire {
@@ -196,7 +268,10 @@ impl Read for Wire {
             }
             self.buffer.resize(512, 0);
             self.at = 0;
-            let received = self.receive();
+            let pause = self.timeout.map(|longest| self.deadline.within(longest));
+            let end = pause.as_ref().unwrap_or(&self.deadline);
+            let link = self.link.as_mut().ok_or_else(closed);
+            let received = link.and_then(|link| link.receive(&mut self.buffer, end));
             self.buffer.truncate(*received.as_ref().unwrap_or(&0));
             received?;
         }
@@ -209,7 +284,8 @@ impl Read for Wire {
 
 impl Write for Wire {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.link.send(bytes, &self.deadline)
+        let link = self.link.as_mut().ok_or_else(closed)?;
+        link.send(bytes, &self.deadline)
     }
 
     /// The system sends what was written; waiting for it (`tcdrain`) has no time limit.
@@ -229,21 +305,7 @@ impl Backend for Wire {
     }
 
     fn name(&self) -> Option<String> {
-        Some(self.name.clone())
-    }
-}
-
-/// Why a port was not opened, in words that say what to do.
-/// The error of a question on a port that was given back.
-pub(crate) fn closed(name: &str, action: &str) -> DeviceError {
-    let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-    DeviceError::new(kind, name, action, expected, "a port that is closed")
-}
-
-fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline) -> DeviceError {
-    match port {
-        Port::Tcp(address) => trouble::of_connection(device, address, error, deadline),
-        Port::Serial(path, _) => trouble::of_serial_port(device, path, error, deadline),
+        None
     }
 }
 
@@ -268,8 +330,10 @@ mod tests {
 
     #[test]
     fn what_has_come_at_the_end_is_read_once_and_a_flood_does_not_prolong_it() {
-        let over = Deadline::uninterruptible(Duration::ZERO);
-        let mut wire = Wire::over(Box::new(Flood), "unit".to_owned(), over);
+        let connect: Connect = Rc::new(|_, _| Ok(Box::new(Flood)));
+        let place = Port::Tcp("unit".to_owned());
+        let mut wire = Wire::open(&place, &Interrupt::default(), &connect).unwrap();
+        wire.until(Deadline::uninterruptible(Duration::ZERO));
         let mut bytes = [0; 400];
         let mut read = || wire.read(&mut bytes).map_err(|e| e.kind());
         assert_eq!(

@@ -240,7 +240,7 @@ fn the_speed_of_the_line_is_found() {
     assert_eq!(baud, 9600);
     assert!(on(chain).identity().is_ok());
     let deaf = self::bench("[stage]\nbaud = 19200");
-    assert_eq!(probe(&deaf).unwrap_err().kind, DeviceErrorKind::Timeout);
+    assert_eq!(probe(&deaf).err().unwrap().kind, DeviceErrorKind::Timeout);
 }
 
 #[test]

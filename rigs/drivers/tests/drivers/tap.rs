@@ -151,10 +151,10 @@ impl Tap {
     pub(crate) fn speed_data(&self, index: usize) -> i64 {
         let axis = &self.bench.state().world().units[index].axis;
         match self.protocol {
-            StageProtocol::Ascii => axis.spec.unit.speed_data(axis.speed_mm_s()),
+            StageProtocol::Ascii => axis.spec.unit.speed_data(axis.speed_mm_s),
             // 9.375 microsteps a second.
             StageProtocol::Binary => {
-                (axis.speed_mm_s() * 1e3 / axis.spec.unit.size_um / 9.375).round() as i64
+                (axis.speed_mm_s * 1e3 / axis.spec.unit.size_um / 9.375).round() as i64
             }
         }
     }

@@ -273,7 +273,7 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
         .expect("an address");
     let mut addresses = document_of(&bench.served.addresses);
     let good = addresses.clone();
-    addresses["sm130"]["address"] = closed.to_string().into();
+    addresses["sm130"] = closed.to_string().into();
     bench.type_fault("{\"kind\":\"never-accept\",\"on\":false}");
     std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let refused = |run: Output, word: &str| {
@@ -358,7 +358,7 @@ fn a_signal_is_heard_while_a_device_hangs() {
     let bench = Bench::start("");
     let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
     let mut addresses = document_of(&bench.served.addresses);
-    addresses["sm130"]["address"] = silent.local_addr().expect("an address").to_string().into();
+    addresses["sm130"] = silent.local_addr().expect("an address").to_string().into();
     std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let session = bench.session().display().to_string();
     let begin = || {

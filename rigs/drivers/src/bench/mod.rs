@@ -48,10 +48,10 @@ pub struct Addresses {
     pub stage_pty: String,
     /// The stage on TCP.
     pub stage_tcp: SocketAddr,
-    /// The sm130.
-    pub sm130: InterrogatorAddresses,
+    /// sm130, host:port.
+    pub sm130: SocketAddr,
     /// The Hyperion.
-    pub hyperion: InterrogatorAddresses,
+    pub hyperion: HyperionAddresses,
     /// Cameras, host:port.
     pub cameras: Vec<SocketAddr>,
     /// Bench seconds per wall second.
@@ -60,14 +60,13 @@ pub struct Addresses {
     pub clock: SocketAddr,
 }
 
-/// Where an interrogator answers, by the keys of a rig.
+/// Ports of the Hyperion.
 #[derive(Clone, Serialize, JsonSchema)]
-pub struct InterrogatorAddresses {
-    /// Commands, host:port.
-    pub address: SocketAddr,
+pub struct HyperionAddresses {
+    /// host:port.
+    pub commands: SocketAddr,
     /// Streamed peaks.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub peaks_address: Option<SocketAddr>,
+    pub peaks: SocketAddr,
 }
 
 /// A running bench; it ends when dropped.
@@ -91,14 +90,9 @@ impl VirtualBench {
         let of_stage: Cable = Some(|faults| faults.stage_out);
         let of_interrogator: Cable = Some(|faults| faults.interrogator_out);
         let stage_tcp = listen(of_stage, |s, mut link| stage_server::serve(s, &mut link))?;
-        let sm130 = InterrogatorAddresses {
-            address: listen(of_interrogator, sm130_server::serve)?,
-            peaks_address: None,
-        };
-        let hyperion = InterrogatorAddresses {
-            address: listen(of_interrogator, hyperion_server::serve)?,
-            peaks_address: Some(listen(of_interrogator, hyperion_server::serve)?),
-        };
+        let sm130 = listen(of_interrogator, sm130_server::serve)?;
+        let commands = listen(of_interrogator, hyperion_server::serve)?;
+        let peaks = listen(of_interrogator, hyperion_server::serve)?;
         let of_camera: [Serve; 2] = [
             |s, link| camera_server::serve(s, link, 0),
             |s, link| camera_server::serve(s, link, 1),
@@ -118,7 +112,7 @@ impl VirtualBench {
             stage_pty,
             stage_tcp,
             sm130,
-            hyperion,
+            hyperion: HyperionAddresses { commands, peaks },
             cameras,
             speed,
             clock,

@@ -85,7 +85,7 @@ pub(crate) fn rig(bench: &VirtualBench) -> String {
             .to_owned(),
     };
     text.replace("tcp://127.0.0.1:PORT", &format!("tcp://{}", a.stage_tcp))
-        .replace("127.0.0.1:PORT", &a.sm130.address.to_string())
+        .replace("127.0.0.1:PORT", &a.sm130.to_string())
         .replace("clock_scale = 4.0", &format!("clock_scale = {SPEED:?}"))
         .replace("rate_hz = 2000.0", "rate_hz = 500.0")
 }

@@ -33,7 +33,7 @@ fn bench(extra: &str) -> VirtualBench {
 
 fn sm130(bench: &VirtualBench) -> Sm130 {
     Sm130::connect(
-        &bench.addresses().sm130.address.to_string(),
+        &bench.addresses().sm130.to_string(),
         2000.0,
         HostClock::start(1.0),
         &Interrupt::default(),
@@ -184,8 +184,8 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
     let h = &bench.addresses().hyperion;
     let clock = HostClock::start(1.0);
     let mut unit = Hyperion::connect(
-        &h.address.to_string(),
-        &h.peaks_address.unwrap().to_string(),
+        &h.commands.to_string(),
+        &h.peaks.to_string(),
         2000.0,
         clock,
         &Interrupt::default(),

@@ -143,7 +143,8 @@ pub(crate) fn refuse_unphysical(
             ),
         );
     }
-    if solution.shared_covariance.iter().any(|v| !v.is_finite()) {
+    let one_view = tilt_spread_deg(&solution.state.left_from_board) < SAME_DEG;
+    if one_view || solution.shared_covariance.iter().any(|v| !v.is_finite()) {
         return refuse(
             "views that determine every parameter".into(),
             "a singular system (all boards parallel, or the same view again and again?)".into(),
@@ -193,6 +194,9 @@ fn middle_depths(points: &[Vector3<f64>], state: &BundleState) -> Vec<f64> {
         .collect()
 }
 
+/// Angle between boards below which they are one view, whatever the corners' noise determines,
+/// degrees.
+const SAME_DEG: f64 = 0.1;
 /// Angle between boards that tells the focal length from the distance, degrees.
 const TILT_DEG: f64 = 20.0;
 

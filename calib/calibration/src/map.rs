@@ -31,7 +31,7 @@ impl Calibration for MapArtefact {
     }
 
     fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
-        let mut predictor = MapPredictor::new(self)?;
+        let predictor = MapPredictor::new(self)?;
         let table = load_table(table, &self.fbg)?;
         let mut csv = String::from(HEADER);
         let (mut outside, mut first) = (0_usize, None);
@@ -119,7 +119,7 @@ impl WhiskerCalibration for MapArtefact {
     }
 
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
-        let mut predictor = MapPredictor::new(self)?;
+        let predictor = MapPredictor::new(self)?;
         let table = load_table(table, &self.fbg)?;
         let one = |row: &wcal_core::WhiskerRow| {
             let shift_pm = row.compensated_pm(&self.fbg);

@@ -4,7 +4,7 @@
 use anyhow::Result;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use wcal_core::shapes_document::PairDocument;
 use wcal_report::ShapePicture;
 use wcal_vision::picture::Picture;
@@ -23,33 +23,27 @@ pub(super) fn drawing(
     pair: &PairDocument,
 ) -> Result<ShapePicture> {
     let project = |p: &[f64; 3]| {
-        let left = fit.left_from_base * Point3::from(Vector3::from(*p));
-        let x = if camera == 1 {
-            stereo.right_from_left * left
-        } else {
-            left
-        };
+        let pose = stereo.in_camera(camera, &fit.left_from_base);
         stereo.cameras[camera]
-            .project(&x.coords)
+            .project(&(pose * Point3::from(*p)).coords)
             .map(|p| [p.x, p.y])
     };
     let side = ["left", "right"][camera];
     let tags = pair.tags.iter().filter(|t| t.camera == side);
-    let (pieces, shown) = &fit.pieces[camera];
-    let pieces = pieces.iter().zip(shown).map(|(piece, shown)| {
-        let at = piece.station.position_px + piece.station.normal() * piece.offset_px;
-        ([at.x, at.y], *shown)
-    });
-    let (seen, unseen): (Vec<_>, Vec<_>) = pieces.partition(|(_, shown)| *shown);
-    let places = |list: Vec<([f64; 2], bool)>| list.into_iter().map(|(at, _)| at).collect();
+    let places = |shown: bool| {
+        let pieces = fit.pieces[camera]
+            .iter()
+            .filter(|p| p.shows(fit.polarity) == shown);
+        pieces.map(|p| p.position_px().into()).collect()
+    };
     Ok(ShapePicture {
         side: side.to_owned(),
         size_px: [picture.width, picture.height],
         jpeg_base64: BASE64.encode(picture.jpeg()?),
         tags: tags.map(|t| t.corners_px.to_vec()).collect(),
         curve: pair.centreline_mm.iter().filter_map(project).collect(),
-        seen: places(seen),
-        unseen: places(unseen),
+        seen: places(true),
+        unseen: places(false),
         groove: pair.groove.as_ref().and_then(|g| project(&g.position_mm)),
     })
 }

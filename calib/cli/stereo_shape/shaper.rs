@@ -177,7 +177,7 @@ pub(super) fn put_results(
     for ((pair, fit), file) in document.pairs.iter().zip(&result.fits).zip(files) {
         if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
             let drawn = |camera: usize, source: &Path| {
-                drawing(&Picture::read(source)?, camera, &result.stereo, fit, pair)
+                drawing(&Picture::read(source)?, camera, &shaper.stereo, fit, pair)
             };
             let pictures = vec![drawn(0, left)?, drawn(1, right)?];
             pairs.push(ShapePair {

@@ -4,7 +4,7 @@ use crate::candidate::CandidateFit;
 use crate::error::MapError;
 use crate::identifiability::WavelengthFromMoment;
 use crate::kernel::Kernel;
-use crate::process::Process;
+use crate::process::{Process, ProcessModel};
 use crate::region::ValidRegion;
 use crate::trend::Trend;
 use schemars::JsonSchema;
@@ -94,6 +94,17 @@ impl OutputMap {
         }
     }
 
+    /// The process that it states, on scaled readings.
+    pub(crate) fn process(&self, inputs: &[[f64; 2]]) -> Result<Process, MapError> {
+        let model = ProcessModel {
+            trend: self.trend,
+            kernel: self.kernel,
+            nugget: self.nugget,
+            fixed_variance: Some(self.variance_nmm2),
+        };
+        Process::known(model, self.variance_nmm2, inputs, [&self.beta, &self.alpha])
+    }
+
     /// Noise standard deviation, N mm, before inflation.
     pub fn noise_sd_nmm(&self) -> f64 {
         (self.variance_nmm2 * self.nugget).sqrt()
@@ -110,17 +121,16 @@ impl MapArtefact {
         [0, 1].map(|m| OutputMap::new(&candidate.fits[m], candidate.inflation[m], offset_nmm))
     }
 
+    /// A shift (pm) in the kernels' unit.
+    pub(crate) fn scaled(&self, shift_pm: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|c| (shift_pm[c] - self.centre_pm[c]) / self.scale_pm)
+    }
+
     /// Checks version, sizes, finiteness and the kernel's radius.
     ///
     /// # Errors
-    /// [`MapError::Version`], [`MapError::Artefact`] or [`MapError::RadiusTooSmall`].
+    /// [`MapError::Artefact`] or [`MapError::RadiusTooSmall`].
     pub fn check(&self) -> Result<(), MapError> {
-        if self.version != ARTEFACT_VERSION {
-            return Err(MapError::Version {
-                expected: ARTEFACT_VERSION,
-                found: self.version,
-            });
-        }
         let require = |sound: bool, expected: &str, found: String| {
             if sound {
                 Ok(())
@@ -131,6 +141,11 @@ impl MapArtefact {
                 })
             }
         };
+        require(
+            self.version == ARTEFACT_VERSION,
+            &format!("version {ARTEFACT_VERSION}"),
+            self.version.to_string(),
+        )?;
         let scale = self.scale_pm;
         require(
             scale.is_finite() && scale > 0.0,
@@ -149,14 +164,14 @@ impl MapArtefact {
             "`valid_region.kind` \"hull\"",
             format!("{kind:?}"),
         )?;
-        let numbers = || {
-            self.training_pm
-                .iter()
-                .chain(&self.valid_region.vertices_pm)
-                .chain([&self.centre_pm])
-        };
+        let region = &self.valid_region.vertices_pm;
+        let shifts = self
+            .training_pm
+            .iter()
+            .chain(region)
+            .chain([&self.centre_pm]);
         require(
-            finite(numbers().flatten().copied()),
+            finite(shifts.flatten().copied()),
             "finite shifts",
             "NaN or infinity".into(),
         )?;
@@ -167,7 +182,7 @@ impl MapArtefact {
             margin.to_string(),
         )?;
         require(
-            !self.valid_region.vertices_pm.is_empty(),
+            !region.is_empty(),
             "`vertices_pm` with vertices",
             "none".into(),
         )?;
@@ -175,7 +190,7 @@ impl MapArtefact {
             let weights = if out.kernel == Kernel::None {
                 0
             } else {
-                self.training_pm.len()
+                readings
             };
             let count = |name: &str| format!("`outputs[{m}].{name}`");
             require(

@@ -123,12 +123,7 @@ impl Scaled {
         radius_pm: Option<f64>,
     ) -> Result<Self, MapError> {
         // One scale for both gratings: the kernel stays isotropic in wavelength.
-        let scale = |s: &[f64; 2]| {
-            [
-                (s[0] - centre_pm[0]) / scale_pm,
-                (s[1] - centre_pm[1]) / scale_pm,
-            ]
-        };
+        let scale = |s: &[f64; 2]| [0, 1].map(|c| (s[c] - centre_pm[c]) / scale_pm);
         let diameter = diameter_pm / scale_pm;
         let radius = radius_pm.map_or(RADIUS_PER_DIAMETER * diameter, |r| r / scale_pm);
         Kernel::ThinPlate { radius }.check_radius(diameter)?;
@@ -146,8 +141,6 @@ impl Scaled {
 pub struct LeftOutSummary {
     /// Root mean square error, N mm.
     pub rmse_nmm: f64,
-    /// Share of the readings inside their 95 % interval before any inflation.
-    pub coverage95: f64,
     /// Mean negative log predictive density, nats, N mm.
     pub nll: f64,
     /// Every left-out reading.
@@ -157,6 +150,7 @@ pub struct LeftOutSummary {
 impl LeftOutSummary {
     fn new(errors: Vec<LeftOut>) -> Self {
         let n = errors.len().max(1) as f64;
+        // The scale of a moment's error, whatever interval is stated.
         let rmse_nmm = (errors.iter().map(|e| e.error * e.error).sum::<f64>() / n).sqrt();
         // Density of the error: that of e / s, over s.
         let nll = errors
@@ -164,14 +158,11 @@ impl LeftOutSummary {
             .map(|e| e.sd.ln() - log_density(e.error / e.sd, e.dof))
             .sum::<f64>()
             / n;
-        let mut out = Self {
+        Self {
             rmse_nmm,
-            coverage95: 0.0,
             nll,
             errors,
-        };
-        out.coverage95 = out.coverage_with(1.0);
-        out
+        }
     }
 
     /// Share of the readings inside their 95 % interval once every interval is widened by
@@ -195,7 +186,7 @@ impl LeftOutSummary {
     /// inside (split-conformal rank). Never below 1.
     pub fn inflation(&self) -> f64 {
         let n = self.errors.len();
-        let inside = (self.coverage95 * n as f64).round() as usize;
+        let inside = (self.coverage_with(1.0) * n as f64).round() as usize;
         if n == 0 || inside >= binomial_bounds(n, 0.95)[0] {
             return 1.0;
         }
@@ -263,46 +254,30 @@ pub(crate) fn fit_candidate(
         let model = recipe(&scaled.inputs, y, None)?;
         let fit = Process::fit(model, &scaled.inputs, y)?;
         let loo = LeftOutSummary::new(fit.leave_out(&poses));
-        let loto = if trajectories.len() >= 3 {
-            Some(LeftOutSummary::new(leave_trajectories_out(
-                recipe,
-                &fit.model,
-                scaled,
-                y,
-                training,
-                &trajectories,
-            )?))
-        } else {
-            None
+        let loto = (trajectories.len() >= 3).then(|| {
+            leave_trajectories_out(recipe, &fit.model, scaled, y, training, &trajectories)
+        });
+        // A likelihood with a given variance is on another scale.
+        let evidence = match model.fixed_variance {
+            None => log_evidence(&model, &scaled.inputs, y),
+            Some(_) => None,
         };
-        Ok((fit, loo, loto))
+        Ok((fit, loo, loto.transpose()?, evidence))
     };
-    let (fit_1, loo_1, loto_1) = one(0)?;
-    let (fit_2, loo_2, loto_2) = one(1)?;
-    let log_evidence = [&fit_1, &fit_2]
-        .into_iter()
-        .zip(&scaled.outputs)
-        .map(|(fit, y)| {
-            // A likelihood with a given variance is on another scale.
-            let whole = fit.model.fixed_variance.is_none();
-            whole
-                .then(|| log_evidence(&fit.model, &scaled.inputs, y))
-                .flatten()
-        })
-        .sum::<Option<f64>>();
-    let loto = loto_1.zip(loto_2).map(|(a, b)| [a, b]);
-    let judged = loto
-        .as_ref()
-        .unwrap_or(&[loo_1.clone(), loo_2.clone()])
-        .each_ref()
-        .map(LeftOutSummary::inflation);
+    let (fit_1, loo_1, loto_1, evidence_1) = one(0)?;
+    let (fit_2, loo_2, loto_2, evidence_2) = one(1)?;
+    let (loo, loto) = ([loo_1, loo_2], loto_1.zip(loto_2).map(<[_; 2]>::from));
     Ok(CandidateFit {
         name,
         fits: [fit_1, fit_2],
-        loo: [loo_1, loo_2],
+        inflation: loto
+            .as_ref()
+            .unwrap_or(&loo)
+            .each_ref()
+            .map(LeftOutSummary::inflation),
+        loo,
         loto,
-        log_evidence,
-        inflation: judged,
+        log_evidence: evidence_1.zip(evidence_2).map(|(a, b)| a + b),
     })
 }
 
@@ -314,7 +289,7 @@ fn leave_trajectories_out(
     y: &[f64],
     training: &MapTraining,
     trajectories: &[u32],
-) -> Result<Vec<LeftOut>, MapError> {
+) -> Result<LeftOutSummary, MapError> {
     let mut out = Vec::new();
     for trajectory in trajectories {
         let (held, kept): (Vec<usize>, Vec<usize>) =
@@ -334,5 +309,5 @@ fn leave_trajectories_out(
             });
         }
     }
-    Ok(out)
+    Ok(LeftOutSummary::new(out))
 }

@@ -7,7 +7,7 @@
 //! rounding). Source: L. Breiman et al., "Classification and Regression Trees" (1984), sec. 3.4.3,
 //! paired.
 
-use crate::candidate::{CandidateFit, LeftOutSummary};
+use crate::candidate::CandidateFit;
 use crate::training::MapTraining;
 use std::collections::BTreeMap;
 
@@ -55,12 +55,14 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let squares: Vec<[BTreeMap<usize, f64>; 2]> = candidates
         .iter()
         .map(|c| {
-            let summaries = if by_trajectory {
-                c.loto.as_ref().unwrap_or(&c.loo)
-            } else {
-                &c.loo
-            };
-            summaries.each_ref().map(|s| by_group(s, &group_of))
+            let summaries = c.loto.as_ref().filter(|_| by_trajectory);
+            summaries.unwrap_or(&c.loo).each_ref().map(|s| {
+                let mut groups = BTreeMap::new();
+                for e in &s.errors {
+                    *groups.entry(group_of[e.index]).or_insert(0.0) += e.error * e.error;
+                }
+                groups
+            })
         })
         .collect();
     // Labels that a map reproduces exactly would divide by zero.
@@ -82,6 +84,7 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
                 0.5 * (part(0) + part(1))
             })
             .collect();
+        // Standard error of a sum over independent groups.
         let n = groups.len() as f64;
         let sum: f64 = groups.iter().sum();
         let spread: f64 = groups.iter().map(|d| (d - sum / n).powi(2)).sum();
@@ -103,12 +106,4 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
         excess,
         excess_se,
     }
-}
-
-fn by_group(summary: &LeftOutSummary, group_of: &[usize]) -> BTreeMap<usize, f64> {
-    let mut out = BTreeMap::new();
-    for e in &summary.errors {
-        *out.entry(group_of[e.index]).or_insert(0.0) += e.error * e.error;
-    }
-    out
 }

@@ -66,7 +66,7 @@ fn hyperparameters(fit: &MapFit, training: &MapTraining) -> BTreeMap<String, ser
             json!({
                 "by": fit.choice.by,
                 "sd_inflation": chosen.inflation,
-                "coverage95_before": judged.each_ref().map(|s| s.coverage95),
+                "coverage95_before": judged.each_ref().map(|s| s.coverage_with(1.0)),
                 "coverage95_after": ([0, 1].map(|m| judged[m].coverage_with(chosen.inflation[m]))),
                 "coverage95_bounds": judged.each_ref().map(|s| {
                     let n = s.errors.len();

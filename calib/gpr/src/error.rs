@@ -63,15 +63,7 @@ pub enum MapError {
         /// Number of readings.
         readings: usize,
     },
-    /// The artefact is of a version that this program does not know.
-    #[error("reading a map: expected version {expected}, found {found}")]
-    Version {
-        /// Version understood.
-        expected: u32,
-        /// Version found.
-        found: u32,
-    },
-    /// The artefact contradicts itself.
+    /// The artefact contradicts itself, or is of a version that this program does not know.
     #[error("reading a map: expected {expected}, found {found}")]
     Artefact {
         /// What a sound artefact has.

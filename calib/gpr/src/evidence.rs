@@ -11,7 +11,7 @@ use crate::error::MapError;
 use crate::kernel::Kernel;
 use crate::process::ProcessModel;
 use crate::trend::Trend;
-use nalgebra::{DMatrix, DVector, SymmetricTridiagonal};
+use nalgebra::{DMatrix, DVector, Dyn, QR, SymmetricTridiagonal};
 
 /// Range of noise over signal variance. The upper end is "no correlated part to be seen", the lower
 /// one keeps C well conditioned.
@@ -48,59 +48,29 @@ struct Contrasts {
     y: DVector<f64>,
 }
 
-/// Householder reflectors that carry the trend's columns to the first coordinates.
-pub(crate) struct TrendNull {
-    reflectors: Vec<DVector<f64>>,
+/// The space at right angles to the trend's columns: the last rows of Q^T (Householder).
+struct TrendNull {
+    qr: QR<f64, Dyn, Dyn>,
     terms: usize,
 }
 
 impl TrendNull {
-    pub(crate) fn new(trend: Trend, inputs: &[[f64; 2]]) -> Self {
-        // Column by column: what remains below the diagonal is reflected onto it.
-        let mut h = trend.matrix(inputs);
-        let n = h.nrows();
-        let mut reflectors = Vec::with_capacity(h.ncols());
-        for j in 0..h.ncols() {
-            let mut v = DVector::zeros(n);
-            for i in j..n {
-                v[i] = h[(i, j)];
-            }
-            let norm = v.norm();
-            // Onto the farther side: no cancellation.
-            v[j] += norm.copysign(v[j]);
-            let length = v.norm();
-            if length > 0.0 {
-                v /= length;
-            }
-            let w = h.tr_mul(&v) * 2.0;
-            h.ger(-1.0, &v, &w, 1.0);
-            reflectors.push(v);
-        }
+    fn new(trend: Trend, inputs: &[[f64; 2]]) -> Self {
         Self {
-            terms: reflectors.len(),
-            reflectors,
+            qr: trend.matrix(inputs).qr(),
+            terms: trend.terms(),
         }
+    }
+
+    fn project(&self, mut columns: DMatrix<f64>) -> DMatrix<f64> {
+        self.qr.q_tr_mul(&mut columns);
+        // Q^T carries the trend to the first rows: the others know nothing of it.
+        columns.remove_rows(0, self.terms)
     }
 
     fn project_vector(&self, y: &[f64]) -> DVector<f64> {
-        let mut out = DVector::from_column_slice(y);
-        for v in &self.reflectors {
-            let w = 2.0 * v.dot(&out);
-            out.axpy(-w, v, 1.0);
-        }
-        out.rows(self.terms, y.len() - self.terms).into_owned()
-    }
-
-    fn project_matrix(&self, mut k: DMatrix<f64>) -> DMatrix<f64> {
-        for v in &self.reflectors {
-            // H K H with H = I - 2 v v': a symmetric rank-two update.
-            let kv = &k * v;
-            let w = &kv * 2.0 - v * (2.0 * v.dot(&kv));
-            k.ger(-1.0, v, &w, 1.0);
-            k.ger(-1.0, &w, v, 1.0);
-        }
-        let free = k.nrows() - self.terms;
-        k.view((self.terms, self.terms), (free, free)).into_owned()
+        let column = DMatrix::from_column_slice(y.len(), 1, y);
+        self.project(column).column(0).into_owned()
     }
 }
 
@@ -108,7 +78,7 @@ impl Contrasts {
     fn new(null: &TrendNull, kernel: &Kernel, inputs: &[[f64; 2]], y: &[f64]) -> Self {
         // Orthonormal contrasts: their likelihood is the restricted one, up to a constant in the
         // hyperparameters.
-        let projected = null.project_matrix(kernel.matrix(inputs));
+        let projected = null.project(null.project(kernel.matrix(inputs)).transpose());
         let y = null.project_vector(y);
         if y.len() < 2 {
             return Self {
@@ -135,6 +105,7 @@ impl Contrasts {
         for i in 0..n {
             let below = if i == 0 { 0.0 } else { self.off[i - 1] };
             let factor = if i == 0 { 0.0 } else { below / pivot };
+            // Forward substitution with the bidiagonal factor.
             carried = self.y[i] - factor * carried;
             pivot = self.diagonal[i] + nugget - factor * below;
             if pivot.is_nan() || pivot <= 0.0 {
@@ -205,15 +176,13 @@ pub fn choose_hyperparameters(
     // Nested: the best noise ratio is cheap for a given shape, which costs a factorisation.
     let null = TrendNull::new(trend, inputs);
     let best = |shape: f64| best_nugget(&null, kernel.with_shape(shape), inputs, y);
-    let shape = match (search, kernel.shape()) {
-        (Some(s), _) => {
+    let shape = match search {
+        Some(s) => {
             // In logarithms: a length is known by its order of magnitude first.
-            let (log_shape, _) =
-                maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);
-            log_shape.exp()
+            let range = [s.low.ln(), s.high.ln()];
+            maximise(|p| best(p.exp()).1, range, s.steps, 8).0.exp()
         }
-        (None, Some(shape)) => shape,
-        (None, None) => 1.0,
+        None => kernel.shape().unwrap_or(1.0),
     };
     let (log_nugget, value) = best(shape);
     if value == f64::NEG_INFINITY {
@@ -237,9 +206,9 @@ fn maximise(
     refinements: usize,
 ) -> (f64, f64) {
     // The likelihood may have several maxima: the grid chooses one, golden section refines it.
-    let spacing = (range[1] - range[0]) / (steps.max(2) - 1) as f64;
+    let spacing = (range[1] - range[0]) / (steps - 1) as f64;
     let mut best = (range[0], f64::NEG_INFINITY);
-    for i in 0..steps.max(2) {
+    for i in 0..steps {
         let x = range[0] + spacing * i as f64;
         let value = f(x);
         if value > best.1 {

@@ -6,7 +6,7 @@ use crate::choose::{Choice, choose};
 use crate::error::MapError;
 use crate::identifiability::{IdentifiabilityReport, identify};
 use crate::process::ProcessModel;
-use crate::region::{DEFAULT_MARGIN, ValidRegion};
+use crate::region::ValidRegion;
 use crate::released;
 use crate::training::MapTraining;
 use wcal_core::FbgSpec;
@@ -63,7 +63,7 @@ pub struct MapFit {
 /// A training set that cannot be used, or no candidate that can be fitted: [`MapError`].
 pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, MapError> {
     training.validate()?;
-    let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, DEFAULT_MARGIN);
+    let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm);
     let (centre_pm, scale_pm, offset_nmm) = if options.released {
         (
             [released::SHIFT_OFFSET_PM; 2],
@@ -76,7 +76,7 @@ pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, M
     };
     let (candidates, skipped) = fit_all(training, options, &valid_region, centre_pm, scale_pm)?;
     if candidates.is_empty() {
-        let reasons: Vec<String> = skipped
+        let reasons: Vec<_> = skipped
             .iter()
             .map(|(name, why)| format!("{name}: {why}"))
             .collect();

@@ -100,6 +100,7 @@ impl Kernel {
         let n = inputs.len();
         let mut k = DMatrix::zeros(n, n);
         for i in 0..n {
+            // Symmetric: each pair once.
             k[(i, i)] = self.at_zero();
             for j in 0..i {
                 let value = self.at(distance(inputs[i], inputs[j]));

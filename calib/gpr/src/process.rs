@@ -9,6 +9,7 @@
 //! Learning" (2006), sec. 2.7 and 5.4.2; O. Dubrule, Math. Geol. 15 (1983).
 
 use crate::error::MapError;
+use crate::geometry::distance;
 use crate::kernel::Kernel;
 use crate::trend::Trend;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
@@ -49,14 +50,14 @@ pub struct Process {
 
 /// Cholesky factor of C = K + nugget I, G = L^-1 H, and the Cholesky factor of G'G.
 #[derive(Debug, Clone)]
-pub(crate) struct Factor {
-    pub(crate) l: DMatrix<f64>,
-    pub(crate) g: DMatrix<f64>,
-    pub(crate) a: Option<Cholesky<f64, Dyn>>,
+struct Factor {
+    l: DMatrix<f64>,
+    g: DMatrix<f64>,
+    a: Option<Cholesky<f64, Dyn>>,
 }
 
 impl Factor {
-    pub(crate) fn new(model: &ProcessModel, inputs: &[[f64; 2]]) -> Result<Self, MapError> {
+    fn new(model: &ProcessModel, inputs: &[[f64; 2]]) -> Result<Self, MapError> {
         let readings = inputs.len();
         let h = model.trend.matrix(inputs);
         let l = if model.kernel == Kernel::None {
@@ -155,33 +156,71 @@ impl Process {
         })
     }
 
-    /// Noise variance, output units squared.
-    fn noise_variance(&self) -> f64 {
-        self.variance * self.model.nugget
+    /// A process of known variance and coefficients of trend and readings.
+    pub(crate) fn known(
+        model: ProcessModel,
+        variance: f64,
+        inputs: &[[f64; 2]],
+        [beta, alpha]: [&[f64]; 2],
+    ) -> Result<Self, MapError> {
+        Ok(Self {
+            model,
+            inputs: inputs.to_vec(),
+            beta: DVector::from_column_slice(beta),
+            alpha: DVector::from_column_slice(alpha),
+            variance,
+            dof: None,
+            factor: Factor::new(&model, inputs)?,
+        })
+    }
+
+    /// Basis of the trend and correlations with the readings at a scaled input; without a kernel
+    /// there are none.
+    fn regressors(&self, z: [f64; 2]) -> [DVector<f64>; 2] {
+        let ProcessModel { trend, kernel, .. } = self.model;
+        let correlation = |x: &[f64; 2]| kernel.at(distance(*x, z));
+        let correlated = if kernel == Kernel::None {
+            0
+        } else {
+            self.inputs.len()
+        };
+        [
+            DVector::from_column_slice(&trend.basis(z)[..trend.terms()]),
+            DVector::from_iterator(
+                correlated,
+                self.inputs.iter().take(correlated).map(correlation),
+            ),
+        ]
+    }
+
+    fn mean_of(&self, [h, k]: &[DVector<f64>; 2]) -> f64 {
+        h.dot(&self.beta) + k.iter().zip(&self.alpha).map(|(k, a)| k * a).sum::<f64>()
+    }
+
+    /// Mean at a scaled input.
+    pub(crate) fn mean(&self, z: [f64; 2]) -> f64 {
+        self.mean_of(&self.regressors(z))
     }
 
     /// Mean at a scaled input and the variances of the mean without and with noise, output units
     /// squared.
     pub fn predict(&self, z: [f64; 2]) -> (f64, f64, f64) {
-        let kernel = &self.model.kernel;
-        let k = DVector::from_iterator(
-            self.inputs.len(),
-            self.inputs
-                .iter()
-                .map(|x| kernel.at(crate::geometry::distance(*x, z))),
-        );
-        let h = DVector::from_column_slice(&self.model.trend.basis(z)[..self.model.trend.terms()]);
+        let at = self.regressors(z);
+        let mean = self.mean_of(&at);
+        let [mut u, k] = at;
+        let mut spread = self.model.kernel.at_zero();
         // What the data tell of f takes its prior variance down; what they leave open of b puts
         // some on again.
-        let mean = h.dot(&self.beta) + k.dot(&self.alpha);
-        let v = self.factor.l.solve_lower_triangular(&k).unwrap_or(k);
-        let mut spread = kernel.at_zero() - v.norm_squared();
+        if !k.is_empty() {
+            let v = self.factor.l.solve_lower_triangular(&k).unwrap_or(k);
+            spread -= v.norm_squared();
+            u -= self.factor.g.tr_mul(&v);
+        }
         if let Some(a) = &self.factor.a {
-            let u = h - self.factor.g.transpose() * v;
             spread += u.dot(&a.solve(&u));
         }
         let spread = self.variance * spread.max(0.0);
-        (mean, spread, spread + self.noise_variance())
+        (mean, spread, spread + self.variance * self.model.nugget)
     }
 
     /// P = C^-1 - C^-1 H (H'C^-1 H)^-1 H'C^-1, n x n.

@@ -8,8 +8,8 @@ use crate::geometry::{convex_hull, diameter, distance_to_polygon};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Default margin of the valid region as a share of the diameter of the readings.
-pub(crate) const DEFAULT_MARGIN: f64 = 0.1;
+/// Margin of the valid region as a share of the diameter of the readings.
+const MARGIN: f64 = 0.1;
 
 /// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a
 /// margin.
@@ -25,15 +25,14 @@ pub struct ValidRegion {
 }
 
 impl ValidRegion {
-    /// Hull of `readings` and `declared` (pm), grown by `margin` times its diameter.
-    pub fn new(readings: &[[f64; 2]], declared: &[[f64; 2]], margin: f64) -> Self {
-        let all: Vec<[f64; 2]> = readings.iter().chain(declared).copied().collect();
-        let vertices_pm = convex_hull(&all);
-        let margin_pm = margin * diameter(&vertices_pm);
+    /// Hull of `readings` and `declared` (pm), grown by a share of its diameter.
+    pub fn new(readings: &[[f64; 2]], declared: &[[f64; 2]]) -> Self {
+        let vertices_pm = convex_hull(&[readings, declared].concat());
         Self {
             kind: "hull".into(),
+            // In proportion to the cloud: wavelengths have no scale of their own here.
+            margin_pm: MARGIN * diameter(&vertices_pm),
             vertices_pm,
-            margin_pm,
         }
     }
 

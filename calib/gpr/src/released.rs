@@ -52,6 +52,7 @@ pub fn scale(
         .iter_mut()
         .flatten()
         .for_each(|m| *m -= MOMENT_OFFSET_NMM);
+    // In the released scaling the radius is a constant.
     let radius_pm = Some(RADIUS * SHIFT_SCALE_PM);
     crate::candidate::Scaled::new(
         &moved,

@@ -2,7 +2,7 @@
 
 use crate::error::MapError;
 use crate::geometry::centre_and_spread;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Readings with their moment labels; entry `i` of every column belongs to reading `i`.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -41,10 +41,16 @@ impl MapTraining {
     /// affine coefficients and two degrees of freedom).
     pub(crate) fn validate(&self) -> Result<(), MapError> {
         let n = self.len();
+        let poses = if self.pose.is_empty() {
+            n
+        } else {
+            self.pose.len()
+        };
         let lengths = [
             ("moments_nmm", self.moments_nmm.len()),
             ("trajectory", self.trajectory.len()),
             ("point", self.point.len()),
+            ("pose", poses),
         ];
         for (field, found) in lengths {
             if found != n {
@@ -54,13 +60,6 @@ impl MapTraining {
                     found,
                 });
             }
-        }
-        if !self.pose.is_empty() && self.pose.len() != n {
-            return Err(MapError::Length {
-                field: "pose",
-                expected: n,
-                found: self.pose.len(),
-            });
         }
         for (i, point) in self.point.iter().enumerate() {
             for (field, pair) in [
@@ -87,54 +86,35 @@ impl MapTraining {
 
     /// Without the readings at rest.
     pub fn loaded(&self) -> Self {
-        fn kept<T: Copy>(all: &[T], loaded: &[usize]) -> Vec<T> {
-            if all.is_empty() {
-                Vec::new()
-            } else {
-                loaded.iter().map(|i| all[*i]).collect()
-            }
+        let mut loaded = self.clone();
+        fn keep<T>(all: &mut Vec<T>, trajectory: &[Option<u32>]) {
+            let mut of = trajectory.iter();
+            all.retain(|_| of.next().is_some_and(Option::is_some));
         }
-        let loaded: Vec<usize> = (0..self.len())
-            .filter(|i| self.trajectory[*i].is_some())
-            .collect();
-        Self {
-            shifts_pm: kept(&self.shifts_pm, &loaded),
-            moments_nmm: kept(&self.moments_nmm, &loaded),
-            trajectory: kept(&self.trajectory, &loaded),
-            pose: kept(&self.pose, &loaded),
-            point: kept(&self.point, &loaded),
-            noise_sd_pm: self.noise_sd_pm,
-        }
+        keep(&mut loaded.shifts_pm, &self.trajectory);
+        keep(&mut loaded.moments_nmm, &self.trajectory);
+        keep(&mut loaded.trajectory, &self.trajectory);
+        keep(&mut loaded.pose, &self.trajectory);
+        keep(&mut loaded.point, &self.trajectory);
+        loaded
     }
 
     /// Distinct trajectories in ascending order, rest not counted.
     pub fn trajectories(&self) -> Vec<u32> {
-        self.trajectory
-            .iter()
-            .flatten()
-            .copied()
-            .collect::<BTreeSet<_>>()
-            .into_iter()
-            .collect()
+        let distinct: BTreeSet<u32> = self.trajectory.iter().flatten().copied().collect();
+        distinct.into_iter().collect()
     }
 
-    /// Readings left out together by leave-one-out: one entry a pose, in order of first appearance.
+    /// Readings left out together by leave-one-out: one entry a pose.
     pub(crate) fn pose_groups(&self) -> Vec<Vec<usize>> {
         if self.pose.is_empty() {
             return (0..self.len()).map(|i| vec![i]).collect();
         }
-        let mut order: Vec<u32> = Vec::new();
-        let mut groups: Vec<Vec<usize>> = Vec::new();
+        let mut groups: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
         for (i, pose) in self.pose.iter().enumerate() {
-            match order.iter().position(|p| p == pose) {
-                Some(at) => groups[at].push(i),
-                None => {
-                    order.push(*pose);
-                    groups.push(vec![i]);
-                }
-            }
+            groups.entry(*pose).or_default().push(i);
         }
-        groups
+        groups.into_values().collect()
     }
 
     /// One moment's labels, N mm.

@@ -58,6 +58,7 @@ impl Grid {
                 return None;
             }
             let cell = at[k] as usize;
+            // Row-major, x slowest.
             index = index * self.cells[k] + cell;
             middle[k] = self.low_mm[k] + (cell as f64 + 0.5) * self.cell_mm;
         }

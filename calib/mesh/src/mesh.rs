@@ -101,19 +101,18 @@ impl Mesh {
         if triangles.is_empty() {
             return Err(refuse("triangles with an area", "none".to_owned()));
         }
-        let low_mm = points
-            .iter()
-            .fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
-        let high_mm = points
-            .iter()
-            .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let [low_mm, high_mm] = bounds(points.iter().copied());
         let size_mm = (high_mm - low_mm).max();
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
             // Bodies far apart, as the solids of one file may lie, are of the right unit where the
             // largest is.
+            let size_of = |piece: &Vec<[u32; 3]>| {
+                let [low, high] = bounds(piece.iter().flatten().map(|k| points[*k as usize]));
+                (high - low).max()
+            };
             let largest_mm = pieces(points.len(), &triangles)
                 .iter()
-                .map(|p| size_of(&points, p))
+                .map(size_of)
                 .fold(0.0, f64::max);
             if !(size_mm <= APART_MM && (SIZE_MM[0]..=SIZE_MM[1]).contains(&largest_mm)) {
                 return Err(refuse(
@@ -197,12 +196,7 @@ impl Mesh {
             .iter()
             .map(|v| Vector3::from(v.map(f64::from)))
             .collect();
-        let low = points
-            .iter()
-            .fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
-        let high = points
-            .iter()
-            .fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let [low, high] = bounds(points.iter().copied());
         let size = (high - low).max();
         // Nothing that a whisker of 60 mm sweeps over is smaller than 3 mm; in metres everything
         // is.
@@ -211,15 +205,11 @@ impl Mesh {
         if metres {
             points.iter_mut().for_each(|p| *p *= 1e3);
         }
-        let mut mesh = Self::new(&name, &points, &triangles).map_err(|e| match e {
-            MeshError::Mesh {
-                expected, found, ..
-            } => MeshError::Mesh {
-                object: path.display().to_string(),
-                expected,
-                found,
-            },
-            other => other,
+        let mut mesh = Self::new(&name, &points, &triangles).map_err(|mut e| {
+            if let MeshError::Mesh { object, .. } = &mut e {
+                *object = path.display().to_string();
+            }
+            e
         })?;
         mesh.notes.extend(notes);
         if metres {
@@ -274,7 +264,10 @@ impl Mesh {
         p: &Vector3<f64>,
         search_mm: f64,
     ) -> Option<(PointProjection, (u32, TrianglePointLocation), &TriMesh)> {
-        let (found, at) = nearest_of(&self.surface, place(p), search_mm)?;
+        let nearest = |mesh: &TriMesh, search_mm| {
+            mesh.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)
+        };
+        let (found, at) = nearest(&self.surface, search_mm)?;
         if found.is_inside || self.bodies.is_empty() {
             return Some((found, at, &self.surface));
         }
@@ -286,9 +279,7 @@ impl Mesh {
             .iter()
             .filter(|body| body.local_aabb().contains_local_point(place(p)));
         let inside = around
-            .filter_map(|body| {
-                nearest_of(body, place(p), f64::MAX).map(|(found, at)| (found, at, body))
-            })
+            .filter_map(|body| nearest(body, f64::MAX).map(|(found, at)| (found, at, body)))
             .filter(|(found, ..)| found.is_inside);
         inside
             .max_by(|a, b| deep(a).total_cmp(&deep(b)))
@@ -312,6 +303,7 @@ impl Mesh {
             return None;
         }
         // Most questions are asked far away.
+        // Distance from the box: a lower bound of that from the surface.
         let outside = (self.low_mm - p)
             .sup(&(p - self.high_mm))
             .sup(&Vector3::zeros());
@@ -351,6 +343,7 @@ impl Mesh {
                 second_per_mm: Matrix3::zeros(),
             });
         }
+        // The gradient of a distance has length one.
         let normal = off / distance_mm;
         // Distance from a plane is linear; from an edge or a corner it bends with the inverse of
         // itself.
@@ -371,46 +364,6 @@ impl Mesh {
             second_per_mm: across / distance_mm,
         })
     }
-}
-
-/// The library's search for the nearest place by squared distances: its own takes a root at every
-/// box, a tenth of the time.
-fn nearest_of(
-    mesh: &TriMesh,
-    p: Place,
-    search_mm: f64,
-) -> Option<(PointProjection, (u32, TrianglePointLocation))> {
-    let best = mesh.bvh().find_best(
-        search_mm * search_mm,
-        |node, _| {
-            (node.mins() - p)
-                .max(p - node.maxs())
-                .max(Place::ZERO)
-                .length_squared()
-        },
-        |k, _| {
-            let found = mesh
-                .triangle(k)
-                .project_local_point_and_get_location(p, false);
-            Some(((found.0.point - p).length_squared(), found))
-        },
-    );
-    let (triangle, (_, (mut found, at))) = best?;
-    // Inside or outside by the pseudo-normal of the feature.
-    if let Some(normals) = mesh.pseudo_normals_if_oriented() {
-        let k = triangle as usize;
-        let normal = match at {
-            TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
-                mesh.triangle(triangle).scaled_normal()
-            }
-            TrianglePointLocation::OnEdge(i, _) => normals.edges_pseudo_normal[k][i as usize],
-            TrianglePointLocation::OnVertex(i) => {
-                normals.vertices_pseudo_normal[mesh.indices()[k][i as usize] as usize]
-            }
-        };
-        found.is_inside = (p - found.point).dot(normal) <= 0.0;
-    }
-    Some((found, (triangle, at)))
 }
 
 fn place(p: &Vector3<f64>) -> Place {
@@ -449,14 +402,10 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
     (kept, triangles)
 }
 
-/// Longest side of the box around some triangles, mm.
-fn size_of(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
-    let corners = || triangles.iter().flatten().map(|k| points[*k as usize]);
-    let Some(first) = corners().next() else {
-        return 0.0;
-    };
-    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
-    (high - low).max()
+/// Corners of the box around some points.
+fn bounds(points: impl Iterator<Item = Vector3<f64>>) -> [Vector3<f64>; 2] {
+    let none = [f64::INFINITY, f64::NEG_INFINITY].map(Vector3::repeat);
+    points.fold(none, |[low, high], p| [low.inf(&p), high.sup(&p)])
 }
 
 /// Triangles that hang together by their corners.

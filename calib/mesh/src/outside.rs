@@ -63,6 +63,7 @@ impl Mesh {
 
 /// Directions spread evenly over the sphere.
 fn sphere() -> Vec<Vector3<f64>> {
+    // Golden angle from point to point, equal areas by height.
     let golden = PI * (3.0 - 5.0_f64.sqrt());
     let direction = |k: usize| {
         let z = 1.0 - (2 * k + 1) as f64 / DIRECTIONS as f64;

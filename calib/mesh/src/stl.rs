@@ -69,17 +69,10 @@ impl Stl {
         }
         let mut all = Self::default();
         for triangle in body[..end].chunks_exact(TRIANGLE) {
-            let number = |k: usize| {
-                let at = 4 * k;
-                f32::from_le_bytes([
-                    triangle[at],
-                    triangle[at + 1],
-                    triangle[at + 2],
-                    triangle[at + 3],
-                ])
-            };
+            let (numbers, _) = triangle.as_chunks::<4>();
             // The first three numbers are the normal, which the corners say as well.
-            all.push([3, 6, 9].map(|k| [number(k), number(k + 1), number(k + 2)]));
+            let corner = |k: usize| [0, 1, 2].map(|axis| f32::from_le_bytes(numbers[k + axis]));
+            all.push([3, 6, 9].map(corner));
         }
         if body.len() > end {
             all.notes.push(format!(

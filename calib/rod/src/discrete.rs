@@ -57,6 +57,7 @@ impl DiscreteRod {
                 let span = to - from;
                 // D / span, at the diameter of the span's middle.
                 let factor = section.taper_factor((from + to) / 2.0 / shape.length_mm) / span;
+                // A spring for the bending that the rod spreads over the span.
                 let stiffness =
                     Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor;
                 (turn(shape, from, to), stiffness)

@@ -10,6 +10,7 @@
 //! Symbols as in [`crate::discrete::rod`].
 
 use crate::DiscreteRod;
+use crate::se3::exp_coefficients;
 use nalgebra::{Matrix3, Vector3};
 
 /// Steps of the fixed point for a joint's turn; its factor of contraction is a quarter of the turn
@@ -87,6 +88,7 @@ impl DiscreteRod {
             turn.cross(moment_nmm).cross_matrix(),
         );
         let change = m * a + (once + turn.cross_matrix() * m) * b;
+        // Newton's slope at the start serves all steps: the turn is small.
         let slope = Matrix3::identity() + Matrix3::from_diagonal(&soft) * change;
         let Some(newton) = slope.try_inverse() else {
             return turn;
@@ -120,37 +122,15 @@ fn rotation(w: &Vector3<f64>) -> Matrix3<f64> {
     r
 }
 
-/// sin(w)/w, (1 - cos(w))/w^2 and (w - sin(w))/w^3 by the square of w; a link's turn is small, its
-/// series is at the last digit after seven terms.
+/// sin(w)/w, (1 - cos(w))/w^2 and (w - sin(w))/w^3 by the square of w; a link's turn is small.
 fn rotation_factors(w2: f64) -> (f64, f64, f64) {
     if w2 > SERIES_RAD2 {
         let w = w2.sqrt();
         let (sin, cos) = w.sin_cos();
         return (sin / w, (1.0 - cos) / w2, (w - sin) / (w2 * w));
     }
-    let series = |c: &[f64; 7]| c.iter().rev().fold(0.0, |sum, c| c + w2 * sum);
-    (series(&SIN), series(&COS), series(&LEFT))
+    exp_coefficients(w2)
 }
-
-/// Coefficients (-1)^n / (2 n + first)!.
-const fn factorials(first: u32) -> [f64; 7] {
-    let mut c = [0.0; 7];
-    let (mut n, mut k, mut value) = (0, 1, 1.0);
-    while n < 7 {
-        while k <= 2 * n as u32 + first {
-            value /= k as f64;
-            k += 1;
-        }
-        c[n] = value;
-        value = -value;
-        n += 1;
-    }
-    c
-}
-
-const SIN: [f64; 7] = factorials(1);
-const COS: [f64; 7] = factorials(2);
-const LEFT: [f64; 7] = factorials(3);
 
 #[cfg(test)]
 mod tests {

@@ -24,7 +24,7 @@ pub type Twist<T> = (V3<T>, V3<T>);
 
 /// sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3 as series in t^2; ten terms hold 1e-15 up to t = 1.5.
 #[inline(always)]
-fn exp_coefficients<T: Scalar>(squared: T) -> (T, T, T) {
+pub(crate) fn exp_coefficients<T: Scalar>(squared: T) -> (T, T, T) {
     const FACTORIAL: [f64; 8] = [
         1.0,
         6.0,
@@ -66,6 +66,7 @@ fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
         [xz - ay, yz + ax, diagonal(2)],
     ];
     // The place moves along an arc, not along its chord: left Jacobian of the rotation.
+    // v + b w x v + c w x (w x v): the integral of the turning direction.
     let wv = cross(w, v);
     let wwv = cross(w, &wv);
     let shift = [0, 1, 2].map(|i| v[i] + b * wv[i] + c * wwv[i]);

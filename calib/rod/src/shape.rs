@@ -247,18 +247,24 @@ impl Shape {
         let j = self.interval_at(s_mm);
         let h = self.intervals[j].length_mm;
         let x = (s_mm - self.intervals[j].start_mm) / h;
-        let (p0, p1) = (self.nodes_mm[j], self.nodes_mm[j + 1]);
-        let (t0, t1) = (
-            self.frames[j].column(0) * h,
-            self.frames[j + 1].column(0) * h,
-        );
-        // Hermite's basis on both places and tangents: error of fourth order in h.
-        let (x2, x3) = (x * x, x * x * x);
-        p0 * (2.0 * x3 - 3.0 * x2 + 1.0)
-            + t0 * (x3 - 2.0 * x2 + x)
-            + p1 * (3.0 * x2 - 2.0 * x3)
-            + t1 * (x3 - x2)
+        let node = |j: usize| (self.nodes_mm[j], self.frames[j]);
+        hermite(x, h, node(j), node(j + 1))
     }
+}
+
+/// Point at the share `x` of an interval of length `h` between two places whose frames are known, by
+/// Hermite's basis on places and tangents: error of fourth order in h.
+pub(crate) fn hermite(
+    x: f64,
+    h: f64,
+    (p0, f0): (Vector3<f64>, Matrix3<f64>),
+    (p1, f1): (Vector3<f64>, Matrix3<f64>),
+) -> Vector3<f64> {
+    let (x2, x3) = (x * x, x * x * x);
+    p0 * (2.0 * x3 - 3.0 * x2 + 1.0)
+        + f0.column(0) * (h * (x3 - 2.0 * x2 + x))
+        + p1 * (3.0 * x2 - 2.0 * x3)
+        + f1.column(0) * (h * (x3 - x2))
 }
 
 /// The mesh from arc length `s_mm` on: the interval that holds it is cut there.

@@ -35,8 +35,7 @@ fn main() -> anyhow::Result<()> {
         .enumerate()
         .map(|(k, v)| BoardView {
             name: k.to_string(),
-            left: corners(&v["left"]),
-            right: corners(&v["right"]),
+            corners: [corners(&v["left"]), corners(&v["right"])],
         })
         .collect();
     let mut seconds = Vec::new();
@@ -55,9 +54,9 @@ fn main() -> anyhow::Result<()> {
             warp: [0.0; 2],
             ..state.clone()
         },
-        Free::all(false),
+        Free::All(false),
     );
-    let bent = solve(&points, &solution.views, state, Free::all(true));
+    let bent = solve(&points, &solution.views, state, Free::All(true));
     let baseline = |s: &BundleState| s.right_from_left.translation.vector.norm();
     let out = json!({
         "views": solution.views.len(),

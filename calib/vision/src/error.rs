@@ -1,5 +1,6 @@
 //! The crate's error: what was attempted, what was expected and what was found.
 
+use std::{fmt::Display, io};
 use wcal_core::text::brief;
 
 /// Errors of wcal-vision. A rejected view or pair is no error: it is listed with its reason in the
@@ -14,7 +15,7 @@ pub enum VisionError {
         /// File or folder.
         path: String,
         /// Cause.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// A file was read, but its content is not what it has to be.
     #[error("{path}: expected {expected}, found {found}")]
@@ -47,6 +48,24 @@ pub enum VisionError {
 }
 
 impl VisionError {
+    /// For `map_err` on file operations.
+    pub(crate) fn io(action: &'static str, path: impl Display) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_string();
+        move |source| Self::Io {
+            action,
+            path,
+            source,
+        }
+    }
+
+    /// Adds to what a computation has found.
+    pub(crate) fn and(mut self, more: &str) -> Self {
+        if let Self::Result { found, .. } = &mut self {
+            found.push_str(more);
+        }
+        self
+    }
+
     pub(crate) fn content(
         path: impl Into<String>,
         expected: impl Into<String>,

@@ -4,6 +4,7 @@
 use crate::error::VisionError;
 use crate::picture::Picture;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// The two files of a pair.
@@ -27,10 +28,7 @@ impl PairFiles {
     ///
     /// # Errors
     /// A sentence.
-    pub(crate) fn read(
-        &self,
-        calibrated_px: Option<[[usize; 2]; 2]>,
-    ) -> Result<[Picture; 2], String> {
+    pub(crate) fn read(&self, calibrated_px: Option<[usize; 2]>) -> Result<[Picture; 2], String> {
         if let Some(why) = &self.refused {
             return Err(why.clone());
         }
@@ -38,22 +36,21 @@ impl PairFiles {
             let side = if self.left.is_none() { "left" } else { "right" };
             return Err(format!("the {side} picture is missing"));
         };
-        let read = |path: &PathBuf, camera: usize| {
+        let read = |path: &PathBuf| {
             let picture = Picture::read(path).map_err(|e| e.to_string())?;
-            let found = [picture.width, picture.height];
-            let [w, h] = calibrated_px.map_or(found, |sizes| sizes[camera]);
+            let found @ [x, y] = [picture.width, picture.height];
+            let [w, h] = calibrated_px.unwrap_or(found);
             let path = path.display();
             if found != [w, h] {
                 return Err(format!(
-                    "{path}: expected {w}x{h} px as calibrated, found {}x{}",
-                    found[0], found[1]
+                    "{path}: expected {w}x{h} px as calibrated, found {x}x{y}"
                 ));
             }
             picture
                 .unusable()
                 .map_or(Ok(picture), |why| Err(format!("{path}: {why}")))
         };
-        let pictures = [read(left, 0)?, read(right, 1)?];
+        let pictures = [read(left)?, read(right)?];
         if pictures[0] == pictures[1] {
             return Err("the left and the right picture are the same".into());
         }
@@ -68,34 +65,17 @@ impl PairFiles {
 pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
     let path = Path::new(source);
     let (folder, pattern) = if path.is_dir() {
-        (path.to_path_buf(), "*".to_string())
+        (path, "*".to_string())
     } else {
-        let folder = path
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
-        let pattern = path
-            .file_name()
-            .map(|n| n.to_string_lossy().into_owned())
-            .unwrap_or_default();
-        (folder.to_path_buf(), pattern)
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+        (folder.unwrap_or(Path::new(".")), text(path.file_name()))
     };
-    let io = |source_error| VisionError::Io {
-        action: "list",
-        path: source.to_string(),
-        source: source_error,
-    };
+    let io = || VisionError::io("list", source);
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(&folder).map_err(io)? {
-        let file = entry.map_err(io)?.path();
-        let name = file
-            .file_name()
-            .map(|n| n.to_string_lossy().into_owned())
-            .unwrap_or_default();
-        let extension = file
-            .extension()
-            .map(|e| e.to_string_lossy().to_lowercase())
-            .unwrap_or_default();
+    for entry in std::fs::read_dir(folder).map_err(io())? {
+        let file = entry.map_err(io())?.path();
+        let name = text(file.file_name());
+        let extension = text(file.extension()).to_lowercase();
         // macOS writes a file beside each picture: `._NAME`.
         let hidden = name.starts_with('.') && !pattern.starts_with('.');
         let picture = [
@@ -146,10 +126,12 @@ pub fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
     pattern[p..].iter().all(|c| *c == b'*')
 }
 
+fn text(part: Option<&OsStr>) -> String {
+    part.unwrap_or_default().to_string_lossy().into_owned()
+}
+
 fn stem(path: &Path) -> String {
-    path.file_stem()
-        .map(|s| s.to_string_lossy().into_owned())
-        .unwrap_or_default()
+    text(path.file_stem())
 }
 
 /// The numbers in a name, the last one first.
@@ -167,12 +149,9 @@ fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
     let places = all.iter().flatten().map(Vec::len).max().unwrap_or(0);
     let pairs = |place: usize| -> Option<usize> {
         let side = |k: usize| -> Option<BTreeSet<u64>> {
-            let found: Vec<u64> = all[k]
-                .iter()
-                .filter_map(|n| n.get(place).copied())
-                .collect();
-            let distinct: BTreeSet<u64> = found.iter().copied().collect();
-            (distinct.len() == found.len()).then_some(distinct)
+            let found = all[k].iter().filter_map(|n| n.get(place).copied());
+            let distinct: BTreeSet<u64> = found.clone().collect();
+            (distinct.len() == found.count()).then_some(distinct)
         };
         Some(side(0)?.intersection(&side(1)?).count())
     };
@@ -204,28 +183,22 @@ pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>,
             .map_or((0, name), |n| (*n, String::new()))
     };
     let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
-    for (is_left, file) in left
-        .iter()
-        .map(|f| (true, f))
-        .chain(right.iter().map(|f| (false, f)))
-    {
-        let entry = pairs.entry(key(file)).or_insert_with(|| PairFiles {
-            name: stem(file),
-            ..PairFiles::default()
-        });
-        let slot = if is_left {
-            &mut entry.left
-        } else {
-            &mut entry.right
-        };
-        if let Some(other) = slot {
-            return Err(VisionError::content(
-                file.display().to_string(),
-                "one file a number and side",
-                format!("the same number as {}", other.display()),
-            ));
+    type Slot = fn(&mut PairFiles) -> &mut Option<PathBuf>;
+    let sides: [(&[PathBuf], Slot); 2] = [(left, |p| &mut p.left), (right, |p| &mut p.right)];
+    for (files, slot) in sides {
+        for file in files {
+            let entry = pairs.entry(key(file)).or_insert_with(|| PairFiles {
+                name: stem(file),
+                ..PairFiles::default()
+            });
+            if let Some(other) = slot(entry).replace(file.clone()) {
+                return Err(VisionError::content(
+                    file.display().to_string(),
+                    "one file a number and side",
+                    format!("the same number as {}", other.display()),
+                ));
+            }
         }
-        *slot = Some(file.clone());
     }
     Ok(pairs.into_values().collect())
 }

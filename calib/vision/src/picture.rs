@@ -3,7 +3,7 @@
 
 use crate::error::{OpenCvContext, VisionError};
 use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageReader};
+use image::{ExtendedColorType, ImageDecoder, ImageReader};
 use opencv::core::Mat;
 use std::io::Cursor;
 use std::path::Path;
@@ -50,11 +50,7 @@ impl Picture {
     /// Where the file is missing, empty, cut off, not a picture or of floating-point values.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let bytes = wcal_core::files::read(path).map_err(|source| VisionError::Io {
-            action: "read",
-            path: name.clone(),
-            source,
-        })?;
+        let bytes = wcal_core::files::read(path).map_err(VisionError::io("read", &name))?;
         check_complete(&name, &bytes)?;
         let decoded = image::load_from_memory(&bytes).map_err(|e| {
             VisionError::content(
@@ -64,17 +60,10 @@ impl Picture {
             )
         })?;
         let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-        let data = match decoded {
-            DynamicImage::ImageLuma8(grey) => grey.into_raw(),
-            DynamicImage::ImageRgb8(_)
-            | DynamicImage::ImageRgba8(_)
-            | DynamicImage::ImageLumaA8(_) => grey_values(decoded.into_rgb8().as_raw()),
-            DynamicImage::ImageLuma16(grey) => upper_bits(grey.as_raw()),
-            DynamicImage::ImageRgb16(_)
-            | DynamicImage::ImageRgba16(_)
-            | DynamicImage::ImageLumaA16(_) => {
-                grey_values(&upper_bits(decoded.into_rgb16().as_raw()))
-            }
+        let color = decoded.color();
+        let data = match color.bytes_per_pixel() / color.channel_count() {
+            1 => grey_values(decoded.into_rgb8().as_raw()),
+            2 => grey_values(&upper_bits(decoded.into_rgb16().as_raw())),
             _ => {
                 return Err(VisionError::content(
                     name,
@@ -131,8 +120,7 @@ impl Picture {
                 100.0 * full
             ));
         }
-        let lo = self.data.iter().fold(255u8, |lo, &v| lo.min(v));
-        let hi = self.data.iter().fold(0u8, |hi, &v| hi.max(v));
+        let (lo, hi) = (self.data.iter().min()?, self.data.iter().max()?);
         if hi - lo < 8 {
             return Some(format!(
                 "no contrast: grey values {lo} to {hi}, mean {mean:.0} (black or covered?)"
@@ -188,11 +176,7 @@ const KINDS: &str = "a PNG, JPEG, TIFF, BMP or PNM picture";
 /// was.
 fn upper_bits(values: &[u16]) -> Vec<u8> {
     let used = values.iter().fold(0, |all, v| all | v);
-    let unused = if used == 0 {
-        0
-    } else {
-        used.trailing_zeros().min(8) & !1
-    };
+    let unused = used.trailing_zeros().min(8) & !1;
     let bits = [8, 10, 12, 14]
         .into_iter()
         .find(|bits| (used >> unused) < 1 << bits)
@@ -244,12 +228,11 @@ fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
         true
     };
     if complete {
-        Ok(())
-    } else {
-        Err(VisionError::content(
-            name,
-            "a complete picture",
-            format!("one cut off after {} bytes", bytes.len()),
-        ))
+        return Ok(());
     }
+    Err(VisionError::content(
+        name,
+        "a complete picture",
+        format!("one cut off after {} bytes", bytes.len()),
+    ))
 }

@@ -70,11 +70,7 @@ impl Rig {
     /// Where the file is missing, no TOML, or a field is missing or out of range.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let text = wcal_core::files::read_text(path).map_err(|source| VisionError::Io {
-            action: "read",
-            path: name.clone(),
-            source,
-        })?;
+        let text = wcal_core::files::read_text(path).map_err(VisionError::io("read", &name))?;
         Self::parse(&name, &text)
     }
 

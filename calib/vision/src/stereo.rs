@@ -22,9 +22,18 @@ impl StereoCameras {
         2 * self.cameras[0].intrinsics() + 6
     }
 
+    /// A pose in a camera's frame (0 left, 1 right) by that in the left one's.
+    pub fn in_camera(&self, camera: usize, in_left: &Isometry3<f64>) -> Isometry3<f64> {
+        match camera {
+            0 => *in_left,
+            _ => self.right_from_left * in_left,
+        }
+    }
+
     /// The cameras with one parameter moved.
     pub(crate) fn moved(&self, k: usize, by: f64) -> Self {
         let mut s = self.clone();
+        // In the order of the covariance: left, right, relative pose.
         let n = s.cameras[0].intrinsics();
         if k < 2 * n {
             let mut p = s.cameras[k / n].parameters();

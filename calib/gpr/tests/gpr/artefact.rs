@@ -29,7 +29,7 @@ fn predictor_of_a_stored_map_equals_the_fit() {
         let json = serde_json::to_string(&fit.artefact).unwrap();
         let read: MapArtefact = serde_json::from_str(&json).unwrap();
         assert_eq!(read, fit.artefact);
-        let mut predictor = MapPredictor::new(&read).unwrap();
+        let predictor = MapPredictor::new(&read).unwrap();
         for shift in [[0.0, 0.0], [30.0, -50.0], [-70.0, 20.0]] {
             let p = predictor.predict(shift);
             let mean = predictor.mean_nmm(shift);
@@ -58,7 +58,7 @@ fn predictor_of_a_stored_map_equals_the_fit() {
 #[test]
 fn a_reading_outside_the_region_is_not_valid() {
     let (training, fit) = bent(MapKind::ThinPlate);
-    let mut predictor = MapPredictor::new(&fit.artefact).unwrap();
+    let predictor = MapPredictor::new(&fit.artefact).unwrap();
     assert!(
         training
             .shifts_pm

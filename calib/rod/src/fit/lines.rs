@@ -7,7 +7,7 @@
 //! Splines", 2001, ch. IV).
 
 use super::model::RestModel;
-use crate::{Guess, Rod, Tangential, WORKING_STEP_MM};
+use crate::{Guess, Rod, Tangential, WORKING_STEP_MM, interpolated_point};
 use nalgebra::{DVector, Matrix3, Vector3};
 use wcal_core::observation::WhiskerSpec;
 
@@ -124,27 +124,19 @@ pub(super) fn distances(
 
 /// Place and frame at an arc length: a cubic through two nodes and their tangents, straight on
 /// beyond the ends.
-fn on_curve(
-    nodes: &[(f64, Vector3<f64>, Matrix3<f64>)],
-    s_mm: f64,
-) -> (Vector3<f64>, Matrix3<f64>) {
+fn on_curve(nodes: &Nodes, s_mm: f64) -> (Vector3<f64>, Matrix3<f64>) {
     let after = nodes
         .partition_point(|n| n.0 < s_mm)
         .clamp(1, nodes.len() - 1);
-    let ((s0, p0, f0), (s1, p1, f1)) = (&nodes[after - 1], &nodes[after]);
-    let h = s1 - s0;
-    // Straight on beyond the ends: a measured point past the tip has a distance, too.
-    if s_mm < *s0 {
-        return (p0 + f0.column(0) * (s_mm - s0), *f0);
+    let (before, after) = (&nodes[after - 1], &nodes[after]);
+    let nearer = if s_mm - before.0 < 0.5 * (after.0 - before.0) {
+        before
+    } else {
+        after
+    };
+    // A measured point past the tip has a distance, too.
+    if s_mm < before.0 || s_mm > after.0 {
+        return (nearer.1 + nearer.2.column(0) * (s_mm - nearer.0), nearer.2);
     }
-    if s_mm > *s1 {
-        return (p1 + f1.column(0) * (s_mm - s1), *f1);
-    }
-    let t = if h > 0.0 { (s_mm - s0) / h } else { 0.0 };
-    let (t2, t3) = (t * t, t * t * t);
-    let position = p0 * (2.0 * t3 - 3.0 * t2 + 1.0)
-        + f0.column(0) * (h * (t3 - 2.0 * t2 + t))
-        + p1 * (3.0 * t2 - 2.0 * t3)
-        + f1.column(0) * (h * (t3 - t2));
-    (position, if t < 0.5 { *f0 } else { *f1 })
+    (interpolated_point(nodes, s_mm), nearer.2)
 }

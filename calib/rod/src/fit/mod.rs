@@ -156,16 +156,8 @@ pub fn fit_rest(
             "expected a straight part with an arc, found a polyline".to_owned(),
         ));
     };
-    let start = DVector::from_vec(vec![
-        straight_mm,
-        arc_radius_mm,
-        length_mm,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    ]);
+    let arc = [straight_mm, arc_radius_mm, length_mm];
+    let start = DVector::from_vec([&arc[..], &[0.0; 5]].concat());
     let mut excluded = Vec::new();
     let mut used = Vec::new();
     for shape in shapes {
@@ -185,12 +177,7 @@ pub fn fit_rest(
             reasons.join("; ")
         )));
     }
-    let Selection {
-        model,
-        values,
-        candidates,
-        independent,
-    } = select_model(nominal, &start, &used, choice)?;
+    let (model, values, candidates, independent) = select_model(nominal, &start, &used, choice)?;
     let covariance = jackknife(nominal, model, &values, &used)?;
     let (mut residuals, mut squares, mut count, mut scaled) = (Vec::new(), 0.0, 0, 0.0);
     for held in &used {
@@ -229,12 +216,8 @@ pub fn fit_rest(
     })
 }
 
-struct Selection {
-    model: RestModel,
-    values: DVector<f64>,
-    candidates: Vec<ModelScore>,
-    independent: f64,
-}
+/// Model and values that are chosen, all models tried, independent observations.
+type Selection = (RestModel, DVector<f64>, Vec<ModelScore>, f64);
 
 /// Fits the models that are asked for; BIC decides between several.
 fn select_model(
@@ -247,12 +230,7 @@ fn select_model(
     let first = solve(nominal, arc, start, used);
     if choice == RestChoice::StraightArc {
         let (values, _) = first?;
-        return Ok(Selection {
-            model: arc,
-            values,
-            candidates: Vec::new(),
-            independent: 0.0,
-        });
+        return Ok((arc, values, Vec::new(), 0.0));
     }
     // A wire that is far from any arc may have no best one: the free curvature then starts from the
     // nominal one.
@@ -298,12 +276,7 @@ fn select_model(
         .ok_or_else(|| {
             RodError::RestFit("expected a free curvature that fits, found none".to_owned())
         })?;
-    Ok(Selection {
-        model: best.0,
-        values: best.1.clone(),
-        candidates,
-        independent,
-    })
+    Ok((best.0, best.1.clone(), candidates, independent))
 }
 
 /// Independent observations in all lines: points over the length, in points, within which residuals
@@ -362,17 +335,13 @@ fn jackknife(
     let n = used.len() as f64;
     let mut deleted: Vec<DVector<f64>> = Vec::with_capacity(used.len());
     for skip in 0..used.len() {
-        let rest: Vec<GuessedShape<'_>> = used
-            .iter()
-            .enumerate()
-            .filter(|(k, _)| *k != skip)
-            .map(|(_, s)| *s)
-            .collect();
+        let rest = [&used[..skip], &used[skip + 1..]].concat();
         deleted.push(solve(nominal, model, values, &rest)?.0);
     }
     let mean = deleted.iter().sum::<DVector<f64>>() / n;
     let mut sum = DMatrix::zeros(values.len(), values.len());
     for d in &deleted {
+        // Spread of the fits that each leave out one shape.
         let off = d - &mean;
         sum += &off * off.transpose();
     }

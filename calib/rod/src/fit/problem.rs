@@ -59,14 +59,9 @@ impl<'a> Problem<'a> {
         };
         let column =
             |(k, step): (usize, f64)| Some((moved(k, step)? - moved(k, -step)?) / (2.0 * step));
-        let columns: Option<Vec<DVector<f64>>> = self
-            .model
-            .difference_steps()
-            .into_iter()
-            .enumerate()
-            .map(column)
-            .collect();
-        Some(DMatrix::from_columns(&columns?))
+        let steps = self.model.difference_steps().into_iter().enumerate();
+        let columns: Vec<DVector<f64>> = steps.map(column).collect::<Option<_>>()?;
+        Some(DMatrix::from_columns(&columns))
     }
 
     fn at(self, v: &DVector<f64>) -> Option<FitPoint<'a>> {
@@ -99,6 +94,7 @@ impl Linearised for FitPoint<'_> {
     fn step(&self, damping: f64) -> Option<DVector<f64>> {
         let normal = || {
             let jacobian = self.problem.jacobian(&self.values)?;
+            // Gauss-Newton: second derivatives are left out.
             let (matrix, descent) = (
                 jacobian.tr_mul(&jacobian),
                 -jacobian.tr_mul(&self.residuals),

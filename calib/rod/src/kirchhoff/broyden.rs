@@ -9,7 +9,7 @@
 //! Their equilibria lie next to known ones, so that plain evaluations with the updated Jacobian
 //! reach them; where they contract too slowly, [`Rod::follow`] is to be used.
 
-use crate::kirchhoff::integrate::{Load, to_arclength};
+use crate::kirchhoff::integrate::Load;
 use crate::kirchhoff::solve::{Equilibrium, Rod, Tangential};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -71,19 +71,11 @@ impl Rod {
                 force: force.into(),
                 distributed: None,
             };
-            let end = to_arclength(
-                &self.section,
-                &self.shape,
-                self.root(&load),
-                &load,
-                s,
-                |_, _| {},
-            );
+            let end = self.end(&load, s);
             let offset = Vector3::from(end.position) - point_mm;
-            let tangent = Vector3::new(end.frame[0][0], end.frame[1][0], end.frame[2][0]);
+            let tangent = Vector3::from([0, 1, 2].map(|i| end.frame[i][0]));
             // Frictionless contact: the force has no component along the wire.
-            let along = force.dot(&tangent) / anchor.force_scale_n;
-            let residual = Vector4::new(offset.x, offset.y, offset.z, along);
+            let residual = offset.push(force.dot(&tangent) / anchor.force_scale_n);
             let size = residual.norm();
             if size < TOLERANCE_MM {
                 return (s <= self.shape.length_mm).then(|| Equilibrium {

@@ -188,6 +188,7 @@ impl<'a> BranchTracker<'a> {
             arclength_mm: touch.arclength_mm,
         };
         // The unloaded wire is pulled across the gap in steps that Newton can follow.
+        // A step of half a millimetre stays in Newton's basin.
         let pulls = (touch.gap_mm / FIRST_STEP_MM).ceil().max(1.0) as usize;
         let mut found = None;
         for k in 1..=pulls {

@@ -13,7 +13,7 @@ use crate::dual::{Dual3, Scalar, V3, cross};
 use crate::kirchhoff::integrate::{Load, MomentTable, to_arclength};
 use crate::material::Section;
 use crate::se3::{self, Pose, matrix_of, rows_of};
-use crate::shape::Shape;
+use crate::shape::{Shape, from_arclength, hermite};
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
 use wcal_core::observation::WhiskerSpec;
 
@@ -39,12 +39,7 @@ pub fn interpolated_point(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64
     if h <= 0.0 {
         return b.1;
     }
-    let x = (s_mm - a.0) / h;
-    let (x2, x3) = (x * x, x * x * x);
-    a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
-        + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
-        + b.1 * (3.0 * x2 - 2.0 * x3)
-        + b.2.column(0) * (h * (x3 - x2))
+    hermite((s_mm - a.0) / h, h, (a.1, a.2), (b.1, b.2))
 }
 
 /// The wire, its clamp and its surroundings.
@@ -180,7 +175,7 @@ impl Rod {
     }
 
     /// Clamp of the loaded wire, turned by the root's compliance.
-    pub(crate) fn root<T: Scalar>(&self, load: &Load<T>) -> Pose<T> {
+    fn root<T: Scalar>(&self, load: &Load<T>) -> Pose<T> {
         let frame = rows_of(&self.shape.root);
         let frame = [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::constant(frame[i][j])));
         let position = [T::constant(0.0); 3];
@@ -198,6 +193,12 @@ impl Rod {
         }
     }
 
+    /// Pose of the loaded wire at an arc length.
+    pub(crate) fn end<T: Scalar>(&self, load: &Load<T>, s_mm: f64) -> Pose<T> {
+        let root = self.root(load);
+        to_arclength(&self.section, &self.shape, root, load, s_mm, |_, _| {})
+    }
+
     /// Equilibrium with the wire's centre at `point_mm`, from a nearby guess.
     ///
     /// # Errors
@@ -213,14 +214,11 @@ impl Rod {
         }
         // The weight bends the wire by little: its moment is frozen, the wire solved, and the
         // moment taken anew.
-        let mut table = self.weight_moments(
-            point_mm,
-            &Guess {
-                force_n: Vector3::zeros(),
-                ..*guess
-            },
-            None,
-        );
+        let unloaded = Guess {
+            force_n: Vector3::zeros(),
+            ..*guess
+        };
+        let mut table = self.weight_moments(point_mm, &unloaded, None);
         let mut current = *guess;
         for _ in 0..12 {
             let found = self.newton(point_mm, &current, tangential, Some(&table))?;
@@ -298,25 +296,11 @@ impl Rod {
             force: [0, 1, 2].map(|i| Dual3::variable(force[i], i)),
             distributed,
         };
-        let end = to_arclength(
-            &self.section,
-            &self.shape,
-            self.root(&load),
-            &load,
-            s,
-            |_, _| {},
-        );
+        let end = self.end(&load, s);
         let position = Vector3::from(end.position.map(Scalar::value));
         let tangent_dual = [0, 1, 2].map(|i| end.frame[i][0]);
         let tangent = Vector3::from(tangent_dual.map(Scalar::value));
-        // Rows 1 to 3: the contact is at P; dr/ds = t.
-        let mut jacobian = Matrix4::zeros();
-        for i in 0..3 {
-            for j in 0..3 {
-                jacobian[(i, j)] = end.position[i].partial(j) * force_scale;
-            }
-            jacobian[(i, 3)] = tangent[i];
-        }
+        // By the force through the integrator, by s along the curve.
         let d_tangent = Matrix3::from_fn(|i, j| tangent_dual[i].partial(j));
         let curvature = self.tangent_rate(point_mm, force, s, &position, &end.frame, distributed);
         // Row 4, the force along the wire: with F the tangent turns as well, with s by dt/ds.
@@ -338,16 +322,16 @@ impl Rod {
                 )
             }
         };
-        for j in 0..3 {
-            jacobian[(3, j)] = row[j];
-        }
-        jacobian[(3, 3)] = by_s / force_scale;
-        let offset = position - point_mm;
-        (
-            Vector4::new(offset.x, offset.y, offset.z, fourth / force_scale),
-            jacobian,
-            tangent,
-        )
+        // Rows 1 to 3: the contact is at P; dr/ds = t.
+        let jacobian = Matrix4::from_fn(|i, j| match (i, j) {
+            (3, 3) => by_s / force_scale,
+            (3, _) => row[j],
+            (_, 3) => tangent[i],
+            _ => end.position[i].partial(j) * force_scale,
+        });
+        // Miss of the groove in mm, and the condition along the wire as a length.
+        let residual = (position - point_mm).push(fourth / force_scale);
+        (residual, jacobian, tangent)
     }
 
     /// dt/ds at the contact.
@@ -390,13 +374,13 @@ impl Rod {
 
     /// Moments of the weight on the shape that it and the contact give the wire; none without
     /// weight.
-    pub(crate) fn settled_weight(&self, point: &Vector3<f64>, held: &Guess) -> Option<MomentTable> {
+    fn settled_weight(&self, point: &Vector3<f64>, held: &Guess) -> Option<MomentTable> {
         if self.weight_n_per_mm.norm() == 0.0 {
             return None;
         }
         let mut table = self.weight_moments(point, held, None);
         // Fixed point: a round shrinks the change by about w L^3 / EI.
-        for _ in 0..4 {
+        for _ in 0..6 {
             table = self.weight_moments(point, held, Some(&table));
         }
         Some(table)
@@ -432,8 +416,8 @@ impl Rod {
             distributed,
         };
         let rest = Shape {
-            intervals: crate::shape::from_arclength(&self.shape, held.arclength_mm),
-            ..Shape::clone(&self.shape)
+            intervals: from_arclength(&self.shape, held.arclength_mm),
+            ..self.shape.clone()
         };
         to_arclength(
             &self.section,
@@ -468,6 +452,7 @@ impl Rod {
         let mut later = position(self.shape.length_mm);
         for j in (0..count).rev() {
             let here = position(j as f64 * step_mm);
+            // Trapezoid rule from the tip inward.
             integral += (here + later) * (0.5 * step_mm);
             let beyond = self.shape.length_mm - j as f64 * step_mm;
             moments_nmm[j] = (integral - here * beyond).cross(&self.weight_n_per_mm);
@@ -481,17 +466,11 @@ impl Rod {
 
     /// Base moment of the free wire's weight, N mm.
     pub fn rest_moment_nmm(&self) -> Vector3<f64> {
-        if self.weight_n_per_mm.norm() == 0.0 {
-            return Vector3::zeros();
-        }
         let free = Guess {
             force_n: Vector3::zeros(),
             arclength_mm: self.shape.length_mm,
         };
-        let mut table = self.weight_moments(&Vector3::zeros(), &free, None);
-        for _ in 0..6 {
-            table = self.weight_moments(&Vector3::zeros(), &free, Some(&table));
-        }
-        table.moments_nmm[0]
+        let table = self.settled_weight(&Vector3::zeros(), &free);
+        table.map_or_else(Vector3::zeros, |table| table.moments_nmm[0])
     }
 }

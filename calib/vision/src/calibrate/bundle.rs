@@ -12,14 +12,16 @@
 //! Modern Synthesis", 2000, section 6 (Schur complement); mrcal documentation, "Board deformation"
 //! (warp).
 
-use crate::camera::{Camera, MAX_INTRINSICS};
-use crate::rigid::{hat, updated};
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Vector2, Vector3, Vector6};
+use crate::camera::Camera;
+use crate::rigid::updated;
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix6, MatrixXx6, Point3, RowVector2, Vector2, Vector3, Vector6,
+};
 use wcal_core::least_squares::{Damping, Ending, Linearised, minimise};
 
 /// Places of the parameters shared by all views: left camera, right camera, right_from_left
 /// (rotation, translation), warp.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 struct Layout {
     /// Intrinsic parameters of one camera.
     intrinsics: usize,
@@ -39,15 +41,16 @@ impl Layout {
     }
 }
 
-/// Corners of one view, px, one entry a board point; none where the camera does not show it.
+/// Corners of one picture, px, one entry a board point; none where the camera does not show it.
+pub type Corners = Vec<Option<Vector2<f64>>>;
+
+/// Corners of one view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardView {
     /// Name for messages.
     pub name: String,
-    /// Left camera.
-    pub left: Vec<Option<Vector2<f64>>>,
-    /// Right camera.
-    pub right: Vec<Option<Vector2<f64>>>,
+    /// Left and right camera.
+    pub corners: [Corners; 2],
 }
 
 /// What is estimated.
@@ -64,6 +67,14 @@ pub struct BundleState {
 }
 
 impl BundleState {
+    /// Pose of a view's board in a camera's frame (0 left, 1 right).
+    pub(crate) fn camera_from_board(&self, camera: usize, view: usize) -> Isometry3<f64> {
+        match camera {
+            0 => self.left_from_board[view],
+            _ => self.right_from_left * self.left_from_board[view],
+        }
+    }
+
     /// Both cameras have a lens of one model.
     fn layout(&self) -> Layout {
         Layout {
@@ -72,38 +83,26 @@ impl BundleState {
     }
 }
 
-/// Which shared parameters are estimated.
+/// Which shared parameters are estimated beside the boards' poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Free {
-    /// Left intrinsics.
-    pub left: bool,
-    /// Right intrinsics.
-    pub right: bool,
-    /// Relative pose.
-    pub extrinsic: bool,
-    /// Board warp.
-    pub warp: bool,
+pub enum Free {
+    /// None.
+    Poses,
+    /// Those of the left camera.
+    Left,
+    /// All, with or without the board's warp.
+    All(bool),
 }
 
 impl Free {
-    /// Everything, with or without warp.
-    pub fn all(warp: bool) -> Self {
-        Self {
-            left: true,
-            right: true,
-            extrinsic: true,
-            warp,
+    /// How many they are; they come first.
+    fn count(self, layout: Layout) -> usize {
+        match self {
+            Self::Poses => 0,
+            Self::Left => layout.intrinsics,
+            Self::All(false) => layout.warp(),
+            Self::All(true) => layout.shared(),
         }
-    }
-
-    fn mask(self, layout: Layout) -> Vec<bool> {
-        let place = |k: usize| match k {
-            k if k < layout.intrinsics => self.left,
-            k if k < layout.extrinsic() => self.right,
-            k if k < layout.warp() => self.extrinsic,
-            _ => self.warp,
-        };
-        (0..layout.shared()).map(place).collect()
     }
 }
 
@@ -156,19 +155,19 @@ fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Normal equations. Plain arrays: matrices of this width as nalgebra types unroll into minutes of
-/// compilation.
+/// Normal equations, of which the first `free` shared parameters are estimated.
 struct Normal {
     cost: f64,
     corners: usize,
-    shared: Vec<Vec<f64>>,
-    shared_gradient: Vec<f64>,
+    free: usize,
+    shared: DMatrix<f64>,
+    gradient: DVector<f64>,
     views: Vec<ViewNormal>,
 }
 
 /// The part of one view: coupling with the shared parameters, own block, own right-hand side.
 struct ViewNormal {
-    cross: Vec<[f64; 6]>,
+    cross: MatrixXx6<f64>,
     own: Matrix6<f64>,
     gradient: Vector6<f64>,
 }
@@ -190,31 +189,13 @@ pub fn residuals(
     observed: &BoardView,
 ) -> [Vec<Option<Vector2<f64>>>; 2] {
     let board = warped(points, &warp_shapes(points), state.warp);
-    let left_from_board = &state.left_from_board[view];
-    [&observed.left, &observed.right]
-        .map(|side| side.clone())
-        .into_iter()
-        .enumerate()
-        .map(|(c, side)| {
-            let pose = if c == 0 {
-                *left_from_board
-            } else {
-                state.right_from_left * left_from_board
-            };
-            side.iter()
-                .zip(&board)
-                .map(|(px, p)| {
-                    Some(
-                        px.as_ref()?
-                            - state.cameras[c]
-                                .project(&(pose * nalgebra::Point3::from(*p)).coords)?,
-                    )
-                })
-                .collect::<Vec<_>>()
-        })
-        .collect::<Vec<_>>()
-        .try_into()
-        .unwrap_or_default()
+    [0, 1].map(|c| {
+        let pose = state.camera_from_board(c, view);
+        let off = |(px, p): (&Option<Vector2<f64>>, &Vector3<f64>)| {
+            Some(px.as_ref()? - state.cameras[c].project(&(pose * Point3::from(*p)).coords)?)
+        };
+        observed.corners[c].iter().zip(&board).map(off).collect()
+    })
 }
 
 fn linearise(
@@ -222,6 +203,7 @@ fn linearise(
     points: &[Vector3<f64>],
     shapes: &[[f64; 2]],
     views: &[BoardView],
+    free: Free,
 ) -> Normal {
     let board = warped(points, shapes, state.warp);
     let extrinsic = state.right_from_left.rotation.to_rotation_matrix();
@@ -229,26 +211,29 @@ fn linearise(
     let mut n = Normal {
         cost: 0.0,
         corners: 0,
-        shared: vec![vec![0.0; layout.shared()]; layout.shared()],
-        shared_gradient: vec![0.0; layout.shared()],
+        free: free.count(layout),
+        shared: DMatrix::zeros(layout.shared(), layout.shared()),
+        gradient: DVector::zeros(layout.shared()),
         views: Vec::with_capacity(views.len()),
     };
     for (view, pose) in views.iter().zip(&state.left_from_board) {
         let rotation = pose.rotation.to_rotation_matrix();
-        let normal_axis = rotation.matrix().column(2).into_owned();
-        let mut part = ViewNormal {
-            cross: vec![[0.0; 6]; layout.shared()],
-            own: Matrix6::zeros(),
-            gradient: Vector6::zeros(),
-        };
+        // Two rows a corner: derivatives by the shared parameters and by the board's pose, and the
+        // residual.
+        let rows = 2 * view.corners.iter().flatten().flatten().count();
+        let mut by_shared = DMatrix::zeros(rows, layout.shared());
+        let mut by_pose = MatrixXx6::zeros(rows);
+        let mut errors = DVector::zeros(rows);
+        let mut row = 0;
         for (k, p) in board.iter().enumerate() {
             let rotated = rotation * p;
             let in_left = rotated + pose.translation.vector;
+            // The chain of frames: board, left camera, right camera.
             let in_right = extrinsic * in_left + state.right_from_left.translation.vector;
-            for (side, observed, x) in
-                [(0, &view.left[k], &in_left), (1, &view.right[k], &in_right)]
-            {
-                let Some(px) = observed else { continue };
+            for (side, x) in [in_left, in_right].iter().enumerate() {
+                let Some(px) = &view.corners[side][k] else {
+                    continue;
+                };
                 let Some((predicted, by_point, by_camera)) =
                     state.cameras[side].project_with_jacobian(x)
                 else {
@@ -256,186 +241,102 @@ fn linearise(
                     n.cost = f64::INFINITY;
                     continue;
                 };
-                let e = px - predicted;
-                n.cost += e.norm_squared();
-                n.corners += 1;
-                // Nonzero columns only, with their place among all: this camera, the relative pose,
-                // the warp.
-                let mut columns = [(0, [0.0; 2]); MAX_INTRINSICS + 8];
-                let mut count = 0;
-                let mut push = |place: usize, x: f64, y: f64| {
-                    columns[count] = (place, [x, y]);
-                    count += 1;
-                };
-                for k in 0..layout.intrinsics {
-                    push(
-                        side * layout.intrinsics + k,
-                        by_camera[(0, k)],
-                        by_camera[(1, k)],
-                    );
+                errors.fixed_rows_mut::<2>(row).copy_from(&(px - predicted));
+                by_shared
+                    .view_mut((row, side * layout.intrinsics), (2, layout.intrinsics))
+                    .copy_from(&by_camera.columns(0, layout.intrinsics));
+                let mut by_left = by_point;
+                if side == 1 {
+                    let mut by_extrinsic =
+                        by_shared.fixed_view_mut::<2, 6>(row, layout.extrinsic());
+                    let by_turn = -by_point * (extrinsic * in_left).cross_matrix();
+                    by_extrinsic.fixed_columns_mut::<3>(0).copy_from(&by_turn);
+                    by_extrinsic.fixed_columns_mut::<3>(3).copy_from(&by_point);
+                    by_left = by_point * extrinsic.matrix();
                 }
-                let by_left: Matrix2x3<f64> = if side == 1 {
-                    let by_turn = -by_point * hat(&(extrinsic * in_left));
-                    for k in 0..3 {
-                        push(layout.extrinsic() + k, by_turn[(0, k)], by_turn[(1, k)]);
-                        push(
-                            layout.extrinsic() + 3 + k,
-                            by_point[(0, k)],
-                            by_point[(1, k)],
-                        );
-                    }
-                    by_point * extrinsic.matrix()
-                } else {
-                    by_point
-                };
                 // The warp moves the point along the board's normal.
-                let along = by_left * normal_axis;
-                for (w, shape) in shapes[k].iter().enumerate() {
-                    push(layout.warp() + w, along.x * shape, along.y * shape);
-                }
-                let by_turn = -by_left * hat(&rotated);
-                let own: [[f64; 6]; 2] = std::array::from_fn(|r| {
-                    std::array::from_fn(|c| {
-                        if c < 3 {
-                            by_turn[(r, c)]
-                        } else {
-                            by_left[(r, c - 3)]
-                        }
-                    })
-                });
-                n.accumulate(&mut part, &columns[..count], &own, [e.x, e.y]);
+                let along = by_left * rotation.matrix().column(2);
+                let mut by_warp = by_shared.fixed_view_mut::<2, 2>(row, layout.warp());
+                by_warp.copy_from(&(along * RowVector2::from(shapes[k])));
+                let mut own = by_pose.fixed_rows_mut::<2>(row);
+                own.fixed_columns_mut::<3>(0)
+                    .copy_from(&(-by_left * rotated.cross_matrix()));
+                own.fixed_columns_mut::<3>(3).copy_from(&by_left);
+                row += 2;
             }
         }
-        n.views.push(part);
+        n.cost += errors.norm_squared();
+        n.corners += row / 2;
+        n.shared += by_shared.tr_mul(&by_shared);
+        n.gradient += by_shared.tr_mul(&errors);
+        n.views.push(ViewNormal {
+            cross: by_shared.tr_mul(&by_pose),
+            own: by_pose.tr_mul(&by_pose),
+            gradient: by_pose.tr_mul(&errors),
+        });
     }
     n
-}
-
-impl Normal {
-    /// Adds one corner: its columns of the shared parameters, its rows of the view's pose, its
-    /// residual.
-    fn accumulate(
-        &mut self,
-        view: &mut ViewNormal,
-        columns: &[(usize, [f64; 2])],
-        own: &[[f64; 6]; 2],
-        e: [f64; 2],
-    ) {
-        for (i, a) in columns {
-            for (j, b) in columns {
-                self.shared[*i][*j] += a[0] * b[0] + a[1] * b[1];
-            }
-            self.shared_gradient[*i] += a[0] * e[0] + a[1] * e[1];
-            for k in 0..6 {
-                view.cross[*i][k] += a[0] * own[0][k] + a[1] * own[1][k];
-            }
-        }
-        for k in 0..6 {
-            for l in 0..6 {
-                view.own[(k, l)] += own[0][k] * own[0][l] + own[1][k] * own[1][l];
-            }
-            view.gradient[k] += own[0][k] * e[0] + own[1][k] * e[1];
-        }
-    }
 }
 
 /// Shared step, board steps and the reduced normal matrix of the shared parameters.
 type SharedStep = (DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>);
 
-/// Solves for the shared step and the view steps with damping `lambda`; none where the normal
-/// matrix is singular.
-fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
-    let free: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
-    let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| {
-        normal.shared[free[i]][free[j]]
-    });
-    for i in 0..free.len() {
-        schur[(i, i)] *= 1.0 + lambda;
+impl Linearised for Normal {
+    type Step = SharedStep;
+
+    fn cost(&self) -> f64 {
+        self.cost
     }
-    let mut rhs = DVector::<f64>::from_fn(free.len(), |i, _| normal.shared_gradient[free[i]]);
-    let mut eliminated = Vec::with_capacity(normal.views.len());
-    // Schur complement: the board poses couple only through the shared parameters, so that each is
-    // eliminated by its own 6 x 6 block.
-    for ViewNormal {
-        cross,
-        own,
-        gradient,
-    } in &normal.views
-    {
-        let mut damped = *own;
-        for k in 0..6 {
-            damped[(k, k)] *= 1.0 + lambda;
+
+    fn step(&self, damping: f64) -> Option<SharedStep> {
+        let n = self.free;
+        let mut schur = self.shared.view((0, 0), (n, n)).into_owned();
+        for i in 0..n {
+            schur[(i, i)] *= 1.0 + damping;
         }
-        let inverse = damped.cholesky()?.inverse();
-        let w = DMatrix::<f64>::from_fn(free.len(), 6, |i, j| cross[free[i]][j]);
-        let wi = &w * DMatrix::from_iterator(6, 6, inverse.iter().copied());
-        schur -= &wi * w.transpose();
-        rhs -= &wi * DVector::from_column_slice(gradient.as_slice());
-        eliminated.push((inverse, w));
+        let mut rhs = self.gradient.rows(0, n).into_owned();
+        let mut inverses = Vec::with_capacity(self.views.len());
+        // Schur complement: the board poses couple only through the shared parameters, so that each
+        // is eliminated by its own 6 x 6 block.
+        for view in &self.views {
+            let mut damped = view.own;
+            for k in 0..6 {
+                damped[(k, k)] *= 1.0 + damping;
+            }
+            let inverse = damped.cholesky()?.inverse();
+            let cross = view.cross.rows(0, n);
+            let carried = &cross * inverse;
+            schur -= &carried * cross.transpose();
+            rhs -= carried * view.gradient;
+            inverses.push(inverse);
+        }
+        let shared = schur.clone().cholesky()?.solve(&rhs);
+        let coupled = |view: &ViewNormal| view.gradient - view.cross.rows(0, n).tr_mul(&shared);
+        let views = inverses.iter().zip(&self.views);
+        let views = views
+            .map(|(inverse, view)| inverse * coupled(view))
+            .collect();
+        let shared = shared.resize_vertically(self.gradient.len(), 0.0);
+        Some((shared, views, schur))
     }
-    let shared = if free.is_empty() {
-        rhs
-    } else {
-        schur.clone().cholesky()?.solve(&rhs)
-    };
-    let views = eliminated
-        .iter()
-        .zip(&normal.views)
-        .map(|((inverse, w), ViewNormal { gradient, .. })| {
-            let coupled = w.transpose() * &shared;
-            inverse * (gradient - Vector6::from_column_slice(coupled.as_slice()))
-        })
-        .collect();
-    let mut full = DVector::<f64>::zeros(mask.len());
-    for (i, &k) in free.iter().enumerate() {
-        full[k] = shared[i];
-    }
-    Some((full, views, schur))
 }
 
 fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -> BundleState {
     let layout = state.layout();
     let camera = |c: usize| {
-        let mut p = state.cameras[c].parameters();
-        for (k, value) in p.iter_mut().enumerate() {
-            *value += shared[c * layout.intrinsics + k];
-        }
-        state.cameras[c].with_parameters(&p)
+        let own = shared.rows(c * layout.intrinsics, layout.intrinsics);
+        let parameters = DVector::from_vec(state.cameras[c].parameters()) + own;
+        state.cameras[c].with_parameters(parameters.as_slice())
     };
+    let poses = state.left_from_board.iter().zip(views);
     BundleState {
         cameras: [camera(0), camera(1)],
         right_from_left: updated(
             &state.right_from_left,
-            &Vector6::from_fn(|k, _| shared[layout.extrinsic() + k]),
+            &shared.fixed_rows::<6>(layout.extrinsic()).into_owned(),
         ),
-        warp: [
-            state.warp[0] + shared[layout.warp()],
-            state.warp[1] + shared[layout.warp() + 1],
-        ],
-        left_from_board: state
-            .left_from_board
-            .iter()
-            .zip(views)
-            .map(|(p, s)| updated(p, s))
-            .collect(),
-    }
-}
-
-/// The problem with the parameters that are free.
-struct Masked<'a> {
-    normal: Normal,
-    mask: &'a [bool],
-}
-
-impl Linearised for Masked<'_> {
-    type Step = SharedStep;
-
-    fn cost(&self) -> f64 {
-        self.normal.cost
-    }
-
-    fn step(&self, damping: f64) -> Option<SharedStep> {
-        step(&self.normal, self.mask, damping)
+        warp: [0, 1].map(|k| state.warp[k] + shared[layout.warp() + k]),
+        left_from_board: poses.map(|(p, s)| updated(p, s)).collect(),
     }
 }
 
@@ -451,19 +352,14 @@ pub fn solve(
     free: Free,
 ) -> BundleSolution {
     let shapes = warp_shapes(points);
-    let mask = free.mask(start.layout());
     let damping = Damping {
-        start: 1e-3,
         shrink: 0.1,
         min: 1e-12,
-        grow: 10.0,
         max: 1e10,
         max_steps: 100,
+        ..Damping::default()
     };
-    let linearised = |state: &BundleState| Masked {
-        normal: linearise(state, points, &shapes, views),
-        mask: &mask,
-    };
+    let linearised = |state: &BundleState| linearise(state, points, &shapes, views, free);
     let first = linearised(&start);
     let found = minimise(
         (start, first),
@@ -473,32 +369,24 @@ pub fn solve(
         |_, [before, after]| before - after < 1e-12 * after.max(1e-300),
     );
     // A step that changes nothing any more (rounding) is the end, not a failure.
-    let (state, normal) = (found.place, found.at.normal);
+    let (state, normal) = (found.place, found.at);
     let converged = match found.ending {
         Ending::Converged => true,
         Ending::Stalled => normal.cost.is_finite(),
         Ending::Singular | Ending::Exhausted => false,
     };
-    let count = mask.iter().filter(|&&m| m).count();
-    let redundancy = (2 * normal.corners) as f64 - (count + 6 * views.len()) as f64;
+    let (free, all) = (normal.free, normal.gradient.len());
+    // The residual variance scales the covariance: the corners' noise is not known beforehand.
+    let redundancy = (2 * normal.corners) as f64 - (free + 6 * views.len()) as f64;
     let variance = normal.cost / redundancy.max(1.0);
-    let mut covariance = DMatrix::<f64>::zeros(mask.len(), mask.len());
-    let indices: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
-    let inverse = step(&normal, &mask, 0.0)
-        .and_then(|s| s.2.cholesky())
-        .map(|c| c.inverse());
-    for (i, &a) in indices.iter().enumerate() {
-        for (j, &b) in indices.iter().enumerate() {
-            covariance[(a, b)] = inverse
-                .as_ref()
-                .map_or(f64::INFINITY, |m| m[(i, j)] * variance);
-        }
-    }
+    let inverse = normal.step(0.0).and_then(|step| step.2.cholesky());
+    let unknown = DMatrix::from_element(free, free, f64::INFINITY);
+    let covariance = inverse.map_or(unknown, |c| c.inverse() * variance);
     BundleSolution {
         converged,
         cost_px2: normal.cost,
         corners: normal.corners,
-        shared_covariance: covariance,
+        shared_covariance: covariance.resize(all, all, 0.0),
         state,
     }
 }

@@ -1,11 +1,11 @@
 //! Why a calibration is refused, and what makes a result weak.
 
-use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
-use crate::calibrate::initial::{Corners, MonoEstimate, consensus};
+use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Corners};
+use crate::calibrate::initial::{MonoEstimate, calibrate_alone, consensus};
 use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use crate::median::median;
-use nalgebra::{Isometry3, Vector2, Vector3};
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 /// The error for pairs of which no majority agrees on one relative pose.
 pub(crate) fn explain_disagreement(
@@ -15,42 +15,28 @@ pub(crate) fn explain_disagreement(
     mono_rms_px: f64,
     joint_rms_px: f64,
 ) -> VisionError {
-    let right: Vec<Corners> = views.iter().map(|v| v.right.clone()).collect();
+    let right: Vec<Corners> = views.iter().map(|v| v.corners[1].clone()).collect();
     let n = views.len();
     let (image_size_px, lens) = (mono[0].camera.image_size_px, mono[0].camera.lens);
     let score = |left: &MonoEstimate, right: &MonoEstimate, corners: &[Corners]| {
-        median(&consensus(points, left, right, corners).1)
+        median(consensus(points, left, right, corners).1)
     };
     let now = score(&mono[0], &mono[1], &right);
     let mut causes: Vec<(f64, String)> = Vec::new();
-    for shift in [1usize, n - 1] {
-        let rotated: Vec<usize> = (0..n).map(|k| (k + shift) % n).collect();
-        let other = MonoEstimate {
-            camera: mono[1].camera.clone(),
-            camera_from_board: rotated
-                .iter()
-                .map(|&k| mono[1].camera_from_board[k])
-                .collect(),
-            view_rms_px: mono[1].view_rms_px.clone(),
-        };
-        let corners: Vec<Corners> = rotated.iter().map(|&k| right[k].clone()).collect();
-        let frames = if shift == 1 {
-            "one picture late"
-        } else {
-            "one picture early"
-        };
+    for (shift, frames) in [(1, "late"), (n - 1, "early")] {
+        let (mut other, mut corners) = (mono[1].clone(), right.clone());
+        other.camera_from_board.rotate_left(shift);
+        corners.rotate_left(shift);
         causes.push((
             score(&mono[0], &other, &corners),
-            format!("the pairs are shifted: the left pictures are {frames} against the right ones"),
+            format!("the pairs are shifted: the left pictures are one picture {frames} against the right ones"),
         ));
     }
     let mirrored: Vec<Corners> = right
         .iter()
         .map(|c| mirror(points, c, image_size_px[0] as f64))
         .collect();
-    if let Ok(other) =
-        crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px, lens)
-    {
+    if let Ok(other) = calibrate_alone(points, &mirrored, image_size_px, lens) {
         causes.push((
             score(&mono[0], &other, &mirrored),
             "one camera's pictures are mirrored left to right".into(),
@@ -111,7 +97,8 @@ pub(crate) fn refuse_unphysical(
     if !solution.converged {
         return refuse("a solve that converges".into(), "one that does not".into());
     }
-    for (name, camera) in ["left", "right"].iter().zip(&solution.state.cameras) {
+    for (side, name) in ["left", "right"].iter().enumerate() {
+        let camera = &solution.state.cameras[side];
         let [w, h] = camera.image_size_px.map(|v| v as f64);
         let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.centre_px);
         if !(fx > 0.1 * w && fy > 0.1 * w && fx < 100.0 * w && fy < 100.0 * w) {
@@ -132,7 +119,10 @@ pub(crate) fn refuse_unphysical(
                 format!("({cx:.1}, {cy:.1})"),
             );
         }
-        if let Some(radius_px) = fold_radius(camera, views, *name == "left") {
+        if let Some(radius_px) = fold_radius(
+            camera,
+            views.iter().flat_map(|v| v.corners[side].iter().flatten()),
+        ) {
             return refuse(
                 format!(
                     "{name} camera: a distortion that does not fold over where the corners lie"
@@ -142,7 +132,8 @@ pub(crate) fn refuse_unphysical(
         }
     }
     let baseline = solution.state.right_from_left.translation.vector.norm();
-    let depth = mean_depth(points, &solution.state);
+    let depths = middle_depths(points, &solution.state);
+    let depth = depths.iter().sum::<f64>() / depths.len() as f64;
     let turn = solution.state.right_from_left.rotation.angle();
     if baseline < 0.002 * depth && turn < 0.002 {
         return refuse(
@@ -152,7 +143,8 @@ pub(crate) fn refuse_unphysical(
             ),
         );
     }
-    if solution.shared_covariance.iter().any(|v| !v.is_finite()) {
+    let one_view = tilt_spread_deg(&solution.state.left_from_board) < SAME_DEG;
+    if one_view || solution.shared_covariance.iter().any(|v| !v.is_finite()) {
         return refuse(
             "views that determine every parameter".into(),
             "a singular system (all boards parallel, or the same view again and again?)".into(),
@@ -175,18 +167,14 @@ pub(crate) fn refuse_unphysical(
 }
 
 /// Radius (px) at which the distorted radius stops growing, if that lies within the corners.
-fn fold_radius(camera: &Camera, views: &[BoardView], left: bool) -> Option<f64> {
-    let reach = views
-        .iter()
-        .flat_map(|v| if left { &v.left } else { &v.right })
-        .flatten()
-        .filter_map(|c| {
-            camera
-                .undistort(c)
-                .map(|n| n.norm())
-                .or(Some(f64::INFINITY))
-        })
+fn fold_radius<'a>(
+    camera: &Camera,
+    corners: impl Iterator<Item = &'a Vector2<f64>>,
+) -> Option<f64> {
+    let reach = corners
+        .map(|c| camera.undistort(c).map_or(f64::INFINITY, |n| n.norm()))
         .fold(0.0, f64::max);
+    // Beyond 71 degrees from the axis a pinhole's radius says nothing of the picture.
     let limit = reach.min(3.0);
     (1..=200)
         .map(|k| f64::from(k) / 200.0 * limit)
@@ -196,16 +184,19 @@ fn fold_radius(camera: &Camera, views: &[BoardView], left: bool) -> Option<f64> 
         })
 }
 
-fn mean_depth(points: &[Vector3<f64>], state: &BundleState) -> f64 {
-    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let depths: Vec<f64> = state
+/// Depths of the boards' middles.
+fn middle_depths(points: &[Vector3<f64>], state: &BundleState) -> Vec<f64> {
+    let centre = Point3::from(points.iter().sum::<Vector3<f64>>() / points.len() as f64);
+    state
         .left_from_board
         .iter()
-        .map(|p| (p * nalgebra::Point3::from(centre)).z)
-        .collect();
-    depths.iter().sum::<f64>() / depths.len().max(1) as f64
+        .map(|p| (p * centre).z)
+        .collect()
 }
 
+/// Angle between boards below which they are one view, whatever the corners' noise determines,
+/// degrees.
+const SAME_DEG: f64 = 0.1;
 /// Angle between boards that tells the focal length from the distance, degrees.
 const TILT_DEG: f64 = 20.0;
 
@@ -218,11 +209,7 @@ fn tilt_spread_deg(camera_from_board: &[Isometry3<f64>]) -> f64 {
         .collect();
     normals
         .iter()
-        .flat_map(|a| {
-            normals
-                .iter()
-                .map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees())
-        })
+        .flat_map(|a| normals.iter().map(move |b| a.angle(b).to_degrees()))
         .fold(0.0, f64::max)
 }
 
@@ -252,21 +239,10 @@ pub(crate) fn weak_geometry(
     if spread < TILT_DEG {
         warnings.push(format!("few tilts: the boards' normals differ by at most {spread:.1} deg; {TILT_DEG} deg or more fix the focal length"));
     }
-    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let depths: Vec<f64> = state
-        .left_from_board
-        .iter()
-        .flat_map(|p| {
-            points
-                .iter()
-                .map(move |q| (p * nalgebra::Point3::from(*q)).z)
-        })
-        .collect();
-    let (near, far) = depths
-        .iter()
-        .fold((f64::MAX, 0.0f64), |(n, f), &d| (n.min(d), f.max(d)));
-    let middle = (state.left_from_board[0] * nalgebra::Point3::from(centre)).z;
-    if (far - near) < 0.05 * middle {
+    let depths = |p: &Isometry3<f64>| points.iter().map(|q| (p * Point3::from(*q)).z).collect();
+    let depths = state.left_from_board.iter().flat_map::<Vec<f64>, _>(depths);
+    let (near, far) = depths.fold((f64::MAX, 0.0f64), |(n, f), d| (n.min(d), f.max(d)));
+    if (far - near) < 0.05 * middle_depths(points, state)[0] {
         warnings.push(format!(
             "one depth: all corners lie between {near:.1} and {far:.1} board units"
         ));
@@ -274,11 +250,7 @@ pub(crate) fn weak_geometry(
     for (name, side) in [("left", 0), ("right", 1)] {
         let [w, h] = state.cameras[side].image_size_px.map(|v| v as f64);
         let mut cells = [false; 48];
-        for c in views
-            .iter()
-            .flat_map(|v| if side == 0 { &v.left } else { &v.right })
-            .flatten()
-        {
+        for c in views.iter().flat_map(|v| v.corners[side].iter().flatten()) {
             let (i, j) = ((c.x / w * 8.0) as usize, (c.y / h * 6.0) as usize);
             cells[j.min(5) * 8 + i.min(7)] = true;
         }

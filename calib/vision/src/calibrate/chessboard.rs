@@ -3,9 +3,10 @@
 //! Beyond the outer corners the grid's homography predicts the squares' middles: alternating
 //! contrast there, compared with that inside, means a larger board than stated.
 
-use crate::calibrate::corner::{Corner, fit_corner};
+use crate::calibrate::bundle::Corners;
+use crate::calibrate::corner::fit_corner;
 use crate::error::{OpenCvContext, VisionError};
-use crate::homography::homography;
+use crate::homography::{homography, mapped};
 use crate::median::median;
 use crate::picture::Picture;
 use nalgebra::Vector2;
@@ -131,16 +132,8 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
     let (c, i, j) = (board.columns, k % board.columns, k / board.columns);
     let mut nearest = f64::INFINITY;
     let mut along = |here: usize, count: usize, stride: usize| {
-        let before = if here > 0 {
-            points[k - stride]
-        } else {
-            points[k]
-        };
-        let after = if here + 1 < count {
-            points[k + stride]
-        } else {
-            points[k]
-        };
+        let before = points[if here > 0 { k - stride } else { k }];
+        let after = points[if here + 1 < count { k + stride } else { k }];
         for d in [(before - points[k]).norm(), (after - points[k]).norm()] {
             if d > 0.0 {
                 nearest = nearest.min(d);
@@ -154,8 +147,8 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
 
 /// Refined corners ([`fit_corner`], twice: the finder's places are a pixel off); a corner that
 /// cannot be refined is none.
-pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Vec<Option<Corner>> {
-    let once = |start: &[Vector2<f64>]| -> Vec<Option<Corner>> {
+pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Corners {
+    let once = |start: &[Vector2<f64>]| -> Corners {
         (0..start.len())
             .into_par_iter()
             .map(|k| {
@@ -173,7 +166,7 @@ pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> V
     let start: Vec<Vector2<f64>> = found
         .iter()
         .zip(coarse)
-        .map(|(f, c)| f.as_ref().map_or(*c, |f| f.position_px))
+        .map(|(f, c)| f.unwrap_or(*c))
         .collect();
     once(&start)
 }
@@ -186,14 +179,9 @@ pub(crate) fn continues_beyond(
     points: &[Vector2<f64>],
 ) -> Option<&'static str> {
     let (c, r) = (board.columns as i64, board.rows as i64);
-    let indices: Vec<_> = (0..r * c)
-        .map(|k| Vector2::new((k % c) as f64, (k / c) as f64))
-        .collect();
-    let homography = homography(&indices, points)?;
-    let at = |x: f64, y: f64| {
-        let p = homography * nalgebra::Vector3::new(x, y, 1.0);
-        (p[0] / p[2], p[1] / p[2])
-    };
+    let cell = |k: i64| Vector2::new((k % c) as f64, (k / c) as f64);
+    let cells: Vec<_> = (0..r * c).map(cell).collect();
+    let homography = homography(&cells, points)?;
     // Contrast between the diagonals of a corner's four squares, with the sign of its place in the
     // grid; with `out` of the squares on that side only.
     let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
@@ -207,11 +195,11 @@ pub(crate) fn continues_beyond(
             if dx * out[0] + dy * out[1] < 0.0 {
                 continue;
             }
-            let (x, y) = at(i as f64 + dx, j as f64 + dy);
-            if !picture.contains(x, y, 1.0) {
+            let at = mapped(&homography, &Vector2::new(i as f64 + dx, j as f64 + dy))?;
+            if !picture.contains(at.x, at.y, 1.0) {
                 return None;
             }
-            sum += sign * picture.sample(x, y);
+            sum += sign * picture.sample(at.x, at.y);
         }
         Some(if (i + j).rem_euclid(2) == 0 {
             sum
@@ -224,7 +212,7 @@ pub(crate) fn continues_beyond(
             .iter()
             .filter_map(|&(i, j)| contrast(i, j, out))
             .collect();
-        (2 * values.len() >= cells.len().max(2)).then(|| median(&values))
+        (2 * values.len() >= cells.len().max(2)).then(|| median(values))
     };
     let inside = 0.5
         * typical(

@@ -10,17 +10,6 @@ use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 const PARAMETERS: usize = 9;
 
-/// A corner that was fitted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Corner {
-    /// Position, px.
-    pub position_px: Vector2<f64>,
-    /// Standard deviation of a coordinate (mean of both) from the residuals of the fit, px.
-    pub sd_px: f64,
-    /// Blur of the edges (sd of the Gaussian), px.
-    pub blur_px: f64,
-}
-
 /// Fits the corner near `start`. `sides` are the directions (px, any length) of the two rows of the
 /// board through the corner; `radius_px` the radius of the round window.
 ///
@@ -31,31 +20,27 @@ pub(crate) fn fit_corner(
     start: &Vector2<f64>,
     sides: [Vector2<f64>; 2],
     radius_px: f64,
-) -> Option<Corner> {
+) -> Option<Vector2<f64>> {
     if !picture.contains(start.x, start.y, radius_px + 2.0) {
         return None;
     }
     let (cx0, cy0) = (start.x.round(), start.y.round());
     let reach = radius_px.ceil() as i64;
-    let mut pixels = Vec::with_capacity(((2 * reach + 1) * (2 * reach + 1)) as usize);
+    let mut pixels = Vec::new();
     for dy in -reach..=reach {
         for dx in -reach..=reach {
             // A smooth edge of the window keeps the objective continuous as pixels enter.
             let r = ((dx * dx + dy * dy) as f64).sqrt();
             let weight = ((radius_px + 0.5 - r).clamp(0.0, 1.0)).sqrt();
             if weight > 0.0 {
-                pixels.push((
-                    dx as f64,
-                    dy as f64,
-                    picture.at(cx0 as i64 + dx, cy0 as i64 + dy),
-                    weight,
-                ));
+                let value = picture.at(cx0 as i64 + dx, cy0 as i64 + dy);
+                pixels.push((dx as f64, dy as f64, value, weight));
             }
         }
     }
-    let mean = pixels.iter().map(|p| p.2).sum::<f64>() / pixels.len() as f64;
-    let sd =
-        (pixels.iter().map(|p| (p.2 - mean).powi(2)).sum::<f64>() / pixels.len() as f64).sqrt();
+    let count = pixels.len() as f64;
+    let mean = pixels.iter().map(|p| p.2).sum::<f64>() / count;
+    let sd = (pixels.iter().map(|p| (p.2 - mean).powi(2)).sum::<f64>() / count).sqrt();
     let angles = sides.map(|s| s.y.atan2(s.x));
     let mut p = SVector::<f64, PARAMETERS>::from_row_slice(&[
         start.x - cx0,
@@ -70,7 +55,7 @@ pub(crate) fn fit_corner(
     ]);
     let sign: f64 = pixels
         .iter()
-        .map(|q| model(&p, q.0, q.1).1 * (q.2 - mean))
+        .map(|q| model(&p, q.0, q.1) * (q.2 - mean))
         .sum();
     p[5] = sd.copysign(sign);
     let settled = |step: &SVector<f64, PARAMETERS>, [before, after]: [f64; 2]| {
@@ -88,46 +73,25 @@ pub(crate) fn fit_corner(
     if found.ending == Ending::Singular {
         return None;
     }
-    let (
-        p,
-        NormalEquations {
-            cost,
-            matrix: normal,
-            ..
-        },
-    ) = (found.place, found.at);
+    let (p, cost) = (found.place, found.at.cost);
     let moved = Vector2::new(p[0] + cx0 - start.x, p[1] + cy0 - start.y);
-    let blur = p[6].exp();
-    if !cost.is_finite() || moved.norm() > 0.5 * radius_px || blur > radius_px {
-        return None;
-    }
-    let variance = cost / (pixels.len() as f64 - PARAMETERS as f64).max(1.0);
-    let covariance = normal.cholesky()?.inverse() * variance;
-    Some(Corner {
-        position_px: start + moved,
-        sd_px: (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt(),
-        blur_px: blur,
-    })
+    let sound = cost.is_finite() && moved.norm() <= 0.5 * radius_px && p[6].exp() <= radius_px;
+    sound.then(|| start + moved)
 }
 
-/// Signed distances from the two edges and the product of their profiles.
-fn model(p: &SVector<f64, PARAMETERS>, x: f64, y: f64) -> ([f64; 2], f64) {
+/// Product of the profiles of the two edges.
+fn model(p: &SVector<f64, PARAMETERS>, x: f64, y: f64) -> f64 {
     let (dx, dy, s) = (x - p[0], y - p[1], p[6].exp() * std::f64::consts::SQRT_2);
-    let e = [
-        -p[2].sin() * dx + p[2].cos() * dy,
-        -p[3].sin() * dx + p[3].cos() * dy,
-    ];
-    (e, erf_with_slope(e[0] / s).0 * erf_with_slope(e[1] / s).0)
+    let profile = |angle: f64| erf_with_slope((angle.cos() * dy - angle.sin() * dx) / s).0;
+    profile(p[2]) * profile(p[3])
 }
-
-type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
 fn linearise(
     p: &SVector<f64, PARAMETERS>,
     pixels: &[(f64, f64, f64, f64)],
 ) -> NormalEquations<Const<PARAMETERS>> {
     let mut cost = 0.0;
-    let mut normal = Normal::zeros();
+    let mut normal = SMatrix::<f64, PARAMETERS, PARAMETERS>::zeros();
     let mut gradient = SVector::<f64, PARAMETERS>::zeros();
     let s = p[6].exp() * std::f64::consts::SQRT_2;
     let (sin, cos) = ([p[2].sin(), p[3].sin()], [p[2].cos(), p[3].cos()]);
@@ -149,16 +113,12 @@ fn linearise(
             x,
             y,
         ]) * weight;
+        // Residual against the two crossing edges on a tilted plane of light.
         let residual = weight * (value - (p[4] + b * f[0] * f[1] + p[7] * x + p[8] * y));
         cost += residual * residual;
-        for i in 0..PARAMETERS {
-            for j in i..PARAMETERS {
-                normal[(i, j)] += row[i] * row[j];
-            }
-        }
+        normal += row * row.transpose();
         gradient.axpy(residual, &row, 1.0);
     }
-    normal.fill_lower_triangle_with_upper_triangle();
     NormalEquations {
         cost,
         matrix: normal,

@@ -1,7 +1,6 @@
 //! `stereo.json` (format `wcal-stereo/1`): written by `stereo-calibrate`, read by `stereo-shape`.
 
-use crate::camera::{Camera, PINHOLE_NAMES};
-use crate::camera::{MAX_COEFFICIENTS, OPENCV5, lens_named};
+use crate::camera::{Camera, Lens, OPENCV5, PINHOLE_NAMES, lens_named};
 use crate::error::VisionError;
 use crate::rigid::pose_from_rows;
 use crate::stereo::StereoCameras;
@@ -107,7 +106,7 @@ pub struct BoardDocument {
 }
 
 /// Two calibrated cameras.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct StereoDocument {
     /// Format and version.
     #[schemars(extend("const" = STEREO_FORMAT))]
@@ -176,11 +175,11 @@ impl StereoDocument {
     pub fn stereo_cameras(&self) -> Result<StereoCameras, String> {
         // Cameras of other programs come without a stereo.json.
         ranges::check_value(self, &[RANGES]).map_err(|e| e.to_string())?;
-        if self.cameras.len() != 2 {
+        let [left, right] = &self.cameras[..] else {
             return Err(format!("2 cameras expected, {} found", self.cameras.len()));
-        }
+        };
         let camera = |c: &CameraDocument| -> Result<Camera, String> {
-            let lens = lens_named(&c.distortion.model, |lens| lens.model())
+            let lens = lens_named(&c.distortion.model, Lens::model)
                 .map_err(|why| format!("camera {}: distortion.model: {why}", c.name))?;
             let (given, count) = (&c.distortion.coefficients, lens.coefficient_names().len());
             // OpenCV's four coefficients are its five without k3.
@@ -193,26 +192,18 @@ impl StereoDocument {
                     given.len()
                 ));
             }
-            let mut distortion = [0.0; MAX_COEFFICIENTS];
-            distortion[..given.len()].copy_from_slice(given);
-            let camera = Camera {
-                image_size_px: self.image_size_px,
-                focal_px: [c.k[0][0], c.k[1][1]],
-                centre_px: [c.k[0][2], c.k[1][2]],
-                lens,
-                distortion,
-            };
-            let p = camera.parameters();
+            let pinhole = [c.k[0][0], c.k[1][1], c.k[0][2], c.k[1][2]];
+            let p = [&pinhole[..], given].concat();
             if p.iter().any(|v| !v.is_finite()) || !(p[0] >= 1.0 && p[1] >= 1.0) {
                 return Err(format!(
                     "camera {}: K: focal lengths of 1 px or more expected, {} and {} found",
                     c.name, p[0], p[1]
                 ));
             }
-            Ok(camera)
+            Ok(Camera::new(self.image_size_px, lens, &p))
         };
         let mut stereo = StereoCameras {
-            cameras: [camera(&self.cameras[0])?, camera(&self.cameras[1])?],
+            cameras: [camera(left)?, camera(right)?],
             right_from_left: pose_from_rows(&self.right_from_left)
                 .ok_or("right_from_left: a rigid 4x4 transform expected")?,
             covariance: None,
@@ -229,26 +220,17 @@ impl StereoDocument {
         if !self.covariance.is_empty() {
             let n = stereo.parameters();
             covariance::check(&self.covariance, n).map_err(|why| format!("covariance: {why}"))?;
-            if let Some((k, variance)) = (0..n)
-                .map(|k| (k, self.covariance[k][k]))
-                .find(|(_, v)| *v > LARGEST_VARIANCE)
-            {
-                let expected = format!(
-                    "variances of at most {LARGEST_VARIANCE:e} (px, rad or mm, squared) expected"
-                );
+            if let Some(k) = (0..n).find(|&k| self.covariance[k][k] > LARGEST_VARIANCE) {
                 return Err(format!(
-                    "covariance: {expected}, {variance:e} found in row {}",
+                    "covariance: variances of at most {LARGEST_VARIANCE:e} (px, rad or mm, squared) expected, {:e} found in row {}",
+                    self.covariance[k][k],
                     k + 1
                 ));
             }
             stereo.covariance = Some(DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
         }
-        let negative = |c: &CameraDocument| {
-            c.sd.iter()
-                .find(|(_, sd)| !(**sd >= 0.0))
-                .map(|(n, v)| (n.clone(), *v))
-        };
-        if let Some((name, sd)) = self.cameras.iter().find_map(negative) {
+        let mut sds = self.cameras.iter().flat_map(|c| &c.sd);
+        if let Some((name, sd)) = sds.find(|(_, sd)| !(**sd >= 0.0)) {
             return Err(format!("sd of {name}: 0 or more expected, {sd} found"));
         }
         Ok(stereo)
@@ -257,10 +239,9 @@ impl StereoDocument {
 
 /// A camera as a document.
 pub(crate) fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocument {
-    let k = camera.matrix();
     CameraDocument {
         name: name.into(),
-        k: std::array::from_fn(|i| std::array::from_fn(|j| k[(i, j)])),
+        k: camera.matrix().transpose().into(),
         distortion: DistortionDocument {
             model: camera.lens.model().into(),
             coefficients: camera.parameters().split_off(PINHOLE_NAMES.len()),
@@ -268,7 +249,7 @@ pub(crate) fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> Camera
         sd: camera
             .parameter_names()
             .zip(sd)
-            .map(|(n, s)| (n.to_string(), *s))
+            .map(|(n, s)| (n.to_owned(), *s))
             .collect(),
     }
 }

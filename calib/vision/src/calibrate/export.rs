@@ -6,31 +6,30 @@ use crate::calibrate::import::KALIBR_COEFFICIENTS;
 use crate::camera::{Camera, FISHEYE, OPENCV5};
 use crate::error::{OpenCvContext, VisionError};
 use crate::stereo::StereoCameras;
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 use opencv::calib3d;
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use std::fmt::Write as _;
 use wcal_core::least_squares::{Damping, NormalEquations, minimise};
 
-fn numbers(values: impl IntoIterator<Item = f64>) -> String {
-    values
-        .into_iter()
-        .map(|v| format!("{v:e}"))
-        .collect::<Vec<_>>()
-        .join(", ")
+fn numbers(values: &[f64]) -> String {
+    let each: Vec<String> = values.iter().map(|v| format!("{v:e}")).collect();
+    each.join(", ")
 }
 
-fn matrix(
-    name: &str,
-    rows: usize,
-    columns: usize,
-    values: impl IntoIterator<Item = f64>,
-) -> String {
+fn matrix(name: &str, columns: usize, values: &[f64]) -> String {
     format!(
-        "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {} ]\n",
+        "{name}: !!opencv-matrix\n   rows: {}\n   cols: {columns}\n   dt: d\n   data: [ {} ]\n",
+        values.len() / columns,
         numbers(values)
     )
+}
+
+fn physical(document: &StereoDocument) -> Result<StereoCameras, VisionError> {
+    document
+        .stereo_cameras()
+        .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))
 }
 
 /// Names and contents of the export files. OpenCV: K1, D1, K2, D2, R, T (mm) as its stereo sample
@@ -39,9 +38,7 @@ fn matrix(
 /// # Errors
 /// Where the document is no calibration of two cameras.
 pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, VisionError> {
-    let stereo = document.stereo_cameras().map_err(|found| {
-        VisionError::result("export a calibration", "two physical cameras", found)
-    })?;
+    let stereo = physical(document)?;
     let t = &document.right_from_left;
     let [w, h] = document.image_size_px;
     let mark = if document.provenance.simulated {
@@ -56,42 +53,30 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let _ = writeln!(opencv, "distortion_model: {}", lens.model());
     }
     for (k, camera) in document.cameras.iter().enumerate() {
-        opencv += &matrix(
-            &format!("K{}", k + 1),
-            3,
-            3,
-            camera.k.iter().flatten().copied(),
-        );
+        opencv += &matrix(&format!("K{}", k + 1), 3, camera.k.as_flattened());
         let d = &camera.distortion.coefficients;
-        opencv += &matrix(&format!("D{}", k + 1), 1, d.len(), d.iter().copied());
+        opencv += &matrix(&format!("D{}", k + 1), d.len(), d);
     }
-    opencv += &matrix("R", 3, 3, (0..9).map(|k| t[k / 3][k % 3]));
-    opencv += &matrix("T", 3, 1, (0..3).map(|k| t[k][3]));
+    let turn: [[f64; 3]; 3] = [0, 1, 2].map(|k| [t[k][0], t[k][1], t[k][2]]);
+    opencv += &matrix("R", 3, turn.as_flattened());
+    opencv += &matrix("T", 1, &[0, 1, 2].map(|k| t[k][3]));
     let mut kalibr = mark.to_owned();
     for (k, (camera, full)) in document.cameras.iter().zip(&stereo.cameras).enumerate() {
-        let KalibrCamera {
-            camera: fitted,
-            farthest_px,
-        } = kalibr_camera(full);
-        let [fx, fy, cx, cy, d @ ..] = &fitted.parameters()[..] else {
-            continue;
-        };
+        let (fitted, farthest_px) = kalibr_camera(full);
+        let parameters = fitted.parameters();
+        let (pinhole, d) = parameters.split_at(4);
         let _ = writeln!(kalibr, "cam{k}:");
         if k == 1 {
             let _ = writeln!(kalibr, "  T_cn_cnm1:");
             for row in t {
-                let metres = [
-                    row[0],
-                    row[1],
-                    row[2],
-                    row[3] * if row == &t[3] { 1.0 } else { 1e-3 },
-                ];
-                let _ = writeln!(kalibr, "  - [{}]", numbers(metres));
+                let [x, y, z, shift] = *row;
+                let metres = if row == &t[3] { shift } else { shift * 1e-3 };
+                let _ = writeln!(kalibr, "  - [{}]", numbers(&[x, y, z, metres]));
             }
         }
         let _ = writeln!(kalibr, "  camera_model: pinhole");
         let _ = writeln!(kalibr, "  distortion_model: {}", lens.kalibr_model());
-        let coefficients = numbers(d.iter().take(KALIBR_COEFFICIENTS).copied());
+        let coefficients = numbers(&d[..KALIBR_COEFFICIENTS]);
         let _ = write!(kalibr, "  distortion_coeffs: [{coefficients}]");
         let _ = match lens == OPENCV5 {
             true => writeln!(
@@ -100,7 +85,7 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
             ),
             false => writeln!(kalibr),
         };
-        let _ = writeln!(kalibr, "  intrinsics: [{}]", numbers([*fx, *fy, *cx, *cy]));
+        let _ = writeln!(kalibr, "  intrinsics: [{}]", numbers(pinhole));
         let _ = writeln!(kalibr, "  resolution: [{w}, {h}]");
         let _ = writeln!(kalibr, "  rostopic: /{}/image_raw", camera.name);
     }
@@ -110,9 +95,10 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     ];
     let rectified = rectify(document, &stereo)?;
     for (camera, (rotation, projection)) in document.cameras.iter().zip(rectified) {
-        let ros_matrix = |name: &str, rows: usize, columns: usize, values: Vec<f64>| {
+        let ros_matrix = |name: &str, columns: usize, values: &[f64]| {
             format!(
-                "{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n",
+                "{name}:\n  rows: {}\n  cols: {columns}\n  data: [{}]\n",
+                values.len() / columns,
                 numbers(values)
             )
         };
@@ -120,36 +106,26 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
             "{mark}image_width: {w}\nimage_height: {h}\ncamera_name: {}\n",
             camera.name
         );
-        text += &ros_matrix(
-            "camera_matrix",
-            3,
-            3,
-            camera.k.iter().flatten().copied().collect(),
-        );
-        let d = camera.distortion.coefficients.clone();
+        text += &ros_matrix("camera_matrix", 3, camera.k.as_flattened());
+        let d = &camera.distortion.coefficients;
         let _ = writeln!(text, "distortion_model: {}", lens.ros_model());
-        text += &ros_matrix("distortion_coefficients", 1, d.len(), d);
-        text += &ros_matrix("rectification_matrix", 3, 3, rotation);
-        text += &ros_matrix("projection_matrix", 3, 4, projection);
+        text += &ros_matrix("distortion_coefficients", d.len(), d);
+        text += &ros_matrix("rectification_matrix", 3, &rotation);
+        text += &ros_matrix("projection_matrix", 4, &projection);
         files.push((format!("ros-{}.yaml", camera.name), text));
     }
     Ok(files)
 }
 
 /// A camera with the coefficients that Kalibr has, and how far its pixels lie from those of the
-/// camera that it stands for at most.
-struct KalibrCamera {
-    camera: Camera,
-    farthest_px: f64,
-}
-
-/// Kalibr's radtan has k1, k2, p1, p2. Without k3 the other four are another lens, since k2 and k3
-/// balance each other: these and the pinhole are fitted to the five-coefficient map, by least
-/// squares over the picture.
-fn kalibr_camera(full: &Camera) -> KalibrCamera {
+/// camera that it stands for at most. Kalibr's radtan has k1, k2, p1, p2. Without k3 the other four
+/// are another lens, since k2 and k3 balance each other: these and the pinhole are fitted to the
+/// five-coefficient map, by least squares over the picture.
+fn kalibr_camera(full: &Camera) -> (Camera, f64) {
     /// Places along a side of the picture.
     const GRID: usize = 21;
     let [w, h] = full.image_size_px.map(|size| size as f64);
+    // A grid over all of the picture: also its corners count.
     let place = |k: usize, size: f64| k as f64 * size / (GRID - 1) as f64 - 0.5;
     let seen: Vec<(Vector2<f64>, Vector3<f64>)> = (0..GRID * GRID)
         .map(|k| Vector2::new(place(k % GRID, w), place(k / GRID, h)))
@@ -178,13 +154,8 @@ fn kalibr_camera(full: &Camera) -> KalibrCamera {
         };
         if let Some(first) = linearise(&camera) {
             let moved = |camera: &Camera, _: &_, step: &SVector<f64, FREE>| {
-                let step = step.iter().copied().chain([0.0]);
-                let p: Vec<f64> = camera
-                    .parameters()
-                    .into_iter()
-                    .zip(step)
-                    .map(|(p, s)| p + s)
-                    .collect();
+                let p = camera.parameters();
+                let p: Vec<f64> = p.iter().zip(step.iter()).map(|(p, s)| p + s).collect();
                 camera.with_parameters(&p)
             };
             let ends = |_: &_, [before, after]: [f64; 2]| before - after < 1e-12 * after;
@@ -195,10 +166,7 @@ fn kalibr_camera(full: &Camera) -> KalibrCamera {
         .iter()
         .filter_map(|(px, ray)| Some((camera.project(ray)? - px).norm()));
     let farthest_px = apart.fold(0.0, f64::max);
-    KalibrCamera {
-        camera,
-        farthest_px,
-    }
+    (camera, farthest_px)
 }
 
 /// How far the pixels of kalibr-camchain.yaml lie from those of the calibration at most, px.
@@ -206,14 +174,8 @@ fn kalibr_camera(full: &Camera) -> KalibrCamera {
 /// # Errors
 /// Where the document is no calibration of two cameras.
 pub fn kalibr_distance_px(document: &StereoDocument) -> Result<f64, VisionError> {
-    let stereo = document.stereo_cameras().map_err(|found| {
-        VisionError::result("export a calibration", "two physical cameras", found)
-    })?;
-    Ok(stereo
-        .cameras
-        .iter()
-        .map(|camera| kalibr_camera(camera).farthest_px)
-        .fold(0.0, f64::max))
+    let [left, right] = physical(document)?.cameras;
+    Ok(kalibr_camera(&left).1.max(kalibr_camera(&right).1))
 }
 
 /// Rotation (3x3) and projection (3x4, metres) of a rectified camera, row by row.
@@ -227,24 +189,11 @@ fn rectify(
     let right_from_left = &stereo.right_from_left;
     let doing = "rectify the cameras";
     let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
-    // Of a lens that OpenCV does not have the pinholes behind it are rectified.
-    let (known, none) = (
-        [OPENCV5, FISHEYE].contains(&stereo.cameras[0].lens),
-        vec![0.0; 4],
-    );
-    let [d1, d2] = [0, 1].map(|c| {
-        if known {
-            &document.cameras[c].distortion.coefficients
-        } else {
-            &none
-        }
-    });
-    let (d1, d2) = (
-        Mat::from_slice(d1).doing(doing)?,
-        Mat::from_slice(d2).doing(doing)?,
-    );
-    let turn: Matrix3<f64> = right_from_left.rotation.to_rotation_matrix().into_inner();
-    let r = Mat::from_slice_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| turn[(i, j)]))).doing(doing)?;
+    let [d1, d2] = [0, 1].map(|c| Mat::from_slice(&document.cameras[c].distortion.coefficients));
+    let (d1, d2) = (d1.doing(doing)?, d2.doing(doing)?);
+    let turn = right_from_left.rotation.to_rotation_matrix().into_inner();
+    let turn: [[f64; 3]; 3] = turn.transpose().into();
+    let r = Mat::from_slice_2d(&turn).doing(doing)?;
     let t: [f64; 3] = (right_from_left.translation.vector * 1e-3).into();
     let t = Mat::from_slice_2d(&t.map(|v| [v])).doing(doing)?;
     let [w, h] = document.image_size_px.map(|n| n as i32);

@@ -35,12 +35,8 @@ pub fn calibrate_folders(
             seen,
         ));
     }
-    let (board, said) = match renumbered(board, &left) {
-        Some(Ok((board, said))) => (board, Some(said)),
-        Some(Err(said)) => (board.clone(), Some(said)),
-        None => (board.clone(), None),
-    };
-    let board = &board;
+    let (other, said) = renumbered(board, &left).unzip();
+    let board = &other.flatten().unwrap_or(board.clone());
     let layout = BoardLayout::new(board)?;
     let BoardPairs {
         size,
@@ -66,10 +62,13 @@ pub fn calibrate_folders(
     let enough = views.is_ok();
     let (mut solution, noise) = calibrate_as_stated(&files, &layout, views, image_size, lens)
         .map_err(|e| {
-            let e = if enough {
-                alike_after_half_a_turn(e, board)
-            } else {
-                e
+            let size = board.size;
+            let alike = board.pattern == Pattern::Chessboard && !size.orientation_is_unique();
+            let e = match enough && alike {
+                true => e.and(&format!(
+                    "; a board of {size} looks alike after half a turn: take one whose numbers of inner corners are odd and even"
+                )),
+                false => e,
             };
             with_rejections(e, said.as_deref(), &rejected)
         })?;
@@ -78,28 +77,6 @@ pub fn calibrate_folders(
     document.corner_noise_px = noise.rms_px.is_finite().then_some(noise.rms_px);
     document.rejected_views.splice(0..0, rejected);
     Ok((document, solution))
-}
-
-/// Adds to a refusal what a board that looks the same upside down may have to do with it.
-fn alike_after_half_a_turn(error: VisionError, board: &Board) -> VisionError {
-    match error {
-        VisionError::Result {
-            action,
-            expected,
-            found,
-        } if board.pattern == Pattern::Chessboard && !board.size.orientation_is_unique() => {
-            let found = format!(
-                "{found}; a board of {} looks alike after half a turn: take one whose numbers of inner corners are odd and even",
-                board.size
-            );
-            VisionError::Result {
-                action,
-                expected,
-                found,
-            }
-        }
-        other => other,
-    }
 }
 
 fn document(
@@ -148,7 +125,7 @@ fn document(
         },
         projection_sd_px: projection_sd(solution),
         covariance: (0..warp)
-            .map(|i| (0..warp).map(|j| covariance[(i, j)]).collect())
+            .map(|i| covariance.row(i).columns(0, warp).iter().copied().collect())
             .collect(),
         warnings: solution.warnings.clone(),
         provenance: wcal_core::Provenance::default(),
@@ -168,6 +145,7 @@ fn projection_sd(solution: &StereoSolution) -> Vec<Vec<Option<f64>>> {
             let place = |size: f64, k: u32| size * (f64::from(k) + 0.5) / 3.0;
             let ray = camera.ray(&Vector2::new(place(w, k % 3), place(h, k / 3)))?;
             let (_, _, by_camera) = camera.project_with_jacobian(&ray)?;
+            // Propagation of the intrinsics' covariance, mean over both coordinates.
             let j = by_camera.columns(0, intrinsics);
             Some(((j * block * j.transpose()).trace() / 2.0).sqrt()).filter(|sd| sd.is_finite())
         };

@@ -1,12 +1,11 @@
 //! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML).
 //! `export` writes them.
 
-use crate::calibrate::document::{
-    BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
-};
-use crate::camera::{Lens, OPENCV5, lens_named};
+use crate::calibrate::document::{STEREO_FORMAT, StereoDocument, camera_document};
+use crate::camera::{Camera, Lens, OPENCV5, lens_named};
 use crate::error::VisionError;
 use nalgebra::{Matrix3, Vector3};
+use std::num::ParseFloatError;
 use std::path::PathBuf;
 
 /// Most coefficients of a model of Kalibr's.
@@ -18,7 +17,7 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
         VisionError::content(
             name,
             format!("{key} with {count} numbers in brackets"),
-            found.to_string(),
+            found,
         )
     };
     let own_line = |(at, _): &(usize, &str)| {
@@ -28,16 +27,12 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
     let found = text.match_indices(&format!("{key}:")).find(own_line);
     let (start, _) = found.ok_or_else(|| missing("no such key"))?;
     let rest = &text[start..];
-    let open = rest.find('[').ok_or_else(|| missing("no bracket"))?;
-    let close = rest[open..]
-        .find(']')
-        .ok_or_else(|| missing("no closing bracket"))?
-        + open;
-    let values: Result<Vec<f64>, _> = rest[open + 1..close]
-        .split(',')
-        .map(|t| t.trim().parse::<f64>())
-        .collect();
-    let values = values.map_err(|e| missing(&e.to_string()))?;
+    let (_, rest) = rest.split_once('[').ok_or_else(|| missing("no bracket"))?;
+    let (numbers, _) = rest
+        .split_once(']')
+        .ok_or_else(|| missing("no closing bracket"))?;
+    let values: Result<Vec<f64>, _> = numbers.split(',').map(|t| t.trim().parse()).collect();
+    let values = values.map_err(|e: ParseFloatError| missing(&e.to_string()))?;
     if values.len() != count || values.iter().any(|v| !v.is_finite()) {
         return Err(missing(&format!("{} numbers", values.len())));
     }
@@ -50,21 +45,29 @@ fn named<'t>(text: &'t str, key: &str) -> Option<&'t str> {
         .find_map(|l| Some(l.trim().strip_prefix(key)?.strip_prefix(':')?.trim()))
 }
 
-fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
-    named(text, key)
-        .and_then(|v| v.parse().ok())
-        .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
+fn image_size(name: &str, text: &str) -> Result<[usize; 2], VisionError> {
+    let number = |key: &str| {
+        named(text, key)
+            .and_then(|v| v.parse().ok())
+            .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
+    };
+    Ok([number("image_width")?, number("image_height")?])
 }
 
-/// An imported camera.
-#[derive(Debug, Clone)]
-pub struct ImportedCamera {
-    /// `fx, fy, cx, cy`, px.
-    pub pinhole: [f64; 4],
-    /// Model of the lens.
-    pub lens: &'static dyn Lens,
-    /// Its coefficients.
-    pub coefficients: Vec<f64>,
+/// The model of the lens that a file names under `distortion_model`, by the names of its format.
+fn lens_of(
+    name: &str,
+    text: &str,
+    absent: &str,
+    by: fn(&'static dyn Lens) -> &'static str,
+) -> Result<&'static dyn Lens, VisionError> {
+    lens_named(named(text, "distortion_model").unwrap_or(absent), by)
+        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))
+}
+
+/// A camera by its matrix, row by row, and its coefficients.
+fn camera_of(size: [usize; 2], lens: &'static dyn Lens, m: &[f64], d: &[f64]) -> Camera {
+    Camera::new(size, lens, &[&[m[0], m[4], m[2], m[5]][..], d].concat())
 }
 
 /// A document from imported numbers; nothing is known of its errors.
@@ -73,42 +76,21 @@ pub struct ImportedCamera {
 /// Where the pose is not rigid, or the lenses are of two models.
 pub fn imported(
     name: &str,
-    image_size_px: [usize; 2],
-    cameras: [ImportedCamera; 2],
+    [left, right]: [Camera; 2],
     right_from_left: [[f64; 4]; 4],
 ) -> Result<StereoDocument, VisionError> {
-    let camera = |which: &str, numbers: ImportedCamera| {
-        let [fx, fy, cx, cy] = numbers.pinhole;
-        CameraDocument {
-            name: which.into(),
-            k: [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-            distortion: DistortionDocument {
-                model: numbers.lens.model().into(),
-                coefficients: numbers.coefficients,
-            },
-            sd: std::collections::BTreeMap::new(),
-        }
-    };
-    let [left, right] = cameras;
     let document = StereoDocument {
         format: STEREO_FORMAT.into(),
-        image_size_px,
-        cameras: vec![camera("left", left), camera("right", right)],
+        image_size_px: left.image_size_px,
+        cameras: vec![
+            camera_document("left", &left, &[]),
+            camera_document("right", &right, &[]),
+        ],
         right_from_left,
-        right_from_left_sd: Vec::new(),
-        rms_px: 0.0,
-        corner_noise_px: None,
-        per_view_rms_px: Vec::new(),
-        views: Vec::new(),
-        rejected_views: Vec::new(),
-        held_out: HeldOut::default(),
-        board: BoardDocument::default(),
-        projection_sd_px: Vec::new(),
-        covariance: Vec::new(),
         warnings: vec![format!(
             "imported from {name}: no residuals, no uncertainty"
         )],
-        provenance: wcal_core::Provenance::default(),
+        ..StereoDocument::default()
     };
     document
         .stereo_cameras()
@@ -125,18 +107,11 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
     let texts = paths
         .iter()
         .map(|path| {
-            wcal_core::files::read_text(path).map_err(|source| VisionError::Io {
-                action: "read",
-                path: path.display().to_string(),
-                source,
-            })
+            wcal_core::files::read_text(path).map_err(VisionError::io("read", path.display()))
         })
         .collect::<Result<Vec<String>, _>>()?;
-    let name = paths
-        .iter()
-        .map(|p| p.display().to_string())
-        .collect::<Vec<_>>()
-        .join(" and ");
+    let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
+    let name = names.join(" and ");
     match texts.as_slice() {
         [text] if text.trim_start().starts_with('{') => StereoDocument::parse(&name, text),
         [text] if text.contains("cam0:") => import_kalibr(&name, text),
@@ -164,36 +139,27 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
 /// # Errors
 /// Where a key is missing or malformed, or the cameras are not physical.
 pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
-    let model = named(text, "distortion_model").unwrap_or_else(|| OPENCV5.model());
-    let lens = lens_named(model, |lens| lens.model())
-        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
-    let camera = |k: usize| -> Result<ImportedCamera, VisionError> {
+    let lens = lens_of(name, text, OPENCV5.model(), Lens::model)?;
+    let size = image_size(name, text)?;
+    let camera = |k: usize| -> Result<Camera, VisionError> {
         let m = bracketed(name, text, &format!("M{k}"), 9)
             .or_else(|_| bracketed(name, text, &format!("K{k}"), 9))?;
-        let coefficients = bracketed(name, text, &format!("D{k}"), lens.coefficient_names().len())?;
-        Ok(ImportedCamera {
-            pinhole: [m[0], m[4], m[2], m[5]],
-            lens,
-            coefficients,
-        })
+        let d = bracketed(name, text, &format!("D{k}"), lens.coefficient_names().len())?;
+        Ok(camera_of(size, lens, &m, &d))
     };
     let (r, t) = (
         bracketed(name, text, "R", 9)?,
         bracketed(name, text, "T", 3)?,
     );
     let pose = pose_rows(&Matrix3::from_row_slice(&r), &Vector3::from_row_slice(&t));
-    let size = [
-        scalar(name, text, "image_width")?,
-        scalar(name, text, "image_height")?,
-    ];
-    imported(name, size, [camera(1)?, camera(2)?], pose)
+    imported(name, [camera(1)?, camera(2)?], pose)
 }
 
 /// The 4x4 rows of a turn, as it was stated, and a shift.
 fn pose_rows(r: &Matrix3<f64>, t: &Vector3<f64>) -> [[f64; 4]; 4] {
     let mut m = r.to_homogeneous();
     m.fixed_view_mut::<3, 1>(0, 3).copy_from(t);
-    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+    m.transpose().into()
 }
 
 /// Reads a Kalibr camchain with two pinhole cameras, both radtan or both equidistant (metres).
@@ -204,33 +170,18 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
     let (first, second) = text
         .split_once("cam1:")
         .ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
-    let camera = |part: &str| -> Result<ImportedCamera, VisionError> {
+    let size = bracketed(name, first, "resolution", 2)?;
+    let size = [size[0] as usize, size[1] as usize];
+    let camera = |part: &str| -> Result<Camera, VisionError> {
         let found = named(part, "camera_model").unwrap_or("none");
         if found != "pinhole" {
             return Err(VisionError::content(name, "camera_model: pinhole", found));
         }
-        let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| {
-            lens.kalibr_model()
-        })
-        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
-        let i = bracketed(name, part, "intrinsics", 4)?;
-        let count = lens.coefficient_names().len().min(KALIBR_COEFFICIENTS);
-        let mut coefficients = bracketed(name, part, "distortion_coeffs", count)?;
-        // The exporter writes k3 in addition to Kalibr's four coefficients.
-        if lens == OPENCV5 {
-            coefficients.push(
-                named(part, "k3")
-                    .and_then(|v| v.parse().ok())
-                    .unwrap_or(0.0),
-            );
-        }
-        Ok(ImportedCamera {
-            pinhole: [i[0], i[1], i[2], i[3]],
-            lens,
-            coefficients,
-        })
+        let lens = lens_of(name, part, "none", Lens::kalibr_model)?;
+        let pinhole = bracketed(name, part, "intrinsics", 4)?;
+        let d = bracketed(name, part, "distortion_coeffs", KALIBR_COEFFICIENTS)?;
+        Ok(Camera::new(size, lens, &[pinhole, d].concat()))
     };
-    let size = bracketed(name, first, "resolution", 2)?;
     let after = second
         .split_once("T_cn_cnm1:")
         .ok_or_else(|| VisionError::content(name, "T_cn_cnm1 of cam1", "none"))?
@@ -257,12 +208,7 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
     for row in pose.iter_mut().take(3) {
         row[3] *= 1e3;
     }
-    imported(
-        name,
-        [size[0] as usize, size[1] as usize],
-        [camera(first)?, camera(second)?],
-        pose,
-    )
+    imported(name, [camera(first)?, camera(second)?], pose)
 }
 
 /// Reads the two camera_info files of ROS, left and right (metres): the relative pose is in the
@@ -271,28 +217,20 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
 /// # Errors
 /// As [`import_opencv`]; other distortion models are refused by name.
 pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, VisionError> {
-    let mut sizes = [[0; 2]; 2];
-    let mut cameras = Vec::with_capacity(2);
-    let mut rotations = [Matrix3::zeros(); 2];
-    for (k, text) in texts.iter().enumerate() {
-        let lens = lens_named(named(text, "distortion_model").unwrap_or("none"), |lens| {
-            lens.ros_model()
-        })
-        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
-        sizes[k] = [
-            scalar(name, text, "image_width")?,
-            scalar(name, text, "image_height")?,
-        ];
+    let side = |text: &str| -> Result<(Camera, Matrix3<f64>), VisionError> {
+        let lens = lens_of(name, text, "none", Lens::ros_model)?;
+        let size = image_size(name, text)?;
         let m = bracketed(name, text, "camera_matrix", 9)?;
         let count = lens.coefficient_names().len();
-        let coefficients = bracketed(name, text, "distortion_coefficients", count)?;
-        cameras.push(ImportedCamera {
-            pinhole: [m[0], m[4], m[2], m[5]],
-            lens,
-            coefficients,
-        });
-        rotations[k] = Matrix3::from_row_slice(&bracketed(name, text, "rectification_matrix", 9)?);
-    }
+        let d = bracketed(name, text, "distortion_coefficients", count)?;
+        let rectifying = bracketed(name, text, "rectification_matrix", 9)?;
+        Ok((
+            camera_of(size, lens, &m, &d),
+            Matrix3::from_row_slice(&rectifying),
+        ))
+    };
+    let ((left, turn_left), (right, turn_right)) = (side(texts[0])?, side(texts[1])?);
+    let sizes = [left.image_size_px, right.image_size_px];
     if sizes[0] != sizes[1] {
         return Err(VisionError::content(
             name,
@@ -309,14 +247,7 @@ pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, Vision
             "none",
         ));
     }
-    let (r, t) = (
-        rotations[1].transpose() * rotations[0],
-        rotations[1].transpose() * baseline_mm,
-    );
-    let pose = pose_rows(&r, &t);
-    let [right, left] = [cameras.pop(), cameras.pop()];
-    let cameras = left
-        .zip(right)
-        .ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
-    imported(name, sizes[0], cameras.into(), pose)
+    let back = turn_right.transpose();
+    let pose = pose_rows(&(back * turn_left), &(back * baseline_mm));
+    imported(name, [left, right], pose)
 }

@@ -6,24 +6,20 @@
 //! ```
 //!
 //! The median bears nearly half of the views being wrong. Source: P. J. Rousseeuw, "Least Median of
-//! Squares Regression", J. Am. Stat. Assoc. 79 (1984) 871.
+//! Squares Regression", J. Am. Stat. Assoc. 79 (1984) 871; Z. Zhang, "A Flexible New Technique for
+//! Camera Calibration", IEEE PAMI 22 (2000).
 
-use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
-use crate::camera::Camera;
-use crate::camera::{Lens, MAX_COEFFICIENTS};
-use crate::error::{OpenCvContext, VisionError};
+use crate::calibrate::bundle::{
+    BoardView, BundleSolution, BundleState, Corners, Free, residuals, solve,
+};
+use crate::camera::{Camera, Lens};
+use crate::error::VisionError;
+use crate::homography::{homography, plane_pose};
 use crate::median::median;
-use crate::rigid::pose_from_parts;
-use nalgebra::{Isometry3, Matrix3, Rotation3, Vector2, Vector3};
-use opencv::calib3d;
-use opencv::core::{Mat, Point2f, Point3f, Size, Vector};
-use opencv::prelude::*;
-
-/// Corners of one picture, px, one entry a board point.
-pub(crate) type Corners = Vec<Option<Vector2<f64>>>;
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 /// One camera calibrated by itself.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) struct MonoEstimate {
     /// Camera.
     pub camera: Camera,
@@ -33,102 +29,67 @@ pub(crate) struct MonoEstimate {
     pub view_rms_px: Vec<f64>,
 }
 
-type ImageAndObject = (Vector<Point2f>, Vector<Point3f>);
-
-/// Corners that the picture shows, with their points on the board.
-fn visible(points: &[Vector3<f64>], corners: &Corners) -> ImageAndObject {
-    points
-        .iter()
-        .zip(corners)
-        .filter_map(|(p, c)| {
-            c.map(|c| {
-                (
-                    Point2f::new(c.x as f32, c.y as f32),
-                    Point3f::new(p.x as f32, p.y as f32, 0.0),
-                )
-            })
-        })
-        .unzip()
+/// Places on the board of the corners that a picture shows, and these as `of` takes them.
+fn shown(
+    points: &[Vector3<f64>],
+    corners: &Corners,
+    of: impl Fn(&Vector2<f64>) -> Option<Vector2<f64>>,
+) -> [Vec<Vector2<f64>>; 2] {
+    let pairs = points.iter().zip(corners);
+    let (plane, seen) = pairs
+        .filter_map(|(p, c)| Some((p.xy(), of(c.as_ref()?)?)))
+        .unzip();
+    [plane, seen]
 }
 
-/// Pose of a board seen by a known camera.
-///
-/// # Errors
-/// Where OpenCV fails or finds no pose.
+/// Pose of a board seen by a known camera; none where the corners tell none.
 fn board_pose(
     camera: &Camera,
     points: &[Vector3<f64>],
     corners: &Corners,
-) -> Result<Isometry3<f64>, VisionError> {
-    // The corners as a pinhole would see them: the solver models no lens distortion.
-    let straight: Corners = corners
-        .iter()
-        .map(|c| c.as_ref().and_then(|c| camera.undistorted_px(c)))
-        .collect();
-    let (image, object) = visible(points, &straight);
-    let k = camera.matrix();
-    let k = Mat::from_slice_2d(&[
-        [k[(0, 0)], 0.0, k[(0, 2)]],
-        [0.0, k[(1, 1)], k[(1, 2)]],
-        [0.0, 0.0, 1.0],
-    ])
-    .doing("camera matrix")?;
-    let d = Mat::default();
-    let (mut rvec, mut tvec) = (Vector::<f64>::new(), Vector::<f64>::new());
-    let ok = calib3d::solve_pnp(
-        &object,
-        &image,
-        &k,
-        &d,
-        &mut rvec,
-        &mut tvec,
-        false,
-        calib3d::SOLVEPNP_ITERATIVE,
-    )
-    .doing("solvePnP")?;
-    let vector = |v: &Vector<f64>| Vector3::from_iterator(v.iter());
-    if !ok || rvec.len() != 3 || rvec.iter().chain(tvec.iter()).any(|v| !v.is_finite()) {
-        return Err(VisionError::result(
-            "find the board's pose",
-            "a pose in front of the camera",
-            "none",
-        ));
+) -> Option<Isometry3<f64>> {
+    let [plane, seen] = shown(points, corners, |c| camera.undistort(c));
+    plane_pose(&plane, &seen)
+}
+
+/// Focal length, px, by which the homographies h of all boards are those of a pinhole with square
+/// pixels: h1 . w h2 = 0 and h1 . w h1 = h2 . w h2 with w = diag(1, 1, f^2), by least squares in
+/// 1 / f^2 (Zhang 2000, section 3.1). Not a number where they leave it open.
+fn focal_guess(points: &[Vector3<f64>], views: &[Corners], centre: &Vector2<f64>) -> f64 {
+    let (mut pp, mut pq) = (0.0, 0.0);
+    for corners in views {
+        let [plane, seen] = shown(points, corners, |c| Some(c - centre));
+        let Some(h) = homography(&plane, &seen) else {
+            continue;
+        };
+        let [a, b] = [0, 1].map(|k| h.column(k) / h[(2, 2)]);
+        let across = a.xy().dot(&b.xy());
+        let longer = a.xy().norm_squared() - b.xy().norm_squared();
+        for (p, q) in [(across, a.z * b.z), (longer, a.z * a.z - b.z * b.z)] {
+            pp += p * p;
+            pq += p * q;
+        }
     }
-    let rotation = Rotation3::from_scaled_axis(vector(&rvec));
-    let mut pose = pose_from_parts(rotation.matrix(), &vector(&tvec));
-    if pose.translation.z < 0.0 {
-        // The mirror solution behind the camera projects alike.
-        let flip = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
-        pose = pose_from_parts(&(rotation.matrix() * flip), &-pose.translation.vector);
-    }
-    Ok(pose)
+    (-pp / pq).sqrt()
 }
 
 /// RMS of a view over both pictures once its board pose is fitted to known cameras, px.
 pub(crate) fn both_rms(points: &[Vector3<f64>], state: &BundleState, view: &BoardView) -> f64 {
-    let Ok(pose) = board_pose(&state.cameras[0], points, &view.left) else {
+    let Some(pose) = board_pose(&state.cameras[0], points, &view.corners[0]) else {
         return f64::INFINITY;
     };
     let start = BundleState {
         left_from_board: vec![pose],
         ..state.clone()
     };
-    let none = Free {
-        left: false,
-        right: false,
-        extrinsic: false,
-        warp: false,
-    };
-    let solution = solve(points, std::slice::from_ref(view), start, none);
-    let [l, r] = residuals(&solution.state, points, 0, view);
-    let all: Vec<_> = l.into_iter().chain(r).collect();
-    view_rms(&all)
+    let solution = solve(points, std::slice::from_ref(view), start, Free::Poses);
+    view_rms(&residuals(&solution.state, points, 0, view).concat())
 }
 
 /// Calibrates one camera alone from `views`.
 ///
 /// # Errors
-/// Where fewer than three views are given, or OpenCV fails.
+/// Where fewer than three views are given, or none fits.
 pub(crate) fn calibrate_alone(
     points: &[Vector3<f64>],
     views: &[Corners],
@@ -142,81 +103,60 @@ pub(crate) fn calibrate_alone(
             views.len().to_string(),
         ));
     }
-    let (images, objects): (Vector<Vector<Point2f>>, Vector<Vector<Point3f>>) =
-        views.iter().map(|v| visible(points, v)).unzip();
-    let size = Size::new(image_size_px[0] as i32, image_size_px[1] as i32);
-    let k =
-        calib3d::init_camera_matrix_2d(&objects, &images, size, 1.0).doing("initCameraMatrix2D")?;
-    let guess = *k.at_2d::<f64>(0, 0).doing("initCameraMatrix2D")?;
+    let centre = Vector2::from(image_size_px.map(|size| 0.5 * (size as f64 - 1.0)));
+    let guess = focal_guess(points, views, &centre);
     let width = image_size_px[0] as f64;
-    let plausible = |f: f64| f.is_finite() && f > 0.2 * width && f < 50.0 * width;
-    // Nearly parallel boards leave the focal length open: then a ladder of values is tried.
-    let mut ladder: Vec<f64> = [0.7, 1.2, 2.5, 5.0, 0.35]
+    let plausible = |f: f64| f > 0.2 * width && f < 50.0 * width;
+    let bundle: Vec<BoardView> = views
         .iter()
-        .map(|s| s * width)
+        .map(|v| BoardView {
+            name: String::new(),
+            corners: [v.clone(), vec![None; points.len()]],
+        })
         .collect();
-    if plausible(guess) {
-        ladder.insert(0, guess);
-    }
-    let mut best: Option<(f64, MonoEstimate)> = None;
-    for focal in ladder {
-        let camera = Camera {
-            image_size_px,
-            focal_px: [focal; 2],
-            centre_px: [0.5 * (width - 1.0), 0.5 * (image_size_px[1] as f64 - 1.0)],
-            lens,
-            distortion: [0.0; MAX_COEFFICIENTS],
+    let mut best: Option<BundleSolution> = None;
+    // Nearly parallel boards leave the focal length open: then a ladder of values is tried.
+    let ladder = [0.7, 1.2, 2.5, 5.0, 0.35].map(|s| s * width);
+    for focal in Some(guess)
+        .filter(|f| plausible(*f))
+        .into_iter()
+        .chain(ladder)
+    {
+        let camera = Camera::new(image_size_px, lens, &[focal, focal, centre.x, centre.y]);
+        let poses = views.iter().map(|v| board_pose(&camera, points, v));
+        let Some(left_from_board) = poses.collect::<Option<Vec<_>>>() else {
+            continue;
         };
-        let poses: Result<Vec<_>, _> = views
-            .iter()
-            .map(|v| board_pose(&camera, points, v))
-            .collect();
-        let Ok(left_from_board) = poses else { continue };
-        let none = vec![None; points.len()];
-        let bundle: Vec<BoardView> = views
-            .iter()
-            .map(|v| BoardView {
-                name: String::new(),
-                left: v.clone(),
-                right: none.clone(),
-            })
-            .collect();
         let start = BundleState {
             cameras: [camera.clone(), camera],
             right_from_left: Isometry3::identity(),
             warp: [0.0; 2],
             left_from_board,
         };
-        let free = Free {
-            left: true,
-            right: false,
-            extrinsic: false,
-            warp: false,
-        };
-        let solution = solve(points, &bundle, start, free);
+        let solution = solve(points, &bundle, start, Free::Left);
         let cost = solution.cost_px2;
-        if cost.is_finite() && best.as_ref().is_none_or(|b| cost < b.0) {
-            let view_rms_px = (0..views.len())
-                .map(|v| view_rms(&residuals(&solution.state, points, v, &bundle[v])[0]))
-                .collect();
-            let estimate = MonoEstimate {
-                camera: solution.state.cameras[0].clone(),
-                camera_from_board: solution.state.left_from_board,
-                view_rms_px,
-            };
-            let good = plausible(estimate.camera.focal_px[0]);
-            best = Some((cost, estimate));
+        if cost.is_finite() && best.as_ref().is_none_or(|b| cost < b.cost_px2) {
+            let good = plausible(solution.state.cameras[0].focal_px[0]);
+            best = Some(solution);
             if good && plausible(guess) {
                 break;
             }
         }
     }
-    best.map(|b| b.1).ok_or_else(|| {
-        VisionError::result(
-            "calibrate a camera",
-            "a finite solution",
-            "none from any starting focal length",
-        )
+    let state = best
+        .ok_or_else(|| {
+            VisionError::result(
+                "calibrate a camera",
+                "a finite solution",
+                "none from any starting focal length",
+            )
+        })?
+        .state;
+    let rms = |v: usize| view_rms(&residuals(&state, points, v, &bundle[v])[0]);
+    Ok(MonoEstimate {
+        view_rms_px: (0..views.len()).map(rms).collect(),
+        camera: state.cameras[0].clone(),
+        camera_from_board: state.left_from_board,
     })
 }
 
@@ -243,19 +183,10 @@ pub(crate) fn consensus(
             .zip(right_corners)
             .map(|(pose, corners)| {
                 let all = relative * pose;
-                let errors: Vec<_> = corners
-                    .iter()
-                    .zip(points)
-                    .map(|(c, p)| {
-                        Some(
-                            (*c)?
-                                - right
-                                    .camera
-                                    .project(&(all * nalgebra::Point3::from(*p)).coords)?,
-                        )
-                    })
-                    .collect();
-                view_rms(&errors)
+                let off = |(c, p): (&Option<Vector2<f64>>, &Vector3<f64>)| {
+                    Some((*c)? - right.camera.project(&(all * Point3::from(*p)).coords)?)
+                };
+                view_rms(&corners.iter().zip(points).map(off).collect::<Vec<_>>())
             })
             .collect()
     };
@@ -263,6 +194,7 @@ pub(crate) fn consensus(
         .iter()
         .zip(&right.camera_from_board)
         .map(|(l, r)| {
+            // Each view alone states the cameras' relative pose.
             let relative = r * l.inverse();
             let errors = transfer(&relative);
             (median(&errors), relative, errors)

@@ -2,16 +2,16 @@
 //! detector and AprilGrid by AprilTag, also partly hidden.
 
 use crate::calibrate::board::{Board, Pattern, TagOrder, board_points};
+use crate::calibrate::bundle::Corners;
 use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard, refine};
 use crate::calibrate::corner::fit_corner;
-use crate::calibrate::initial::Corners;
 use crate::calibrate::noise::GridPlace;
 use crate::error::{OpenCvContext, VisionError};
 use crate::homography::{homography, mapped};
 use crate::median::median;
 use crate::picture::Picture;
-use crate::tags::apriltag_ffi::WIDE_BORDER;
-use crate::tags::detection::{Search, Tag, find_tags};
+use crate::tags::apriltag_ffi::{Tag, WIDE_BORDER};
+use crate::tags::detection::{Search, find_tags};
 use crate::tags::tag_corners;
 use nalgebra::{Vector2, Vector3};
 use opencv::aruco::{
@@ -107,14 +107,9 @@ impl BoardLayout {
                     } else {
                         (k % columns, k / columns)
                     };
-                    let signed = |step: usize, positive: bool| {
-                        if positive {
-                            step as f64
-                        } else {
-                            -(step as f64)
-                        }
-                    };
-                    let cell = Vector2::new(signed(i, !from_right), signed(j, from_top));
+                    let [right, down] =
+                        [!from_right, from_top].map(|positive| if positive { 1.0 } else { -1.0 });
+                    let cell = Vector2::new(right * i as f64, down * j as f64);
                     let centre = cell.push(0.0) * (board.square_mm + gap_mm);
                     let corners = tag_corners(board.square_mm);
                     (0..4).map(move |kind| (corners[kind] + centre, GridPlace { cell, kind }))
@@ -208,13 +203,8 @@ pub fn corners(board: &BoardLayout, picture: &Picture) -> Result<MarkerView, Str
     let found = match &board.board.pattern {
         Pattern::Chessboard => {
             let size = board.board.size;
-            let corners = refine(picture, size, &whole_board(picture, size)?);
-            let corners = corners
-                .into_iter()
-                .map(|c| c.map(|c| c.position_px))
-                .collect();
             return Ok(MarkerView {
-                corners,
+                corners: refine(picture, size, &whole_board(picture, size)?),
                 ..MarkerView::default()
             });
         }
@@ -332,7 +322,6 @@ fn charuco_corners(
                     (clear * u.norm().min(v.norm())).max(3.0),
                 )
             })
-            .map(|f| f.position_px)
             .or(Some(here));
     }
     let marker_share = marker_share(board.size, &out, &marker_corners);
@@ -356,19 +345,16 @@ fn marker_share(
     let (cells, at): (Vec<_>, Vec<_>) = seen.unzip();
     let back = homography(&cells, &at)?.try_inverse()?;
     let on_board = |p: Point2f| mapped(&back, &Vector2::new(f64::from(p.x), f64::from(p.y)));
-    let sides: Vec<f64> = markers
-        .iter()
-        .filter_map(|marker| {
-            let ends: Vec<_> = marker.iter().map(on_board).collect::<Option<_>>()?;
-            Some(
-                (0..4)
-                    .map(|k| (ends[(k + 1) % 4] - ends[k]).norm())
-                    .sum::<f64>()
-                    / 4.0,
-            )
-        })
-        .collect();
-    Some(median(&sides)).filter(|share| share.is_finite())
+    let side = |marker: Vector<Point2f>| {
+        let ends: Vec<_> = marker.iter().map(on_board).collect::<Option<_>>()?;
+        Some(
+            (0..4)
+                .map(|k| (ends[(k + 1) % 4] - ends[k]).norm())
+                .sum::<f64>()
+                / 4.0,
+        )
+    };
+    Some(median(markers.iter().filter_map(side))).filter(|share| share.is_finite())
 }
 
 impl BoardLayout {
@@ -513,21 +499,13 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
     }
 }
 
-/// The board with the first tag that its pictures show, where that is another than stated, and what
-/// is to be said of it; in words where they do not tell it.
-pub(crate) fn renumbered(
-    board: &Board,
-    pictures: &[&Path],
-) -> Option<Result<(Board, String), String>> {
+/// What is to be said of pictures that show other tags than stated, and the board with the first tag
+/// that they show where they tell it.
+pub(crate) fn renumbered(board: &Board, pictures: &[&Path]) -> Option<(Option<Board>, String)> {
     /// Pictures that are looked at, and those of them that show a number which is none by chance.
     const LOOK: usize = 8;
     const SEEN: usize = 2;
-    let Pattern::AprilGrid {
-        family,
-        order,
-        gap_mm,
-    } = &board.pattern
-    else {
+    let Pattern::AprilGrid { family, order, .. } = &board.pattern else {
         return None;
     };
     let tags = board.size.columns * board.size.rows;
@@ -552,24 +530,12 @@ pub(crate) fn renumbered(
         order.first
     );
     if (high - low) as usize + 1 != tags {
-        return Some(Err(format!(
-            "{seen} (--first-tag states the first, --board how many)"
-        )));
+        let why = format!("{seen} (--first-tag states the first, --board how many)");
+        return Some((None, why));
     }
-    let order = TagOrder {
-        first: low,
-        ..*order
-    };
-    let pattern = Pattern::AprilGrid {
-        family: family.clone(),
-        order,
-        gap_mm: *gap_mm,
-    };
-    Some(Ok((
-        Board {
-            pattern,
-            ..board.clone()
-        },
-        format!("{seen}: taken as --first-tag {low}"),
-    )))
+    let mut other = board.clone();
+    if let Pattern::AprilGrid { order, .. } = &mut other.pattern {
+        order.first = low;
+    }
+    Some((Some(other), format!("{seen}: taken as --first-tag {low}")))
 }

@@ -11,28 +11,38 @@
 //! board. Source of the idea: the residuals of calibration-free line and grid checks, Hartley and
 //! Zisserman, Multiple View Geometry, 2nd ed., 4.1 and 7.4.
 
-use crate::calibrate::bundle::BoardView;
-use crate::calibrate::initial::Corners;
+use crate::calibrate::bundle::{BoardView, Corners};
 use crate::homography::{homography, mapped};
 use crate::median::median;
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector2};
 
 /// Terms of a cubic in two coordinates.
-const TERMS: usize = 10;
+const POWERS: [[i32; 2]; 10] = [
+    [0, 0],
+    [1, 0],
+    [0, 1],
+    [2, 0],
+    [1, 1],
+    [0, 2],
+    [3, 0],
+    [2, 1],
+    [1, 2],
+    [0, 3],
+];
+const TERMS: usize = POWERS.len();
 /// Corners of one picture from which their scatter about the cubic is estimated.
 const FEWEST: usize = 2 * TERMS;
 /// Rounds in which homographies and the kinds' offsets settle.
 const ROUNDS: usize = 3;
 
 /// Place of a board's point: step of the grid, and kind.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(crate) struct GridPlace {
     pub cell: Vector2<f64>,
     pub kind: usize,
 }
 
 /// The corners' noise, and where each kind of corner is off its step of the grid, in steps.
-#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CornerNoise {
     /// Per-corner RMS (both coordinates), px, as the solve's `rms_px`; NaN where no picture shows
     /// enough corners.
@@ -44,25 +54,23 @@ pub(crate) struct CornerNoise {
 pub(crate) fn corner_noise(places: &[GridPlace], views: &[BoardView]) -> CornerNoise {
     let kinds = places.iter().map(|p| p.kind + 1).max().unwrap_or(1);
     let mut offsets = vec![Vector2::zeros(); kinds];
-    let pictures = || views.iter().flat_map(|v| [&v.left, &v.right]);
+    let pictures = || views.iter().flat_map(|v| &v.corners);
     for _ in 0..if kinds > 1 { ROUNDS } else { 0 } {
         let mut found: Vec<[Vec<f64>; 2]> = vec![Default::default(); kinds];
         for corners in pictures() {
             let Some((h, seen)) = grid_in_picture(places, &offsets, corners) else {
                 continue;
             };
-            let Some(back) = h.try_inverse() else {
-                continue;
-            };
+            let back = h.try_inverse();
             for (place, px) in seen {
-                let Some(at) = mapped(&back, &px) else {
-                    continue;
-                };
-                for axis in 0..2 {
-                    found[place.kind][axis].push(at[axis] - place.cell[axis]);
+                if let Some(at) = back.and_then(|back| mapped(&back, &px)) {
+                    let [x, y] = &mut found[place.kind];
+                    x.push(at.x - place.cell.x);
+                    y.push(at.y - place.cell.y);
                 }
             }
         }
+        // Medians: a corner that was taken wrongly does not move a kind.
         offsets = found
             .iter()
             .map(|f| Vector2::new(median(&f[0]), median(&f[1])))
@@ -77,15 +85,15 @@ pub(crate) fn corner_noise(places: &[GridPlace], views: &[BoardView]) -> CornerN
     }
 }
 
-pub(crate) type MarkerView = Vec<(GridPlace, Vector2<f64>)>;
+type Seen = Vec<(GridPlace, Vector2<f64>)>;
 
 /// The homography from steps to pixels in one picture, and the corners seen.
 fn grid_in_picture(
     places: &[GridPlace],
     offsets: &[Vector2<f64>],
     corners: &Corners,
-) -> Option<(nalgebra::Matrix3<f64>, MarkerView)> {
-    let seen: MarkerView = places
+) -> Option<(Matrix3<f64>, Seen)> {
+    let seen: Seen = places
         .iter()
         .zip(corners)
         .filter_map(|(p, c)| Some((*p, (*c)?)))
@@ -116,24 +124,10 @@ fn scatter(
         .map(|q| (q - centre).amax())
         .fold(f64::MIN_POSITIVE, f64::max);
     let design = DMatrix::from_fn(seen.len(), TERMS, |k, t| {
-        let (x, y) = (
-            (predicted[k].x - centre.x) / reach,
-            (predicted[k].y - centre.y) / reach,
-        );
-        let powers = [
-            (0, 0),
-            (1, 0),
-            (0, 1),
-            (2, 0),
-            (1, 1),
-            (0, 2),
-            (3, 0),
-            (2, 1),
-            (1, 2),
-            (0, 3),
-        ];
-        x.powi(powers[t].0) * y.powi(powers[t].1)
+        let at = (predicted[k] - centre) / reach;
+        at.x.powi(POWERS[t][0]) * at.y.powi(POWERS[t][1])
     });
+    // Least squares in both coordinates with one design.
     let normal = (design.transpose() * &design).cholesky()?;
     let squares = (0..2)
         .map(|axis| {

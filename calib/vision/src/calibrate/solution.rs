@@ -8,12 +8,12 @@
 //! undistorted pictures: `|l . q| / |(l_x / fx, l_y / fy)|`. Source: Hartley and Zisserman,
 //! Multiple View Geometry, 2nd ed., section 9.6 (essential matrix).
 
-use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Free, residuals, solve};
+use crate::calibrate::bundle::{
+    BoardView, BundleSolution, BundleState, Corners, Free, residuals, solve,
+};
 use crate::calibrate::checks;
 use crate::calibrate::document::{HeldOut, RejectedView};
-use crate::calibrate::initial::{
-    Corners, MonoEstimate, both_rms, calibrate_alone, consensus, view_rms,
-};
+use crate::calibrate::initial::{MonoEstimate, both_rms, calibrate_alone, consensus, view_rms};
 use crate::camera::Lens;
 use crate::error::VisionError;
 use crate::median::median;
@@ -60,19 +60,17 @@ pub fn calibrate_stereo(
         return Err(VisionError::result(
             "calibrate two cameras",
             "at least 3 pairs that show the whole board",
-            format!("{}", views.len()),
+            views.len().to_string(),
         ));
     }
-    let sides: [Vec<Corners>; 2] = [
-        views.iter().map(|v| v.left.clone()).collect(),
-        views.iter().map(|v| v.right.clone()).collect(),
-    ];
+    let side = |c: usize| views.iter().map(|v| v.corners[c].clone()).collect();
+    let sides: [Vec<Corners>; 2] = [side(0), side(1)];
     let mono: Vec<MonoEstimate> = sides
         .par_iter()
         .map(|s| calibrate_alone(points, s, image_size_px, lens))
         .collect::<Result<_, _>>()?;
     let (relative, errors) = consensus(points, &mono[0], &mono[1], &sides[1]);
-    let mono_rms = median(&[median(&mono[0].view_rms_px), median(&mono[1].view_rms_px)]);
+    let mono_rms = median(mono.iter().map(|m| median(&m.view_rms_px)));
     // One view's relative pose is coarse: a loose bound here, the views are judged again by the
     // joint solve below.
     let bound = 5.0 * median(&errors).max(3.0 * mono_rms);
@@ -94,7 +92,7 @@ pub fn calibrate_stereo(
             .into_par_iter()
             .map(|v| both_rms(points, &state, &views[v]))
             .collect();
-        let typical = median(&used.iter().map(|&v| rms[v]).collect::<Vec<_>>());
+        let typical = median(used.iter().map(|&v| rms[v]));
         let next: Vec<usize> = (0..views.len())
             .filter(|&v| rms[v] <= VIEW_OUTLIER * typical)
             .collect();
@@ -105,12 +103,7 @@ pub fn calibrate_stereo(
         used = next;
     }
     let majority = used.len() >= 3 && 2 * used.len() > views.len();
-    let typical = median(
-        &used
-            .iter()
-            .map(|&v| last.get(v).copied().unwrap_or(f64::NAN))
-            .collect::<Vec<_>>(),
-    );
+    let typical = median(used.iter().filter_map(|&v| last.get(v)));
     if !majority || typical > 4.0 * mono_rms.max(0.05) {
         return Err(checks::explain_disagreement(
             points, &views, &mono, mono_rms, typical,
@@ -136,7 +129,7 @@ pub fn calibrate_stereo(
             "{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"
         ));
     }
-    let flat = solve(points, &kept, state, Free::all(false));
+    let flat = solve(points, &kept, state, Free::All(false));
     let (bundle, warp_used) = with_warp_if_needed(points, &kept, flat);
     checks::refuse_unphysical(points, &bundle, &kept)?;
     warnings.extend(checks::weak_geometry(points, &bundle, &kept));
@@ -164,7 +157,7 @@ fn solve_subset(
     let chosen: Vec<BoardView> = subset.iter().map(|&v| views[v].clone()).collect();
     let mut start = state.clone();
     start.left_from_board = subset.iter().map(|&v| state.left_from_board[v]).collect();
-    solve(points, &chosen, start, Free::all(warp))
+    solve(points, &chosen, start, Free::All(warp))
 }
 
 fn with_poses(solved: &BundleState, all: &BundleState, subset: &[usize]) -> BundleState {
@@ -181,26 +174,25 @@ fn drop_wild_corners(
     state: &BundleState,
     views: &mut [BoardView],
 ) -> usize {
-    let all: Vec<[Vec<Option<Vector2<f64>>>; 2]> = (0..views.len())
-        .map(|v| residuals(state, points, v, &views[v]))
+    let all: Vec<Corners> = (0..views.len())
+        .flat_map(|v| residuals(state, points, v, &views[v]))
         .collect();
-    let coordinates: Vec<f64> = all
+    let coordinates = all
         .iter()
         .flatten()
         .flatten()
-        .flatten()
-        .flat_map(|e| [e.x.abs(), e.y.abs()])
-        .collect();
-    let limit = CORNER_OUTLIER * MAD_TO_SD * median(&coordinates);
+        .flat_map(|e| [e.x.abs(), e.y.abs()]);
+    // The robust sd is not moved by the corners that it judges.
+    let limit = CORNER_OUTLIER * MAD_TO_SD * median(coordinates);
     let mut dropped = 0;
-    for (view, errors) in views.iter_mut().zip(&all) {
-        for (side, errors) in [&mut view.left, &mut view.right].into_iter().zip(errors) {
-            for (corner, error) in side.iter_mut().zip(errors) {
-                if error.is_some_and(|e| e.x.abs().max(e.y.abs()) > limit) {
-                    *corner = None;
-                    dropped += 1;
-                }
-            }
+    let corners = views
+        .iter_mut()
+        .flat_map(|view| &mut view.corners)
+        .flatten();
+    for (corner, error) in corners.zip(all.iter().flatten()) {
+        if error.is_some_and(|e| e.amax() > limit) {
+            *corner = None;
+            dropped += 1;
         }
     }
     dropped
@@ -213,9 +205,10 @@ fn with_warp_if_needed(
     views: &[BoardView],
     flat: BundleSolution,
 ) -> (BundleSolution, bool) {
-    let bent = solve(points, views, flat.state.clone(), Free::all(true));
+    let bent = solve(points, views, flat.state.clone(), Free::All(true));
     let shared = bent.shared_covariance.nrows();
     let redundancy = (2 * bent.corners) as f64 - (shared + 6 * views.len()) as f64;
+    // F statistic of two more parameters.
     let f = (flat.cost_px2 - bent.cost_px2) / 2.0 / (bent.cost_px2 / redundancy.max(1.0));
     // 99.9 % quantile of F(2, n) for n > 500, the usual case; for smaller n the quantile is larger.
     if bent.converged && f > 6.95 {
@@ -227,7 +220,7 @@ fn with_warp_if_needed(
 
 /// Leaves out one pair at a time, solves without it, and measures its epipolar distances.
 pub(crate) fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> HeldOut {
-    let distances: Vec<f64> = (0..solution.views.len())
+    let mut sorted: Vec<f64> = (0..solution.views.len())
         .into_par_iter()
         .flat_map_iter(|out| {
             let rest: Vec<usize> = (0..solution.views.len()).filter(|&v| v != out).collect();
@@ -236,16 +229,14 @@ pub(crate) fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) 
             epipolar_distances(&solved.state, &solution.views[out])
         })
         .collect();
-    let mut sorted = distances;
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
     HeldOut {
         epipolar_mean_px: sorted.iter().sum::<f64>() / n.max(1) as f64,
-        epipolar_p95_px: if n == 0 {
-            f64::NAN
-        } else {
-            sorted[((0.95 * n as f64) as usize).min(n - 1)]
-        },
+        epipolar_p95_px: sorted
+            .get((0.95 * n as f64) as usize)
+            .copied()
+            .unwrap_or(f64::NAN),
         corners: n,
     }
 }
@@ -254,10 +245,11 @@ pub(crate) fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) 
 /// undistorted pictures.
 fn epipolar_distances(state: &BundleState, view: &BoardView) -> Vec<f64> {
     let r = state.right_from_left.rotation.to_rotation_matrix();
-    let essential = crate::rigid::hat(&state.right_from_left.translation.vector) * r.matrix();
-    view.left
-        .iter()
-        .zip(&view.right)
+    // Epipolar constraint: q . E l = 0 in normalised coordinates.
+    let essential = state.right_from_left.translation.vector.cross_matrix() * r.matrix();
+    let [left, right] = &view.corners;
+    left.iter()
+        .zip(right)
         .filter_map(|(l, q)| {
             let l = state.cameras[0].undistort(&(*l)?)?.push(1.0);
             let q = state.cameras[1].undistort(&(*q)?)?.push(1.0);

@@ -52,22 +52,16 @@ pub(crate) fn calibrate_as_stated(
     let seen = views.as_ref().map_or_else(|_| Vec::new(), Clone::clone);
     let outcome = views.and_then(|v| calibrate_stereo(points, v, image_size, lens));
     let noise = corner_noise(&stated.places, outcome.as_ref().map_or(&seen, |s| &s.views));
-    let asked = match &outcome {
-        Ok(solution) => {
-            solution.bundle.rms_px() > ASKED * noise.rms_px || noise.rms_px > NO_GRID_PX
-        }
-        Err(_) => true,
-    };
-    if !asked {
-        return outcome.map(|mut solution| {
-            solution.warnings.extend(not_square(points, &solution));
-            (solution, noise)
-        });
-    }
     let stated_rms = outcome
         .as_ref()
         .map_or(f64::INFINITY, |s| s.bundle.rms_px());
-    let mut fitting: Vec<Other> = alternatives(stated, &noise)
+    let asked = stated_rms > ASKED * noise.rms_px || noise.rms_px > NO_GRID_PX || outcome.is_err();
+    let others = if asked {
+        alternatives(stated, &noise)
+    } else {
+        Vec::new()
+    };
+    let mut fitting: Vec<Other> = others
         .into_par_iter()
         .filter_map(|(says, board)| {
             // Tags are read without their places, markers' corners with them.
@@ -84,7 +78,7 @@ pub(crate) fn calibrate_as_stated(
             })
         })
         .collect();
-    if let Ok(solution) = &outcome {
+    if asked && let Ok(solution) = &outcome {
         let (stretch, rms_px) = stretched(points, solution);
         fitting.push(Other {
             rms_px,
@@ -94,14 +88,11 @@ pub(crate) fn calibrate_as_stated(
     }
     fitting.retain(|o| o.fits(stated_rms));
     // Among statements that fit alike the first one: a plain mistake before a number that is free.
-    let least = fitting
-        .iter()
-        .map(|f| f.rms_px)
-        .fold(f64::INFINITY, f64::min);
+    let least = fitting.iter().fold(f64::INFINITY, |a, f| a.min(f.rms_px));
     let found = fitting.into_iter().find(|f| f.rms_px < 1.05 * least);
     let better = found.map(|o| format!("With {} RMS is {:.3} px", o.says, o.rms_px));
-    match (outcome, better) {
-        (Ok(mut solution), better) => {
+    match outcome {
+        Ok(mut solution) => {
             let beside = format!(
                 "the stated board does not fit: RMS {stated_rms:.3} px where the corners' own noise is {:.3} px",
                 noise.rms_px
@@ -115,22 +106,10 @@ pub(crate) fn calibrate_as_stated(
             });
             Ok((solution, noise))
         }
-        (
-            Err(VisionError::Result {
-                action,
-                expected,
-                found,
-            }),
-            Some(better),
-        ) => {
-            let found = format!("{found}. The stated board does not fit. {better}");
-            Err(VisionError::Result {
-                action,
-                expected,
-                found,
-            })
-        }
-        (Err(e), _) => Err(e),
+        Err(e) => Err(match better {
+            Some(better) => e.and(&format!(". The stated board does not fit. {better}")),
+            None => e,
+        }),
     }
 }
 
@@ -158,13 +137,8 @@ fn with_stretch(points: &[Vector3<f64>], solution: &StereoSolution, factor: f64)
         .iter()
         .map(|p| Vector3::new(p.x, p.y * factor, p.z))
         .collect();
-    let free = Free::all(solution.warp_used);
-    let solved = solve(
-        &longer,
-        &solution.views,
-        solution.bundle.state.clone(),
-        free,
-    );
+    let (state, free) = (solution.bundle.state.clone(), Free::All(solution.warp_used));
+    let solved = solve(&longer, &solution.views, state, free);
     (solved.rms_px(), solved.cost_px2)
 }
 
@@ -176,6 +150,7 @@ fn stretched(points: &[Vector3<f64>], solution: &StereoSolution) -> (f64, f64) {
             .into_par_iter()
             .map(|by| with_stretch(points, solution, middle + by).1)
             .collect();
+        // Vertex of the parabola through three costs.
         let bend = costs[0] - 2.0 * costs[1] + costs[2];
         if bend > 0.0 {
             middle += (0.5 * step * (costs[0] - costs[2]) / bend).clamp(-0.1, 0.1);

@@ -18,31 +18,17 @@ pub(crate) fn with_rejections(
     said: Option<&str>,
     rejected: &[RejectedView],
 ) -> VisionError {
-    match error {
-        VisionError::Result {
-            action,
-            expected,
-            found,
-        } if said.is_some() || !rejected.is_empty() => {
-            let each = rejected
-                .iter()
-                .take(4)
-                .map(|r| format!("{}: {}", r.view, r.why));
-            let more = (rejected.len() > 4).then(|| format!("and {} more", rejected.len() - 4));
-            let reasons: Vec<String> = said
-                .map(str::to_owned)
-                .into_iter()
-                .chain(each)
-                .chain(more)
-                .collect();
-            VisionError::Result {
-                action,
-                expected,
-                found: format!("{found} ({})", reasons.join("; ")),
-            }
-        }
-        other => other,
+    let each = rejected
+        .iter()
+        .take(4)
+        .map(|r| format!("{}: {}", r.view, r.why));
+    let more = (rejected.len() > 4).then(|| format!("and {} more", rejected.len() - 4));
+    let said = said.map(str::to_owned);
+    let reasons: Vec<String> = said.into_iter().chain(each).chain(more).collect();
+    if reasons.is_empty() {
+        return error;
     }
+    error.and(&format!(" ({})", reasons.join("; ")))
 }
 
 /// The size that most pictures have; others are rejected.
@@ -139,24 +125,18 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
     let mut used: Vec<(&str, [u64; 2])> = Vec::new();
     let mut remarks: BTreeMap<String, usize> = BTreeMap::new();
     for (file, pair) in files.iter().zip(found) {
-        let judged = pair.and_then(
-            |Read {
-                 size: own,
-                 hashes,
-                 seen,
-             }| {
-                let seen = seen?;
-                if Some(own) != size {
-                    return Err(format!("size {}x{} px, other pairs differ", own[0], own[1]));
-                }
-                let same = used
-                    .iter()
-                    .find(|(_, other)| (0..2).any(|k| other[k] == hashes[k]));
-                same.map_or(Ok((seen, hashes)), |(name, _)| {
-                    Err(format!("shares a picture with {name}"))
-                })
-            },
-        );
+        let judged = pair.and_then(|pair| {
+            let (own, hashes, seen) = (pair.size, pair.hashes, pair.seen?);
+            if Some(own) != size {
+                return Err(format!("size {}x{} px, other pairs differ", own[0], own[1]));
+            }
+            let same = used
+                .iter()
+                .find(|(_, other)| (0..2).any(|k| other[k] == hashes[k]));
+            same.map_or(Ok((seen, hashes)), |(name, _)| {
+                Err(format!("shares a picture with {name}"))
+            })
+        });
         match judged {
             Err(why) => rejected.push(RejectedView {
                 view: file.name.clone(),
@@ -170,11 +150,9 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
                         *remarks.entry(remark.clone()).or_default() += 1;
                     }
                 }
-                let [left, right] = seen.map(|view| view.corners);
                 views.push(BoardView {
                     name: file.name.clone(),
-                    left,
-                    right,
+                    corners: seen.map(|view| view.corners),
                 });
             }
         }
@@ -182,12 +160,10 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
     let views = if views.len() >= 3 {
         Ok(views)
     } else {
-        let found = format!("{} of {} pairs", views.len(), files.len());
-        let expected = "at least 3 pairs that show the board in both pictures";
         Err(VisionError::result(
             "calibrate two cameras",
-            expected,
-            found,
+            "at least 3 pairs that show the board in both pictures",
+            format!("{} of {} pairs", views.len(), files.len()),
         ))
     };
     let counted = remarks
@@ -199,6 +175,6 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
         views,
         rejected,
         remarks,
-        marker_share: median(&shares),
+        marker_share: median(shares),
     }
 }

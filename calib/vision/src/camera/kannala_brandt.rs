@@ -110,12 +110,7 @@ impl Lens for KannalaBrandt {
     fn image(&self, c: &Coefficients, p: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         let rho = p.xy().norm();
         if rho < SMALL_RADIUS * p.z {
-            let (n, iz) = (p.xy() / p.z, 1.0 / p.z);
-            let (d, by_n) = self.distort(c, &n);
-            return Some((
-                d,
-                by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz),
-            ));
+            return Some(self.image_before(c, p));
         }
         // Straight behind the camera no direction is the right one.
         if !(rho > SMALL_RADIUS * p.z.abs()) {

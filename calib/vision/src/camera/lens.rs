@@ -42,13 +42,15 @@ pub trait Lens: Debug + Sync {
     /// Distorted coordinates of a point with their derivative by it; none where the model does not
     /// see it.
     fn image(&self, c: &Coefficients, p: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-        let n = before(p)?;
+        (p.z > 0.0).then(|| self.image_before(c, p))
+    }
+
+    /// The same of a point before the camera.
+    fn image_before(&self, c: &Coefficients, p: &Vector3<f64>) -> (Vector2<f64>, Matrix2x3<f64>) {
+        let (n, iz) = (p.xy() / p.z, 1.0 / p.z);
         let (d, by_n) = self.distort(c, &n);
-        let iz = 1.0 / p.z;
-        Some((
-            d,
-            by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz),
-        ))
+        let by_point = Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz);
+        (d, by_n * by_point)
     }
 
     /// A point on the ray of distorted coordinates; none where the model folds over or sees
@@ -56,11 +58,6 @@ pub trait Lens: Debug + Sync {
     fn ray(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector3<f64>> {
         Some(self.undistort(c, d)?.push(1.0))
     }
-}
-
-/// The direction of a point before the camera.
-pub(super) fn before(p: &Vector3<f64>) -> Option<Vector2<f64>> {
-    (p.z > 0.0).then(|| Vector2::new(p.x / p.z, p.y / p.z))
 }
 
 impl PartialEq for dyn Lens {

@@ -38,6 +38,20 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera by its parameters, in the order of [`Camera::parameters`]; coefficients of the lens
+    /// that are not given are 0.
+    pub fn new(image_size_px: [usize; 2], lens: &'static dyn Lens, p: &[f64]) -> Self {
+        let mut distortion = [0.0; MAX_COEFFICIENTS];
+        distortion[..p.len() - 4].copy_from_slice(&p[4..]);
+        Self {
+            image_size_px,
+            focal_px: [p[0], p[1]],
+            centre_px: [p[2], p[3]],
+            lens,
+            distortion,
+        }
+    }
+
     /// Number of intrinsic parameters: those of the pinhole and of the lens.
     pub fn intrinsics(&self) -> usize {
         PINHOLE_NAMES.len() + self.lens.coefficient_names().len()
@@ -54,23 +68,12 @@ impl Camera {
     pub fn parameters(&self) -> Vec<f64> {
         let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
         let coefficients = &self.distortion[..self.lens.coefficient_names().len()];
-        [fx, fy, cx, cy]
-            .iter()
-            .chain(coefficients)
-            .copied()
-            .collect()
+        [&[fx, fy, cx, cy][..], coefficients].concat()
     }
 
     /// The same camera with other parameters.
     pub fn with_parameters(&self, p: &[f64]) -> Self {
-        let mut distortion = [0.0; MAX_COEFFICIENTS];
-        distortion[..self.intrinsics() - 4].copy_from_slice(&p[4..self.intrinsics()]);
-        Self {
-            focal_px: [p[0], p[1]],
-            centre_px: [p[2], p[3]],
-            distortion,
-            ..self.clone()
-        }
+        Self::new(self.image_size_px, self.lens, p)
     }
 
     /// The 3x3 camera matrix.

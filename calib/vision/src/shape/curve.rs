@@ -30,7 +30,9 @@ pub struct CurveModel {
     nominal: Vec<f64>,
     /// First spline and the four values at every interval's middle.
     basis: Vec<(usize, [f64; 4])>,
-    penalty: DMatrix<f64>,
+    /// The roughness: the sum of squared second differences of both directions' coefficients, as a
+    /// quadratic form.
+    pub penalty: DMatrix<f64>,
     /// Second differences of each direction that the penalty leaves out.
     unpunished: usize,
 }
@@ -45,6 +47,11 @@ pub struct CurveState {
 }
 
 impl CurveState {
+    /// All parameters, root offsets left at zero: what the penalty acts on.
+    pub(crate) fn bends(&self) -> DVector<f64> {
+        DVector::from_vec([&[0.0; ROOT][..], &self.coefficients].concat())
+    }
+
     /// Adds a change of all parameters.
     pub fn add(&mut self, step: &[f64]) {
         let values = self.root.iter_mut().chain(&mut self.coefficients);
@@ -59,12 +66,13 @@ pub struct CurveShape {
     pub points: Vec<Vector3<f64>>,
     /// Unit tangents.
     pub tangents: Vec<Vector3<f64>>,
+    /// Second derivative by the arc length that the rest shape's bending has there, 1/mm.
+    pub rest_bends: Vec<Vector3<f64>>,
 }
 
 impl CurveModel {
-    /// A model that reaches `reach_mm` with one spline every `knot_mm`. Without `nominal` the rest
-    /// shape is taken as straight.
-    pub fn new(whisker: &RigWhisker, reach_mm: f64, knot_mm: f64, use_nominal: bool) -> Self {
+    /// A model that reaches `reach_mm` with one spline every `knot_mm`.
+    pub fn new(whisker: &RigWhisker, reach_mm: f64, knot_mm: f64) -> Self {
         let step_mm = 0.25;
         let intervals = (reach_mm / step_mm).ceil() as usize;
         let segments = (reach_mm / knot_mm).ceil().max(1.0) as usize;
@@ -75,11 +83,7 @@ impl CurveModel {
             let (from, to) = (i as f64 * step_mm, (i + 1) as f64 * step_mm);
             // The share of the interval beyond the straight part.
             let share = ((to - whisker.straight_mm.max(from)) / step_mm).clamp(0.0, 1.0);
-            nominal.push(if use_nominal {
-                share * whisker.arc_curvature_per_mm
-            } else {
-                0.0
-            });
+            nominal.push(share * whisker.arc_curvature_per_mm);
             let x = (0.5 * (from + to) / width).min(segments as f64 - 1e-9);
             let (k, u) = (x.floor() as usize, x.fract());
             let v = 1.0 - u;
@@ -156,33 +160,24 @@ impl CurveModel {
     pub fn shape(&self, state: &CurveState) -> CurveShape {
         let (mut p, mut frame) = Self::root(state);
         let mut shape = CurveShape {
-            points: vec![p],
-            tangents: vec![frame.column(0).into_owned()],
+            points: Vec::with_capacity(self.nodes),
+            tangents: Vec::with_capacity(self.nodes),
+            rest_bends: Vec::with_capacity(self.nodes),
         };
-        for i in 0..self.nodes - 1 {
-            let (k1, k2) = self.curvature(state, i);
+        for i in 0..self.nodes {
+            let before_tip = i.min(self.nodes - 2);
+            shape.points.push(p);
+            shape.tangents.push(frame.column(0).into_owned());
+            shape
+                .rest_bends
+                .push(frame.column(2) * -self.nominal[before_tip]);
+            let (k1, k2) = self.curvature(state, before_tip);
             let half = half_turn(k1, k2, self.step_mm);
             let middle = frame * half;
             p += middle.column(0) * self.step_mm;
             frame = middle * half;
-            shape.points.push(p);
-            shape.tangents.push(frame.column(0).into_owned());
         }
         shape
-    }
-
-    /// Second derivative by the arc length that the rest shape's bending has at every node, 1/mm.
-    pub(crate) fn rest_bends(&self, state: &CurveState) -> Vec<Vector3<f64>> {
-        let (_, mut frame) = Self::root(state);
-        let mut bends = Vec::with_capacity(self.nodes);
-        for i in 0..self.nodes - 1 {
-            bends.push(frame.column(2) * -self.nominal[i]);
-            let (k1, k2) = self.curvature(state, i);
-            let half = half_turn(k1, k2, self.step_mm);
-            frame = frame * half * half;
-        }
-        bends.push(frame.column(2) * -self.nominal.last().copied().unwrap_or(0.0));
-        bends
     }
 
     /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing
@@ -205,14 +200,12 @@ impl CurveModel {
                     .copy_from(&all.columns(3 * i, 3));
                 off.rows_mut(3 * n, 3).copy_from(&(place - points[*i]));
             }
-            let bends = DVector::from_fn(self.parameters(), |k, _| {
-                k.checked_sub(ROOT).map_or(0.0, |c| state.coefficients[c])
-            });
+            // Penalised least squares: nodes, roughness, and a ridge for splines without nodes.
             let weight = sd_mm.powi(-2);
             let h = &by_nodes * by_nodes.transpose() * weight
-                + self.penalty() * smoothing
+                + &self.penalty * smoothing
                 + DMatrix::identity(self.parameters(), self.parameters()) * 1e-3;
-            let g = &by_nodes * off * weight - self.penalty() * bends * smoothing;
+            let g = &by_nodes * off * weight - &self.penalty * state.bends() * smoothing;
             let Some(step) = h.cholesky().map(|c| c.solve(&g)) else {
                 break;
             };
@@ -236,9 +229,7 @@ impl CurveModel {
         turn[2] = Vector3::z();
         turn[3] = Vector3::y();
         let mut write = |node: usize, p: usize, v: &Vector3<f64>| {
-            for k in 0..3 {
-                j[(p, 3 * node + k)] = v[k];
-            }
+            j.fixed_view_mut::<1, 3>(p, 3 * node).tr_copy_from(v);
         };
         (0..2).for_each(|p| write(0, p, &move_by[p]));
         for i in 0..self.nodes - 1 {
@@ -261,6 +252,7 @@ impl CurveModel {
             // Splines that begin farther along have no effect here.
             let begun = |d: usize| start(d)..start(d) + first + 4;
             for p in (0..ROOT).chain(begun(0)).chain(begun(1)) {
+                // A turn w moves what lies ahead at the rate w x t.
                 move_by[p] += turn[p].cross(&tangent) * self.step_mm;
                 write(i + 1, p, &move_by[p]);
             }
@@ -270,12 +262,6 @@ impl CurveModel {
             frame = middle * half;
         }
         j
-    }
-
-    /// The roughness: the sum of squared second differences of both directions' coefficients, as a
-    /// quadratic form.
-    pub fn penalty(&self) -> &DMatrix<f64> {
-        &self.penalty
     }
 
     /// Rank of the penalty: second differences of both directions.

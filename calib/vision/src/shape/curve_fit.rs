@@ -10,12 +10,10 @@
 //! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989;
 //! MacKay, "Bayesian Interpolation", 1992 (evidence).
 
-use crate::picture::Picture;
-use crate::rigid::{hat, updated};
 use crate::shape::curve::{CurveModel, CurveState, ROOT};
 use crate::stereo::StereoCameras;
-use crate::wire::piece::{Appearance, PIECE_PX, Piece, Station, fit_piece};
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
+use crate::wire::piece::{PIECE_PX, Piece, Station};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Point3, Vector2, Vector3};
 
 /// Systematic error of a piece that neighbouring pieces share, px: speckle of the surface and of
 /// the background.
@@ -23,24 +21,18 @@ const PIECE_FLOOR_PX: f64 = 0.01;
 /// Degrees of freedom of the Student weights: one piece in twenty lies on an edge or in a crossing.
 const STUDENT_DOF: f64 = 4.0;
 
-/// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel
-/// by the point in the left frame.
+/// A point of the base's frame in a camera: its pixel with the derivative by the point, and its
+/// depth.
 pub(crate) fn in_camera(
     stereo: &StereoCameras,
+    left_from_base: &Isometry3<f64>,
     camera: usize,
-    left: &Vector3<f64>,
+    p: &Vector3<f64>,
 ) -> Option<(Vector2<f64>, Matrix2x3<f64>, f64)> {
-    let (x, turn) = if camera == 0 {
-        (*left, Matrix3::identity())
-    } else {
-        let pose = &stereo.right_from_left;
-        (
-            (pose * Point3::from(*left)).coords,
-            *pose.rotation.to_rotation_matrix().matrix(),
-        )
-    };
+    let pose = stereo.in_camera(camera, left_from_base);
+    let x = (pose * Point3::from(*p)).coords;
     let (px, by_point, _) = stereo.cameras[camera].project_with_jacobian(&x)?;
-    Some((px, by_point * turn, x.z))
+    Some((px, by_point * pose.rotation.to_rotation_matrix(), x.z))
 }
 
 /// Stations of one camera along the image of a curve (base frame nodes) up to `length_mm`, one
@@ -57,8 +49,8 @@ pub(crate) fn image_line(
     let pixels: Vec<Option<(Vector2<f64>, f64)>> = points
         .iter()
         .map(|p| {
-            in_camera(stereo, camera, &(left_from_base * Point3::from(*p)).coords)
-                .map(|(px, _, z)| (px, z))
+            let (px, _, z) = in_camera(stereo, left_from_base, camera, p)?;
+            Some((px, z))
         })
         .collect();
     let mut stations = Vec::new();
@@ -69,9 +61,8 @@ pub(crate) fn image_line(
             continue;
         };
         let long = (b - a).norm();
-        let tangent = match (b - a).try_normalize(1e-9) {
-            Some(t) => t,
-            None => continue,
+        let Some(tangent) = (b - a).try_normalize(1e-9) else {
+            continue;
         };
         // Curvature in the picture from the neighbours' directions.
         let bend = match (
@@ -109,27 +100,6 @@ pub(crate) fn image_line(
     stations
 }
 
-/// Measures all stations of a line.
-pub fn measure(
-    picture: &Picture,
-    line: &[Station],
-    appearance: Appearance,
-    search_px: f64,
-) -> Vec<Piece> {
-    line.iter()
-        .filter_map(|s| fit_piece(picture, s, appearance, search_px))
-        .collect()
-}
-
-/// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with
-/// the wire's polarity.
-pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
-    pieces
-        .iter()
-        .map(|p| p.evidence > 0.0 && polarity * p.depth[0] > 0.0 && polarity * p.depth[1] > 0.0)
-        .collect()
-}
-
 /// A measured place: camera, arc length, observed point, normal, sd.
 #[derive(Debug, Clone, Copy)]
 pub struct LineObservation {
@@ -145,20 +115,15 @@ pub struct LineObservation {
     pub sd_px: f64,
 }
 
-/// Observations from measured pieces.
-pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineObservation> {
-    pieces
-        .iter()
-        .zip(seen)
-        .filter(|(p, s)| **s && p.sd_px.is_finite())
-        .map(|(p, _)| LineObservation {
-            camera,
-            arc_mm: p.station.arc_mm,
-            observed_px: p.station.position_px + p.station.normal() * p.offset_px,
-            normal: p.station.normal(),
-            sd_px: p.sd_px.hypot(PIECE_FLOOR_PX),
-        })
-        .collect()
+/// Observation by a measured piece.
+pub(crate) fn observation(camera: usize, piece: &Piece) -> LineObservation {
+    LineObservation {
+        camera,
+        arc_mm: piece.station.arc_mm,
+        observed_px: piece.position_px(),
+        normal: piece.station.normal(),
+        sd_px: piece.sd_px.hypot(PIECE_FLOOR_PX),
+    }
 }
 
 /// The linearised problem of one pair: base correction (6: rotation, translation in the base frame)
@@ -171,8 +136,6 @@ pub struct PairSystem {
     pub rhs: DVector<f64>,
     /// Weighted sum of squares of the observations.
     pub chi2: f64,
-    /// Number of observations.
-    pub count: usize,
     /// Residuals, px, in order of the observations.
     pub residuals_px: Vec<f64>,
     /// Student weights, in order of the observations.
@@ -182,29 +145,15 @@ pub struct PairSystem {
     pub rows_weighted: DMatrix<f64>,
 }
 
-/// Residuals of observations for given cameras, base pose and curve: observed minus predicted along
-/// the normal, px.
-pub(crate) fn observation_residuals(
-    stereo: &StereoCameras,
-    left_from_base: &Isometry3<f64>,
-    points: &[Vector3<f64>],
-    step_mm: f64,
-    observations: &[LineObservation],
-) -> Vec<f64> {
-    observations
-        .iter()
-        .map(|s| {
-            let (i, f) = node(s.arc_mm, step_mm, points.len());
-            let p = points[i] * (1.0 - f) + points[i + 1] * f;
-            in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
-                .map_or(0.0, |(px, _, _)| s.normal.dot(&(s.observed_px - px)))
-        })
-        .collect()
-}
-
+/// Node before an arc length, and the share of the interval to the next.
 pub(crate) fn node(arc_mm: f64, step_mm: f64, nodes: usize) -> (usize, f64) {
     let x = (arc_mm / step_mm).clamp(0.0, nodes as f64 - 1.001);
     (x.floor() as usize, x.fract())
+}
+
+/// Value there, linear between the nodes.
+pub(crate) fn between(values: &[Vector3<f64>], (node, share): (usize, f64)) -> Vector3<f64> {
+    values[node] * (1.0 - share) + values[node + 1] * share
 }
 
 /// Linearises the observations about a state. `noise` scales their standard deviations.
@@ -219,28 +168,23 @@ pub fn linearise(
     let shape = model.shape(state);
     let by_parameters = model.jacobian(state);
     let n = 6 + model.parameters();
-    let turn = left_from_base.rotation.to_rotation_matrix();
-    let (mut columns, mut weighted) = (
-        DMatrix::<f64>::zeros(n, observations.len()),
-        DMatrix::<f64>::zeros(n, observations.len()),
-    );
+    let mut columns = DMatrix::<f64>::zeros(n, observations.len());
+    let mut weighted = columns.clone();
     let (mut chi2, mut residuals_px, mut weights) = (0.0, Vec::new(), Vec::new());
     let mut pull = DVector::zeros(observations.len());
     for (index, s) in observations.iter().enumerate() {
         let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
-        let p = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
-        let Some((px, by_left, _)) =
-            in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
-        else {
+        let p = between(&shape.points, (i, f));
+        let Some((px, by_point, _)) = in_camera(stereo, left_from_base, s.camera, &p) else {
             residuals_px.push(f64::NAN);
             weights.push(0.0);
             continue;
         };
-        // d r / d x = n . (d pi / d X) R [-hat(p)  I] for the base's correction, times dp / dc for
+        // d r / d x = n . (d pi / d X) R [-p.cross_matrix()  I] for the base's correction, times dp / dc for
         // the curve.
         let residual = s.normal.dot(&(s.observed_px - px));
-        let by_base = s.normal.transpose() * by_left * turn.matrix();
-        let by_turn = -by_base * hat(&p);
+        let by_base = s.normal.transpose() * by_point;
+        let by_turn = -by_base * p.cross_matrix();
         let mut column = columns.column_mut(index);
         for k in 0..3 {
             column[k] = by_turn[k];
@@ -272,50 +216,21 @@ pub fn linearise(
         data: &weighted * columns.transpose(),
         rhs: &weighted * pull,
         chi2,
-        count: observations.len(),
         residuals_px,
         weights,
         rows_weighted: weighted,
     }
 }
 
-/// Applies a step (base correction and curve parameters).
-pub fn stepped(
-    left_from_base: &Isometry3<f64>,
-    state: &CurveState,
-    step: &DVector<f64>,
-) -> (Isometry3<f64>, CurveState) {
-    let correction = updated(
-        &Isometry3::identity(),
-        &nalgebra::Vector6::from_fn(|k, _| step[k]),
-    );
-    let mut next = state.clone();
-    next.add(&step.as_slice()[6..]);
-    (left_from_base * correction, next)
-}
-
 /// Prior information on base, root and roughness.
 #[derive(Debug, Clone)]
 pub struct Prior {
-    /// Information on the base correction about `base_offset`.
-    pub base: nalgebra::Matrix6<f64>,
-    /// Where that information has its centre: correction from the current pose.
-    pub base_offset: nalgebra::Vector6<f64>,
+    /// Information on the base correction.
+    pub base: Matrix6<f64>,
     /// Standard deviations of the root's offsets (mm) and tilts (rad).
     pub root_sd: [f64; 2],
     /// Weight of the roughness.
     pub smoothing: f64,
-}
-
-/// Parameters of the curve as one vector, root offsets left at zero: what the penalty acts on.
-fn bends(state: &CurveState, n: usize) -> DVector<f64> {
-    DVector::from_fn(n, |k, _| {
-        if k < ROOT {
-            0.0
-        } else {
-            state.coefficients[k - ROOT]
-        }
-    })
 }
 
 /// Information matrix and right-hand side with the prior.
@@ -328,8 +243,6 @@ pub(crate) fn with_prior(
     let (mut h, mut g) = (system.data.clone(), system.rhs.clone());
     let mut base = h.fixed_view_mut::<6, 6>(0, 0);
     base += prior.base;
-    let mut pull = g.fixed_rows_mut::<6>(0);
-    pull += prior.base * prior.base_offset;
     for k in 0..ROOT {
         let w = 1.0 / prior.root_sd[k / 2].powi(2);
         h[(6 + k, 6 + k)] += w;
@@ -337,15 +250,30 @@ pub(crate) fn with_prior(
     }
     let n = model.parameters();
     let mut block = h.view_mut((6, 6), (n, n));
-    block.zip_apply(model.penalty(), |a, p| *a += prior.smoothing * p);
+    block.zip_apply(&model.penalty, |a, p| *a += prior.smoothing * p);
     let mut rows = g.rows_mut(6, n);
-    rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
+    rows.gemv(-prior.smoothing, &model.penalty, &state.bends(), 1.0);
     for k in 0..n {
         // Splines beyond the tip have no data and little penalty: a weak ridge keeps the matrix
         // regular.
         h[(6 + k, 6 + k)] += 1e-3;
     }
     (h, g)
+}
+
+/// The curve after a step with the base held; none where the normal matrix is singular.
+pub(crate) fn stepped(
+    system: &PairSystem,
+    prior: &Prior,
+    state: &CurveState,
+    model: &CurveModel,
+) -> Option<CurveState> {
+    let (h, g) = with_prior(system, prior, state, model);
+    let n = model.parameters();
+    let curve = h.view((6, 6), (n, n)).into_owned().cholesky()?;
+    let mut next = state.clone();
+    next.add(curve.solve(&g.rows(6, n)).as_slice());
+    Some(next)
 }
 
 /// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of
@@ -357,8 +285,8 @@ pub(crate) fn choose_smoothing(
     model: &CurveModel,
 ) -> f64 {
     let rank = model.penalty_rank() as f64;
-    let theta = bends(state, model.parameters());
-    let rough_now = theta.dot(&(model.penalty() * &theta));
+    let theta = state.bends();
+    let rough_now = theta.dot(&(&model.penalty * &theta));
     let mut best = (f64::NEG_INFINITY, prior.smoothing);
     for k in 0..28 {
         let smoothing = 1e2 * 3f64.powi(k);
@@ -370,14 +298,9 @@ pub(crate) fn choose_smoothing(
         let Some(cholesky) = h.cholesky() else {
             continue;
         };
+        // The penalised minimum in one step: the problem is linear here.
         let step = cholesky.solve(&g);
-        let log_det = 2.0
-            * cholesky
-                .l_dirty()
-                .diagonal()
-                .iter()
-                .map(|d| d.ln())
-                .sum::<f64>();
+        let log_det = 2.0 * cholesky.l_dirty().diagonal().map(f64::ln).sum();
         // Minimum of the penalised sum of squares: value at the current state less what the step
         // gains.
         let smallest = system.chi2 + smoothing * rough_now - step.dot(&g);

@@ -1,9 +1,10 @@
 //! One pair's entry of `shapes.json`: points and their region, gaps, residuals, tags.
 
 use crate::rigid::rows;
+use crate::shape::curve_fit::between;
 use crate::shape::joint::{PairUncertainty, node_covariance, planar_sd};
 use crate::shape::pair_fit::PairFit;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use wcal_core::shapes_document::{Gap, PairDocument, TagDocument};
 
 /// Adds the fit's results.
@@ -20,30 +21,25 @@ pub(crate) fn describe(
     let shape = fit.model.shape(&fit.state);
     let jacobian = fit.model.jacobian(&fit.state);
     for (_, i, f) in places(fit) {
-        let p: Vector3<f64> = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
-        document.centreline_mm.push([p.x, p.y, p.z]);
+        let p = between(&shape.points, (i, f));
+        document.centreline_mm.push(p.into());
         let sd = uncertain.map_or(f64::NAN, |u| {
             let c = node_covariance(fit, &jacobian, i + usize::from(f > 0.5), u);
             let t = shape.tangents[i];
             let across = Matrix3::identity() - t * t.transpose();
-            let e = (across * c * across).symmetric_eigenvalues();
-            let mut e: Vec<f64> = e.iter().copied().collect();
+            let mut e: [f64; 3] = (across * c * across).symmetric_eigenvalues().into();
             e.sort_by(f64::total_cmp);
             planar_sd(e[2].max(0.0), e[1].max(0.0))
         });
         document.centreline_sd_mm.push(sd);
     }
     document.gaps = gaps(fit);
-    for camera in 0..2 {
-        let (mut n, mut sum) = (0.0, 0.0);
-        for (s, r) in fit.observations.iter().zip(&fit.system.residuals_px) {
-            if s.camera == camera && r.is_finite() {
-                n += 1.0;
-                sum += r * r;
-            }
-        }
-        document.residual_rms_px[camera] = f64::sqrt(sum / f64::max(n, 1.0));
-    }
+    document.residual_rms_px = [0, 1].map(|camera| {
+        let all = fit.observations.iter().zip(&fit.system.residuals_px);
+        let own = all.filter(|(s, r)| s.camera == camera && r.is_finite());
+        let (n, sum) = own.fold((0.0, 0.0), |(n, sum), (_, r)| (n + 1.0, sum + r * r));
+        f64::sqrt(sum / f64::max(n, 1.0))
+    });
 }
 
 /// Places of the centre line half a millimetre apart: arc length (mm), node before, and the
@@ -63,18 +59,10 @@ fn gaps(fit: &PairFit) -> Vec<Gap> {
     let cell = 0.25;
     let n = (fit.length_mm / cell).ceil() as usize;
     let mut hidden = vec![[true; 2]; n];
-    for (camera, (pieces, seen)) in fit.pieces.iter().enumerate() {
-        for (p, s) in pieces.iter().zip(seen) {
-            let k = (p.station.arc_mm / cell) as usize;
-            if *s {
-                for h in hidden
-                    .iter_mut()
-                    .take((k + 2).min(n))
-                    .skip(k.saturating_sub(1))
-                {
-                    h[camera] = false;
-                }
-            }
+    for (camera, piece) in fit.seen() {
+        let k = (piece.station.arc_mm / cell) as usize;
+        for h in hidden.iter_mut().take(k + 2).skip(k.saturating_sub(1)) {
+            h[camera] = false;
         }
     }
     let mut gaps = Vec::new();
@@ -99,7 +87,7 @@ fn gaps(fit: &PairFit) -> Vec<Gap> {
 }
 
 /// A tag of one picture.
-pub(crate) fn tag_document(camera: usize, tag: &crate::tags::detection::Tag) -> TagDocument {
+pub(crate) fn tag_document(camera: usize, tag: &crate::tags::apriltag_ffi::Tag) -> TagDocument {
     TagDocument {
         id: tag.id,
         camera: if camera == 0 { "left" } else { "right" }.into(),

@@ -12,13 +12,14 @@ use crate::shape::other_pose::pairs_of_other_poses;
 use crate::shape::pair_errors::{SharedErrors, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
 use crate::stereo::StereoCameras;
+use crate::tags::apriltag_ffi::Tag;
 use crate::tags::base_pose::{
     FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
 };
-use crate::tags::detection::{Search, Tag, find_tags};
+use crate::tags::detection::{Search, find_tags};
 use crate::tags::pose::{self as tag_pose, TAG_MISFIT_PX};
 use crate::tags::size::{TagSizes, tag_sizes};
-use nalgebra::{Point3, Vector6};
+use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
@@ -50,8 +51,6 @@ pub struct ShapesResult {
     pub document: ShapesDocument,
     /// Fits by pair index; none for rejected pairs.
     pub fits: Vec<Option<PairFit>>,
-    /// Cameras used.
-    pub stereo: StereoCameras,
 }
 
 /// Runs all pairs. `progress` is called with each pair's name when it is done.
@@ -84,38 +83,30 @@ pub fn shapes_of_pairs(
         (document, fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &|_| {});
     }
     document.warnings.splice(0..0, warnings);
-    ShapesResult {
-        document,
-        fits,
-        stereo: stereo.clone(),
-    }
+    ShapesResult { document, fits }
 }
 
 fn tags_of(loaded: &[Result<PairInput, String>]) -> Vec<PairTags> {
+    let tags = |l: &PairInput| l.tags.clone();
     loaded
         .iter()
-        .map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone()))
+        .map(|l| l.as_ref().map_or(Vec::new(), tags))
         .collect()
 }
 
-/// The pairs as fitted in the base's frame, the freedom that their roots had, and what tags and
-/// wire disagree about.
-struct FittedPairs {
-    fits: Vec<Result<PairFit, String>>,
-    root_sd: [f64; 2],
-    warnings: Vec<String>,
-}
+/// The pairs as fitted in the base's frame, and the freedom that their roots had.
+type FittedPairs = (Vec<Result<PairFit, String>>, [f64; 2]);
 
 /// Fits all pairs that could be read, and moves them into the frame that tags and wires of all of
-/// them give.
+/// them give; warns of what these disagree about.
 fn fit_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
     loaded: &[Result<PairInput, String>],
     base: Option<&FolderBase>,
     progress: &(dyn Fn(&str) + Sync),
+    warnings: &mut Vec<String>,
 ) -> FittedPairs {
-    let mut warnings = Vec::new();
     let attempt =
         |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
             loaded
@@ -123,12 +114,9 @@ fn fit_pairs(
                 .enumerate()
                 .map(|(k, l)| {
                     let l = l.as_ref().map_err(Clone::clone)?;
-                    let start = match earlier.get(k) {
-                        None => None,
-                        Some(Ok(fit)) => Some(fit),
-                        Some(Err(why)) => return Err(why.clone()),
-                    };
-                    let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start });
+                    let start = earlier.get(k).map(Result::as_ref).transpose();
+                    let start = start.map_err(Clone::clone)?;
+                    let fit = fit_one(stereo, rig, l, base, k, root_sd, start);
                     // Once a pair, also where it is fitted again.
                     if start.is_none() && root_sd == ROOT_CLAMPED {
                         progress(&l.name);
@@ -167,11 +155,7 @@ fn fit_pairs(
             }
         });
     }
-    FittedPairs {
-        fits,
-        root_sd,
-        warnings,
-    }
+    (fits, root_sd)
 }
 
 /// The document of all pairs, and the fits.
@@ -184,11 +168,8 @@ fn shapes_of_loaded(
 ) -> (ShapesDocument, Vec<Option<PairFit>>) {
     let tags = tags_of(loaded);
     let base = folder_base(stereo, rig, &tags);
-    let FittedPairs {
-        fits,
-        root_sd,
-        mut warnings,
-    } = fit_pairs(stereo, rig, loaded, base.as_ref(), progress);
+    let mut warnings = Vec::new();
+    let (fits, root_sd) = fit_pairs(stereo, rig, loaded, base.as_ref(), progress, &mut warnings);
     let uncertain = base.as_ref().map_or_else(
         || files.iter().map(|_| None).collect(),
         |b| uncertainties(stereo, b, &fits, root_sd),
@@ -242,26 +223,18 @@ fn shapes_of_loaded(
                     vertex,
                 ))
             });
-        let found = pair_errors(
-            stereo,
-            &shared,
-            fit,
-            u,
-            groove.as_ref().map(|(g, v)| (g, v)),
-        );
-        document.groove =
-            groove.map(|(g, _)| g.with_errors(&found.groove_mm2, found.arclength_mm2));
-        document.errors = Some(found.document);
+        let with_groove = groove.as_ref().map(|(g, v)| (g, v));
+        let (errors, covariance) = pair_errors(stereo, &shared, fit, u, with_groove);
+        document.groove = groove.map(|(g, _)| g.with_errors(&covariance));
+        document.errors = Some(errors);
         document
     };
     let pairs: Vec<PairDocument> = (0..files.len())
         .into_par_iter()
         .map(describe_pair)
         .collect();
-    let covariance = &shared.covariance;
-    let shared_covariance = (0..covariance.nrows())
-        .map(|i| covariance.row(i).iter().copied().collect())
-        .collect();
+    let rows = shared.covariance.row_iter();
+    let shared_covariance = rows.map(|row| row.iter().copied().collect()).collect();
     let document = ShapesDocument {
         format: SHAPES_FORMAT.into(),
         pairs,
@@ -281,8 +254,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
         let first = f
             .observations
             .iter()
-            .map(|s| s.arc_mm)
-            .fold(f64::INFINITY, f64::min);
+            .fold(f64::INFINITY, |a, s| a.min(s.arc_mm));
         let points = f.model.shape(&f.state).points;
         let near = ((NEAR_ROOT_MM / f.model.step_mm) as usize).min(points.len());
         let bend = points[..near]
@@ -296,9 +268,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
-    let pictures = files.read(Some(
-        stereo.cameras.each_ref().map(|camera| camera.image_size_px),
-    ))?;
+    let pictures = files.read(Some(stereo.cameras[0].image_size_px))?;
     let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
     let mut tags = Vec::new();
     for (camera, picture) in pictures.iter().enumerate() {
@@ -331,19 +301,15 @@ fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInpu
     })
 }
 
-/// Standard deviations of the root, and an earlier fit to continue from.
-struct Attempt<'a> {
-    root_sd: [f64; 2],
-    start: Option<&'a PairFit>,
-}
-
+/// Fits a pair, from an earlier fit where there is one.
 fn fit_one(
     stereo: &StereoCameras,
     rig: &Rig,
     loaded: &PairInput,
     base: Option<&FolderBase>,
     index: usize,
-    Attempt { root_sd, start }: Attempt<'_>,
+    root_sd: [f64; 2],
+    start: Option<&PairFit>,
 ) -> Result<PairFit, String> {
     let own = base_observations(rig, &loaded.tags);
     let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
@@ -382,7 +348,6 @@ fn fit_one(
     }
     let prior = Prior {
         base: pose.information,
-        base_offset: Vector6::zeros(),
         root_sd,
         smoothing: 1e6,
     };
@@ -422,21 +387,16 @@ fn each_once(tags: PairTags) -> (PairTags, Vec<String>) {
 }
 
 fn missing_tag(rig: &Rig, loaded: &PairInput) -> String {
-    let wanted: Vec<String> = rig
+    let wanted = rig.tags.iter().filter(|t| t.base_from_tag.is_some());
+    let wanted: Vec<_> = wanted.map(|t| format!("{} {}", t.family, t.id)).collect();
+    let found = loaded
         .tags
         .iter()
-        .filter(|t| t.base_from_tag.is_some())
-        .map(|t| format!("{} {}", t.family, t.id))
-        .collect();
-    let found: BTreeSet<String> = loaded
-        .tags
-        .iter()
-        .map(|(_, t)| format!("{} {}", t.family, t.id))
-        .collect();
-    let found = if found.is_empty() {
-        "no tag".to_string()
-    } else {
-        found.into_iter().collect::<Vec<_>>().join(", ")
+        .map(|(_, t)| format!("{} {}", t.family, t.id));
+    let found: BTreeSet<String> = found.collect();
+    let found = match found.is_empty() {
+        true => "no tag".to_owned(),
+        false => found.into_iter().collect::<Vec<_>>().join(", "),
     };
     format!(
         "expected the base tag ({}), found {found}",

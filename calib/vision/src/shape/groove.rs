@@ -3,31 +3,30 @@
 //!
 //! ```text
 //! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
-//! corrected = g - C_t (C_t + A C_w A + big t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
+//! corrected = g - C_t (A (C_t + C_w) A + t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
 //! ```
 //! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s.
 //! Source: generalised least squares of two estimates with known covariances (Aitken 1936).
 
 use crate::rig::RigGroove;
 use crate::shape::curve::CurveShape;
+use crate::shape::curve_fit::{between, node};
 use crate::shape::joint::{PairUncertainty, node_covariance};
 use crate::shape::pair_fit::PairFit;
 use crate::tags::base_pose::RigPose;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use wcal_core::shapes_document::GrooveDocument;
 
 /// Contact of a pair, with the quantities that its errors derive from.
 pub(crate) struct GrooveFound {
     /// As in `shapes.json`; standard deviations and covariance are still to come.
-    pub(crate) document: GrooveDocument,
-    /// Node before the contact.
-    pub(crate) node: usize,
-    /// Fraction of the interval to the next.
-    pub(crate) share: f64,
+    document: GrooveDocument,
+    /// Node before the contact, and fraction of the interval to the next.
+    pub at: (usize, f64),
     /// Unit tangent there.
-    pub(crate) tangent: Vector3<f64>,
+    pub tangent: Vector3<f64>,
     /// `B = I - C_t W A`: derivative of the corrected position by the tag's.
-    pub(crate) follow: Matrix3<f64>,
+    pub follow: Matrix3<f64>,
 }
 
 /// The contact of a pair whose rig tag is known: along the wire from the tag, across it from the
@@ -47,43 +46,46 @@ pub(crate) fn find_groove(
     let jacobian = fit.model.jacobian(&fit.state);
     // The nearest node, then along the tangent.
     let last = ((fit.length_mm / fit.model.step_mm) as usize).min(fit.model.nodes - 1);
+    let off = |node: usize| (shape.points[node] - by_tag).norm();
     let nearest = (0..=last)
-        .min_by(|&a, &b| {
-            (shape.points[a] - by_tag)
-                .norm()
-                .total_cmp(&(shape.points[b] - by_tag).norm())
-        })
+        .min_by(|&a, &b| off(a).total_cmp(&off(b)))
         .unwrap_or(0);
     let mut arc = nearest as f64 * fit.model.step_mm;
     let (mut point, mut tangent) = (shape.points[nearest], shape.tangents[nearest]);
-    let (mut node, mut share, mut follow) = (nearest, 0.0, Matrix3::identity());
+    let (mut at, mut follow) = ((nearest, 0.0), Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
-    let along = |t: &Vector3<f64>| t * t.transpose();
+    // Across a tangent, and the joint covariance there, of unit size along it.
+    let section = |t: &Vector3<f64>| {
+        let along = t * t.transpose();
+        let across = Matrix3::identity() - along;
+        (
+            across,
+            across * (tag_covariance + wire_covariance) * across + along,
+        )
+    };
     // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has
     // no mark there.
     for _ in 0..3 {
-        let across = Matrix3::identity() - along(&tangent);
-        let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
+        let (across, joint) = section(&tangent);
         let offset = by_tag - point;
         // Correlation between along and across in the tag's error shifts the foot point.
         let weight = joint.try_inverse().unwrap_or_else(Matrix3::zeros);
         follow = Matrix3::identity() - tag_covariance * weight * across;
         arc += tangent.dot(&(follow * offset));
         arc = arc.clamp(0.0, fit.length_mm);
-        let x = (arc / fit.model.step_mm).min(fit.model.nodes as f64 - 1.001);
-        (node, share) = (x.floor() as usize, x.fract());
-        point = shape.points[node] * (1.0 - share) + shape.points[node + 1] * share;
-        tangent =
-            (shape.tangents[node] * (1.0 - share) + shape.tangents[node + 1] * share).normalize();
+        at = node(arc, fit.model.step_mm, fit.model.nodes);
+        point = between(&shape.points, at);
+        tangent = between(&shape.tangents, at).normalize();
     }
-    let across = Matrix3::identity() - along(&tangent);
+    let (across, covariance) = section(&tangent);
     let rest = fit.model.shape(&fit.model.rest()).points;
     let at_rest = rest[((arc / fit.model.step_mm) as usize).min(rest.len() - 1)];
+    // The groove pushes the wire away from where it would rest.
     let moved = across * (point - at_rest);
     let width_mm = groove.width_along_wire_mm;
     let place = GroovePosition {
         away: across * (point - by_tag),
-        covariance: across * (tag_covariance + wire_covariance) * across + along(&tangent),
+        covariance,
         push: (moved.norm() > diameter_mm).then(|| moved.normalize()),
         turn: tangent_at(fit, &shape, arc + 0.5 * width_mm)
             - tangent_at(fit, &shape, arc - 0.5 * width_mm),
@@ -95,44 +97,38 @@ pub(crate) fn find_groove(
         _ => vec![arc],
     };
     // Apex of the flanks: the wire's centre is at the distance r / sin(half angle) from it.
-    let apex_mm = place.push.map(|p| {
-        let a = by_tag - p * (0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin());
-        [a.x, a.y, a.z]
-    });
+    let to_apex_mm = 0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin();
+    let apex_mm = place.push.map(|p| (by_tag - p * to_apex_mm).into());
     let document = GrooveDocument {
-        position_mm: [point.x, point.y, point.z],
+        position_mm: point.into(),
         sd_mm: [f64::NAN; 3],
         contact_arclength_mm: arc,
         contact_arclength_sd_mm: f64::NAN,
-        axis: [tangent.x, tangent.y, tangent.z],
+        axis: tangent.into(),
         contact: contact.into(),
         contacts_mm,
         distance_from_vertex_mm: place.away.norm(),
         apex_mm,
-        by_tag_mm: [by_tag.x, by_tag.y, by_tag.z],
+        by_tag_mm: by_tag.into(),
         covariance_mm2: None,
     };
     GrooveFound {
         document,
-        node,
-        share,
+        at,
         tangent,
         follow,
     }
 }
 
 impl GrooveFound {
-    /// The document with the errors that the pair's own and shared ones add up to.
-    pub(crate) fn with_errors(
-        mut self,
-        covariance: &Matrix3<f64>,
-        arclength_mm2: f64,
-    ) -> GrooveDocument {
-        self.document.sd_mm = std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt());
-        self.document.contact_arclength_sd_mm = arclength_mm2.max(0.0).sqrt();
-        self.document.covariance_mm2 = Some(std::array::from_fn(|i| {
-            std::array::from_fn(|j| covariance[(i, j)])
-        }));
+    /// The document with the covariance of position and arc length (mm^2) that the pair's own and
+    /// shared errors add up to.
+    pub(crate) fn with_errors(mut self, covariance: &DMatrix<f64>) -> GrooveDocument {
+        let [x, y, z, arc] = [0, 1, 2, 3].map(|k| covariance[(k, k)].max(0.0).sqrt());
+        self.document.sd_mm = [x, y, z];
+        self.document.contact_arclength_sd_mm = arc;
+        let of_position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        self.document.covariance_mm2 = Some(of_position.into());
         self.document
     }
 }

@@ -12,12 +12,12 @@
 //! "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
 
 use crate::rigid::updated;
-use crate::shape::curve_fit::{Prior, linearise, observation_residuals, stepped, with_prior};
+use crate::shape::curve_fit::{Prior, between, in_camera, node, stepped, with_prior};
 use crate::shape::pair_fit::PairFit;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::FolderBase;
 use crate::tags::pose::gradient_by_calibration;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -36,7 +36,7 @@ pub(crate) struct Joint {
     /// Base correction that all agree on.
     step: Vector6<f64>,
     /// Disagreement of wires and tags about the base, chi2 with 6 degrees of freedom.
-    pub(crate) disagreement: f64,
+    pub disagreement: f64,
 }
 
 impl Joint {
@@ -56,6 +56,7 @@ impl Joint {
                 rhs += part.rhs;
             }
         }
+        // What tags and wires together say of the base.
         let step = information
             .cholesky()
             .map_or_else(Vector6::zeros, |c| c.solve(&rhs));
@@ -65,37 +66,16 @@ impl Joint {
 
     /// Moves a pair to the joint base and lets its curve follow.
     pub(crate) fn apply(&self, stereo: &StereoCameras, fit: &mut PairFit, root_sd: [f64; 2]) {
-        let moved = fit.left_from_base * updated(&Isometry3::identity(), &self.step);
-        fit.left_from_base = moved;
+        fit.left_from_base *= updated(&Isometry3::identity(), &self.step);
+        let prior = held(root_sd, fit.smoothing);
         for _ in 0..3 {
-            let system = linearise(
-                stereo,
-                &moved,
-                &fit.model,
-                &fit.state,
-                &fit.observations,
-                fit.noise,
-            );
-            let (mut h, g) = with_prior(
-                &system,
-                &held(root_sd, fit.smoothing),
-                &fit.state,
-                &fit.model,
-            );
-            for k in 0..6 {
-                h[(k, k)] += 1e15;
-            }
-            let Some(c) = h.cholesky() else { return };
-            fit.state = stepped(&moved, &fit.state, &c.solve(&g)).1;
+            fit.system = fit.linearised(stereo);
+            let Some(next) = stepped(&fit.system, &prior, &fit.state, &fit.model) else {
+                return;
+            };
+            fit.state = next;
         }
-        fit.system = linearise(
-            stereo,
-            &moved,
-            &fit.model,
-            &fit.state,
-            &fit.observations,
-            fit.noise,
-        );
+        fit.system = fit.linearised(stereo);
     }
 }
 
@@ -120,8 +100,8 @@ pub(crate) struct PairUncertainty {
 }
 
 /// The left camera's axis in the base frame.
-pub(crate) fn depth_axis(fit: &PairFit) -> nalgebra::Vector3<f64> {
-    fit.left_from_base.inverse().rotation * nalgebra::Vector3::z()
+pub(crate) fn depth_axis(fit: &PairFit) -> Vector3<f64> {
+    fit.left_from_base.inverse().rotation * Vector3::z()
 }
 
 /// Uncertainty of every fitted pair.
@@ -192,17 +172,15 @@ fn covariance(
     their_pull: &DMatrix<f64>,
     mut by_calibration: DMatrix<f64>,
 ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    let (mut full, _) = with_prior(
-        &fit.system,
-        &held(root_sd, fit.smoothing),
-        &fit.state,
-        &fit.model,
-    );
-    let mut of_base = full.fixed_view_mut::<6, 6>(0, 0);
-    of_base += others;
+    let prior = Prior {
+        base: *others,
+        ..held(root_sd, fit.smoothing)
+    };
+    let (full, _) = with_prior(&fit.system, &prior, &fit.state, &fit.model);
     let mut pull = by_calibration.rows_mut(0, 6);
     pull += their_pull;
     let mut covariance = full.cholesky()?.inverse();
+    // Implicit function theorem: how the minimum follows the cameras.
     let response = &covariance * by_calibration;
     if let Some(c) = &stereo.covariance {
         covariance += &response * c * response.transpose();
@@ -237,7 +215,6 @@ fn line_shift_mm(stereo: &StereoCameras, fit: &PairFit) -> f64 {
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
     Prior {
         base: Matrix6::zeros(),
-        base_offset: Vector6::zeros(),
         root_sd,
         smoothing,
     }
@@ -264,13 +241,14 @@ impl SchurComplement {
         let n = h.nrows() - 6;
         let cross = h.view((0, 6), (6, n)).into_owned();
         let curve = h.view((6, 6), (n, n)).into_owned().cholesky()?;
+        // Elimination of the curve: what is left is on the base alone.
         let carried = curve.solve(&cross.transpose()).transpose();
         let own = curve.l().transpose().try_inverse()?;
         let information = h.view((0, 0), (6, 6)) - &carried * cross.transpose();
         let rhs = g.rows(0, 6) - &carried * g.rows(6, n);
         Some(Self {
-            information: Matrix6::from_iterator(information.iter().copied()),
-            rhs: Vector6::from_iterator(rhs.iter().copied()),
+            information: information.fixed_view::<6, 6>(0, 0).into_owned(),
+            rhs: rhs.fixed_rows::<6>(0).into_owned(),
             carried,
             own,
         })
@@ -285,22 +263,20 @@ impl SchurComplement {
 /// Derivative of the observations' right-hand side by the calibration.
 fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     let points = fit.model.shape(&fit.state).points;
+    // Observed minus predicted along the normal, px.
     let residuals = |s: &StereoCameras| {
-        observation_residuals(
-            s,
-            &fit.left_from_base,
-            &points,
-            fit.model.step_mm,
-            &fit.observations,
-        )
+        let each = fit.observations.iter().map(|o| {
+            let p = between(&points, node(o.arc_mm, fit.model.step_mm, points.len()));
+            in_camera(s, &fit.left_from_base, o.camera, &p)
+                .map_or(0.0, |(px, _, _)| o.normal.dot(&(o.observed_px - px)))
+        });
+        DVector::from_iterator(fit.observations.len(), each)
     };
     let now = residuals(stereo);
     let mut out = DMatrix::zeros(fit.system.data.nrows(), stereo.parameters());
     for k in 0..stereo.parameters() {
         let h = stereo.difference_step(k);
-        let there = residuals(&stereo.moved(k, h));
-        let change =
-            DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
+        let change = (residuals(&stereo.moved(k, h)) - &now) / h;
         out.set_column(k, &(&fit.system.rows_weighted * change));
     }
     out
@@ -315,6 +291,7 @@ pub(crate) fn planar_sd(a: f64, b: f64) -> f64 {
         return f64::NAN;
     }
     let variance = 2.0 * (a * a + b * b);
+    // Satterthwaite's degrees of freedom: mean and variance of the sum agree.
     let degrees = 2.0 * mean * mean / variance;
     let quantile = ChiSquared::new(degrees).map_or(5.991, |c| c.inverse_cdf(0.95));
     (variance / (2.0 * mean) * quantile / 5.991_464_547).sqrt()
@@ -330,6 +307,6 @@ pub(crate) fn node_covariance(
     let n = fit.model.parameters();
     let j = jacobian.columns(3 * node, 3);
     let c = u.covariance.view((6, 6), (n, n));
-    let m = j.tr_mul(&(c * j));
-    Matrix3::from_iterator(m.iter().copied()) + Matrix3::identity() * u.shared_mm * u.shared_mm
+    let m = j.tr_mul(&(c * j)).fixed_view::<3, 3>(0, 0).into_owned();
+    m + Matrix3::identity() * u.shared_mm.powi(2)
 }

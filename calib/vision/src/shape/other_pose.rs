@@ -1,8 +1,7 @@
 //! Pairs whose pictures show two poses: a curve through both has another length than the wire, and
 //! misses the groove.
 
-use crate::median::median;
-use wcal_core::order_statistics::MAD_TO_SD;
+use crate::median::median_and_sd;
 use wcal_core::shapes_document::PairDocument;
 
 /// Standard deviations of a length beyond which a wire does not have it.
@@ -26,14 +25,7 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
             .filter(|(j, p)| *j != k && seen(p))
             .map(|(_, p)| p.length_mm)
             .collect();
-        let typical = median(&others);
-        let spread = MAD_TO_SD
-            * median(
-                &others
-                    .iter()
-                    .map(|l| (l - typical).abs())
-                    .collect::<Vec<_>>(),
-            );
+        let [typical, spread] = median_and_sd(&others);
         let off = (pair.length_mm - typical).abs();
         let limit = (BEYOND_SD * pair.length_sd_mm.hypot(spread)).max(LENGTH_SHARE * typical);
         // A length that differs from one other alone is not that of this pair for sure; neither is

@@ -14,18 +14,18 @@
 //! 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
 
 use crate::rig::RigGroove;
-use crate::rigid::hat;
+use crate::rigid::updated;
 use crate::shape::curve::CurveState;
-use crate::shape::curve_fit::{in_camera, stepped};
+use crate::shape::curve_fit::{between, in_camera, node};
 use crate::shape::describe::places;
 use crate::shape::groove::GrooveFound;
 use crate::shape::joint::{PairUncertainty, depth_axis};
 use crate::shape::pair_fit::PairFit;
 use crate::stereo::StereoCameras;
-use crate::tags::base_pose::RigPoses;
+use crate::tags::base_pose::{RigPose, RigPoses};
 use crate::tags::pose::gradient_by_calibration;
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3,
+    DMatrix, DVector, DVectorView, Isometry3, Matrix3, Point3, SMatrix, Vector2, Vector3,
 };
 use rayon::prelude::*;
 use wcal_core::covariance::root;
@@ -54,13 +54,13 @@ const SETUP: usize = 15;
 pub(crate) struct SharedErrors {
     /// Parameters of the cameras.
     cameras: usize,
-    pub(crate) parameters: Vec<SharedParameter>,
-    pub(crate) covariance: DMatrix<f64>,
+    pub parameters: Vec<SharedParameter>,
+    pub covariance: DMatrix<f64>,
     /// Derivative of each pair's rig tag gradient by the cameras, 6 x parameters.
     pulls: Vec<Option<DMatrix<f64>>>,
     /// Derivative of the shared turn by the cameras, 3 x parameters; none where each pair has its
     /// own.
-    turn: Option<Matrix3xX<f64>>,
+    turn: Option<DMatrix<f64>>,
 }
 
 impl SharedErrors {
@@ -71,11 +71,7 @@ impl SharedErrors {
     ) -> Self {
         let cameras = stereo.parameters();
         let mut covariance = DMatrix::zeros(cameras + SETUP, cameras + SETUP);
-        let mut put = |at: usize, block: &DMatrix<f64>| {
-            covariance
-                .view_mut((at, at), block.shape())
-                .copy_from(block);
-        };
+        let mut put = |at: usize, block: &DMatrix<f64>| put(&mut covariance, (at, at), block);
         if let Some(c) = &stereo.covariance {
             put(0, c);
         }
@@ -88,15 +84,16 @@ impl SharedErrors {
         }
         let turn_covariance = rigs.shared_turn.and_then(|total| total.try_inverse());
         if let Some(c) = &turn_covariance {
-            put(
-                cameras + TAG_TURN,
-                &DMatrix::from_column_slice(3, 3, c.as_slice()),
-            );
+            put(cameras + TAG_TURN, &dynamic(c));
         }
         put(cameras + LIGHT, &DMatrix::identity(2, 2));
-        let pull = |p: &Option<crate::tags::base_pose::RigPose>| {
-            p.as_ref()
-                .map(|p| gradient_by_calibration(stereo, &p.observations, &p.left_from_tag))
+        let pull = |p: &Option<RigPose>| {
+            let p = p.as_ref()?;
+            Some(gradient_by_calibration(
+                stereo,
+                &p.observations,
+                &p.left_from_tag,
+            ))
         };
         let pulls: Vec<Option<DMatrix<f64>>> = rigs.poses.par_iter().map(pull).collect();
         let turn = turn_covariance.map(|c| {
@@ -106,7 +103,7 @@ impl SharedErrors {
                     all += pull.rows(0, 3) - b.cross * b.shift * pull.rows(3, 3);
                 }
             }
-            c * all
+            dynamic(&c) * all
         });
         Self {
             cameras,
@@ -122,22 +119,22 @@ impl SharedErrors {
         own * own.transpose() + shared * &self.covariance * shared.transpose()
     }
 
-    /// Writes the columns of the cameras and of the board's size, which scales the baseline.
-    fn put_cameras(
-        &self,
-        stereo: &StereoCameras,
-        to: &mut DMatrix<f64>,
-        by_cameras: &DMatrix<f64>,
-    ) {
-        to.columns_mut(0, self.cameras).copy_from(by_cameras);
-        let baseline = &stereo.right_from_left.translation.vector;
-        let last = by_cameras.columns(self.cameras - 3, 3);
-        to.set_column(self.cameras + BOARD, &(last * baseline));
+    /// Columns of all shared errors by those of the cameras: the board's size scales the baseline.
+    fn columns(&self, stereo: &StereoCameras, by_cameras: DMatrix<f64>) -> DMatrix<f64> {
+        let baseline = stereo.right_from_left.translation.vector;
+        let by_board = by_cameras.columns(self.cameras - 3, 3) * baseline;
+        let mut columns = by_cameras.resize_horizontally(self.cameras + SETUP, 0.0);
+        columns.set_column(self.cameras + BOARD, &by_board);
+        columns
     }
 }
 
-fn dynamic(m: &Matrix6<f64>) -> DMatrix<f64> {
-    DMatrix::from_column_slice(6, 6, m.as_slice())
+fn dynamic<const N: usize>(m: &SMatrix<f64, N, N>) -> DMatrix<f64> {
+    DMatrix::from_column_slice(N, N, m.as_slice())
+}
+
+fn put(to: &mut DMatrix<f64>, at: (usize, usize), block: &DMatrix<f64>) {
+    to.view_mut(at, block.shape()).copy_from(block);
 }
 
 fn parameters(stereo: &StereoCameras) -> Vec<SharedParameter> {
@@ -188,7 +185,7 @@ pub(crate) struct VertexErrors {
     by_base: DMatrix<f64>,
     shared: DMatrix<f64>,
     /// Covariance of all errors together, mm^2.
-    pub(crate) covariance: Matrix3<f64>,
+    pub covariance: Matrix3<f64>,
 }
 
 impl VertexErrors {
@@ -205,27 +202,20 @@ impl VertexErrors {
         let (pose, pull) = (rigs.poses[pair].as_ref()?, shared.pulls[pair].as_ref()?);
         let cameras = shared.cameras;
         let base_from_left = fit.left_from_base.inverse();
-        let in_left = pose.left_from_tag * nalgebra::Point3::from(groove.position_in_tag_mm);
+        let in_left = pose.left_from_tag * Point3::from(groove.position_in_tag_mm);
         let vertex = (base_from_left * in_left).coords;
         let to_base: Matrix3<f64> = *(base_from_left.rotation * pose.left_from_tag.rotation)
             .to_rotation_matrix()
             .matrix();
-        let lever = -hat(&groove.position_in_tag_mm);
-        let mut columns = DMatrix::zeros(3, cameras + SETUP);
-        let (own, by_cameras) = match &shared.turn {
+        let lever = -groove.position_in_tag_mm.cross_matrix();
+        let (own, by_cameras, by_turn) = match &shared.turn {
             // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
-                let by_turn = to_base * (lever - b.shift * b.cross.transpose());
-                columns
-                    .columns_mut(cameras + TAG_TURN, 3)
-                    .copy_from(&by_turn);
+                let by_turn = dynamic(&(to_base * (lever - b.shift * b.cross.transpose())));
                 let own = to_base * root(&b.shift).ok()?;
-                let by_cameras = by_turn * turn + to_base * b.shift * pull.rows(3, 3);
-                (
-                    DMatrix::from_column_slice(3, 3, own.as_slice()),
-                    dense(by_cameras),
-                )
+                let by_cameras = &by_turn * turn + dynamic(&(to_base * b.shift)) * pull.rows(3, 3);
+                (dynamic(&own), by_cameras, by_turn)
             }
             None => {
                 let covariance = pose.information.try_inverse()?;
@@ -233,55 +223,44 @@ impl VertexErrors {
                 by_pose.columns_mut(0, 3).copy_from(&(to_base * lever));
                 by_pose.columns_mut(3, 3).copy_from(&to_base);
                 let by_cameras = &by_pose * (covariance * pull);
-                (by_pose * dynamic(&root(&covariance).ok()?), by_cameras)
+                let own = by_pose * dynamic(&root(&covariance).ok()?);
+                (own, by_cameras, DMatrix::zeros(3, 3))
             }
         };
         // A base that is turned by w and shifted by d sees the point at p - d - w x p.
         let mut by_base = DMatrix::zeros(3, 6);
-        by_base.columns_mut(0, 3).copy_from(&hat(&vertex));
+        by_base.columns_mut(0, 3).copy_from(&vertex.cross_matrix());
         by_base.columns_mut(3, 3).copy_from(&-Matrix3::identity());
         let by_cameras = by_cameras + &by_base * u.by_calibration.rows(0, 6);
-        shared.put_cameras(stereo, &mut columns, &by_cameras);
+        let mut columns = shared.columns(stereo, by_cameras);
+        put(&mut columns, (0, cameras + TAG_TURN), &by_turn);
         if u.base_shared {
-            columns.columns_mut(cameras + BASE, 6).copy_from(&by_base);
+            put(&mut columns, (0, cameras + BASE), &by_base);
         }
         // A displaced tag displaces the vertex that it states by the same vector.
-        columns
-            .columns_mut(cameras + TAG_PLACE, 3)
-            .copy_from(&to_base);
+        put(&mut columns, (0, cameras + TAG_PLACE), &dynamic(&to_base));
         let mut covariance = shared.covariance_of(&own, &columns);
         if !u.base_shared {
             covariance += &by_base * dynamic(&u.base) * by_base.transpose();
         }
-        let covariance = Matrix3::from_iterator(covariance.iter().copied());
         Some(Self {
             own,
             by_base,
             shared: columns,
-            covariance,
+            covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
         })
     }
 }
 
-fn dense(m: Matrix3xX<f64>) -> DMatrix<f64> {
-    DMatrix::from_column_slice(3, m.ncols(), m.as_slice())
-}
-
-/// Errors of a pair, and the covariances of groove position and contact arc length from their sum.
-pub(crate) struct Errors {
-    pub(crate) document: PairErrors,
-    pub(crate) groove_mm2: Matrix3<f64>,
-    pub(crate) arclength_mm2: f64,
-}
-
-/// Errors of a pair's centre line, groove and length.
+/// Errors of a pair's centre line, groove and length, and the covariance of groove position and
+/// contact arc length by their sum.
 pub(crate) fn pair_errors(
     stereo: &StereoCameras,
     shared: &SharedErrors,
     fit: &PairFit,
     u: &PairUncertainty,
     groove: Option<(&GrooveFound, &VertexErrors)>,
-) -> Errors {
+) -> (PairErrors, DMatrix<f64>) {
     let stations: Vec<(usize, (f64, usize, f64))> =
         places(fit).enumerate().step_by(STATION_POINTS).collect();
     let jacobian = fit.model.jacobian(&fit.state);
@@ -298,7 +277,7 @@ pub(crate) fn pair_errors(
     if let Some((found, _)) = groove {
         by_curve
             .rows_mut(m, 3)
-            .copy_from(&at(found.node, found.share));
+            .copy_from(&at(found.at.0, found.at.1));
     }
     let own = own_columns(fit, u, &by_curve, groove.map(|g| g.1));
     let all = shared_columns(stereo, shared, fit, u, &by_curve, groove.map(|g| g.1));
@@ -307,7 +286,7 @@ pub(crate) fn pair_errors(
     let covariance =
         shared.covariance_of(&own.rows(m, 4).into_owned(), &all.rows(m, 4).into_owned());
     let (kept, floor_mm) = principal(own);
-    let column = |c: nalgebra::DVectorView<f64>, digits: fn(f64) -> f64| ErrorColumn {
+    let column = |c: DVectorView<f64>, digits: fn(f64) -> f64| ErrorColumn {
         centreline_mm: (0..stations.len())
             .map(|k| std::array::from_fn(|d| digits(c[3 * k + d])))
             .collect(),
@@ -318,16 +297,14 @@ pub(crate) fn pair_errors(
     let document = PairErrors {
         stations: stations.iter().map(|s| s.0).collect(),
         stations_mm: stations.iter().map(|s| nanometres(s.1.0)).collect(),
-        own: kept.column_iter().map(|c| column(c, nanometres)).collect(),
+        own: kept
+            .iter()
+            .map(|c| column(c.as_view(), nanometres))
+            .collect(),
         floor_mm,
         shared: all.column_iter().map(|c| column(c, significant)).collect(),
     };
-    let groove_mm2 = Matrix3::from_fn(|i, j| covariance[(i, j)]);
-    Errors {
-        document,
-        groove_mm2,
-        arclength_mm2: covariance[(3, 3)],
-    }
+    (document, covariance)
 }
 
 /// Own errors: curve with base and cameras held, the base where it is this pair's own, corners of
@@ -338,37 +315,24 @@ fn own_columns(
     by_curve: &DMatrix<f64>,
     vertex: Option<&VertexErrors>,
 ) -> DMatrix<f64> {
-    let (rows, of_curve) = (by_curve.nrows(), u.own.ncols());
-    let base = if u.base_shared {
-        None
-    } else {
-        root(&u.base).ok().as_ref().map(dynamic)
+    let rows = by_curve.nrows();
+    let base = match u.base_shared {
+        true => None,
+        false => root(&u.base).ok(),
     };
-    let of_base = base.as_ref().map_or(0, DMatrix::ncols);
-    let of_tag = vertex.map_or(0, |v| v.own.ncols());
-    let mut columns = DMatrix::zeros(rows + 4, of_curve + of_base + of_tag + 1);
-    columns
-        .view_mut((0, 0), (rows, of_curve))
-        .copy_from(&(by_curve * &u.own));
-    if let Some(base) = &base {
-        columns
-            .view_mut((0, of_curve), (rows, of_base))
-            .copy_from(&(by_curve * &u.by_base * base));
-        if let Some(v) = vertex {
-            columns
-                .view_mut((rows, of_curve), (3, of_base))
-                .copy_from(&(&v.by_base * base));
-        }
-    }
+    let base = base.as_ref().map_or(DMatrix::zeros(6, 0), dynamic);
+    let of_curve = by_curve * &u.own;
+    let (base_at, tag_at) = (of_curve.ncols(), of_curve.ncols() + base.ncols());
+    let end_at = tag_at + vertex.map_or(0, |v| v.own.ncols());
+    let mut columns = DMatrix::zeros(rows + 4, end_at + 1);
+    put(&mut columns, (0, 0), &of_curve);
+    put(&mut columns, (0, base_at), &(by_curve * &u.by_base * &base));
     if let Some(v) = vertex {
-        columns
-            .view_mut((rows, of_curve + of_base), (3, of_tag))
-            .copy_from(&v.own);
+        put(&mut columns, (rows, base_at), &(&v.by_base * base));
+        put(&mut columns, (rows, tag_at), &v.own);
     }
-    let end = (fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2))
-        .max(0.0)
-        .sqrt();
-    columns[(rows + 3, of_curve + of_base + of_tag)] = end;
+    let end_mm2 = fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2);
+    columns[(rows + 3, end_at)] = end_mm2.max(0.0).sqrt();
     columns
 }
 
@@ -382,33 +346,30 @@ fn shared_columns(
     vertex: Option<&VertexErrors>,
 ) -> DMatrix<f64> {
     let (cameras, rows) = (shared.cameras, by_curve.nrows());
-    let mut line = DMatrix::zeros(rows, cameras + SETUP);
     let by_cameras = by_curve * u.by_calibration.rows(6, fit.model.parameters());
-    shared.put_cameras(stereo, &mut line, &by_cameras);
+    let mut columns = shared.columns(stereo, by_cameras);
     if u.base_shared {
-        line.columns_mut(cameras + BASE, 6)
-            .copy_from(&(by_curve * &u.by_base));
+        put(&mut columns, (0, cameras + BASE), &(by_curve * &u.by_base));
     }
     // A line that is off in one picture moves the whole wire in depth.
     let depth = depth_axis(fit) * u.shared_mm;
-    for row in 0..rows / 3 {
-        line.view_mut((3 * row, cameras + LIGHT), (3, 1))
+    for row in (0..rows).step_by(3) {
+        columns
+            .view_mut((row, cameras + LIGHT), (3, 1))
             .copy_from(&depth);
     }
-    let mut length = DMatrix::zeros(1, cameras + SETUP);
     let by_cameras = DMatrix::from_fn(1, cameras, |_, k| {
         let h = stereo.difference_step(k);
         let error = DVector::from_fn(cameras, |i, _| if i == k { h } else { 0.0 });
         length_change_mm(stereo, fit, u, &error) / h
     });
-    shared.put_cameras(stereo, &mut length, &by_cameras);
+    let mut length = shared.columns(stereo, by_cameras);
     length[cameras + END] = fit.length_shared_mm;
-    let mut columns = DMatrix::zeros(rows + 4, cameras + SETUP);
-    columns.rows_mut(0, rows).copy_from(&line);
+    let mut columns = columns.resize_vertically(rows + 4, 0.0);
     if let Some(v) = vertex {
-        columns.rows_mut(rows, 3).copy_from(&v.shared);
+        put(&mut columns, (rows, 0), &v.shared);
     }
-    columns.row_mut(rows + 3).copy_from(&length);
+    put(&mut columns, (rows + 3, 0), &length);
     columns
 }
 
@@ -421,14 +382,8 @@ fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) 
     out.row_mut(m + 4).copy_from(&columns.row(m + 6));
     let Some(found) = groove else { return out };
     for k in 0..count {
-        let of = |row: usize| {
-            Vector3::new(
-                columns[(row, k)],
-                columns[(row + 1, k)],
-                columns[(row + 2, k)],
-            )
-        };
-        let (foot, vertex) = (of(m), of(m + 3));
+        let [foot, vertex] = [m, m + 3].map(|row| columns.fixed_view::<3, 1>(row, k));
+        // The tag says where along the wire, the wire itself where across.
         let along = found.tangent.dot(&(found.follow * (vertex - foot)));
         out.view_mut((m, k), (3, 1))
             .copy_from(&(foot + found.tangent * along));
@@ -439,36 +394,24 @@ fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) 
 
 /// The same covariance by the fewest independent columns that leave out less than [`LEFT_OUT_MM`]
 /// anywhere, and the part left out.
-fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
+fn principal(columns: DMatrix<f64>) -> (Vec<DVector<f64>>, f64) {
+    // Principal axes: most of the variance in the fewest columns.
     let parts = (&columns * columns.transpose()).symmetric_eigen();
     let mut order: Vec<usize> = (0..columns.nrows()).collect();
     order.sort_by(|a, b| parts.eigenvalues[*b].total_cmp(&parts.eigenvalues[*a]));
     let scaled = |k: usize| parts.eigenvectors.column(k) * parts.eigenvalues[k].max(0.0).sqrt();
-    let mut left = columns
-        .row_iter()
-        .map(|r| r.norm_squared())
-        .collect::<Vec<f64>>();
+    let mut left = DVector::from_fn(columns.nrows(), |k, _| columns.row(k).norm_squared());
     let mut kept = Vec::new();
     for k in order {
-        let largest = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
+        let largest = left.max().max(0.0).sqrt();
         if largest <= LEFT_OUT_MM {
-            return (from_columns(columns.nrows(), &kept), largest);
+            return (kept, largest);
         }
-        let column = scaled(k);
-        left.iter_mut()
-            .zip(column.iter())
-            .for_each(|(l, c)| *l -= c * c);
+        let column: DVector<f64> = scaled(k);
+        left -= column.component_mul(&column);
         kept.push(column);
     }
-    (from_columns(columns.nrows(), &kept), 0.0)
-}
-
-fn from_columns(rows: usize, columns: &[DVector<f64>]) -> DMatrix<f64> {
-    if columns.is_empty() {
-        DMatrix::zeros(rows, 0)
-    } else {
-        DMatrix::from_columns(columns)
-    }
+    (kept, 0.0)
 }
 
 /// To a nanometre: an error of an error.
@@ -489,18 +432,19 @@ fn length_change_mm(
     error: &DVector<f64>,
 ) -> f64 {
     let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
-    let (pose, state) = stepped(
-        &fit.left_from_base,
-        &fit.state,
-        &(&u.by_calibration * error),
+    let step = &u.by_calibration * error;
+    let correction = updated(
+        &Isometry3::identity(),
+        &step.fixed_rows::<6>(0).into_owned(),
     );
+    let (pose, mut state) = (fit.left_from_base * correction, fit.state.clone());
+    state.add(&step.as_slice()[6..]);
     let end = |state: &CurveState, arc_mm: f64| {
-        let points = fit.model.shape(state).points;
-        let x = (arc_mm / fit.model.step_mm).clamp(0.0, points.len() as f64 - 1.001);
-        points[x as usize] * (1.0 - x.fract()) + points[x as usize + 1] * x.fract()
+        let at = node(arc_mm, fit.model.step_mm, fit.model.nodes);
+        between(&fit.model.shape(state).points, at)
     };
     let seen = |s: &StereoCameras, pose: &Isometry3<f64>, p: &Vector3<f64>, camera: usize| {
-        in_camera(s, camera, &(pose * Point3::from(*p)).coords).map(|(px, _, _)| px)
+        in_camera(s, pose, camera, p).map(|(px, _, _)| px)
     };
     let tip = end(&fit.state, fit.length_mm);
     let before = end(&fit.state, fit.length_mm - fit.model.step_mm);

@@ -5,13 +5,13 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape::curve::{CurveModel, CurveState};
 use crate::shape::curve_fit::{
-    LineObservation, PairSystem, Prior, choose_smoothing, image_line, linearise, measure,
-    observations, stepped, visible, with_prior,
+    LineObservation, PairSystem, Prior, choose_smoothing, image_line, linearise, observation,
+    stepped,
 };
 use crate::shape::socp_start::socp_initial_curve;
 use crate::stereo::StereoCameras;
 use crate::wire::appearance::fit_appearance;
-use crate::wire::piece::{Appearance, Piece};
+use crate::wire::piece::{Appearance, Piece, Station, fit_piece};
 use crate::wire::search::find_wire;
 use crate::wire::tip::{Tip, find_tip};
 use nalgebra::{Isometry3, Matrix6, Vector3};
@@ -29,8 +29,8 @@ pub struct PairFit {
     pub base_information: Matrix6<f64>,
     /// Measured places that count.
     pub observations: Vec<LineObservation>,
-    /// All pieces measured and whether they show the wire, left and right.
-    pub pieces: [(Vec<Piece>, Vec<bool>); 2],
+    /// All pieces measured, left and right.
+    pub pieces: [Vec<Piece>; 2],
     /// Length and its sd, mm.
     pub length_mm: f64,
     /// Sd of the length, mm.
@@ -124,7 +124,7 @@ fn pushed_at(model: &CurveModel, state: &CurveState, vertex_mm: &Vector3<f64>) -
 }
 
 /// Follows the curve that the search found through the pieces of both pictures.
-fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, String> {
+fn refine(scene: &Scene<'_>, mut fit: PairFit, again: bool) -> Result<PairFit, String> {
     let Scene {
         stereo,
         rig,
@@ -133,46 +133,30 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         prior,
         ..
     } = *scene;
-    let PairFit {
-        mut model,
-        mut state,
-        mut appearances,
-        polarity,
-        mut noise,
-        ..
-    } = begun;
-    let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
+    let nominal_mm = rig.whisker.length_mm;
     let mut prior = Prior {
-        smoothing: begun.smoothing,
+        smoothing: fit.smoothing,
         ..prior.clone()
     };
     // A wire that starts elsewhere is fitted with a free root; whether the base moved as well is
     // decided over the folder.
-    if begun.root_aside_mm > 0.0 {
+    if fit.root_aside_mm > 0.0 {
         prior.root_sd = ROOT_FREE;
     }
-    let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
-    let mut all: Vec<LineObservation> = Vec::new();
-    let mut warnings = Vec::new();
+    fit.left_from_base = *left_from_base;
+    fit.base_information = prior.base;
+    fit.length_shared_mm = 0.0;
+    fit.warnings.clear();
     let mut end_seen = false;
     // The window narrows as the curve converges.
     let windows = [4.0, 2.0, 1.2, 1.0, 1.0];
     let mut round = if again { 3 } else { 0 };
     while let Some(&search_px) = windows.get(round) {
         // Blur and width are fitted once the line is approximately right.
-        let fit_looks = round == 1 || round == 3;
-        pieces = measure_pieces(
-            scene,
-            &model,
-            &state,
-            length,
-            search_px,
-            &mut appearances,
-            (polarity, fit_looks),
-        );
-        all = (0..2)
-            .flat_map(|c| observations(c, &pieces[c].0, &pieces[c].1))
-            .collect();
+        measure_pieces(scene, &mut fit, search_px, round == 1 || round == 3);
+        let seen = fit.seen().map(|(camera, piece)| observation(camera, piece));
+        fit.observations = seen.filter(|o| o.sd_px.is_finite()).collect();
+        let all = &fit.observations;
         if all.len() < 40 {
             return Err(format!(
                 "no wire: only {} pieces of 4 px show a bar",
@@ -182,185 +166,140 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         if round == 0 {
             // Far from the solution robust weights and evidence for the smoothing are unreliable:
             // the convex programme needs neither.
-            let found = socp_initial_curve(stereo, left_from_base, &model, &state, &all, &prior);
-            state = found.ok_or("no curve of the wire's length passes through the pieces")?;
+            fit.state =
+                socp_initial_curve(stereo, left_from_base, &fit.model, &fit.state, all, &prior)
+                    .ok_or("no curve of the wire's length passes through the pieces")?;
             round += 1;
             continue;
         }
-        if let Some(arc_mm) = vertex_mm.and_then(|at| pushed_at(&model, &state, &at)) {
-            model = model.with_force_at(arc_mm);
+        if let Some(arc_mm) = vertex_mm.and_then(|at| pushed_at(&fit.model, &fit.state, &at)) {
+            fit.model = fit.model.with_force_at(arc_mm);
         }
-        (state, noise) = gauss_newton(scene, &model, state, &all, noise, &mut prior)?;
-        let ends = ends_seen(scene, &model, &state, appearances, length);
+        let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
+        gauss_newton(stereo, &mut fit, &mut prior)?;
+        let ends = ends_seen(scene, &fit);
         end_seen = !ends.is_empty();
-        if ends.is_empty() {
-            let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
+        if end_seen {
+            let sum = |of: fn(&Tip) -> f64| ends.iter().map(|e| of(e) * e.sd_mm.powi(-2)).sum();
+            let weight: f64 = sum(|_| 1.0);
+            fit.length_mm = sum(|e| e.arc_mm) / weight;
+            fit.length_sd_mm = weight.powf(-0.5);
+            fit.length_shared_mm = sum(|e| e.shared_mm) / weight;
+        } else {
             // Seen up to the end of the searched length, and no wire end there: the wire is longer.
-            if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
-                length += GROWTH_MM;
+            if last > fit.length_mm - 1.0 && fit.length_mm + GROWTH_MM < REACH * nominal_mm {
+                fit.length_mm += GROWTH_MM;
                 continue;
             }
             // Without a visible end: the last piece seen, or the nominal length where that lies
             // near.
-            length = if (last - rig.whisker.length_mm).abs() < 2.0 {
-                rig.whisker.length_mm
+            fit.length_mm = if (last - nominal_mm).abs() < 2.0 {
+                nominal_mm
             } else {
                 last
             };
-            (length_sd, length_shared) = (1.0, 0.0);
+            (fit.length_sd_mm, fit.length_shared_mm) = (1.0, 0.0);
             if round == 4 {
-                warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
+                fit.warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
             }
-        } else {
-            let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
-            length = ends
-                .iter()
-                .map(|e| e.arc_mm * e.sd_mm.powi(-2))
-                .sum::<f64>()
-                / w;
-            length_sd = w.powf(-0.5);
-            length_shared = ends
-                .iter()
-                .map(|e| e.shared_mm * e.sd_mm.powi(-2))
-                .sum::<f64>()
-                / w;
         }
         round += 1;
     }
-    warnings.extend(doubts(
-        &pieces,
-        length,
-        end_seen,
-        noise,
-        rig.whisker.length_mm,
-    )?);
-    let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
-    Ok(PairFit {
-        model,
-        state,
-        left_from_base: *left_from_base,
-        base_information: prior.base,
-        observations: all,
-        pieces,
-        length_mm: length,
-        length_sd_mm: length_sd,
-        length_shared_mm: length_shared,
-        system,
-        noise,
-        smoothing: prior.smoothing,
-        polarity,
-        appearances,
-        diameter_mm: begun.diameter_mm,
-        root_aside_mm: begun.root_aside_mm,
-        warnings,
-    })
+    let warnings = doubts(&fit, end_seen, nominal_mm)?;
+    fit.warnings.extend(warnings);
+    fit.smoothing = prior.smoothing;
+    fit.system = fit.linearised(stereo);
+    Ok(fit)
 }
 
-/// The pieces of the wire in both pictures, and which of them show it; appearances are fitted to
-/// them where `fit_looks`.
-fn measure_pieces(
-    scene: &Scene<'_>,
-    model: &CurveModel,
-    state: &CurveState,
-    length_mm: f64,
-    search_px: f64,
-    appearances: &mut [Appearance; 2],
-    (polarity, fit_looks): (f64, bool),
-) -> [(Vec<Piece>, Vec<bool>); 2] {
-    let points = model.shape(state).points;
-    [0, 1].map(|camera| {
-        let line = image_line(
-            scene.stereo,
-            scene.left_from_base,
+impl PairFit {
+    /// Pieces that show the wire, with their camera.
+    pub(crate) fn seen(&self) -> impl Iterator<Item = (usize, &Piece)> {
+        let of = |camera: usize| self.pieces[camera].iter().map(move |p| (camera, p));
+        of(0)
+            .chain(of(1))
+            .filter(|(_, piece)| piece.shows(self.polarity))
+    }
+
+    /// The observations, linearised about the curve.
+    pub(crate) fn linearised(&self, stereo: &StereoCameras) -> PairSystem {
+        let (model, state) = (&self.model, &self.state);
+        let (pose, observations) = (&self.left_from_base, &self.observations);
+        linearise(stereo, pose, model, state, observations, self.noise)
+    }
+}
+
+impl Scene<'_> {
+    /// Stations along the image of a curve in a picture.
+    fn line(&self, fit: &PairFit, camera: usize, length_mm: f64) -> Vec<Station> {
+        image_line(
+            self.stereo,
+            self.left_from_base,
             camera,
-            &points,
-            model.step_mm,
+            &fit.model.shape(&fit.state).points,
+            fit.model.step_mm,
             length_mm,
-            scene.rig.whisker.diameter_mm,
-        );
-        let picture = &scene.pictures[camera];
-        let measured = measure(picture, &line, appearances[camera], search_px);
-        if fit_looks {
-            appearances[camera] = fit_appearance(picture, &measured, appearances[camera]);
-        }
-        let seen = visible(&measured, polarity);
-        (measured, seen)
-    })
+            fit.diameter_mm,
+        )
+    }
 }
 
-/// Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close. The
-/// state, and the noise of the pieces.
-fn gauss_newton(
-    scene: &Scene<'_>,
-    model: &CurveModel,
-    mut state: CurveState,
-    all: &[LineObservation],
-    mut noise: f64,
-    prior: &mut Prior,
-) -> Result<(CurveState, f64), String> {
-    for inner in 0..3 {
-        let system = linearise(
-            scene.stereo,
-            scene.left_from_base,
-            model,
-            &state,
-            all,
-            noise,
-        );
-        if inner == 1 {
-            prior.smoothing = choose_smoothing(&system, prior, &state, model);
-        }
-        let (mut h, g) = with_prior(&system, prior, &state, model);
-        // The base is held here; the folder's joint step moves it.
-        for k in 0..6 {
-            h[(k, k)] += 1e15;
-        }
-        let step = h
-            .cholesky()
-            .ok_or("the curve's normal matrix is singular")?
-            .solve(&g);
-        state = stepped(scene.left_from_base, &state, &step).1;
-        if inner == 2 {
-            noise = consistent_noise(&system, noise, all);
+/// Measures the pieces of the wire in both pictures, and fits the wire's appearance to them where
+/// `fit_looks`.
+fn measure_pieces(scene: &Scene<'_>, fit: &mut PairFit, search_px: f64, fit_looks: bool) {
+    for camera in 0..2 {
+        let line = scene.line(fit, camera, fit.length_mm);
+        let (picture, appearance) = (&scene.pictures[camera], &mut fit.appearances[camera]);
+        fit.pieces[camera] = line
+            .iter()
+            .filter_map(|s| fit_piece(picture, s, *appearance, search_px))
+            .collect();
+        if fit_looks {
+            *appearance = fit_appearance(picture, &fit.pieces[camera], *appearance);
         }
     }
-    Ok((state, noise))
 }
 
-/// The wire's end where a picture shows it, near the arc length `length`.
-fn ends_seen(
-    scene: &Scene<'_>,
-    model: &CurveModel,
-    state: &CurveState,
-    appearances: [Appearance; 2],
-    length: f64,
-) -> Vec<Tip> {
-    let (points, diameter_mm) = (model.shape(state).points, scene.rig.whisker.diameter_mm);
+/// Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close, the
+/// pieces' noise at the end.
+fn gauss_newton(
+    stereo: &StereoCameras,
+    fit: &mut PairFit,
+    prior: &mut Prior,
+) -> Result<(), String> {
+    for inner in 0..3 {
+        let system = fit.linearised(stereo);
+        if inner == 1 {
+            prior.smoothing = choose_smoothing(&system, prior, &fit.state, &fit.model);
+        }
+        // The base is held here; the folder's joint step moves it.
+        fit.state = stepped(&system, prior, &fit.state, &fit.model)
+            .ok_or("the curve's normal matrix is singular")?;
+        if inner == 2 {
+            fit.noise = consistent_noise(&system, fit.noise, &fit.observations);
+        }
+    }
+    Ok(())
+}
+
+/// The wire's end where a picture shows it.
+fn ends_seen(scene: &Scene<'_>, fit: &PairFit) -> Vec<Tip> {
     let of = |camera: usize| {
-        let (from, step) = (scene.left_from_base, model.step_mm);
-        let line = image_line(
-            scene.stereo,
-            from,
-            camera,
-            &points,
-            step,
-            f64::INFINITY,
-            diameter_mm,
-        );
-        find_tip(&scene.pictures[camera], &line, appearances[camera], length)
+        let line = scene.line(fit, camera, f64::INFINITY);
+        find_tip(
+            &scene.pictures[camera],
+            &line,
+            fit.appearances[camera],
+            fit.length_mm,
+        )
     };
     (0..2).filter_map(of).collect()
 }
 
 /// Why a fitted line is not the wire, or what is doubtful about it; `expected` is the wire's
 /// length, mm.
-fn doubts(
-    pieces: &[(Vec<Piece>, Vec<bool>); 2],
-    length: f64,
-    end_seen: bool,
-    noise: f64,
-    expected: f64,
-) -> Result<Vec<String>, String> {
+fn doubts(fit: &PairFit, end_seen: bool, expected: f64) -> Result<Vec<String>, String> {
+    let (length, noise) = (fit.length_mm, fit.noise);
     let mut warnings = Vec::new();
     // The wire's length is known: a line that ends far from it is another object.
     if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
@@ -368,13 +307,13 @@ fn doubts(
             "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
         ));
     }
-    if let Some((camera, from, to)) = unseen_stretch(pieces, length) {
+    if let Some((camera, from, to)) = unseen_stretch(fit) {
         let side = ["left", "right"][camera];
         return Err(format!(
             "the {side} picture shows hardly anything of the wire from {from:.0} to {to:.0} mm: one view gives no shape (hidden, lost on something else, or no wire there)"
         ));
     }
-    let tail = tail_share(pieces, expected);
+    let tail = tail_share(fit, expected);
     if tail < TAIL_SHARE {
         return Err(format!(
             "the wire is lost: its last third shows {:.0} % of the pieces that the rest of it has a mm (lost on something else, or it points at both cameras)",
@@ -409,12 +348,10 @@ fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
     } = *scene;
     let root_free = prior.root_sd == ROOT_FREE;
     let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, root_free, wide)?;
-    let model = CurveModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
+    let model = CurveModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM);
+    let last = found.curvatures.len() - 1;
     let per_node: Vec<[f64; 2]> = (0..model.nodes)
-        .map(|i| {
-            let k = ((i as f64 * model.step_mm) as usize).min(found.curvatures.len() - 1);
-            found.curvatures[k]
-        })
+        .map(|i| found.curvatures[((i as f64 * model.step_mm) as usize).min(last)])
         .collect();
     let mut state = model.state_of_curvatures(&per_node);
     state.root[..2].copy_from_slice(&found.root_mm);
@@ -462,6 +399,7 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
             here += 0.5 * ww * (z * z + z2 * z2);
         }
     }
+    // Some 40 parameters of curve and levels are estimated from the same pieces.
     let scatter = (sum / (weight - 40.0).max(1.0)).max(0.25);
     let rho: f64 = if here > 0.0 {
         (lag / here).clamp(0.0, 0.8)
@@ -476,20 +414,12 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
 
 /// The first stretch that one picture shows and the other does not: the other camera, start and
 /// end, mm.
-fn unseen_stretch(
-    pieces: &[(Vec<Piece>, Vec<bool>); 2],
-    length_mm: f64,
-) -> Option<(usize, f64, f64)> {
-    let cells = length_mm as usize;
-    let long = ((STRETCH_SHARE * length_mm) as usize).max(1);
+fn unseen_stretch(fit: &PairFit) -> Option<(usize, f64, f64)> {
+    let cells = fit.length_mm as usize;
+    let long = ((STRETCH_SHARE * fit.length_mm) as usize).max(1);
     let shown = |camera: usize| {
         let mut shows = vec![0.0; cells];
-        for (piece, _) in pieces[camera]
-            .0
-            .iter()
-            .zip(&pieces[camera].1)
-            .filter(|(_, seen)| **seen)
-        {
+        for (_, piece) in fit.seen().filter(|s| s.0 == camera) {
             if let Some(cell) = shows.get_mut(piece.station.arc_mm as usize) {
                 *cell = 1.0;
             }
@@ -512,15 +442,15 @@ fn unseen_stretch(
 
 /// Seen pieces a mm in the last third of a length (mm) against those before it, in the picture that
 /// shows more.
-fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
+fn tail_share(fit: &PairFit, length_mm: f64) -> f64 {
     let from_mm = length_mm * 2.0 / 3.0;
     let seen = |tail: bool| {
-        let of = |(pieces, seen): &(Vec<Piece>, Vec<bool>)| {
-            let both = pieces.iter().zip(seen);
-            both.filter(|(p, seen)| **seen && (p.station.arc_mm > from_mm) == tail)
-                .count()
+        let of = |camera| {
+            let there =
+                |s: &(usize, &Piece)| s.0 == camera && (s.1.station.arc_mm > from_mm) == tail;
+            fit.seen().filter(there).count()
         };
-        pieces.iter().map(of).max().unwrap_or(0) as f64
+        of(0).max(of(1)) as f64
     };
     2.0 * seen(true) / seen(false).max(1.0)
 }

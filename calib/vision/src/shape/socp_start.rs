@@ -10,12 +10,12 @@
 //! Source: Boyd and Vandenberghe, Convex Optimization, 2004, sections 4.4.2 (cone programmes) and
 //! 6.1.2 (Huber's loss as one).
 
-use crate::shape::curve::{CurveModel, CurveState};
-use crate::shape::curve_fit::{LineObservation, Prior, in_camera, node};
+use crate::shape::curve::{CurveModel, CurveShape, CurveState};
+use crate::shape::curve_fit::{LineObservation, Prior, between, in_camera, node};
 use crate::stereo::StereoCameras;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
-use nalgebra::{DMatrix, Isometry3, Point3, Vector3};
+use nalgebra::{DMatrix, Isometry3, Vector3};
 
 /// Intervals of the curve model per link.
 const STRIDE: usize = 8;
@@ -65,15 +65,14 @@ pub fn socp_initial_curve(
 ) -> Option<CurveState> {
     let shape = model.shape(state);
     let at: Vec<usize> = (0..model.nodes).step_by(STRIDE).collect();
-    let base = left_from_base.rotation.to_rotation_matrix();
     let mut pulls: Vec<PieceEquation> = observations
         .iter()
         .filter_map(|s| {
             let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
-            let p = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
-            let camera_point = left_from_base * Point3::from(p);
-            let (px, by_left, _) = in_camera(stereo, s.camera, &camera_point.coords)?;
-            let along = (base.inverse() * by_left.transpose() * s.normal) / s.sd_px;
+            let p = between(&shape.points, (i, f));
+            let (px, by_point, _) = in_camera(stereo, left_from_base, s.camera, &p)?;
+            // Derivative of the residual by the piece's place, in sd.
+            let along = by_point.tr_mul(&s.normal) / s.sd_px;
             let link = (i / STRIDE).min(at.len() - 2);
             let g = (((i - link * STRIDE) as f64 + f) / STRIDE as f64).min(1.0);
             let residual = s.normal.dot(&(s.observed_px - px)) / s.sd_px;
@@ -96,14 +95,7 @@ pub fn socp_initial_curve(
         .chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link))
         .map(|c| &c[c.len() / 2])
         .collect();
-    let moved = solve(
-        model,
-        &shape.points,
-        &model.rest_bends(state),
-        &at,
-        &pulls,
-        prior,
-    )?;
+    let moved = solve(model, &shape, &at, &pulls, prior)?;
     let nodes: Vec<(usize, Vector3<f64>)> = at
         .iter()
         .zip(moved)
@@ -115,12 +107,12 @@ pub fn socp_initial_curve(
 /// By how much each node moves, mm.
 fn solve(
     model: &CurveModel,
-    points: &[Vector3<f64>],
-    rest: &[Vector3<f64>],
+    shape: &CurveShape,
     at: &[usize],
     pulls: &[&PieceEquation],
     prior: &Prior,
 ) -> Option<Vec<Vector3<f64>>> {
+    let (points, rest) = (&shape.points, &shape.rest_bends);
     let (nodes, link_mm) = (at.len(), STRIDE as f64 * model.step_mm);
     let (moves, count) = (3 * nodes, pulls.len());
     // Unknowns: moves of the nodes, then each piece's plain part (squared) and the bound of the
@@ -137,30 +129,15 @@ fn solve(
         }
     };
     // The root stands where it was found; the first link leaves it along x.
-    for k in 0..3 {
-        fold(
-            &[(k, 1.0)],
-            0.0,
-            if k == 0 {
-                1e-3
-            } else {
-                prior.root_sd[0].min(0.1)
-            },
-        );
-        let off = if k == 0 {
-            0.0
-        } else {
-            points[at[1]][k] - points[0][k]
-        };
-        fold(
-            &[(k, -1.0), (3 + k, 1.0)],
-            off,
-            if k == 0 {
-                1.0
-            } else {
-                prior.root_sd[1] * link_mm
-            },
-        );
+    let (place, turn) = (prior.root_sd[0].min(0.1), prior.root_sd[1] * link_mm);
+    let first = points[at[1]] - points[0];
+    for (k, off, place, turn) in [
+        (0, 0.0, 1e-3, 1.0),
+        (1, first.y, place, turn),
+        (2, first.z, place, turn),
+    ] {
+        fold(&[(k, 1.0)], 0.0, place);
+        fold(&[(k, -1.0), (3 + k, 1.0)], off, turn);
     }
     // The bending beyond the rest shape's changes little from link to link.
     let rough = CURVATURE_CHANGE * link_mm.powi(3);
@@ -235,10 +212,6 @@ fn solve(
         solver.solution.status,
         SolverStatus::Solved | SolverStatus::AlmostSolved
     );
-    solved.then(|| {
-        solver.solution.x[..moves]
-            .chunks_exact(3)
-            .map(|c| Vector3::new(c[0], c[1], c[2]))
-            .collect()
-    })
+    let moved = solver.solution.x[..moves].chunks_exact(3);
+    solved.then(|| moved.map(Vector3::from_column_slice).collect())
 }

@@ -5,24 +5,35 @@
 use crate::error::VisionError;
 use crate::picture::Picture;
 use apriltag_sys as sys;
+use nalgebra::{Matrix2, Vector2};
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use wcal_core::rig_devices::TAG_FAMILIES;
 
-/// A detection as the library states it, its corners moved to pixel centres at integers.
+/// A tag in one picture.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RawTag {
+pub struct Tag {
     /// Family, e.g. `tag36h11`.
     pub family: String,
     /// Number.
     pub id: u32,
-    /// Bits that had to be corrected.
-    pub hamming: u32,
     /// Contrast of the decision, DN; larger is safer.
     pub decision_margin: f64,
     /// Corners, px, in the tag's frame (x right, y down): (-,+), (+,+), (+,-), (-,-).
-    pub corners_px: [[f64; 2]; 4],
+    pub corners_px: [Vector2<f64>; 4],
+    /// Covariances of the corners, px^2.
+    pub covariances_px2: [Matrix2<f64>; 4],
+    /// Whether the edges could be fitted; otherwise the library's corners stand, with a wide
+    /// covariance.
+    pub refined: bool,
+}
+
+impl Tag {
+    /// Mean of the corners, px.
+    pub(crate) fn middle_px(&self) -> Vector2<f64> {
+        self.corners_px.iter().sum::<Vector2<f64>>() / 4.0
+    }
 }
 
 type Create = unsafe extern "C" fn() -> *mut sys::apriltag_family_t;
@@ -111,8 +122,8 @@ impl Handles {
 
 /// A part of a picture: the first column and row in it and the first beyond, px; and how coarsely
 /// it is searched.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Region {
+#[derive(Clone, Copy)]
+pub(crate) struct Region {
     /// First column and row.
     pub low: [usize; 2],
     /// Column and row after the last.
@@ -123,15 +134,6 @@ pub struct Region {
 }
 
 impl Region {
-    /// All of a picture.
-    pub fn whole(picture: &Picture) -> Self {
-        Self {
-            low: [0, 0],
-            high: [picture.width, picture.height],
-            decimate: 1.0,
-        }
-    }
-
     /// The smallest region that holds both, searched as the finer one.
     pub fn joined(&self, other: &Self) -> Self {
         Self {
@@ -141,12 +143,9 @@ impl Region {
         }
     }
 
-    /// Pixels.
-    pub fn area(&self) -> usize {
-        [0, 1]
-            .map(|k| self.high[k].saturating_sub(self.low[k]))
-            .iter()
-            .product()
+    /// Columns and rows.
+    pub fn size(&self) -> [usize; 2] {
+        [0, 1].map(|k| self.high[k] - self.low[k])
     }
 }
 
@@ -158,12 +157,12 @@ pub(crate) const MIN_CONTRAST: u8 = 5;
 ///
 /// # Errors
 /// Where the family is unknown or the library gives no detector.
-pub fn detect(
+pub(crate) fn detect(
     picture: &Picture,
     family_name: &str,
     regions: &[Region],
     min_contrast: u8,
-) -> Result<Vec<RawTag>, VisionError> {
+) -> Result<Vec<Tag>, VisionError> {
     let known = TAG_FAMILIES
         .into_iter()
         .find(|f| *f == family_name)
@@ -195,16 +194,15 @@ pub fn detect(
                 })?)
             }
         };
-        let size = [picture.width, picture.height];
-        let inside = |r: &&Region| (0..2).all(|k| r.low[k] < r.high[k] && r.high[k] <= size[k]);
-        let found = regions.iter().filter(inside).flat_map(|r| {
+        let found = regions.iter().flat_map(|region| {
+            let [width, height] = region.size();
             let mut image = sys::image_u8_t {
-                width: (r.high[0] - r.low[0]) as i32,
-                height: (r.high[1] - r.low[1]) as i32,
+                width: width as i32,
+                height: height as i32,
                 stride: stride as i32,
-                buf: buffer[r.low[1] * stride + r.low[0]..].as_mut_ptr(),
+                buf: buffer[region.low[1] * stride + region.low[0]..].as_mut_ptr(),
             };
-            handles.detect(name, &mut image, r, min_contrast)
+            handles.detect(name, &mut image, region, min_contrast)
         });
         Ok(found.collect())
     })
@@ -215,15 +213,15 @@ impl Handles {
     /// `stride * height` bytes from there.
     fn detect(
         &mut self,
-        family_name: &str,
+        family: &str,
         image: &mut sys::image_u8_t,
         region: &Region,
         min_contrast: u8,
-    ) -> Vec<RawTag> {
+    ) -> Vec<Tag> {
         // SAFETY: the detector lives as long as `self`; the picture's buffer outlives the call, which keeps no pointer to it;
         // every detection is read before the array is destroyed.
         unsafe {
-            (*self.detector).quad_decimate = region.decimate.max(1.0);
+            (*self.detector).quad_decimate = region.decimate;
             // At full size this loses small tags, and `tags` fits the edges better.
             (*self.detector).refine_edges = region.decimate > 1.0;
             (*self.detector).qtp.min_white_black_diff = i32::from(min_contrast);
@@ -233,6 +231,7 @@ impl Handles {
             if found.is_null() {
                 return Vec::new();
             }
+            let corner = Vector2::from(region.low.map(|k| k as f64 - CENTRE_OFFSET));
             let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
             for k in 0..(*found).size {
                 let element = (*found)
@@ -240,14 +239,14 @@ impl Handles {
                     .add(k as usize * (*found).el_sz)
                     .cast::<*mut sys::apriltag_detection_t>();
                 let detection = &**element;
-                tags.push(RawTag {
-                    family: family_name.to_string(),
+                tags.push(Tag {
+                    family: family.to_owned(),
                     id: detection.id.max(0) as u32,
-                    hamming: detection.hamming.max(0) as u32,
                     decision_margin: f64::from(detection.decision_margin),
-                    corners_px: detection
-                        .p
-                        .map(|p| [0, 1].map(|k| region.low[k] as f64 + p[k] - CENTRE_OFFSET)),
+                    corners_px: detection.p.map(|p| corner + Vector2::from(p)),
+                    // Unrefined corners are good to a few tenths of a pixel.
+                    covariances_px2: [Matrix2::identity() * 0.04; 4],
+                    refined: false,
                 });
             }
             sys::apriltag_detections_destroy(found);

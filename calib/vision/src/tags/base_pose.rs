@@ -10,9 +10,9 @@
 use crate::median::median;
 use crate::rig::Rig;
 use crate::stereo::StereoCameras;
-use crate::tags::detection::Tag;
+use crate::tags::apriltag_ffi::Tag;
 use crate::tags::pose::{BodyPose, TAG_MISFIT_PX, TagObservation, body_pose, residual_rms_px};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix3, Matrix6, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::rig_devices::TagRig;
 
@@ -25,7 +25,6 @@ const REPEAT_PX: f64 = 0.04;
 pub(crate) type PairTags = Vec<(usize, Tag)>;
 
 /// The folder's base.
-#[derive(Debug, Clone)]
 pub(crate) struct FolderBase {
     /// Pose from the averaged corners.
     pub pose: BodyPose,
@@ -64,28 +63,15 @@ pub(crate) fn folder_base(
 ) -> Option<FolderBase> {
     let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
     for (k, tags) in pairs.iter().enumerate() {
-        for (camera, tag) in tags
-            .iter()
-            .filter(|(c, t)| observation(rig, *c, t).is_some())
-        {
-            groups
-                .entry((*camera, tag.id))
-                .or_default()
-                .push((k, tag.clone()));
+        for TagObservation { camera, tag, .. } in base_observations(rig, tags) {
+            groups.entry((camera, tag.id)).or_default().push((k, tag));
         }
     }
     let mut moved = Vec::new();
     let mut averaged = Vec::new();
     for ((camera, _), seen) in &groups {
         let typical: [Vector2<f64>; 4] = std::array::from_fn(|c| {
-            let axis = |d: usize| {
-                median(
-                    &seen
-                        .iter()
-                        .map(|(_, t)| t.corners_px[c][d])
-                        .collect::<Vec<_>>(),
-                )
-            };
+            let axis = |d: usize| median(seen.iter().map(|(_, t)| t.corners_px[c][d]));
             Vector2::new(axis(0), axis(1))
         });
         let (still, other): (Vec<_>, Vec<_>) = seen.iter().partition(|(_, t)| {
@@ -101,16 +87,10 @@ pub(crate) fn folder_base(
         let n = still.len() as f64;
         let mut mean = first.clone();
         for c in 0..4 {
-            mean.corners_px[c] = still
-                .iter()
-                .map(|(_, t)| t.corners_px[c])
-                .sum::<Vector2<f64>>()
-                / n;
-            mean.covariances_px2[c] = still
-                .iter()
-                .map(|(_, t)| t.covariances_px2[c])
-                .sum::<nalgebra::Matrix2<f64>>()
-                / (n * n);
+            let tags = still.iter().map(|(_, t)| t);
+            mean.corners_px[c] = tags.clone().map(|t| t.corners_px[c]).sum::<Vector2<f64>>() / n;
+            let covariance: Matrix2<f64> = tags.map(|t| t.covariances_px2[c]).sum();
+            mean.covariances_px2[c] = covariance / (n * n);
         }
         averaged.extend(observation(rig, *camera, &mean));
     }
@@ -126,7 +106,6 @@ pub(crate) fn folder_base(
 
 /// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures
 /// allow it: the stage only shifts the rig.
-#[derive(Debug, Clone)]
 pub(crate) struct RigPose {
     /// Pose in the left camera's frame.
     pub left_from_tag: Isometry3<f64>,
@@ -137,7 +116,6 @@ pub(crate) struct RigPose {
 }
 
 /// The rig tag in all pairs.
-#[derive(Debug, Clone)]
 pub(crate) struct RigPoses {
     /// One entry a pair; none where the tag is not seen.
     pub poses: Vec<Option<RigPose>>,
@@ -148,19 +126,12 @@ pub(crate) struct RigPoses {
 
 /// Rig tag poses of all pairs.
 pub(crate) fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
-    let none = || RigPoses {
-        poses: vec![None; pairs.len()],
-        shared_turn: None,
-    };
-    let Some(groove) = &rig.groove else {
-        return none();
-    };
-    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else {
-        return none();
-    };
-    let alone: Vec<Option<RigPose>> = pairs
+    let groove = rig.groove.as_ref();
+    let known = groove.and_then(|groove| rig.tags.iter().find(|t| t.id == groove.tag));
+    let mut poses: Vec<Option<RigPose>> = pairs
         .iter()
         .map(|tags| {
+            let known = known?;
             let observations = observations_of(known, tags);
             let pose = body_pose(stereo, &observations)?;
             // A tag that was at two places says nothing of the rig's orientation.
@@ -174,7 +145,24 @@ pub(crate) fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
             })
         })
         .collect();
-    share_orientation(alone)
+    let shared = shared_orientation(&poses);
+    if let Some((shared, _)) = &shared {
+        for (p, TurnBlocks { cross, shift, .. }) in poses
+            .iter_mut()
+            .flatten()
+            .filter_map(|p| p.blocks().map(|b| (p, b)))
+        {
+            let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
+            // The position that minimises chi2 at the shared orientation.
+            let by = -(shift * cross.transpose() * turn);
+            let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * by;
+            p.left_from_tag = Isometry3::from_parts(moved.into(), *shared);
+        }
+    }
+    RigPoses {
+        poses,
+        shared_turn: shared.map(|s| s.1),
+    }
 }
 
 /// Sightings of one tag in its own frame.
@@ -191,7 +179,6 @@ pub(crate) fn observations_of(known: &TagRig, tags: &PairTags) -> Vec<TagObserva
 }
 
 /// A pair's information on the rig tag, its shift eliminated.
-#[derive(Debug, Clone)]
 pub struct TurnBlocks {
     /// `M = I_ww - I_wt I_tt^-1 I_tw`.
     pub marginal: Matrix3<f64>,
@@ -204,74 +191,36 @@ pub struct TurnBlocks {
 impl RigPose {
     /// None where the corners leave a direction open.
     pub(crate) fn blocks(&self) -> Option<TurnBlocks> {
-        let i = &self.information;
-        let turn: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
-        let cross: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();
-        let shift = i.fixed_view::<3, 3>(3, 3).into_owned().try_inverse()?;
+        let block = |i, j| self.information.fixed_view::<3, 3>(i, j).into_owned();
+        let (cross, shift) = (block(0, 3), block(3, 3).try_inverse()?);
         Some(TurnBlocks {
-            marginal: turn - cross * shift * cross.transpose(),
+            marginal: block(0, 0) - cross * shift * cross.transpose(),
             cross,
             shift,
         })
     }
 }
 
-fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
-    let Some(reference) = poses
-        .iter()
-        .flatten()
-        .next()
-        .map(|p| p.left_from_tag.rotation)
-    else {
-        return RigPoses {
-            poses,
-            shared_turn: None,
-        };
-    };
+/// The orientation that all poses share, and their information on it; none where they differ, or
+/// leave it open.
+fn shared_orientation(poses: &[Option<RigPose>]) -> Option<(UnitQuaternion<f64>, Matrix3<f64>)> {
+    let reference = poses.iter().flatten().next()?.left_from_tag.rotation;
     let (mut total, mut pull, mut turns) = (Matrix3::zeros(), Vector3::zeros(), Vec::new());
     for p in poses.iter().flatten() {
-        let Some(TurnBlocks { marginal, .. }) = p.blocks() else {
-            return RigPoses {
-                poses,
-                shared_turn: None,
-            };
-        };
+        let marginal = p.blocks()?.marginal;
         let turn = (reference.inverse() * p.left_from_tag.rotation).scaled_axis();
         total += marginal;
         pull += marginal * turn;
         turns.push((marginal, turn));
     }
-    let Some(mean) = total.try_inverse().map(|t| t * pull) else {
-        return RigPoses {
-            poses,
-            shared_turn: None,
-        };
-    };
+    let mean = total.try_inverse()? * pull;
+    // Scatter of the turns about their weighted mean: 3 (n - 1) is expected of noise.
     let chi2: f64 = turns
         .iter()
         .map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0])
         .sum();
     let degrees = 3.0 * (turns.len() as f64 - 1.0);
     // Up to twice the stated noise counts as noise; a rig that turns differs by far more.
-    if turns.len() < 2 || chi2 > 4.0 * degrees + 12.0 {
-        return RigPoses {
-            poses,
-            shared_turn: None,
-        };
-    }
-    let shared = reference * nalgebra::UnitQuaternion::from_scaled_axis(mean);
-    for p in poses.iter_mut().flatten() {
-        let Some(TurnBlocks { cross, shift, .. }) = p.blocks() else {
-            continue;
-        };
-        let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
-        // The position that minimises chi2 at the shared orientation.
-        let by = -(shift * cross.transpose() * turn);
-        let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * by;
-        p.left_from_tag = Isometry3::from_parts(moved.into(), shared);
-    }
-    RigPoses {
-        poses,
-        shared_turn: Some(total),
-    }
+    (turns.len() > 1 && chi2 <= 4.0 * degrees + 12.0)
+        .then(|| (reference * UnitQuaternion::from_scaled_axis(mean), total))
 }

@@ -3,38 +3,13 @@
 use crate::camera::{Camera, distorted_px, undistorted_px};
 use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
-use crate::tags::apriltag_ffi::{MIN_CONTRAST, RawTag, Region, WIDE_BORDER, detect};
+use crate::tags::apriltag_ffi::{MIN_CONTRAST, Region, Tag, WIDE_BORDER, detect};
 use crate::tags::edges::{Edges, refine_by_edges};
 use crate::tags::regions::tag_regions;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use opencv::core::{BORDER_REPLICATE, CV_8UC1, Mat, Point, Size};
 use opencv::imgproc;
 use opencv::prelude::*;
-
-/// A tag in one picture.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Tag {
-    /// Family.
-    pub family: String,
-    /// Number.
-    pub id: u32,
-    /// Contrast of the decision, DN.
-    pub decision_margin: f64,
-    /// Corners, px, in the tag's frame (x right, y down): (-,+), (+,+), (+,-), (-,-).
-    pub corners_px: [Vector2<f64>; 4],
-    /// Covariances of the corners, px^2.
-    pub covariances_px2: [Matrix2<f64>; 4],
-    /// Whether the edges could be fitted; otherwise the library's corners stand, with a wide
-    /// covariance.
-    pub refined: bool,
-}
-
-impl Tag {
-    /// Mean of the corners, px.
-    pub(crate) fn middle_px(&self) -> Vector2<f64> {
-        self.corners_px.iter().sum::<Vector2<f64>>() / 4.0
-    }
-}
 
 /// Cells (bits) along the side between the detected corners; the outermost ring is of one colour,
 /// its outside neighbour of the other.
@@ -75,35 +50,30 @@ pub fn detect_tags(
     picture: &Picture,
     family: &str,
     search: Search,
-) -> Result<Vec<RawTag>, VisionError> {
-    let whole = Region::whole(picture);
+) -> Result<Vec<Tag>, VisionError> {
+    let whole = |picture: &Picture, decimate| {
+        let region = Region {
+            low: [0; 2],
+            high: [picture.width, picture.height],
+            decimate,
+        };
+        detect(picture, family, &[region], MIN_CONTRAST)
+    };
     match search {
-        Search::Halved => detect(
-            picture,
-            family,
-            &[Region {
-                decimate: 2.0,
-                ..whole
-            }],
-            MIN_CONTRAST,
-        ),
+        Search::Halved => whole(picture, 2.0),
         Search::StrongContrast if DARK_BORDERS.contains(&family) => {
-            let (regions, contrast) = tag_regions(picture);
+            let (regions, contrast) = tag_regions(picture)?;
             detect(picture, family, &regions, contrast).map(once_each)
         }
-        Search::Apart => {
-            let larger = apart(picture)?;
-            let found = detect(&larger, family, &[Region::whole(&larger)], MIN_CONTRAST)?;
-            let back = |tag: RawTag| RawTag {
-                corners_px: tag
-                    .corners_px
-                    .map(|corner| corner.map(|x| 0.5 * (x + 0.5) - 0.5)),
-                ..tag
-            };
-            Ok(found.into_iter().map(back).collect())
-        }
         // The other families' borders are bright.
-        Search::StrongContrast | Search::Whole => detect(picture, family, &[whole], MIN_CONTRAST),
+        Search::StrongContrast | Search::Whole => whole(picture, 1.0),
+        Search::Apart => {
+            let mut found = whole(&apart(picture)?, 1.0)?;
+            for corner in found.iter_mut().flat_map(|tag| &mut tag.corners_px) {
+                *corner = corner.map(|x| 0.5 * (x + 0.5) - 0.5);
+            }
+            Ok(found)
+        }
     }
 }
 
@@ -118,11 +88,8 @@ pub fn find_tags(
     camera: Option<&Camera>,
     search: Search,
 ) -> Result<Vec<Tag>, VisionError> {
-    let found = detect_tags(picture, family, search)?;
-    let mut tags: Vec<Tag> = found
-        .into_iter()
-        .map(|raw| refine(picture, raw, camera))
-        .collect();
+    let mut tags = detect_tags(picture, family, search)?;
+    tags.iter_mut().for_each(|tag| refine(picture, tag, camera));
     tags.sort_by_key(|t| t.id);
     Ok(tags)
 }
@@ -165,47 +132,33 @@ fn apart(picture: &Picture) -> Result<Picture, VisionError> {
 const DARK_BORDERS: [&str; 3] = ["tag36h11", "tag25h9", "tag16h5"];
 
 /// Of the same tag found in two regions the more certain one stays.
-fn once_each(mut tags: Vec<RawTag>) -> Vec<RawTag> {
+fn once_each(mut tags: Vec<Tag>) -> Vec<Tag> {
     tags.sort_by(|a, b| b.decision_margin.total_cmp(&a.decision_margin));
-    let corner = |t: &RawTag, k: usize| Vector2::from(t.corners_px[k]);
-    let middle = |t: &RawTag| (0..4).map(|k| corner(t, k)).sum::<Vector2<f64>>() / 4.0;
-    let mut kept: Vec<RawTag> = Vec::with_capacity(tags.len());
+    let mut kept: Vec<Tag> = Vec::with_capacity(tags.len());
     for tag in tags {
-        let near = 0.5 * (corner(&tag, 1) - corner(&tag, 0)).norm();
-        if !kept
-            .iter()
-            .any(|k| k.id == tag.id && (middle(k) - middle(&tag)).norm() < near)
-        {
+        let near = 0.5 * (tag.corners_px[1] - tag.corners_px[0]).norm();
+        let same = |k: &Tag| k.id == tag.id && (k.middle_px() - tag.middle_px()).norm() < near;
+        if !kept.iter().any(same) {
             kept.push(tag);
         }
     }
     kept
 }
 
-fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
-    let start = raw
-        .corners_px
-        .map(|p| undistorted_px(camera, &Vector2::new(p[0], p[1])));
-    let cells = cells_along_side(&raw.family);
+/// Fits a tag's corners to the pixels about its edges, where that can be done.
+fn refine(picture: &Picture, tag: &mut Tag, camera: Option<&Camera>) {
+    let start = tag.corners_px.map(|p| undistorted_px(camera, &p));
+    let cells = cells_along_side(&tag.family);
     // By the outline alone a tone curve's shift of all edges is the same as a larger tag; inner
     // edges of cells that are large enough distinguish the two. Small tags have their outline only.
-    let by = |from: &[Vector2<f64>; 4], kind| {
-        let found = refine_by_edges(picture, camera, from, cells, kind)?;
-        Some((found.corners, found.covariances))
-    };
+    let by = |from: &[Vector2<f64>; 4], kind| refine_by_edges(picture, camera, from, cells, kind);
     let found = by(&start, Edges::Cells).or_else(|| {
         let outline = by(&start, Edges::Outline)?;
-        by(&outline.0, Edges::Cells).or(Some(outline))
+        by(&outline.corners, Edges::Cells).or(Some(outline))
     });
-    let refined = found.is_some();
-    // Unrefined corners of the library are good to a few tenths of a pixel.
-    let (corners, covariances_px2) = found.unwrap_or((start, [Matrix2::identity() * 0.04; 4]));
-    Tag {
-        family: raw.family,
-        id: raw.id,
-        decision_margin: raw.decision_margin,
-        corners_px: corners.map(|c| distorted_px(camera, &c)),
-        covariances_px2,
-        refined,
+    if let Some(found) = found {
+        tag.corners_px = found.corners.map(|c| distorted_px(camera, &c));
+        tag.covariances_px2 = found.covariances;
+        tag.refined = true;
     }
 }

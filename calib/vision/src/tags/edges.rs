@@ -97,12 +97,8 @@ pub(crate) fn refine_by_edges(
         };
         found = solve(&found.corners, &edges, kind)?;
     }
-    let near = found
-        .corners
-        .iter()
-        .zip(start)
-        .all(|(a, b)| (a - b).norm() < 3.0);
-    near.then_some(found)
+    let near = |k: usize| (found.corners[k] - start[k]).norm() < 3.0;
+    (0..4).all(near).then_some(found)
 }
 
 fn shortest_side(corners: &[Vector2<f64>; 4]) -> f64 {
@@ -183,28 +179,16 @@ impl TagView<'_> {
         for across in 1..=cells {
             for k in 0..=cells {
                 for upright in [true, false] {
-                    let (one, two, middle, along) = if upright {
-                        let m = Vector2::new(place(k as f64), place(across as f64 - 0.5));
-                        (
-                            colour(k, across),
-                            colour(k + 1, across),
-                            m,
-                            Vector2::new(0.0, 1.0),
-                        )
-                    } else {
-                        let m = Vector2::new(place(across as f64 - 0.5), place(k as f64));
-                        (
-                            colour(across, k),
-                            colour(across, k + 1),
-                            m,
-                            Vector2::new(1.0, 0.0),
-                        )
+                    let turned = |x, y| if upright { [x, y] } else { [y, x] };
+                    let colour = |k| {
+                        let [i, j] = if upright { [k, across] } else { [across, k] };
+                        colour(i, j)
                     };
-                    let (Some(one), Some(two)) = (one, two) else {
-                        continue;
-                    };
-                    if one != two {
-                        let half = along * (0.5 * ALONG * side);
+                    if let (Some(one), Some(two)) = (colour(k), colour(k + 1))
+                        && one != two
+                    {
+                        let middle = turned(place(k as f64), place(across as f64 - 0.5)).into();
+                        let half = turned(0.0, 0.5 * ALONG * side).into();
                         // Half of the next cell at most, and no more than a wide blur needs.
                         edges.extend(self.measure([&middle, &half], (0.5 * cell_px).min(6.0)));
                     }
@@ -288,6 +272,7 @@ fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
         .iter()
         .map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 })
         .sum();
+    // A step of height h moved by d adds h d to the sum of each column of pixels.
     let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
     (offset_px.abs() < 0.5 * reach).then_some(Profile {
         offset_px,
@@ -329,16 +314,11 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     if found.ending == Ending::Singular {
         return None;
     }
-    let (
-        p,
-        NormalEquations {
-            cost, matrix: m, ..
-        },
-    ) = (found.place, found.at);
+    let (p, cost) = (found.place, found.at.cost);
     if p[0].abs() > 0.5 * reach || p[1].exp() > reach || !cost.is_finite() {
         return None;
     }
-    let variance_px2 = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
+    let variance_px2 = found.at.matrix.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
     Some(Profile {
         offset_px: p[0],
         variance_px2,
@@ -352,12 +332,13 @@ fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge], kind: Edges) -> Option<C
     type Row = SVector<f64, 9>;
     let h = square(start)?;
     let nudge = 0.01;
-    let mut moved = Vec::with_capacity(8);
-    for k in 0..8 {
-        let mut corners = *start;
-        corners[k / 2][k % 2] += nudge;
-        moved.push(square(&corners)?);
-    }
+    let moved: Vec<_> = (0..8)
+        .map(|k| {
+            let mut corners = *start;
+            corners[k / 2][k % 2] += nudge;
+            square(&corners)
+        })
+        .collect::<Option<_>>()?;
     let row = |e: &CellEdge| {
         let at = mapped(&h, &e.middle)?;
         let mut row = Row::zeros();
@@ -379,15 +360,17 @@ fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge], kind: Edges) -> Option<C
         for (row, value, variance) in &rows {
             let r = value - row.dot(&x);
             let v = variance + scatter2;
-            let weight = if round == 0 {
+            let student = if round == 0 {
                 1.0
             } else {
                 5.0 / (4.0 + r * r / v)
-            } / v;
+            };
+            let weight = student / v;
             m += row * row.transpose() * weight;
             g += row * (weight * r);
             squares.push((r * r, r * r - variance));
         }
+        // A prior of no spread where the edges have one polarity.
         m[(8, 8)] += held;
         inverse = m.cholesky()?.inverse();
         x += inverse * g;

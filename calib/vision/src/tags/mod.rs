@@ -11,7 +11,7 @@ pub(crate) mod size;
 use nalgebra::Vector3;
 
 /// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order
-/// of [`detection::Tag::corners_px`].
+/// of [`apriltag_ffi::Tag::corners_px`].
 pub(crate) fn tag_corners(size: f64) -> [Vector3<f64>; 4] {
     let h = 0.5 * size;
     [(-h, h), (h, h), (h, -h), (-h, -h)].map(|(x, y)| Vector3::new(x, y, 0.0))

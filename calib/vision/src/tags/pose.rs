@@ -10,12 +10,14 @@
 //! IEEE PAMI 28(12), 2006.
 
 use crate::camera::Camera;
-use crate::homography::homography;
-use crate::rigid::{hat, pose_from_parts, updated};
+use crate::homography::plane_pose;
+use crate::rigid::updated;
 use crate::stereo::StereoCameras;
-use crate::tags::detection::Tag;
+use crate::tags::apriltag_ffi::Tag;
 use crate::tags::tag_corners;
-use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{
+    DMatrix, Isometry3, Matrix2, Matrix2x3, Matrix2x6, Matrix6, Point3, U6, Vector3, Vector6,
+};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
 /// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the
@@ -36,9 +38,6 @@ pub struct BodyPose {
     pub information: Matrix6<f64>,
     /// Weighted sum of squared corner residuals.
     pub chi2: f64,
-    /// chi2 of the other planar solution minus that of this one; small values: the pose is
-    /// ambiguous.
-    pub margin: f64,
 }
 
 /// One observation of a tag.
@@ -70,33 +69,12 @@ pub(crate) fn body_pose(
     let mut solved: Vec<BodyPose> = Vec::new();
     for s in observations {
         for pose in planar_solutions(&stereo.cameras[s.camera], s.size_mm, &s.tag) {
-            let in_left = if s.camera == 0 {
-                pose
-            } else {
-                stereo.right_from_left.inverse() * pose
-            };
-            solved.extend(minimise(
-                stereo,
-                observations,
-                in_left * s.body_from_tag.inverse(),
-            ));
+            let left_from_camera = stereo.in_camera(s.camera, &Isometry3::identity()).inverse();
+            let start = left_from_camera * pose * s.body_from_tag.inverse();
+            solved.extend(minimise(stereo, observations, start));
         }
     }
-    solved.sort_by(|a, b| a.chi2.total_cmp(&b.chi2));
-    let best = solved.first()?.clone();
-    let other = solved
-        .iter()
-        .find(|s| {
-            s.left_from_body
-                .rotation
-                .angle_to(&best.left_from_body.rotation)
-                > 0.01
-        })
-        .map_or(f64::INFINITY, |s| s.chi2 - best.chi2);
-    Some(BodyPose {
-        margin: other,
-        ..best
-    })
+    solved.into_iter().min_by(|a, b| a.chi2.total_cmp(&b.chi2))
 }
 
 /// Refines a pose from a starting point; none where it does not lie in front of the cameras.
@@ -105,25 +83,10 @@ pub fn minimise(
     observations: &[TagObservation],
     start: Isometry3<f64>,
 ) -> Option<BodyPose> {
-    let damping = Damping {
-        start: 1e-4,
-        shrink: 0.1,
-        min: 1e-12,
-        grow: 10.0,
-        max: 1e8,
-        max_steps: 60,
-    };
-    let linearised = |pose: &Isometry3<f64>| {
-        let (cost, matrix, descent) = linearise(stereo, observations, pose)?;
-        Some(NormalEquations {
-            cost,
-            matrix,
-            descent,
-        })
-    };
+    let linearised = |pose: &Isometry3<f64>| linearise(stereo, observations, pose);
     let found = least_squares::minimise(
         (start, linearised(&start)?),
-        &damping,
+        &Damping::default(),
         linearised,
         |pose, _, step| pose * updated(&Isometry3::identity(), step),
         |_, [before, after]| before - after < 1e-9 * before.max(1e-9),
@@ -131,19 +94,10 @@ pub fn minimise(
     if found.ending == Ending::Singular {
         return None;
     }
-    let (
-        pose,
-        NormalEquations {
-            cost: chi2,
-            matrix: information,
-            ..
-        },
-    ) = (found.place, found.at);
     Some(BodyPose {
-        left_from_body: pose,
-        information,
-        chi2,
-        margin: f64::INFINITY,
+        left_from_body: found.place,
+        information: found.at.matrix,
+        chi2: found.at.cost,
     })
 }
 
@@ -155,11 +109,7 @@ pub fn residual_rms_px(
 ) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for s in observations {
-        let camera_from_body = if s.camera == 0 {
-            *pose
-        } else {
-            stereo.right_from_left * pose
-        };
+        let camera_from_body = stereo.in_camera(s.camera, pose);
         for (corner, p) in s.tag.corners_px.iter().zip(s.object()) {
             let px = stereo.cameras[s.camera].project(&(camera_from_body * Point3::from(p)).coords);
             sum += px.map_or(f64::INFINITY, |px| (px - corner).norm_squared());
@@ -174,33 +124,35 @@ pub fn linearise(
     stereo: &StereoCameras,
     observations: &[TagObservation],
     pose: &Isometry3<f64>,
-) -> Option<(f64, Matrix6<f64>, Vector6<f64>)> {
-    let (mut chi2, mut information, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
+) -> Option<NormalEquations<U6>> {
+    let mut found = NormalEquations {
+        cost: 0.0,
+        matrix: Matrix6::zeros(),
+        descent: Vector6::zeros(),
+    };
     for s in observations {
-        let camera_from_body = if s.camera == 0 {
-            *pose
-        } else {
-            stereo.right_from_left * pose
-        };
+        let camera_from_body = stereo.in_camera(s.camera, pose);
         let turn = camera_from_body.rotation.to_rotation_matrix();
         for (k, p) in s.object().iter().enumerate() {
             let x = camera_from_body * Point3::from(*p);
             let (predicted, by_point, _) =
                 stereo.cameras[s.camera].project_with_jacobian(&x.coords)?;
+            // Derivative of the pixel by a correction in the body's frame: [-[p]x I] beyond R.
             let by_body: Matrix2x3<f64> = by_point * turn.matrix();
-            let mut j = nalgebra::Matrix2x6::zeros();
-            j.fixed_view_mut::<2, 3>(0, 0)
-                .copy_from(&(-by_body * hat(p)));
-            j.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_body);
-            let floor = nalgebra::Matrix2::identity() * CORNER_FLOOR_PX * CORNER_FLOOR_PX;
+            let mut j = Matrix2x6::zeros();
+            j.fixed_columns_mut::<3>(0)
+                .copy_from(&(-by_body * p.cross_matrix()));
+            j.fixed_columns_mut::<3>(3).copy_from(&by_body);
+            // The stated covariance holds the pixels' noise only.
+            let floor = Matrix2::identity() * CORNER_FLOOR_PX.powi(2);
             let w = (s.tag.covariances_px2[k] + floor).try_inverse()?;
             let e = s.tag.corners_px[k] - predicted;
-            chi2 += (e.transpose() * w * e)[0];
-            information += j.transpose() * w * j;
-            gradient += j.transpose() * w * e;
+            found.cost += (e.transpose() * w * e)[0];
+            found.matrix += j.transpose() * w * j;
+            found.descent += j.transpose() * w * e;
         }
     }
-    Some((chi2, information, gradient))
+    Some(found)
 }
 
 /// Derivative of the right-hand side of [`linearise`] by the cameras' parameters, 6 x parameters.
@@ -210,7 +162,7 @@ pub(crate) fn gradient_by_calibration(
     pose: &Isometry3<f64>,
 ) -> DMatrix<f64> {
     let gradient = |s: &StereoCameras| {
-        linearise(s, observations, pose).map_or_else(Vector6::zeros, |found| found.2)
+        linearise(s, observations, pose).map_or_else(Vector6::zeros, |found| found.descent)
     };
     let now = gradient(stereo);
     let mut out = DMatrix::zeros(6, stereo.parameters());
@@ -224,17 +176,11 @@ pub(crate) fn gradient_by_calibration(
 /// The two poses that a single view of a square allows: from its homography, and that tilted the
 /// other way about the line of sight.
 fn planar_solutions(camera: &Camera, size_mm: f64, tag: &Tag) -> Vec<Isometry3<f64>> {
-    let h = 0.5 * size_mm;
-    let image: Option<Vec<_>> = tag.corners_px.iter().map(|p| camera.undistort(p)).collect();
-    let Some(q) = image else { return Vec::new() };
-    let Some(found) = homography(&tag_corners(2.0).map(|p| p.xy()), &q) else {
+    let seen: Option<Vec<_>> = tag.corners_px.iter().map(|p| camera.undistort(p)).collect();
+    let corners = tag_corners(size_mm).map(|p| p.xy());
+    let Some(first) = seen.and_then(|seen| plane_pose(&corners, &seen)) else {
         return Vec::new();
     };
-    let [c0, c1, c2] = [0, 1, 2].map(|k| found.column(k) / found[(2, 2)]);
-    let scale = 2.0 / (c0.norm() + c1.norm());
-    let rotation =
-        Matrix3::from_columns(&[c0 * scale, c1 * scale, (c0 * scale).cross(&(c1 * scale))]);
-    let first = pose_from_parts(&rotation, &(c2 * scale * h));
     // The second solution mirrors the tag's normal in the line of sight.
     let sight = first.translation.vector.normalize();
     let normal = first.rotation * Vector3::z();

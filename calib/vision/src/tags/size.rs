@@ -8,13 +8,12 @@
 //! value from all pairs that is not the stated one is a wrong statement; a pair with another value
 //! than the rest shows the tag at two places.
 
-use crate::median::median;
+use crate::median::{median, median_and_sd};
 use crate::rig::Rig;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{PairTags, observations_of};
 use crate::tags::pose::{TAG_MISFIT_PX, TagObservation, body_pose, minimise, residual_rms_px};
 use nalgebra::{DVector, Vector3};
-use wcal_core::order_statistics::MAD_TO_SD;
 use wcal_core::rig_devices::TagRig;
 
 /// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a
@@ -26,7 +25,7 @@ const BEYOND_SD: f64 = 6.0;
 const OTHERS: usize = 2;
 
 /// A side measured in one pair, mm.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 struct Side {
     mm: f64,
     /// By the corners alone.
@@ -58,14 +57,8 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
             .map(|tags| side(stereo, tag, &observations_of(tag, tags)))
             .collect();
         let seen: Vec<Side> = sides.iter().flatten().copied().collect();
-        let typical = median(&seen.iter().map(|s| s.mm).collect::<Vec<_>>());
-        let spread = MAD_TO_SD
-            * median(
-                &seen
-                    .iter()
-                    .map(|s| (s.mm - typical).abs())
-                    .collect::<Vec<_>>(),
-            );
+        let all_mm: Vec<f64> = seen.iter().map(|s| s.mm).collect();
+        let [typical, spread] = median_and_sd(&all_mm);
         let differs = |s: &Side, from: f64| {
             (s.mm - from).abs() > (MATTERS * from).max(BEYOND_SD * s.sd_mm.hypot(spread))
         };
@@ -83,7 +76,7 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
         let Some(cameras_sd) = seen.iter().map(|s| s.cameras_sd_mm).reduce(f64::max) else {
             continue;
         };
-        let own = median(&seen.iter().map(|s| s.sd_mm).collect::<Vec<_>>());
+        let own = median(seen.iter().map(|s| s.sd_mm));
         let sd = cameras_sd.hypot(own.max(spread) / (seen.len() as f64).sqrt());
         let off = (typical - tag.size_mm).abs();
         // Of a tag that stands still one pair is enough; one that moves between the pictures of a
@@ -105,13 +98,13 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
         .iter()
         .map(|(k, mm, _)| mm / rig.tags[*k].size_mm)
         .collect();
-    let alike = factors
-        .iter()
-        .all(|f| (f / factors[0] - 1.0).abs() < MATTERS);
-    if !changed.is_empty() && alike && changed.len() == rig.tags.len() {
+    if let [first, ..] = factors[..]
+        && factors.iter().all(|f| (f / first - 1.0).abs() < MATTERS)
+        && changed.len() == rig.tags.len()
+    {
         found.warnings.push(format!(
             "all tags differ by the factor {:.4}: assumed is that the cameras' scale is right; if the board's side was wrong instead, all lengths here are off by it",
-            factors[0]
+            first
         ));
     }
     found
@@ -140,6 +133,7 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
     let (mut mm, mut curvature) = (rough, 0.0);
     for _ in 0..2 {
         let costs = [chi2(mm - step)?, chi2(mm)?, chi2(mm + step)?];
+        // Newton's step on the parabola through three costs.
         curvature = (costs[0] - 2.0 * costs[1] + costs[2]) / (step * step);
         if curvature <= 0.0 {
             return None;
@@ -154,13 +148,10 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
     // Scatter beyond the corners' stated noise counts as noise: 16 coordinates, a pose and the
     // side.
     let noise = (pose.chi2 / 9.0).max(1.0);
-    let by_cameras = DVector::from_iterator(
-        stereo.parameters(),
-        (0..stereo.parameters()).map(|k| {
-            let h = stereo.difference_step(k);
-            triangulated(&stereo.moved(k, h), pair).map_or(0.0, |moved| (moved - rough) / h)
-        }),
-    );
+    let by_cameras = DVector::from_fn(stereo.parameters(), |k, _| {
+        let h = stereo.difference_step(k);
+        triangulated(&stereo.moved(k, h), pair).map_or(0.0, |moved| (moved - rough) / h)
+    });
     let cameras_mm2 = stereo
         .covariance
         .as_ref()
@@ -194,10 +185,6 @@ fn triangulated(stereo: &StereoCameras, [left, right]: [&TagObservation; 2]) -> 
             (u > 0.0 && v > 0.0 && place.iter().all(|x| x.is_finite())).then_some(place)
         })
         .collect::<Option<_>>()?;
-    Some(
-        (0..4)
-            .map(|k| (places[(k + 1) % 4] - places[k]).norm())
-            .sum::<f64>()
-            / 4.0,
-    )
+    let sides = (0..4).map(|k| (places[(k + 1) % 4] - places[k]).norm());
+    Some(sides.sum::<f64>() / 4.0)
 }

@@ -19,19 +19,17 @@ const WIDTH: [f64; 2] = [0.6, 1.5];
 /// Pieces used; of these the worst quarter is omitted.
 const PIECES: usize = 32;
 
-/// A piece's pixels and where its centre is now.
-struct Patch {
-    pixels: Vec<Pixel>,
-    width_px: f64,
-    centre: f64,
-    level: Levels,
-}
+/// A piece's pixels and expected width, px.
+type Patch = (Vec<Pixel>, f64);
+
+/// Where a patch's centre and levels are.
+type Place = (f64, Levels);
 
 /// Pooled squares a pixel with their normal equations in (ln blur, ln width).
 struct Pooled {
     normal: NormalEquations<Const<2>>,
     /// Where every patch's centre and levels settled.
-    settled: Vec<(f64, Levels)>,
+    settled: Vec<Place>,
 }
 
 impl Linearised for Pooled {
@@ -67,7 +65,8 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
     if best.len() < 8 {
         return start;
     }
-    let patches: Vec<Patch> = best
+    // Each piece starts where it settled at the place before.
+    let (patches, settled): (Vec<Patch>, Vec<Place>) = best
         .iter()
         .map(|p| {
             let width_px = p.station.width_px;
@@ -76,16 +75,10 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
             let mut pixels = gather(picture, &p.station, near + p.offset_px.abs());
             pixels.retain(|q| (q.0 - p.offset_px).abs() <= near);
             let [left, right] = p.depth;
-            Patch {
-                pixels,
-                width_px,
-                centre: p.offset_px,
-                level: Levels::new(left, right, 0.0, 0.0),
-            }
+            let level = Levels::new(left, right, 0.0, 0.0);
+            ((pixels, width_px), (p.offset_px, level))
         })
-        .collect();
-    // Each piece starts where it settled at the place before.
-    let settled: Vec<(f64, Levels)> = patches.iter().map(|p| (p.centre, p.level)).collect();
+        .unzip();
     let Some(first) = pooled(&patches, &settled, start) else {
         return start;
     };
@@ -108,14 +101,14 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
 /// Centres are fitted again at every step: fixed where a wrong width put them, they would confirm
 /// that width. The worst quarter and pieces that cannot be fitted are left out; none where that is
 /// more than a quarter.
-fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -> Option<Pooled> {
-    let fit = |(p, s): (&Patch, &(f64, Levels))| fit_patch(p, *s, appearance);
-    let fits: Vec<Option<PatchFit>> = patches.iter().zip(starts).map(fit).collect();
-    let settled = fits.iter().zip(starts);
-    let settled = settled
-        .map(|(f, s)| f.as_ref().map_or(*s, |f| (f.centre, f.level)))
-        .collect();
-    let mut all: Vec<PatchFit> = fits.into_iter().flatten().collect();
+fn pooled(patches: &[Patch], starts: &[Place], appearance: Appearance) -> Option<Pooled> {
+    let (mut settled, mut all) = (starts.to_vec(), Vec::new());
+    for (patch, place) in patches.iter().zip(&mut settled) {
+        if let Some((there, normal)) = fit_patch(patch, *place, appearance) {
+            *place = there;
+            all.push(normal);
+        }
+    }
     let keep = patches.len() * 3 / 4;
     if all.len() < keep {
         return None;
@@ -128,34 +121,26 @@ fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -
     };
     for p in &all[..keep] {
         normal.cost += p.cost / keep as f64;
-        normal.matrix += p.normal / keep as f64;
-        normal.descent += p.gradient / keep as f64;
+        normal.matrix += p.matrix / keep as f64;
+        normal.descent += p.descent / keep as f64;
     }
     Some(Pooled { normal, settled })
 }
 
-/// One patch's squares a pixel and its part of the normal equations.
-struct PatchFit {
-    centre: f64,
-    level: Levels,
-    cost: f64,
-    normal: Matrix2<f64>,
-    gradient: Vector2<f64>,
-}
-
+/// Where one patch settles, its squares a pixel and its part of the normal equations.
 fn fit_patch(
-    patch: &Patch,
-    (centre, level): (f64, Levels),
+    (pixels, width_px): &Patch,
+    (centre, level): Place,
     appearance: Appearance,
-) -> Option<PatchFit> {
+) -> Option<(Place, NormalEquations<Const<2>>)> {
     type Nuisance = SVector<f64, 5>;
-    let bar = Bar::new(patch.width_px * appearance.width_scale, appearance.blur_px);
-    let fit = bar.settle(&patch.pixels, centre, level, 6, false)?;
+    let bar = Bar::new(width_px * appearance.width_scale, appearance.blur_px);
+    let fit = bar.settle(pixels, centre, level, 6, false)?;
     // A bar that jumps to a neighbouring line has no information about the wire.
     if (fit.centre - centre).abs() > 1.0 {
         return None;
     }
-    let n = patch.pixels.len() as f64;
+    let n = pixels.len() as f64;
     // Rows: blur, width; nuisances: centre and levels.
     let (mut normal, mut gradient) = (Matrix2::zeros(), Vector2::zeros());
     let (mut own, mut pull) = (
@@ -165,7 +150,7 @@ fn fit_patch(
     // The light across the bar has the same ridge as in `settle`.
     own[(4, 4)] += FIRST_RIDGE;
     let mut cross = SMatrix::<f64, 2, 5>::zeros();
-    for &(u, value) in &patch.pixels {
+    for &(u, value) in pixels {
         let [f, by_centre, by_blur, by_width] = bar.shares_with_slopes(u - fit.centre);
         let r = value - f.dot(&fit.level);
         let shared = Vector2::new(by_blur.dot(&fit.level), by_width.dot(&fit.level));
@@ -176,14 +161,14 @@ fn fit_patch(
         pull += nuisance * r;
         cross += shared * nuisance.transpose();
     }
+    // Schur complement: the piece's own parameters eliminated.
     let inverse = own.cholesky()?;
     normal -= cross * inverse.solve(&cross.transpose());
     gradient -= cross * inverse.solve(&pull);
-    Some(PatchFit {
-        centre: fit.centre,
-        level: fit.level,
+    let normal = NormalEquations {
         cost: fit.cost / n,
-        normal: normal / n,
-        gradient: gradient / n,
-    })
+        matrix: normal / n,
+        descent: gradient / n,
+    };
+    Some(((fit.centre, fit.level), normal))
 }

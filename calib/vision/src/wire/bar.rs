@@ -21,7 +21,6 @@ pub(crate) type Levels = SVector<f64, 4>;
 type Square = SMatrix<f64, 4, 4>;
 
 /// A blurred bar of known width.
-#[derive(Clone, Copy)]
 pub(crate) struct Bar {
     /// Half width, px.
     half: f64,
@@ -74,16 +73,15 @@ impl Bar {
 
     /// Shares of left background, right background, bar, and light across the bar, with their
     /// derivatives by the centre.
+    #[inline]
     fn shares(&self, e: f64) -> [Levels; 2] {
-        let h = self.half;
-        let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
-        let (bar, tilt) = (a - b, e / h);
-        let by_centre = Levels::new(da, -db, db - da, (db - da) * tilt - bar / h);
-        [Levels::new(1.0 - a, b, bar, bar * tilt), by_centre]
+        let [shares, by_centre, ..] = self.shares_with_slopes(e);
+        [shares, by_centre]
     }
 
     /// Shares with their derivatives by the centre, by the logarithm of the blur and by that of the
     /// width.
+    #[inline]
     pub(crate) fn shares_with_slopes(&self, e: f64) -> [Levels; 4] {
         let h = self.half;
         let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
@@ -119,18 +117,13 @@ impl Bar {
         let mut weight = FIRST_RIDGE;
         let yy: f64 = pixels.iter().map(|p| p.1 * p.1).sum();
         for round in 0..=rounds {
-            // Lower triangle of the levels' normal matrix, its product with the slope, and the
-            // slope's own.
+            // The levels' normal matrix, its product with the slope, and the slope's own.
             let (mut m, mut cross, mut v) = (Square::zeros(), Levels::zeros(), Levels::zeros());
             let (mut own, mut pull) = (0.0, 0.0);
             for &(u, value) in pixels {
                 let [f, d] = self.shares(u - centre);
                 let slope = d.dot(&level);
-                for j in 0..4 {
-                    for i in j..4 {
-                        m[(i, j)] += f[i] * f[j];
-                    }
-                }
+                m += f * f.transpose();
                 v += f * value;
                 cross += f * slope;
                 own += slope * slope;
@@ -144,14 +137,7 @@ impl Bar {
             if !(projected > 0.0) {
                 return None;
             }
-            let mut quadratic = 0.0;
-            for j in 0..4 {
-                quadratic += full[(j, j)] * level[j] * level[j];
-                for i in j + 1..4 {
-                    quadratic += 2.0 * full[(i, j)] * level[i] * level[j];
-                }
-            }
-            let cost = (yy - 2.0 * v.dot(&level) + quadratic).max(0.0);
+            let cost = (yy - 2.0 * v.dot(&level) + level.dot(&(full * level))).max(0.0);
             if tilted {
                 weight = ridge(cost, pixels.len(), &level).min(FIRST_RIDGE);
             }
@@ -176,14 +162,13 @@ impl Bar {
 }
 
 /// A bar settled on its pixels.
-#[derive(Clone, Copy)]
 pub(crate) struct Settled {
-    pub(crate) centre: f64,
+    pub centre: f64,
     /// Sum of squares, DN^2.
-    pub(crate) cost: f64,
-    pub(crate) level: Levels,
+    pub cost: f64,
+    pub level: Levels,
     /// Information on the centre, levels eliminated, DN^2 / px^2.
-    pub(crate) projected: f64,
+    pub projected: f64,
 }
 
 /// Side of the cells in which pixels are summed across the line, px.

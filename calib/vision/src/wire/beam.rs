@@ -12,7 +12,6 @@
 
 use crate::median::median;
 use crate::rig::RigWhisker;
-use crate::rigid::hat;
 use crate::wire::ridge::HIDDEN;
 use crate::wire::scene::Scene;
 use nalgebra::{Matrix3, Vector3};
@@ -61,19 +60,7 @@ const SEEN_CELL: (f64, f64) = (0.06, 0.01);
 const GAP_CELL: (f64, f64) = (0.2, 0.04);
 const HIDDEN_CELL: (f64, f64) = (0.1, 0.02);
 
-/// Settings of a search.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BeamSettings {
-    /// Curves kept.
-    pub beam: usize,
-    /// Largest distance of the root from the stated one, mm.
-    pub aside_mm: f64,
-    /// Any curvature is allowed: a second wire need not be near this one's rest shape.
-    pub any_bend: bool,
-}
-
 /// What the search found.
-#[derive(Debug, Clone)]
 pub(crate) struct BeamResult {
     /// Curvature deviations from nominal, one a millimetre.
     pub curvatures: Vec<[f64; 2]>,
@@ -145,18 +132,16 @@ fn starts(aside_mm: f64) -> Vec<BeamState> {
         .collect()
 }
 
-/// Grows curves from the root, keeping the best of them, and returns the best; none where no curve
-/// has any evidence.
+/// Grows curves from roots up to `aside_mm` from the stated one, keeping the best `beam` of them, and
+/// returns the best; none where no curve has any evidence. `any_bend`: any curvature is allowed, as a
+/// second wire need not be near this one's rest shape.
 pub(crate) fn beam_search(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
-    settings: BeamSettings,
+    beam: usize,
+    aside_mm: f64,
+    any_bend: bool,
 ) -> Option<BeamResult> {
-    let BeamSettings {
-        beam,
-        aside_mm,
-        any_bend,
-    } = settings;
     let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
     // Parent and curvature of every curve kept at the end of every block.
     let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
@@ -201,13 +186,8 @@ pub(crate) fn beam_search(
                 (beam, SEEN_CELL)
             };
             let keep_hidden = (first as f64) * STEP_MM < HIDDEN_SHARE * whisker.length_mm;
-            now = branched(
-                scene,
-                &now,
-                first,
-                seen,
-                if keep_hidden { HIDDEN_BEAM } else { 0 },
-            );
+            let hidden = if keep_hidden { HIDDEN_BEAM } else { 0 };
+            now = branched(scene, &now, first, seen, hidden);
         }
         history.push(now.iter().map(|c| (c.parent, c.bend)).collect());
     }
@@ -261,7 +241,7 @@ fn traced(
             list.extend(scene.wire_response(k, &c.position, &c.frame.column(0).into_owned()));
         }
     }
-    (path, responses.map(|r| median(&r)))
+    (path, responses.map(median))
 }
 
 /// Extends a curve by a step; `visit` is called with every place scored and the tangent there.
@@ -291,7 +271,7 @@ fn advance(
 
 /// Rodrigues' formula to the fourth power of the angle: turns here are hundredths of a radian.
 fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
-    let (k, square) = (hat(w), w.norm_squared());
+    let (k, square) = (w.cross_matrix(), w.norm_squared());
     Matrix3::identity() + k * (1.0 - square / 6.0) + k * k * (0.5 - square / 24.0)
 }
 

@@ -62,14 +62,26 @@ pub struct Piece {
     /// log likelihood ratio of the bar against the best edge or flat patch, less what its extra
     /// parameters are worth (BIC).
     pub evidence: f64,
-    /// Sum of squared residuals, DN^2, and pixels.
-    pub residual: (f64, usize),
+}
+
+impl Piece {
+    /// Measured centre, px.
+    pub fn position_px(&self) -> Vector2<f64> {
+        self.station.position_px + self.station.normal() * self.offset_px
+    }
+
+    /// Whether it shows a wire of this polarity: a bar is likelier than an edge, and both sides
+    /// differ from it alike.
+    pub fn shows(&self, polarity: f64) -> bool {
+        self.evidence > 0.0 && self.depth.iter().all(|depth| polarity * depth > 0.0)
+    }
 }
 
 /// Pixels of a piece, row by row where the strip about the line crosses the row.
 pub(crate) fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<Pixel> {
     let (normal, tangent) = (at.normal(), at.tangent);
     let half = 0.5 * PIECE_PX;
+    // The line bends away from its tangent by the sagitta.
     let sag = 0.5 * at.bend_per_px.abs() * half * half;
     let span = (reach + sag).hypot(half);
     let p = at.position_px;
@@ -135,6 +147,5 @@ pub fn fit_piece(
         sd_px: (fit.cost / (n as f64 - 5.0).max(1.0) / fit.projected).sqrt(),
         depth: [fit.level[0] - fit.level[2], fit.level[1] - fit.level[2]],
         evidence,
-        residual: (fit.cost, n),
     })
 }

@@ -161,7 +161,6 @@ pub struct Evidence {
     /// +1 dark wire, -1 bright.
     pub polarity: f64,
     reference: f64,
-    bin: f64,
     table: Vec<f64>,
 }
 
@@ -171,17 +170,19 @@ const SPREAD: f64 = 0.35;
 /// in 2).
 pub(crate) const HIDDEN: f64 = -0.69;
 
+/// Bins of a tenth of the reference, from -1 to 3 references.
+fn bin(response: f64, reference: f64) -> usize {
+    ((response + reference) / (0.1 * reference)).clamp(0.0, 39.0) as usize
+}
+
 impl Evidence {
     /// From the responses of the background and the strength that a wire has. `polarity` +1: dark
     /// wire.
     pub fn new(background: &[f64], reference: f64, polarity: f64) -> Self {
-        // Bins of a tenth of the reference from -1 to 3 references; one count is added to each bin
-        // (Laplace).
-        let bin = 0.1 * reference;
+        // One count is added to each bin (Laplace).
         let mut counts = vec![1.0; 40];
         for r in background {
-            let k = ((polarity * r + reference) / bin).floor().clamp(0.0, 39.0) as usize;
-            counts[k] += 1.0;
+            counts[bin(polarity * r, reference)] += 1.0;
         }
         let total: f64 = counts.iter().sum();
         let table = counts
@@ -189,6 +190,7 @@ impl Evidence {
             .enumerate()
             .map(|(k, count)| {
                 let z = (k as f64 + 0.5) * 0.1 - 1.0;
+                // Density of a wire's response about its reference.
                 let d = (z - 1.0) / SPREAD;
                 let wire =
                     0.1 / (SPREAD * (2.0 * std::f64::consts::PI).sqrt()) * (-0.5 * d * d).exp();
@@ -198,7 +200,6 @@ impl Evidence {
         Self {
             polarity,
             reference,
-            bin,
             table,
         }
     }
@@ -206,10 +207,7 @@ impl Evidence {
     /// Score of a response; outside the picture counts as hidden.
     pub fn score(&self, response: Option<f64>) -> f64 {
         response.map_or(HIDDEN, |r| {
-            let k = ((self.polarity * r + self.reference) / self.bin)
-                .floor()
-                .clamp(0.0, 39.0) as usize;
-            self.table[k].max(HIDDEN)
+            self.table[bin(self.polarity * r, self.reference)].max(HIDDEN)
         })
     }
 }

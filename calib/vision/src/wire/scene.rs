@@ -4,7 +4,7 @@
 use crate::rig::RigWhisker;
 use crate::stereo::StereoCameras;
 use crate::wire::ridge::{Evidence, HIDDEN, RidgeMap};
-use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
+use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
 use wcal_core::order_statistics::median;
 
 /// Side of the cells in which a found wire is covered up, px.
@@ -14,7 +14,7 @@ const COVER_PX: f64 = 4.0;
 pub struct Scene<'a> {
     stereo: &'a StereoCameras,
     /// Rotation and translation from the base to each camera.
-    camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
+    camera_from_base: [(Rotation3<f64>, Vector3<f64>); 2],
     maps: &'a [RidgeMap<'a>; 2],
     evidence: [Evidence; 2],
     /// Cells of each picture, row by row, that are covered up; empty where none is.
@@ -29,16 +29,10 @@ impl<'a> Scene<'a> {
         maps: &'a [RidgeMap<'a>; 2],
         evidence: [Evidence; 2],
     ) -> Self {
-        let parts = |pose: Isometry3<f64>| {
-            (
-                *pose.rotation.to_rotation_matrix().matrix(),
-                pose.translation.vector,
-            )
-        };
-        let camera_from_base = [
-            parts(*left_from_base),
-            parts(stereo.right_from_left * left_from_base),
-        ];
+        let camera_from_base = [0, 1].map(|camera| {
+            let pose = stereo.in_camera(camera, left_from_base);
+            (pose.rotation.to_rotation_matrix(), pose.translation.vector)
+        });
         Self {
             stereo,
             camera_from_base,
@@ -56,10 +50,8 @@ impl<'a> Scene<'a> {
             let [columns, rows] = self.cells(camera);
             let mut covered = vec![false; columns * rows];
             for w in path.windows(2) {
-                let (Some((a, _)), Some((b, _))) = (
-                    self.image(camera, &w[0], &Vector3::x()),
-                    self.image(camera, &w[1], &Vector3::x()),
-                ) else {
+                let [a, b] = [w[0], w[1]].map(|p| self.image(camera, &p, &Vector3::x()));
+                let (Some((a, _)), Some((b, _))) = (a, b) else {
                     continue;
                 };
                 let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
@@ -99,6 +91,7 @@ impl<'a> Scene<'a> {
         let c = &self.stereo.cameras[camera];
         let n = Vector2::new(x.x / x.z, x.y / x.z);
         let (q, by_n) = c.distort(&n);
+        // Derivative of the image along the wire.
         let run = by_n * Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z);
         let along =
             Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
@@ -133,8 +126,7 @@ impl<'a> Scene<'a> {
 
     /// Score of a place of the wire and whether either picture shows it.
     pub(crate) fn score(&self, p: &Vector3<f64>, t: &Vector3<f64>) -> (f64, bool) {
-        let mut seen = false;
-        let mut sum = 0.0;
+        let (mut sum, mut seen) = (0.0, false);
         for camera in 0..2 {
             sum += match self.image(camera, p, t) {
                 Some((px, normal)) if !self.covers(camera, &px) => {

@@ -4,7 +4,7 @@
 use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::stereo::StereoCameras;
-use crate::wire::beam::{BEAM, BeamResult, BeamSettings, WIDE_BEAM, beam_search};
+use crate::wire::beam::{BEAM, BeamResult, WIDE_BEAM, beam_search};
 use crate::wire::ridge::{Evidence, RidgeMap};
 use crate::wire::scene::{Scene, expected_strength};
 use nalgebra::Isometry3;
@@ -81,13 +81,8 @@ impl Search<'_> {
         for (polarity, mut strength) in order.map(|k| strengths[k]) {
             // The second search knows how strong the wire of the first one answers.
             for _ in 0..2 {
-                let settings = BeamSettings {
-                    beam: self.beam,
-                    aside_mm,
-                    any_bend: false,
-                };
-                let Some(result) = beam_search(&self.scene(strength, polarity), whisker, settings)
-                else {
+                let scene = self.scene(strength, polarity);
+                let Some(result) = beam_search(&scene, whisker, self.beam, aside_mm, false) else {
                     break;
                 };
                 let settled = (0..2).all(|k| (result.strength[k] / strength[k] - 1.0).abs() < 0.2);
@@ -122,15 +117,8 @@ impl Search<'_> {
         if self.beam < WIDE_BEAM
             && let Some(found) = &mut best
             && poor(&found.result)
-            && let Some(wider) = beam_search(
-                &self.scene(found.strength, found.polarity),
-                whisker,
-                BeamSettings {
-                    beam: WIDE_BEAM,
-                    aside_mm,
-                    any_bend: false,
-                },
-            )
+            && let scene = self.scene(found.strength, found.polarity)
+            && let Some(wider) = beam_search(&scene, whisker, WIDE_BEAM, aside_mm, false)
             && wider.score > found.result.score
         {
             found.result = wider;
@@ -160,11 +148,10 @@ pub(crate) fn find_wire(
     // The response to a bar is largest at the scale width / (2 sqrt 3) (Steger 1998, eq. 11); below
     // 1.2 px noise would dominate.
     let scale = (width / 12f64.sqrt()).max(1.2);
-    let maps = [
-        RidgeMap::new(&pictures[0], scale),
-        RidgeMap::new(&pictures[1], scale),
-    ];
-    let background = [maps[0].background(60_000), maps[1].background(60_000)];
+    let maps = pictures
+        .each_ref()
+        .map(|picture| RidgeMap::new(picture, scale));
+    let background = maps.each_ref().map(|map| map.background(60_000));
     let search = Search {
         stereo,
         rig,
@@ -199,17 +186,7 @@ pub(crate) fn find_wire(
         .scene(strength, polarity)
         .without(&found.path, COVERED_WIDTHS * width);
     let density = |t: &BeamResult| t.score / t.length_mm;
-    let second = |beam| {
-        beam_search(
-            &scene,
-            &rig.whisker,
-            BeamSettings {
-                beam,
-                aside_mm: 0.0,
-                any_bend: true,
-            },
-        )
-    };
+    let second = |beam| beam_search(&scene, &rig.whisker, beam, 0.0, true);
     // A narrow beam first: hardly anything passes it where there is one wire.
     let suspect = second(RIVAL_BEAM).is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
     if suspect

@@ -32,12 +32,11 @@ pub(crate) fn find_tip(
     appearance: Appearance,
     around_mm: f64,
 ) -> Option<Tip> {
-    let at = line.iter().min_by(|a, b| {
-        (a.arc_mm - around_mm)
-            .abs()
-            .total_cmp(&(b.arc_mm - around_mm).abs())
-    })?;
-    let i = line.iter().position(|s| s == at)?;
+    let off = |s: &Station| (s.arc_mm - around_mm).abs();
+    let (i, at) = line
+        .iter()
+        .enumerate()
+        .min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
     let (before, after) = (
         line.get(i.saturating_sub(4))?,
         line.get((i + 4).min(line.len() - 1))?,
@@ -58,12 +57,14 @@ pub(crate) fn find_tip(
                 let p: Vector2<f64> = centre + normal * u;
                 picture.sample(p.x, p.y)
             };
-            let middle = [-0.25, 0.0, 0.25]
+            let middle: f64 = [-0.25, 0.0, 0.25]
                 .iter()
                 .map(|f| at_offset(f * width))
-                .sum::<f64>()
-                / 3.0;
-            (t, 0.5 * (at_offset(side_px) + at_offset(-side_px)) - middle)
+                .sum();
+            (
+                t,
+                0.5 * (at_offset(side_px) + at_offset(-side_px)) - middle / 3.0,
+            )
         })
         .collect();
     // Coarse: the best split into two levels; then Gauss-Newton on place and levels of a blurred
@@ -71,9 +72,9 @@ pub(crate) fn find_tip(
     let mut place = 0.0;
     let mut smallest = f64::INFINITY;
     for k in 4..samples.len() - 4 {
-        let level = |part: &[(f64, f64)]| {
+        let level = |part: &[(f64, f64)]| -> f64 {
             let mean = part.iter().map(|s| s.1).sum::<f64>() / part.len() as f64;
-            part.iter().map(|s| (s.1 - mean).powi(2)).sum::<f64>()
+            part.iter().map(|s| (s.1 - mean).powi(2)).sum()
         };
         let cost = level(&samples[..k]) + level(&samples[k..]);
         if cost < smallest {
@@ -101,6 +102,7 @@ pub(crate) fn find_tip(
             g += j * r;
             cost += r * r;
         }
+        // Gauss-Newton; the place moves by two pixels a step at most.
         covariance = m.try_inverse()?;
         variance = cost / (samples.len() as f64 - 3.0);
         let mut step = covariance * g;

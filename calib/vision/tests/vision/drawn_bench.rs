@@ -58,11 +58,10 @@ fn calibrated(seed: u64) -> StereoCameras {
         .iter()
         .map(|pose| BoardView {
             name: String::new(),
-            left: see(0, *pose),
-            right: see(1, truth.right_from_left * pose),
+            corners: [see(0, *pose), see(1, truth.right_from_left * pose)],
         })
         .collect();
-    let found = solve(&points, &views, truth.clone(), Free::all(false));
+    let found = solve(&points, &views, truth.clone(), Free::All(false));
     // Without the board's warp.
     let count = 2 * truth.cameras[0].intrinsics() + 6;
     let shared = found.shared_covariance.view((0, 0), (count, count));

@@ -60,8 +60,7 @@ fn views(points: &[Vector3<f64>], seed: u64) -> Vec<BoardView> {
                 * Isometry3::translation(-100.0, -62.5, 0.0);
             BoardView {
                 name: k.to_string(),
-                left: see(&left, pose),
-                right: see(&right, right_from_left() * pose),
+                corners: [see(&left, pose), see(&right, right_from_left() * pose)],
             }
         })
         .collect()

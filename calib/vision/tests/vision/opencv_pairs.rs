@@ -54,9 +54,6 @@ fn by_opencv(picture: &Picture, coarse: &[Vector2<f64>]) -> Vec<Option<Vector2<f
 
 fn by_ours(picture: &Picture, coarse: &[Vector2<f64>]) -> Vec<Option<Vector2<f64>>> {
     refine(picture, SIZE, coarse)
-        .into_iter()
-        .map(|c| c.map(|c| c.position_px))
-        .collect()
 }
 
 /// Corners near those that were guessed; none where there is none.
@@ -80,8 +77,7 @@ fn views(by: Refine) -> Vec<BoardView> {
         .iter()
         .map(|f| BoardView {
             name: f.name.clone(),
-            left: corners(&f.left),
-            right: corners(&f.right),
+            corners: [corners(&f.left), corners(&f.right)],
         })
         .collect()
 }
@@ -132,7 +128,7 @@ fn with_opencvs_corners_the_result_is_that_of_cv2_and_of_mrcal() {
         warp: [0.0; 2],
         ..solution.bundle.state.clone()
     };
-    let flat = solve(&points, &solution.views, flat_start, Free::all(false));
+    let flat = solve(&points, &solution.views, flat_start, Free::All(false));
     // cv2.stereoCalibrate with all intrinsics free: 0.2150 px, baseline 3.3273 squares.
     assert!((flat.rms_px() - 0.2150).abs() < 1e-4, "{}", flat.rms_px());
     let baseline = flat.state.right_from_left.translation.vector.norm();
@@ -142,9 +138,8 @@ fn with_opencvs_corners_the_result_is_that_of_cv2_and_of_mrcal() {
 #[test]
 fn a_swapped_pair_and_a_foreign_pair_are_left_out_with_the_reason() {
     let mut views = views(by_ours);
-    let (left, right) = (views[2].left.clone(), views[2].right.clone());
-    (views[2].left, views[2].right) = (right, left);
-    views[7].right = views[9].right.clone();
+    views[2].corners.reverse();
+    views[7].corners[1] = views[9].corners[1].clone();
     let solution = calibrate_stereo(&board_points(9, 6, 1.0), views, [640, 480], OPENCV5).unwrap();
     let why = |name: &str| {
         solution
@@ -173,8 +168,7 @@ fn swapped_cameras_are_warned_of_and_mirrored_or_shifted_pictures_refused() {
         .iter()
         .map(|v| BoardView {
             name: v.name.clone(),
-            left: v.right.clone(),
-            right: v.left.clone(),
+            corners: [v.corners[1].clone(), v.corners[0].clone()],
         })
         .collect();
     let solution = calibrate_stereo(&points, swapped, [640, 480], OPENCV5).unwrap();
@@ -185,8 +179,7 @@ fn swapped_cameras_are_warned_of_and_mirrored_or_shifted_pictures_refused() {
     );
     let mut mirrored = good.clone();
     for v in &mut mirrored {
-        v.right = v
-            .right
+        v.corners[1] = v.corners[1]
             .chunks(9)
             .flat_map(|row| {
                 row.iter()
@@ -201,7 +194,7 @@ fn swapped_cameras_are_warned_of_and_mirrored_or_shifted_pictures_refused() {
     assert!(error.contains("mirrored"), "{error}");
     let mut shifted = good.clone();
     for k in 0..shifted.len() {
-        shifted[k].right = good[(k + 1) % good.len()].right.clone();
+        shifted[k].corners[1] = good[(k + 1) % good.len()].corners[1].clone();
     }
     let error = calibrate_stereo(&points, shifted, [640, 480], OPENCV5)
         .unwrap_err()

@@ -3,11 +3,11 @@
 use crate::common;
 use nalgebra::Vector2;
 use wcal_vision::picture::Picture;
-use wcal_vision::tags::apriltag_ffi::{RawTag, draw_tag};
+use wcal_vision::tags::apriltag_ffi::{Tag, draw_tag};
 use wcal_vision::tags::detection::{Search, detect_tags, find_tags};
 
 /// Tags of all the picture as the library gives them.
-fn raw_tags(picture: &Picture) -> Vec<RawTag> {
+fn raw_tags(picture: &Picture) -> Vec<Tag> {
     detect_tags(picture, "tag36h11", Search::Whole).unwrap()
 }
 
@@ -138,7 +138,7 @@ fn corners_that_are_not_refined_miss_the_limits() {
             let (picture, corners) = drawn(side, 0.3 + 0.4 * t, centre, 2.0, u64::from(k));
             let raw = raw_tags(&picture).remove(0).corners_px;
             squares.extend(corners.map(|c| {
-                let off = |p: &[f64; 2]| (Vector2::new(p[0], p[1]) - c).norm_squared();
+                let off = |p: &Vector2<f64>| (p - c).norm_squared();
                 raw.iter().map(off).min_by(f64::total_cmp).unwrap()
             }));
         }
@@ -157,12 +157,7 @@ fn raw_corners_follow_the_same_convention() {
         let centre = Vector2::new(320.0 + 0.37 * t, 240.0 - 0.23 * t);
         let (picture, corners) = drawn(120.0, 0.785 * t + 0.1, centre, 1.0, u64::from(k));
         let raw = raw_tags(&picture).remove(0);
-        let mean = raw
-            .corners_px
-            .iter()
-            .map(|c| Vector2::new(c[0], c[1]))
-            .sum::<Vector2<f64>>()
-            / 4.0;
+        let mean = raw.corners_px.iter().sum::<Vector2<f64>>() / 4.0;
         offsets.push(mean - corners.iter().sum::<Vector2<f64>>() / 4.0);
     }
     let bias = offsets.iter().sum::<Vector2<f64>>() / offsets.len() as f64;

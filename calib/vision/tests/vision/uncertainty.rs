@@ -69,8 +69,7 @@ fn noisy(state: &BundleState, points: &[Vector3<f64>], sd: f64, seed: u64) -> Ve
         .iter()
         .map(|pose| BoardView {
             name: String::new(),
-            left: see(0, pose),
-            right: see(1, &(state.right_from_left * pose)),
+            corners: [see(0, pose), see(1, &(state.right_from_left * pose))],
         })
         .collect()
 }
@@ -86,7 +85,7 @@ fn coverage(draws: u64, factor: f64) -> Vec<f64> {
                 &points,
                 &noisy(&state, &points, 0.05, seed),
                 state.clone(),
-                Free::all(false),
+                Free::All(false),
             );
             assert!(solution.converged);
             let sd = |k: usize| factor * solution.shared_covariance[(k, k)].sqrt();

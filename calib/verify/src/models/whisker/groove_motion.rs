@@ -231,7 +231,7 @@ pub fn of_readings(
     calibrate_readings(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
 }
 
-fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
+fn sensed_by_map(predictor: &MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
     let p = predictor.predict(shift_pm);
     let MomentSpread {
         noise_nmm2,
@@ -260,13 +260,13 @@ fn nominal(rod: Rod) -> AcceptedWire {
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for
 /// each moment.
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
-    let mut predictor = MapPredictor::new(map).ok()?;
+    let predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
     let sensed = system
         .path
         .readings
         .iter()
-        .map(|r| sensed_by_map(&mut predictor, r.shift_pm));
+        .map(|r| sensed_by_map(&predictor, r.shift_pm));
     let sensed: Vec<CalibratedReading> = sensed.collect();
     let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
     let readings = readings(system, &xs, &sensed);
@@ -284,13 +284,11 @@ pub fn of_shifts(
     whisker: &WhiskerSpec,
     map: &MapArtefact,
 ) -> Option<SensedReadings> {
-    let mut predictor = MapPredictor::new(map).ok()?;
+    let predictor = MapPredictor::new(map).ok()?;
     Some(SensedReadings {
         wire: nominal(rod_of(whisker, AIR_KG_M3, &RodParameters::default())?),
         changed: Vec::new(),
-        readings: shifts_pm
-            .map(|s| sensed_by_map(&mut predictor, s))
-            .collect(),
+        readings: shifts_pm.map(|s| sensed_by_map(&predictor, s)).collect(),
     })
 }
 

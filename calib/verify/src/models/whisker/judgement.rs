@@ -80,7 +80,7 @@ pub fn of_map(
     map: &MapArtefact,
     only_sealed: bool,
 ) -> Option<Vec<HeldOut>> {
-    let mut predictor = MapPredictor::new(map).ok()?;
+    let predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
     let mut of = |i: usize| {
         let p = predictor.predict(system.path.readings[i].shift_pm);

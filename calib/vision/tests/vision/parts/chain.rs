@@ -1,7 +1,7 @@
 //! The convex start of the shape's fit.
 
 use crate::common::bench;
-use nalgebra::{Matrix6, Point3, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use wcal_vision::rig::Rig;
 use wcal_vision::shape::curve::{CurveModel, CurveState};
 use wcal_vision::shape::curve_fit::{LineObservation, Prior};
@@ -27,7 +27,7 @@ fn setting(
         covariance: None,
     };
     let rig = Rig::parse("rig.toml", bench::RIG).unwrap();
-    let model = CurveModel::new(&rig.whisker, 60.0, 2.5, true);
+    let model = CurveModel::new(&rig.whisker, 60.0, 2.5);
     let mut truth = model.rest();
     for (k, c) in truth.coefficients.iter_mut().enumerate() {
         *c = 0.004 * (0.15 * k as f64).sin();
@@ -75,7 +75,6 @@ fn apart(model: &CurveModel, a: &CurveState, b: &CurveState) -> f64 {
 fn prior() -> Prior {
     Prior {
         base: Matrix6::zeros(),
-        base_offset: Vector6::zeros(),
         root_sd: [0.003, 1e-4],
         smoothing: 1e6,
     }

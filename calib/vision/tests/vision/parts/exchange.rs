@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 use wcal_vision::calibrate::document::StereoDocument;
 use wcal_vision::calibrate::export::{exports, kalibr_distance_px};
 use wcal_vision::calibrate::import::{
-    ImportedCamera, import_kalibr, import_opencv, import_ros, imported, read_cameras,
+    import_kalibr, import_opencv, import_ros, imported, read_cameras,
 };
 use wcal_vision::camera::{Camera, FISHEYE, Lens, OPENCV5, lenses};
 
@@ -20,13 +20,14 @@ fn document_with(lens: &'static dyn Lens) -> StereoDocument {
     } else {
         [-0.03, 4e-3, -2e-3, 5e-4, 0.0]
     };
-    let camera = all[..lens.coefficient_names().len()].to_vec();
-    let camera = || ImportedCamera {
-        pinhole: [3450.0, 3452.0, 650.5, 470.25],
+    let camera = Camera {
+        image_size_px: [1280, 960],
+        focal_px: [3450.0, 3452.0],
+        centre_px: [650.5, 470.25],
         lens,
-        coefficients: camera.clone(),
+        distortion: all,
     };
-    imported("here", [1280, 960], [camera(), camera()], pose).unwrap()
+    imported("here", [camera.clone(), camera], pose).unwrap()
 }
 
 fn document() -> StereoDocument {

@@ -11,7 +11,7 @@ fn model() -> CurveModel {
         straight_mm: 30.0,
         arc_curvature_per_mm: 0.05,
     };
-    CurveModel::new(&whisker, 60.0, 3.0, true)
+    CurveModel::new(&whisker, 60.0, 3.0)
 }
 
 #[test]

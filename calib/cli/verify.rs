@@ -30,8 +30,8 @@ use wcal_session::sweep_session::SweepSession;
 use wcal_session::{
     LoadedSession, SessionError, SessionLedger, WarningKind, add_session, attach_holdout, load,
 };
-use wcal_track::contact_validation::{contact_comparison, groove_places, left_out_places, loaded};
-use wcal_track::groove_comparison::{calibration_contact, groove_tracking};
+use wcal_track::groove_comparison::{calibration_contact, contact_comparison, groove_tracking};
+use wcal_track::session_groove::{count_loaded, groove_places, left_out_places};
 use wcal_track::sweep_witness::SweepWitness;
 use wcal_verify::method::options::{Options, ProgressListener};
 use wcal_verify::scalar::{ScalarModel, verify_scalar};
@@ -469,7 +469,8 @@ fn contacts(
     let (decision, whole) = (&done.decision, &done.assessment.whole);
     let own = groove_places(decision.model(), decision.calibration(), |_| true)?;
     let [before, after] = left_out_places(decision)?;
-    document.contact = contact_comparison([&before, &after], loaded(decision.model(), |_| true));
+    document.contact =
+        contact_comparison([&before, &after], count_loaded(decision.model(), |_| true));
     document.groove_tracking = groove_tracking(&own, "fit");
     if has_sealed {
         let [sealed, _] = whole.held_out();
@@ -478,7 +479,7 @@ fn contacts(
             of(&decision.declared_calibration())?,
             of(decision.calibration())?,
         ];
-        let confirming = contact_comparison([&before, &after], loaded(whole, |i| sealed[i]));
+        let confirming = contact_comparison([&before, &after], count_loaded(whole, |i| sealed[i]));
         document
             .contact
             .iter_mut()

@@ -29,7 +29,7 @@ use wcal_core::lock::FileLock;
 use wcal_core::rig_devices::DeviceOpener;
 use wcal_core::standstill::blame;
 use wcal_drivers::Drivers;
-use wcal_track::groove_table::known_places;
+use wcal_track::known_groove::known_places;
 use wcal_track::reading::MotionAccuracy;
 use wcal_track::stream_source::{StreamFindings, StreamSettings, StreamSource, lost_text};
 use wcal_track::track::{Input, track as track_all};

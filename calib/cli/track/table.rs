@@ -27,7 +27,7 @@ use wcal_track::track_document::{
 };
 use wcal_track::tracker::ContactTracker;
 use wcal_track::trust::WhiskerModel;
-use wcal_track::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use wcal_track::whisker_track::{Outcome, WhiskerTrack};
 use wcal_track::zero::{FreeStart, beginning};
 use wcal_verify::whisker::WhiskerSystem;
 
@@ -267,12 +267,6 @@ pub(crate) fn track(
     of: Prepared<'_>,
     loaded: &WhiskerModel<'_>,
 ) -> Result<ExitCode> {
-    let facts = WhiskerFacts {
-        name: String::new(),
-        doubt_codes: loaded.doubts.codes(),
-        doubts: loaded.doubts.messages(),
-        calibration_sha256: loaded.file.content_sha256.clone(),
-    };
     // A place of the wire's axis lies its radius from the surface.
     let on_axis = of.estimator.findings().document.place == Some(AXIS_OF_WIRE);
     let radius_mm = if on_axis {
@@ -280,7 +274,12 @@ pub(crate) fn track(
     } else {
         0.0
     };
-    let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
+    let mut track = WhiskerTrack::new(
+        loaded.into(),
+        (of.frame, of.estimator),
+        of.tare_s,
+        of.followed,
+    );
     track.groove = of.groove;
     track.object = passed_object(place, radius_mm)?;
     crate::predict::record_if_sealed(place, &args.out)?;

@@ -113,6 +113,7 @@ impl<'a> BayesFilter<'a> {
         } else {
             self.inverse.nodes.len()
         };
+        // Mean over frictions and speeds by their weights.
         let mean = |k: usize| {
             let (weight, sum) = self.weights.iter().fold((0.0, 0.0), |(weight, sum), row| {
                 (
@@ -156,28 +157,19 @@ impl<'a> BayesFilter<'a> {
         moment_nmm: [f64; 2],
         base_mm_s: Option<f64>,
     ) -> Option<Belief> {
-        let (inverse, steps) = (self.inverse, self.sweep_steps(dt_s, base_mm_s));
-        self.step_on(dt_s, moment_nmm, &steps, |moment_nmm, now| {
-            inverse.solutions(moment_nmm, now)
-        })
+        self.step_on(dt_s, moment_nmm, base_mm_s, None)
     }
 
     /// Travel of the base at its known speed, or at each of the grid, which stands for an interval:
     /// the standard deviation of a uniform distribution is its width / sqrt(12).
     fn sweep_steps(&self, dt_s: f64, base_mm_s: Option<f64>) -> Vec<KnownStep> {
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
-        let travel_sd_mm = if speeds.len() > 1 {
-            (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt()
-        } else {
-            0.0
+        let gap_mm_s = speeds.get(1).map_or(0.0, |next| next - speeds[0]);
+        let step = |v: &f64| KnownStep {
+            travel_mm: v * dt_s,
+            travel_sd_mm: gap_mm_s * dt_s / 12.0_f64.sqrt(),
         };
-        speeds
-            .iter()
-            .map(|v| KnownStep {
-                travel_mm: v * dt_s,
-                travel_sd_mm,
-            })
-            .collect()
+        speeds.iter().map(step).collect()
     }
 
     /// The same with the inverse solutions of a filter of the same onset that has taken the sample
@@ -189,31 +181,31 @@ impl<'a> BayesFilter<'a> {
         base_mm_s: Option<f64>,
         other: &Self,
     ) -> Option<Belief> {
-        let steps = self.sweep_steps(dt_s, base_mm_s);
-        self.step_on(dt_s, moment_nmm, &steps, |_, now| {
-            now.clone_from(&other.now)
-        })
+        self.step_on(dt_s, moment_nmm, base_mm_s, Some(other))
     }
 
     fn step_on(
         &mut self,
         dt_s: f64,
         moment_nmm: [f64; 2],
-        steps: &[KnownStep],
-        solutions: impl FnOnce([f64; 2], &mut Vec<InverseSolution>),
+        base_mm_s: Option<f64>,
+        shared: Option<&Self>,
     ) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
+        let steps = &self.sweep_steps(dt_s, base_mm_s)[..];
         let size = moment_nmm[0].hypot(moment_nmm[1]);
-        if size < self.settings.onset_nmm {
-            // A free wire's moments are noise without a direction: the solutions must not depend on
-            // it.
-            solutions(FREE_NMM, &mut self.now);
+        let is_free = size < self.settings.onset_nmm;
+        // A free wire's moments are noise without a direction: the solutions must not depend on it.
+        let at_nmm = if is_free { FREE_NMM } else { moment_nmm };
+        match shared {
+            Some(other) => self.now.clone_from(&other.now),
+            None => self.inverse.solutions(at_nmm, &mut self.now),
+        }
+        self.log_evidence = 0.0;
+        if is_free {
             self.weights.clear();
-            self.log_evidence = 0.0;
             return None;
         }
-        solutions(moment_nmm, &mut self.now);
-        self.log_evidence = 0.0;
         let frictions = self.settings.frictions().len();
         let predicted = self.weights.len() == frictions * steps.len() && self.predict(dt_s, steps);
         if !predicted {
@@ -324,6 +316,7 @@ fn diffuse_speeds(rows: &mut [Vec<GridCell>], share: f64) {
     }
     let old = rows.to_vec();
     for (v, row) in rows.iter_mut().enumerate() {
+        // Reflecting ends: no weight leaves the grid.
         let (low, high) = (v.saturating_sub(1), (v + 1).min(n - 1));
         for (j, cell) in row.iter_mut().enumerate() {
             let parts = [

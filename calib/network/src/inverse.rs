@@ -45,7 +45,7 @@ pub struct InverseSolution {
 }
 
 /// A node of the curve.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Node {
     /// Arc length, mm.
     pub arclength_mm: f64,
@@ -110,31 +110,22 @@ impl StaticInverse {
             arclength_mm: tip_mm,
             tilt: k as f64 / (grid.tilts + 1) as f64,
         });
-        let mut cells: Vec<Vec<TableEntry>> = along
-            .clone()
-            .collect::<Vec<_>>()
-            .par_iter()
-            .map(|n| {
-                (0..grid.directions)
-                    .flat_map(|d| solve_ray(&rod, n.arclength_mm, d, &grid))
-                    .map(|s| s.0)
-                    .collect()
-            })
-            .collect();
-        let tilted: Vec<Vec<Vec<TableEntry>>> = (0..grid.directions)
-            .into_par_iter()
-            .map(|d| {
-                let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
-                square
-                    .map(|(m, (_, force))| {
-                        solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid)
-                    })
-                    .collect()
-            })
-            .collect();
+        let nodes: Vec<Node> = along.collect();
+        let rays = |n: &Node| -> Vec<TableEntry> {
+            let all = (0..grid.directions).flat_map(|d| solve_ray(&rod, n.arclength_mm, d, &grid));
+            all.map(|s| s.0).collect()
+        };
+        let mut cells: Vec<Vec<TableEntry>> = nodes.par_iter().map(rays).collect();
+        let tilts = |d: usize| -> Vec<Vec<TableEntry>> {
+            let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
+            square
+                .map(|(m, (_, force))| solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid))
+                .collect()
+        };
+        let tilted: Vec<_> = (0..grid.directions).into_par_iter().map(tilts).collect();
         let of_lean = |k: usize| tilted.iter().flatten().map(|at| at[k]).collect();
         cells.extend((0..grid.tilts).map(of_lean));
-        let nodes: Vec<Node> = along.chain(tip).collect();
+        let nodes: Vec<Node> = nodes.into_iter().chain(tip).collect();
         Ok(refine(&nodes, &cells, flat, grid))
     }
 
@@ -152,21 +143,10 @@ impl StaticInverse {
         // dp/dm and dn/dm by forward differences in each moment component.
         let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
         let stencils = at.map(|moment_nmm| self.stencil(moment_nmm));
-        // Mostly the step stays within the cell.
-        let one_cell = stencils
-            .iter()
-            .all(|s| s.cells.map(|c| c.0) == stencils[0].cells.map(|c| c.0));
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
-            let together = if one_cell {
-                self.interpolate_together(node, &stencils)
-            } else {
-                None
-            };
-            let ([here, by_y, by_z], reachable) = together.unwrap_or_else(|| {
-                let each = stencils.each_ref().map(|s| self.interpolate(node, s));
-                (each.map(|v| v.0), each[0].1)
-            });
+            let [(here, reachable), (by_y, _), (by_z, _)] =
+                stencils.each_ref().map(|s| self.interpolate(node, s));
             let point_mm = Vector3::new(here[0], here[1], here[2]);
             let normal = Vector3::new(here[3], here[4], here[5]);
             let [by_y, by_z] = [by_y, by_z].map(|v| {
@@ -175,6 +155,7 @@ impl StaticInverse {
                 };
                 (by(0, &point_mm), by(3, &normal))
             });
+            // Norm of the derivative over both moments.
             let turn_rad_per_nmm = by_y.1.norm().hypot(by_z.1.norm());
             let normal = normal.try_normalize(1e-9).unwrap_or(Vector3::z());
             let compliance_mm_per_nmm = normal.dot(&by_y.0).hypot(normal.dot(&by_z.0));
@@ -239,32 +220,7 @@ impl StaticInverse {
         Stencil { cells, inner }
     }
 
-    /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none
-    /// next to unreachable ones.
-    fn interpolate_together(
-        &self,
-        node: usize,
-        stencils: &[Stencil; 3],
-    ) -> Option<([[f64; 6]; 3], bool)> {
-        let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
-        let mut sums = [[0.0; 6]; 3];
-        let [a, b, c] = stencils;
-        for ((a, b), c) in a.cells.iter().zip(&b.cells).zip(&c.cells) {
-            let (values, reachable) = &cells[a.0];
-            let weights = [a.1, b.1, c.1];
-            if !reachable && weights != [0.0; 3] {
-                return None;
-            }
-            let values = values.map(f64::from);
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                for (sum, value) in sum.iter_mut().zip(values) {
-                    *sum += weight * value;
-                }
-            }
-        }
-        Some((sums, true))
-    }
-
+    /// Value at a node, and whether a force there can give the moments.
     fn interpolate(&self, node: usize, stencil: &Stencil) -> ([f64; 6], bool) {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
         let mut sum = [0.0; 6];
@@ -294,8 +250,8 @@ struct Stencil {
     inner: [(usize, f64); 4],
 }
 
-/// Weights of the cells at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
-fn cubic(u: f64) -> [f64; 4] {
+/// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
+pub fn cubic(u: f64) -> [f64; 4] {
     [
         -u * (u - 1.0) * (u - 2.0) / 6.0,
         (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
@@ -364,56 +320,5 @@ fn refine(
         flat,
         grid,
         cells: fine_cells,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{InverseGrid, MOMENT_STEP_NMM, StaticInverse};
-    use wcal_core::observation::WhiskerSpec;
-
-    /// Three stencils of one cell give together what each gives alone, and nothing next to
-    /// unreachable cells.
-    #[test]
-    fn stencils_of_one_cell_are_interpolated_together() {
-        let grid = InverseGrid {
-            step_mm: 8.0,
-            refine: 1,
-            tilts: 2,
-            directions: 8,
-            steps: 8,
-            ..InverseGrid::default()
-        };
-        let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
-        let (mut together, mut unreachable) = (0, 0);
-        for k in 0..200 {
-            let (size, angle) = (0.015 * f64::from(k) + 0.1, 2.4 * f64::from(k));
-            let [y, z] = [size * angle.cos(), size * angle.sin()];
-            let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
-            let stencils = at.map(|m| inverse.stencil(m));
-            if stencils
-                .iter()
-                .any(|s| s.cells.map(|c| c.0) != stencils[0].cells.map(|c| c.0))
-            {
-                continue;
-            }
-            for node in 0..inverse.nodes.len() {
-                let each = stencils.each_ref().map(|s| inverse.interpolate(node, s));
-                match inverse.interpolate_together(node, &stencils) {
-                    Some((all, reachable)) => {
-                        together += 1;
-                        assert!(
-                            all == each.map(|e| e.0) && each.iter().all(|e| e.1 == reachable),
-                            "{each:?}"
-                        );
-                    }
-                    None => unreachable += 1,
-                }
-            }
-        }
-        assert!(
-            together > 500 && unreachable > 10,
-            "{together} {unreachable}"
-        );
     }
 }

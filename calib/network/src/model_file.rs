@@ -34,7 +34,7 @@ pub const CARD_RANGES: &[Range] = &[
 pub const OTHER_RANGES: &[Range] = &[Range::real("", -1e18, 1e18)];
 
 /// What a model is, as far as a tracker needs it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Card {
     /// Format and version.
     pub format: String,
@@ -57,7 +57,7 @@ pub struct Card {
 }
 
 /// The motion that a network was trained on, and the filters below it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct TrainedOn {
     /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in
     /// less time).
@@ -107,26 +107,12 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), NetworkError> {
     ];
     let card: Card =
         from_json(&text, FORMAT, &ranges).map_err(NetworkError::file("reading", &path))?;
-    card.network
-        .check()
-        .map_err(NetworkError::file("reading", &path))?;
-    card.whisker
-        .check()
-        .map_err(NetworkError::file("reading", &path))?;
     let filters = card.training.filters();
-    if card.network.check_filters(&filters).is_err() {
-        let count = |two: bool| if two { "two" } else { "one" };
-        let what = format!("{}: training: filters below the network", path.display());
-        let (expected, found) = (
-            count(card.network.two_filters),
-            count(filters.frictionless.is_some()),
-        );
-        return Err(NetworkError::value(
-            what,
-            format!("{expected}, as the network weighs"),
-            found,
-        ));
-    }
+    let checked = card.network.check();
+    let checked = checked.and_then(|()| card.network.check_filters(&filters));
+    checked.map_err(NetworkError::file("reading", &path))?;
+    let checked = card.whisker.check();
+    checked.map_err(NetworkError::file("reading", &path))?;
     let weights = folder.join(WEIGHTS);
     let bytes =
         wcal_core::files::read(&weights).map_err(NetworkError::file("reading", &weights))?;

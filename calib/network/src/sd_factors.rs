@@ -41,6 +41,7 @@ impl SdFactors {
         let above = self.at_mm.partition_point(|at| *at <= stated_mm);
         match (above.checked_sub(1), self.at_mm.get(above)) {
             (Some(below), Some(next)) => {
+                // Linear in the logarithm of the spread.
                 let share = (stated_mm / self.at_mm[below]).ln() / (next / self.at_mm[below]).ln();
                 self.factors[below] * (1.0 - share) + self.factors[above] * share
             }

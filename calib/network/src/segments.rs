@@ -35,7 +35,7 @@ pub enum SegmentBoundary {
 }
 
 /// An interval with one contact that moves without a break.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Segment {
     /// Number, from 1, a whisker.
     pub number: u64,
@@ -95,17 +95,14 @@ impl SegmentFinder {
             // In the base frame the object moves by -z: the path on the object is the difference
             // plus z e_z.
             let moved = (point_mm - last + Vector3::z() * base_way_mm).norm();
+            // Independent errors of both places add.
             let sd = (covariance_mm2.trace() + spread.trace()).sqrt();
             if moved > base_way_mm.abs() + JUMP_MM && moved > JUMP_SDS * sd {
                 self.close(SegmentBoundary::Jump);
             } else {
-                let rows = segment.rows + 1;
-                let segment = Segment {
-                    to_s: t_s,
-                    rows,
-                    last_mm: point_mm.into(),
-                    ..segment.clone()
-                };
+                let mut segment = segment.clone();
+                (segment.to_s, segment.last_mm) = (t_s, point_mm.into());
+                segment.rows += 1;
                 let number = segment.number;
                 self.open = Some((segment, point_mm, covariance_mm2));
                 return Some(number);

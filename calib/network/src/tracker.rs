@@ -14,11 +14,13 @@
 use crate::error::NetworkError;
 use crate::filter::FilterBank;
 use crate::inverse::StaticInverse;
+use crate::network::features::SWEEP_STEP_S;
 use crate::network::{
     FeatureExtractor, INITIAL_LOG_FLOOR, KvCache, NetworkConfig, PLACE_SCALE_MM, Prediction, Token,
     WhiskerNet, knot_weights, knots,
 };
 use crate::sd_factors::SdFactors;
+use nalgebra::{Matrix3, Vector3};
 
 /// A trained network with what it needs to answer.
 #[derive(Debug, Clone)]
@@ -37,7 +39,7 @@ pub struct Tracker {
 
 /// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known
 /// (mm/s).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Sample {
     /// Time, s.
     pub t_s: f64,
@@ -90,14 +92,11 @@ impl Tracker {
         let several = (1.0 / (1.0 + (-f64::from(out[k + 4])).exp())) as f32;
         if k == 0 {
             // The paper's head states no spread.
-            let point_mm = [0, 1, 2].map(|i| off[i] * PLACE_SCALE_MM as f32);
             return Prediction {
                 contact,
                 several,
-                point_mm,
-                covariance_mm2: [[0.0; 3]; 3],
-                weights: Vec::new(),
-                normal: [0.0; 3],
+                point_mm: [0, 1, 2].map(|i| off[i] * PLACE_SCALE_MM as f32),
+                ..Prediction::unknown()
             };
         }
         // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over
@@ -126,46 +125,28 @@ impl Tracker {
         weights.iter_mut().for_each(|w| *w = (*w - max).exp());
         let total: f32 = weights.iter().sum();
         weights.iter_mut().for_each(|w| *w /= total);
-        let mut mean = [0.0_f32; 3];
-        for (w, p) in weights.iter().zip(&token.points_mm) {
-            (0..3).for_each(|i| mean[i] += w * p[i]);
-        }
-        let mut normal = [0.0_f32; 3];
-        for (w, n) in weights.iter().zip(&token.normals) {
-            (0..3).for_each(|i| normal[i] += w * n[i]);
-        }
-        let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
-        let normal = normal.map(|x| x / size);
+        let mean = |of: &[[f32; 3]]| -> Vector3<f32> {
+            let each = weights.iter().zip(of);
+            each.map(|(w, v)| Vector3::from(*v) * *w).sum()
+        };
+        let (place, normal) = (mean(&token.points_mm), mean(&token.normals));
         // Second moment of the posterior on the curve, widened by the calibrated factor of its
         // spread.
-        let mut covariance = [[0.0; 3]; 3];
+        let mut covariance = Matrix3::zeros();
         for (w, p) in weights.iter().zip(&token.points_mm) {
-            for i in 0..3 {
-                for j in 0..3 {
-                    covariance[i][j] += w * (p[i] - mean[i]) * (p[j] - mean[j]);
-                }
-            }
+            let off = Vector3::from(*p) - place;
+            covariance += (off * *w) * off.transpose();
         }
-        let mut trace = 0.0;
-        for (i, row) in covariance.iter_mut().enumerate() {
-            row[i] += MIN_SD_MM * MIN_SD_MM;
-            trace += row[i];
-        }
-        let factor = self.sd_factors[usize::from(base_known)]
-            .at(f64::from(trace).sqrt())
-            .powi(2) as f32;
-        covariance
-            .as_flattened_mut()
-            .iter_mut()
-            .for_each(|x| *x *= factor);
-        let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
+        covariance += Matrix3::identity() * MIN_SD_MM * MIN_SD_MM;
+        let factors = &self.sd_factors[usize::from(base_known)];
+        let factor = factors.at(f64::from(covariance.trace()).sqrt()).powi(2) as f32;
         Prediction {
             contact,
             several,
-            point_mm,
-            covariance_mm2: covariance,
+            point_mm: [0, 1, 2].map(|i| place[i] + off[i]),
+            covariance_mm2: (covariance.transpose() * factor).into(),
             weights,
-            normal,
+            normal: (normal / normal.norm().max(1e-6)).into(),
         }
     }
 }
@@ -196,9 +177,6 @@ impl TrackerStream<'_> {
             .answer(&token, &out, sample.base_mm_s.is_some())
     }
 }
-
-/// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
-pub const SWEEP_STEP_S: f64 = 0.1;
 
 /// Shortest and longest time between samples that a network was trained with, s, from the factors
 /// of its training.

@@ -8,9 +8,15 @@
 //! `C = sum w_k ((p_k - p)(p_k - p)' + c_k^2 s^2 n_k n_k') + s_min^2 1`, `c = |dp.n/dm|`, `s` the
 //! moments' standard deviation.
 
+use crate::TrackError;
 use crate::arc_posterior::ArcDensity;
+use crate::calibrated_wire::CalibratedWire;
+use crate::estimator::{Contact, ContactEstimate};
+use crate::known_motion::contact_path::LOADED_SDS;
+use crate::reading::{Moments, squares};
 use nalgebra::{Matrix3, Vector3};
-use wcal_network::inverse::{InverseSolution, Node, StaticInverse};
+use wcal_core::stream::Flags;
+use wcal_network::inverse::{InverseGrid, InverseSolution, Node, StaticInverse};
 use wcal_network::network::Prediction;
 
 /// Probability that a contact of which nothing is known is one of the tip. An assumption.
@@ -18,10 +24,24 @@ const TIP: f64 = 0.15;
 /// Standard deviation added for model errors, mm: friction tilts the force, and a wire differs from
 /// its model.
 const MIN_SD_MM: f64 = 0.5;
+
+impl From<&Prediction> for ContactEstimate {
+    fn from(p: &Prediction) -> Self {
+        let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
+        Self {
+            probability: f64::from(p.contact),
+            place_mm: vector(p.point_mm),
+            covariance_mm2: Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j])),
+            normal: vector(p.normal),
+        }
+    }
+}
+
 /// Length that each node stands for, mm; the tip's share it out among its tilts.
 fn lengths(nodes: &[Node]) -> Vec<f64> {
     let at = |k: usize| nodes[k].arclength_mm;
     let last = nodes.len() - 1;
+    // Half of the distance between the neighbours: the trapezoid rule.
     let on_wire = |k: usize| 0.5 * (at((k + 1).min(last)) - at(k.saturating_sub(1)));
     (0..nodes.len())
         .map(|k| if nodes[k].tilt > 0.0 { 0.0 } else { on_wire(k) })
@@ -30,21 +50,12 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
 
 /// The answer to moments (N mm) of which nothing else is known; probabilities and number of
 /// contacts are those of `answer`.
-pub(crate) fn static_arc(
+fn static_arc(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
     sd_nmm: [f64; 2],
     answer: &Prediction,
 ) -> Prediction {
-    let (solutions, weights) = allowed_weights(inverse, moment_nmm);
-    stated_answer(&solutions, &weights, sd_nmm, answer)
-}
-
-/// What moments (N mm) allow, one solution a node, and their weights; see the module.
-pub(crate) fn allowed_weights(
-    inverse: &StaticInverse,
-    moment_nmm: [f64; 2],
-) -> (Vec<InverseSolution>, Vec<f64>) {
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
@@ -52,9 +63,12 @@ pub(crate) fn allowed_weights(
     // its tilts.
     let tilts = nodes.iter().filter(|n| n.tilt > 0.0).count().max(1) as f64;
     let whole: f64 = lengths.iter().sum();
-    let prior = |k: usize| match nodes[k].tilt > 0.0 {
-        true => TIP / tilts,
-        false => (1.0 - TIP) * lengths[k] / whole,
+    let prior = |k: usize| {
+        if nodes[k].tilt > 0.0 {
+            TIP / tilts
+        } else {
+            (1.0 - TIP) * lengths[k] / whole
+        }
     };
     // Nodes from which no force gives these moments have no weight; without any reachable node the
     // prior remains.
@@ -64,17 +78,7 @@ pub(crate) fn allowed_weights(
     let mut weights: Vec<f64> = solutions.iter().enumerate().map(weight).collect();
     let total: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|w| *w /= total);
-    (solutions, weights)
-}
-
-/// Mean, covariance and direction of the force of weights on solutions; see the module.
-pub(crate) fn stated_answer(
-    solutions: &[InverseSolution],
-    weights: &[f64],
-    sd_nmm: [f64; 2],
-    answer: &Prediction,
-) -> Prediction {
-    let each = || weights.iter().zip(solutions);
+    let each = || weights.iter().zip(&solutions);
     let mean: Vector3<f64> = each().map(|(w, s)| s.point_mm * *w).sum();
     let normal: Vector3<f64> = each().map(|(w, s)| s.normal * *w).sum();
     // Law of total covariance: spread of the places, and each one's own error.
@@ -88,11 +92,76 @@ pub(crate) fn stated_answer(
     }
     let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
     Prediction {
-        point_mm: [0, 1, 2].map(|i| mean[i] as f32),
-        covariance_mm2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)] as f32)),
+        point_mm: mean.map(|x| x as f32).into(),
+        covariance_mm2: covariance.map(|x| x as f32).into(),
         weights: weights.iter().map(|w| *w as f32).collect(),
-        normal: [0, 1, 2].map(|i| normal[i] as f32),
+        normal: normal.map(|x| x as f32).into(),
         ..answer.clone()
+    }
+}
+
+/// What moments alone allow.
+pub(crate) struct StaticArc {
+    wire: CalibratedWire,
+    /// Places that moments allow; made at the first loaded reading.
+    inverse: Option<StaticInverse>,
+}
+
+impl StaticArc {
+    /// Of a wire.
+    pub(crate) fn new(wire: CalibratedWire) -> Self {
+        Self {
+            wire,
+            inverse: None,
+        }
+    }
+
+    /// What the moments of a loaded reading allow, with standard deviations of these sizes, N mm.
+    ///
+    /// # Errors
+    /// Where the wire cannot be bent.
+    pub(crate) fn allowed(
+        &mut self,
+        moment_nmm: [f64; 2],
+        sd_nmm: [f64; 2],
+    ) -> Result<(ContactEstimate, ArcDensity), TrackError> {
+        let inverse = match &mut self.inverse {
+            Some(inverse) => inverse,
+            none => {
+                let CalibratedWire {
+                    rod, diameter_mm, ..
+                } = &self.wire;
+                let grid = InverseGrid::coarse();
+                none.insert(StaticInverse::of_rod(rod, *diameter_mm, grid)?)
+            }
+        };
+        let answer = static_arc(inverse, moment_nmm, sd_nmm, &Prediction::unknown());
+        Ok((
+            ContactEstimate::from(&answer),
+            arc_density(&inverse.nodes, &answer.weights),
+        ))
+    }
+
+    /// The arc of a reading that is loaded beyond its noise.
+    ///
+    /// # Errors
+    /// Where the wire cannot be bent.
+    pub(crate) fn estimate_contact(&mut self, m: &Moments) -> Result<Contact, TrackError> {
+        // A reading's own noise may be larger than that from pose to pose, which is one of
+        // averages.
+        let own = m.own_nmm2.map_or(0.0, |n| n.trace());
+        let sd_nmm = (squares(&[m.sd_nmm]) + own).sqrt();
+        if squares(&[m.moment_nmm]).sqrt() <= LOADED_SDS * sd_nmm {
+            return Ok(Contact::default());
+        }
+        let (estimate, arc) = self.allowed(m.moment_nmm, m.sd_nmm)?;
+        let (estimate, regions) = (Some(estimate), arc.regions());
+        Ok(Contact {
+            estimate,
+            flags: Flags::MOTION_LOST,
+            regions,
+            ..Contact::default()
+        })
     }
 }
 
@@ -116,16 +185,12 @@ pub(crate) fn any_motion(
     let (n, a) = (network.covariance_mm2, alone.covariance_mm2);
     let covariance_mm2 =
         [0, 1, 2].map(|i| [0, 1, 2].map(|j| mixed(n[i][j], a[i][j] + off[i] * off[j])));
-    let weights = match network.weights.len() == alone.weights.len() {
-        true => network
-            .weights
-            .iter()
-            .zip(&alone.weights)
-            .map(|(n, a)| mixed(*n, *a))
-            .collect(),
-        // A network without the curve states no place on it.
-        false => alone.weights,
-    };
+    let mut weights = alone.weights;
+    // A network without the curve states no place on it.
+    if network.weights.len() == weights.len() {
+        let both = weights.iter_mut().zip(&network.weights);
+        both.for_each(|(w, trained)| *w = mixed(*trained, *w));
+    }
     Prediction {
         covariance_mm2,
         weights,
@@ -143,13 +208,13 @@ pub(crate) fn arc_density(nodes: &[Node], weights: &[f32]) -> ArcDensity {
         .iter()
         .position(|n| n.tilt > 0.0)
         .unwrap_or(nodes.len());
-    let mut masses: Vec<f64> = weights[..on_wire].iter().map(|w| f64::from(*w)).collect();
-    if let Some(tip) = masses.last_mut() {
-        *tip += weights[on_wire..]
-            .iter()
-            .map(|w| f64::from(*w))
-            .sum::<f64>();
-    }
+    let mut masses: Vec<f64> = weights.iter().map(|w| f64::from(*w)).collect();
+    let at_tip: f64 = masses.drain(on_wire..).sum();
+    masses
+        .iter_mut()
+        .last()
+        .into_iter()
+        .for_each(|tip| *tip += at_tip);
     let places: Vec<f64> = nodes[..on_wire].iter().map(|n| n.arclength_mm).collect();
     ArcDensity::of_masses(&places, &masses)
 }

@@ -19,9 +19,7 @@ const CELLS_A_SD: f64 = 4.0;
 const CELL_MM: f64 = 0.1;
 const MAX_CELLS: f64 = 400.0;
 const SDS: f64 = 4.5;
-/// Ends of cells nearer than this are one, mm.
-const SAME_MM: f64 = 1e-6;
-/// Relative rounding of masses and densities.
+/// Rounding: of the ends of cells, mm, and of masses and densities as a share of them.
 const ROUNDING: f64 = 1e-6;
 
 /// A piece of the 95 % region along the wire.
@@ -36,6 +34,14 @@ pub struct Region {
 }
 
 impl Region {
+    fn new(from_mm: f64, to_mm: f64, probability: f64) -> Self {
+        Self {
+            from_mm,
+            to_mm,
+            probability,
+        }
+    }
+
     fn density(&self) -> f64 {
         self.probability / (self.to_mm - self.from_mm).max(MIN_MM)
     }
@@ -56,10 +62,9 @@ impl ArcDensity {
     /// Of masses at places (mm) in order; each stands for the wire half way to its neighbours.
     pub(crate) fn of_masses(places_mm: &[f64], masses: &[f64]) -> Self {
         let last = places_mm.len().saturating_sub(1);
-        let cell = |(k, mass): (usize, &f64)| Region {
-            from_mm: 0.5 * (places_mm[k.saturating_sub(1)] + places_mm[k]),
-            to_mm: 0.5 * (places_mm[k] + places_mm[(k + 1).min(last)]),
-            probability: *mass,
+        let half_way = |a: usize, b: usize| 0.5 * (places_mm[a] + places_mm[b.min(last)]);
+        let cell = |(k, mass): (usize, &f64)| {
+            Region::new(half_way(k.saturating_sub(1), k), half_way(k, k + 1), *mass)
         };
         Self::normalised(masses.iter().enumerate().map(cell).collect())
     }
@@ -68,73 +73,52 @@ impl ArcDensity {
     pub(crate) fn of_logarithms(places_mm: &[f64], ln: &[f64]) -> Self {
         let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if let [place] = places_mm {
-            let (from_mm, to_mm) = (place - 0.5 * MIN_MM, place + 0.5 * MIN_MM);
-            return Self(vec![Region {
-                from_mm,
-                to_mm,
-                probability: 1.0,
-            }]);
+            let [from_mm, to_mm] = [-0.5, 0.5].map(|share| place + share * MIN_MM);
+            return Self(vec![Region::new(from_mm, to_mm, 1.0)]);
         }
-        let parts = |k: usize| {
-            ((places_mm[k + 1] - places_mm[k]) / PART_MM)
-                .ceil()
-                .clamp(PARTS[0], PARTS[1])
-        };
-        let part = |k: usize, p: usize| {
-            let (share, width_mm) = (1.0 / parts(k), places_mm[k + 1] - places_mm[k]);
-            let at = |p: usize| {
-                if p as f64 == parts(k) {
-                    places_mm[k + 1]
+        let between = |k: usize| {
+            let (from_mm, to_mm) = (places_mm[k], places_mm[k + 1]);
+            let width_mm = to_mm - from_mm;
+            let parts = (width_mm / PART_MM).ceil().clamp(PARTS[0], PARTS[1]);
+            let share = 1.0 / parts;
+            let at = move |p: f64| {
+                if p == parts {
+                    to_mm
                 } else {
-                    places_mm[k] + width_mm * share * p as f64
+                    from_mm + width_mm * share * p
                 }
             };
-            // ln p is near linear between nodes that differ by little: a cell is the midpoint rule
-            // of the exponential.
-            let density = (ln[k] + (ln[k + 1] - ln[k]) * share * (p as f64 + 0.5) - best).exp();
-            Region {
-                from_mm: at(p),
-                to_mm: at(p + 1),
-                probability: density * width_mm * share,
-            }
+            (0..parts as usize).map(move |p| {
+                let p = p as f64;
+                // ln p is near linear between nodes that differ by little: a cell is the midpoint
+                // rule of the exponential.
+                let ln = ln[k] + (ln[k + 1] - ln[k]) * share * (p + 0.5);
+                let mass = (ln - best).exp() * width_mm * share;
+                Region::new(at(p), at(p + 1.0), mass)
+            })
         };
-        let between = 0..places_mm.len().saturating_sub(1);
-        Self::normalised(
-            between
-                .flat_map(|k| (0..parts(k) as usize).map(move |p| (k, p)))
-                .map(|(k, p)| part(k, p))
-                .collect(),
-        )
+        let last = places_mm.len().saturating_sub(1);
+        Self::normalised((0..last).flat_map(between).collect())
     }
 
     /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire;
     /// what lies past its tip is at the tip.
     pub(crate) fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
         let least = parts.iter().map(|p| p.2).fold(f64::INFINITY, f64::min);
-        let ends = |sign: f64| {
-            parts
-                .iter()
-                .map(move |p| (p.1 + sign * SDS * p.2).clamp(0.0, length_mm))
-        };
-        let [from, to] = [
-            ends(-1.0).fold(length_mm, f64::min),
-            ends(1.0).fold(0.0, f64::max),
-        ];
+        let end =
+            |sign: f64| move |p: &(f64, f64, f64)| (p.1 + sign * SDS * p.2).clamp(0.0, length_mm);
+        let from = parts.iter().map(end(-1.0)).fold(length_mm, f64::min);
+        let to = parts.iter().map(end(1.0)).fold(0.0, f64::max);
         let width_mm = (least / CELLS_A_SD)
             .clamp(MIN_MM, CELL_MM)
             .max((to - from) / MAX_CELLS);
         let count = ((to - from) / width_mm).ceil().max(1.0) as usize;
         let at = |k: usize| to - width_mm * (count - k) as f64;
-        let mut cells: Vec<Region> = (0..count)
-            .map(|k| Region {
-                from_mm: at(k),
-                to_mm: at(k + 1),
-                probability: 0.0,
-            })
-            .collect();
+        let empty = |k: usize| Region::new(at(k), at(k + 1), 0.0);
+        let mut cells: Vec<Region> = (0..count).map(empty).collect();
         for (weight, mean, sd) in parts {
             // Mass of a cell: difference of the normal distribution function at its ends.
-            let is_tip = |c: &Region| c.to_mm >= length_mm - SAME_MM;
+            let is_tip = |c: &Region| c.to_mm >= length_mm - ROUNDING;
             let near = |c: &&mut Region| {
                 is_tip(c) || (c.from_mm - SDS * sd..=c.to_mm + SDS * sd).contains(mean)
             };
@@ -150,39 +134,24 @@ impl ArcDensity {
 
     /// The same density over a whole wire.
     pub fn uniform(length_mm: f64) -> Self {
-        Self(vec![Region {
-            from_mm: 0.0,
-            to_mm: length_mm,
-            probability: 1.0,
-        }])
+        Self(vec![Region::new(0.0, length_mm, 1.0)])
     }
 
     /// Of several with their weights.
     pub fn mixture<'a>(parts: impl IntoIterator<Item = (f64, &'a Self)>) -> Self {
         let parts: Vec<(f64, &Self)> = parts.into_iter().collect();
-        let mut edges: Vec<f64> = parts
-            .iter()
-            .flat_map(|p| &p.1.0)
-            .flat_map(|c| [c.from_mm, c.to_mm])
-            .collect();
+        let cells = parts.iter().flat_map(|p| &p.1.0);
+        let mut edges: Vec<f64> = cells.flat_map(|c| [c.from_mm, c.to_mm]).collect();
         edges.sort_by(f64::total_cmp);
-        edges.dedup_by(|b, a| *b - *a < SAME_MM);
-        let mut cells: Vec<Region> = edges
-            .windows(2)
-            .map(|e| Region {
-                from_mm: e[0],
-                to_mm: e[1],
-                probability: 0.0,
-            })
-            .collect();
+        edges.dedup_by(|b, a| *b - *a < ROUNDING);
+        let empty = |e: &[f64]| Region::new(e[0], e[1], 0.0);
+        let mut cells: Vec<Region> = edges.windows(2).map(empty).collect();
         for (weight, part) in parts {
             for cell in &part.0 {
-                let first = edges.partition_point(|e| *e < cell.from_mm - SAME_MM);
-                let end_mm = cell.to_mm + SAME_MM;
-                let within = cells
-                    .iter_mut()
-                    .skip(first)
-                    .take_while(|c| c.to_mm <= end_mm);
+                let first = edges.partition_point(|e| *e < cell.from_mm - ROUNDING);
+                let end_mm = cell.to_mm + ROUNDING;
+                let within = cells[first..].iter_mut();
+                let within = within.take_while(|c| c.to_mm <= end_mm);
                 // Density is constant in a cell: its parts have mass in proportion to their length.
                 let share =
                     weight * cell.probability / (cell.to_mm - cell.from_mm).max(f64::MIN_POSITIVE);
@@ -208,7 +177,7 @@ impl ArcDensity {
         for cell in self.0.iter().filter(|c| c.density() >= least) {
             match pieces
                 .last_mut()
-                .filter(|piece| cell.from_mm <= piece.to_mm + SAME_MM)
+                .filter(|piece| cell.from_mm <= piece.to_mm + ROUNDING)
             {
                 Some(piece) => {
                     piece.to_mm = cell.to_mm;
@@ -218,6 +187,17 @@ impl ArcDensity {
             }
         }
         pieces
+    }
+}
+
+/// Logarithm of the sum of what has these logarithms.
+pub(crate) fn ln_sum(ln: &[f64]) -> f64 {
+    // The largest is taken off: the exponentials neither overflow nor all underflow.
+    let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if best.is_finite() {
+        best + ln.iter().map(|l| (l - best).exp()).sum::<f64>().ln()
+    } else {
+        f64::NEG_INFINITY
     }
 }
 

@@ -1,15 +1,12 @@
 //! The wire of a whisker as its calibration has it: every way to locate a contact bends this one.
 
-use crate::TrackError;
 use crate::known_motion::{Friction, MomentField, MotionRow, Settings};
 use crate::reading::{Moments, MotionAccuracy, Reading};
-use crate::regimes::RegimeWeights;
-use crate::sliding::{FrictionPrior, TouchedWire};
+use crate::sliding::FrictionPrior;
 use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
 use wcal_core::WireFrame;
 use wcal_core::observation::MomentAxes;
-use wcal_network::{InverseGrid, StaticInverse};
 use wcal_rod::Rod;
 use wcal_verify::whisker::groove_motion::AcceptedWire;
 
@@ -18,35 +15,24 @@ use wcal_verify::whisker::groove_motion::AcceptedWire;
 pub struct CalibratedWire {
     /// Its moments where it is held at one point.
     pub field: Arc<MomentField>,
-    rod: Rod,
-    diameter_mm: f64,
+    /// The wire itself.
+    pub rod: Rod,
+    /// Its declared diameter, mm.
+    pub diameter_mm: f64,
     /// Relative standard deviation of the diameter of the wire that is tracked; none where it is
     /// the calibration's own, whose stiffness is in the scale of the moments.
     tolerance: Option<f64>,
     /// On what touches it.
-    friction: FrictionPrior,
+    pub friction: FrictionPrior,
 }
 
-/// A wire with what is assumed of its contacts.
-pub(crate) struct Assumed {
-    /// Wire.
-    pub wire: CalibratedWire,
-    /// Of a fixed point.
-    pub settings: Settings,
-    /// Of how a contact may move.
-    pub prior: RegimeWeights,
-}
-
-/// The moments of a wire with its accepted mechanics.
-fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
-    let friction = match wire.friction {
-        mu if mu > 0.0 => Friction {
-            coefficient: mu,
-            moving_share: wire.moving_share,
-        },
-        _ => Friction::NONE,
+/// The moments of a rod with the accepted friction of a wire.
+fn moment_field(wire: &AcceptedWire, rod: &Rod, axes: &MomentAxes) -> MomentField {
+    let friction = Friction {
+        coefficient: wire.friction,
+        moving_share: wire.moving_share,
     };
-    MomentField::new(&wire.rod, axes, friction)
+    MomentField::new(rod, axes, friction)
 }
 
 impl CalibratedWire {
@@ -64,23 +50,17 @@ impl CalibratedWire {
         (frame, axes): (&WireFrame, &MomentAxes),
         diameter_mm: f64,
     ) -> Self {
-        let field = |wire: &AcceptedWire| match wire
-            .rod
-            .turned(&frame.rotation())
-            .filter(|_| !frame.is_base())
-        {
-            Some(rod) => moment_field(
-                &AcceptedWire {
-                    rod,
-                    ..wire.clone()
-                },
-                &MomentAxes::default(),
-            ),
-            None => moment_field(wire, axes),
+        let field = |wire: &AcceptedWire| {
+            let turned = wire.rod.turned(&frame.rotation());
+            match turned.filter(|_| !frame.is_base()) {
+                Some(rod) => moment_field(wire, &rod, &MomentAxes::default()),
+                None => moment_field(wire, &wire.rod, axes),
+            }
         };
-        let field = Arc::new(field(wire).with_changed(changed.iter().map(field).collect()));
+        let mut own = field(wire);
+        own.changed = changed.iter().map(field).collect();
         Self {
-            field,
+            field: Arc::new(own),
             rod: wire.rod.clone(),
             diameter_mm,
             tolerance: None,
@@ -115,6 +95,7 @@ impl CalibratedWire {
     /// Relative standard deviation of the stiffness, which goes with the fourth power of the
     /// diameter.
     pub(crate) fn stiffness_sd(&self) -> f64 {
+        // E I goes with d^4.
         4.0 * self.tolerance.unwrap_or(0.0)
     }
 
@@ -132,24 +113,16 @@ impl CalibratedWire {
     /// calibration's unknowns, the zero, and the stiffness of another wire, which scales all
     /// moments of a held wire.
     pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
-        let zero = m
-            .zero_nmm2
-            .cholesky()
-            .map_or_else(Matrix2::zeros, |c| c.l());
+        let mut all = m.shared_nmm.clone();
         // A zero that is known is no unknown.
-        let zero = zero
-            .column_iter()
-            .filter(|_| m.zero_nmm2 != Matrix2::zeros())
-            .map(|c| [c[0], c[1]])
-            .collect::<Vec<_>>();
-        let stiffness =
-            (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
-        m.shared_nmm
-            .iter()
-            .copied()
-            .chain(zero)
-            .chain(stiffness)
-            .collect()
+        if m.zero_nmm2 != Matrix2::zeros() {
+            let root = m.zero_nmm2.cholesky();
+            all.extend(root.map_or_else(Matrix2::zeros, |c| c.l()).data.0);
+        }
+        if self.stiffness_sd() > 0.0 {
+            all.push(m.moment_nmm.map(|m| self.stiffness_sd() * m));
+        }
+        all
     }
 
     /// A reading along its motion, where its moments and motion are known; without its own noise it
@@ -182,30 +155,8 @@ impl CalibratedWire {
         }
     }
 
-    /// As one that is touched at one place, whatever touches it.
-    ///
-    /// # Errors
-    /// Where it cannot be bent.
-    pub fn touched(&self) -> Result<TouchedWire, TrackError> {
-        let mut touched = TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?;
-        touched.friction = self.friction;
-        Ok(touched)
-    }
-
-    /// The places that moments alone allow.
-    ///
-    /// # Errors
-    /// As for `touched`.
-    pub(crate) fn static_inverse(&self) -> Result<StaticInverse, TrackError> {
-        Ok(StaticInverse::of_rod(
-            &self.rod,
-            self.diameter_mm,
-            InverseGrid::coarse(),
-        )?)
-    }
-
     /// Middle of the free wire, mm.
     pub fn middle_mm(&self) -> Vector3<f64> {
-        self.field.free(0.5 * self.field.length_mm()).0
+        self.field.middle_mm()
     }
 }

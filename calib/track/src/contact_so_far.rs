@@ -5,24 +5,19 @@
 //! way has its weight ([`crate::regimes`]), anew with each block of readings.
 
 use crate::TrackError;
-use crate::arc_posterior::{ArcDensity, Region};
-use crate::calibrated_wire::Assumed;
-use crate::estimator::Contact;
+use crate::estimator::{Contact, TOUCHED};
 use crate::known_motion::segmenter::Beginning;
 use crate::known_motion::{
     EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, Settings,
 };
-use crate::regimes::{Alternative, CREEP_SDS, ContactWeights, MIN_WEIGHT, OUT, Regime, Weighed};
-use crate::sliding::{Blocks, SlidingStream};
+use crate::regimes::{Assumed, CREEP_SDS, ContactWeights, MIN_WEIGHT, OUT, Regime, Weighed};
+use crate::sliding::{Blocks, MIN_MEANS, SlidingStream};
 use crate::track_document::ContactDocument;
 use nalgebra::{Matrix2, Vector3};
 use wcal_core::stream::Flags;
 
-/// Blocks by which a contact is weighed; fewer say nothing of how it moves.
-const MIN_BLOCKS: usize = 3;
+/// Blocks by which a contact is weighed at most.
 const MAX_BLOCKS: usize = 60;
-/// Contacts of this probability and more are points of the object.
-const TOUCHED: f64 = 0.9;
 
 /// A contact of which readings may follow.
 pub(crate) struct ContactSoFar {
@@ -35,29 +30,22 @@ pub(crate) struct ContactSoFar {
     weights: ContactWeights,
     /// First and last reading, s.
     span_s: [f64; 2],
-    /// 95 % regions of the point that is allowed the most.
-    regions: Vec<Region>,
 }
 
 impl ContactSoFar {
     /// With its first readings; none where the push runs along the whole wire.
     pub(crate) fn begin(of: &Assumed, settings: Settings, beginning: Beginning) -> Option<Self> {
-        let creep_sds = if of.prior.of(Regime::Creeping) > 0.0 {
-            &CREEP_SDS[..]
-        } else {
-            &[]
-        };
-        let begun = |creep_sd: &f64| {
+        let may_creep = of.prior.of(Regime::Creeping) > 0.0;
+        let creep_sds = CREEP_SDS.into_iter().filter(|_| may_creep);
+        let begun = |creep_sd| {
             let settings = Settings {
-                creep_sd: *creep_sd,
+                creep_sd,
                 ..settings
             };
             RecursivePosterior::begin(&of.wire.field, settings, &beginning)
         };
-        let posteriors = std::iter::once(&0.0)
-            .chain(creep_sds)
-            .map(begun)
-            .collect::<Option<_>>()?;
+        let posteriors = std::iter::once(0.0).chain(creep_sds).map(begun);
+        let posteriors = posteriors.collect::<Option<_>>()?;
         let Beginning { push, lead, rows } = beginning;
         Some(Self {
             posteriors,
@@ -67,7 +55,6 @@ impl ContactSoFar {
             sliding: None,
             weights: ContactWeights::prior(of.prior),
             span_s: [rows[0].t_s, rows[rows.len() - 1].t_s],
-            regions: Vec::new(),
         })
     }
 
@@ -77,14 +64,25 @@ impl ContactSoFar {
         self.span_s[1] = row.t_s;
     }
 
+    /// The point that is allowed the most.
+    fn most_allowed(&self) -> &RecursivePosterior {
+        &self.posteriors[self.posteriors.len() - 1]
+    }
+
     /// Innovations of the point that is allowed the most.
     pub(crate) fn innovations(&self) -> Innovations {
-        self.posteriors[self.posteriors.len() - 1].innovations()
+        self.most_allowed().innovations()
     }
 
     /// For track.json.
     pub(crate) fn document(&self) -> ContactDocument {
-        ContactDocument::of_stream(&self.innovations(), self.regions.clone(), self.span_s)
+        let (innovations, [from_s, to_s]) = (self.innovations(), self.span_s);
+        ContactDocument {
+            regions: Some(self.most_allowed().posterior().regions()),
+            from_s: Some(from_s),
+            to_s: Some(to_s),
+            ..ContactDocument::new(&innovations, innovations.rows)
+        }
     }
 
     /// What is known of a reading that was taken.
@@ -103,33 +101,18 @@ impl ContactSoFar {
         } else {
             None
         };
-        let places: Vec<_> = self
-            .posteriors
-            .iter()
-            .map(|p| p.place(&of.wire.field, row))
-            .collect();
-        self.regions = self
-            .posteriors
-            .last()
-            .map(|p| p.posterior().regions())
-            .unwrap_or_default();
         let weights = &self.weights;
-        let points = weights
-            .points()
-            .into_iter()
-            .map(|(weight, ..)| weight)
-            .zip(places);
+        let ways = weights.points().into_iter().map(|(weight, ..)| weight);
+        let places = self.posteriors.iter().map(|p| p.place(&of.wire.field, row));
         let slides = slid.map(|slid| (weights.regimes.of(Regime::Sliding), slid));
-        let all: Vec<Alternative> = points.chain(slides).map(Alternative::from).collect();
+        let all: Vec<(f64, EpisodeContact)> = ways.zip(places).chain(slides).collect();
         // Outside of a contact nothing is in doubt.
         let flags = if is_loaded {
             weights.flags(disagrees, false)
         } else {
             Flags::default()
         };
-        Ok(Contact::averaged(&all, flags, |place| {
-            place.contact >= TOUCHED
-        }))
+        Ok(Contact::averaged(&all, flags, |held| held >= TOUCHED))
     }
 
     /// Weighs the contact where a block of its readings is complete; where it is as one that
@@ -139,14 +122,14 @@ impl ContactSoFar {
         of: &Assumed,
         row: &MotionRow,
         (disagrees, pose_nmm2): (bool, Matrix2<f64>),
-    ) -> Result<Option<(EpisodeContact, ArcDensity)>, TrackError> {
+    ) -> Result<Option<EpisodeContact>, TrackError> {
         let complete = self.blocks.push(row);
         let slid = self
             .sliding
             .as_mut()
             .and_then(|sliding| sliding.push(row, &self.blocks.means));
         let blocks = self.blocks.means.len();
-        if !complete || !(MIN_BLOCKS..MAX_BLOCKS).contains(&blocks) {
+        if !complete || !(MIN_MEANS..MAX_BLOCKS).contains(&blocks) {
             return Ok(slid);
         }
         // The noise from pose to pose is one draw for a block.
@@ -155,8 +138,7 @@ impl ContactSoFar {
             ..row.clone()
         };
         let weighed = Weighed {
-            field: &of.wire.field,
-            settings: of.settings,
+            of,
             push: self.push,
             before: self.before.as_ref().map(noisy),
             blocks: self.blocks.means.at_middles().iter().map(noisy).collect(),
@@ -168,7 +150,7 @@ impl ContactSoFar {
             .as_ref()
             .map_or(Some(OUT), |s| s.ln_evidence(blocks));
         self.weights = weighed
-            .evidence(of.prior, sliding.map(|ln| [ln, OUT]), false)
+            .evidence(sliding.map(|ln| [ln, OUT]), false)
             .weights(&[]);
         if self.sliding.is_none() && (disagrees || self.weights.regimes.of(Regime::Fixed) < 0.5) {
             self.sliding = Some(SlidingStream::new(of.wire.touched()?));

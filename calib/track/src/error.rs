@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use wcal_calibration::CalibrationError;
 use wcal_network::NetworkError;
 use wcal_session::{InputError, SessionError};
@@ -6,9 +6,12 @@ use wcal_session::{InputError, SessionError};
 /// Why contacts cannot be tracked.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
-    /// A network, a filter or a wire that cannot be used.
+    /// A value, a file or a network that cannot be used.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// A wire that cannot be bent.
+    #[error("whisker: {0}")]
+    Rod(#[from] wcal_rod::RodError),
     /// A calibration that cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
@@ -18,6 +21,9 @@ pub enum TrackError {
     /// A mesh that cannot be used.
     #[error(transparent)]
     Mesh(#[from] wcal_mesh::MeshError),
+    /// A number that its key cannot have.
+    #[error(transparent)]
+    Range(#[from] wcal_core::ranges::OutOfRange),
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),
@@ -32,26 +38,6 @@ pub enum TrackError {
         /// What is wrong there.
         source: Box<Self>,
     },
-    /// A file could not be read or written.
-    #[error("{action} {}: {detail}", path.display())]
-    File {
-        /// What was tried.
-        action: &'static str,
-        /// Where.
-        path: PathBuf,
-        /// Why not.
-        detail: String,
-    },
-    /// A value that cannot be used.
-    #[error("{what}: expected {expected}, found {found}")]
-    Value {
-        /// Which, and where.
-        what: String,
-        /// What it may be.
-        expected: String,
-        /// What it is.
-        found: String,
-    },
 }
 
 impl From<InputError> for TrackError {
@@ -60,21 +46,11 @@ impl From<InputError> for TrackError {
     }
 }
 
-impl From<wcal_rod::RodError> for TrackError {
-    fn from(error: wcal_rod::RodError) -> Self {
-        Self::Network(error.into())
-    }
-}
-
 impl TrackError {
     /// For `map_err` on file operations.
     pub fn file<E: std::fmt::Display>(action: &'static str, path: &Path) -> impl FnOnce(E) -> Self {
-        let path = path.to_owned();
-        move |e| Self::File {
-            action,
-            path,
-            detail: e.to_string(),
-        }
+        let failed = NetworkError::file(action, path);
+        move |e| Self::Network(failed(e))
     }
 
     /// For `map_err`: the file in which it happened.
@@ -92,10 +68,6 @@ impl TrackError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Value {
-            what: what.into(),
-            expected: expected.into(),
-            found: found.into(),
-        }
+        Self::Network(NetworkError::value(what, expected, found))
     }
 }

@@ -1,18 +1,19 @@
 //! From readings to contacts: what every way to locate a contact has in common.
 
 use crate::TrackError;
-use crate::arc_posterior::Region;
+use crate::arc_posterior::{ArcDensity, Region, mixed_place};
 use crate::known_motion::EpisodeContact;
 use crate::reading::Reading;
-use crate::regimes::{Alternative, averaged};
 use crate::track_document::EstimatorDocument;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wcal_core::stream::Flags;
 use wcal_core::verify_document::GrooveTracking;
-use wcal_network::network::Prediction;
+
+/// Contacts of this probability and more are points of the object.
+pub(crate) const TOUCHED: f64 = 0.9;
 
 /// Where the wire touches something.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct ContactEstimate {
     /// Probability of contact.
     pub probability: f64,
@@ -24,31 +25,7 @@ pub struct ContactEstimate {
     pub normal: Vector3<f64>,
 }
 
-impl From<&Prediction> for ContactEstimate {
-    fn from(p: &Prediction) -> Self {
-        let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
-        let covariance_mm2 = Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]));
-        Self {
-            probability: f64::from(p.contact),
-            place_mm: vector(p.point_mm),
-            covariance_mm2,
-            normal: vector(p.normal),
-        }
-    }
-}
-
 impl ContactEstimate {
-    /// At a place of the wire's axis; none where nothing was found.
-    fn of_place(place: &EpisodeContact) -> Option<Self> {
-        let (probability, covariance_mm2) = (place.contact, place.covariance_mm2);
-        Some(Self {
-            probability,
-            place_mm: place.place_mm?,
-            covariance_mm2,
-            normal: Vector3::zeros(),
-        })
-    }
-
     /// In a turned frame.
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let covariance_mm2 = turn * self.covariance_mm2 * turn.inverse();
@@ -80,29 +57,35 @@ pub struct Contact {
 }
 
 impl Contact {
-    /// What the ways in which a contact may move state together; `on_object`: whether its place is
-    /// a point of the object.
+    /// What the ways in which a contact may move state together, each with its weight;
+    /// `on_object`: whether its place is a point of the object, by the probability of contact.
     pub fn averaged(
-        all: &[Alternative],
+        all: &[(f64, EpisodeContact)],
         flags: Flags,
-        on_object: impl Fn(&EpisodeContact) -> bool,
+        on_object: impl Fn(f64) -> bool,
     ) -> Self {
-        let Some((place, arc)) = averaged(all) else {
+        // Model averaging: a mixture of the ways' densities with their probabilities.
+        let located = || all.iter().filter_map(|(w, c)| Some((*w, c.place_mm?, c)));
+        let places = located().map(|(w, at, c)| (w, at, c.covariance_mm2));
+        let Some((place_mm, covariance_mm2)) = mixed_place(places) else {
             return Self {
                 flags,
                 ..Self::default()
             };
         };
-        let (estimate, regions, on_object) = (
-            ContactEstimate::of_place(&place),
-            arc.regions(),
-            on_object(&place),
-        );
+        let [held, total] =
+            located().fold([0.0; 2], |[h, t], (w, _, c)| [h + w * c.contact, t + w]);
+        let probability = held / total;
         Self {
-            estimate,
+            estimate: Some(ContactEstimate {
+                probability,
+                place_mm,
+                covariance_mm2,
+                normal: Vector3::zeros(),
+            }),
             flags,
-            regions,
-            on_object,
+            regions: ArcDensity::mixture(located().map(|(w, _, c)| (w, &c.arc))).regions(),
+            on_object: on_object(probability),
             ..Self::default()
         }
     }

@@ -19,40 +19,35 @@ pub(crate) fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
         ..m
     });
     let velocity_mm_s = reading.velocity_mm_s.map(|v| turn * v);
-    // The speed along this frame's +z, where the velocity is known.
-    let base_mm_s = velocity_mm_s.map(|v| v.z).or(reading.base_mm_s);
-    let moments = reading.moments.as_ref().map(|m| turned(frame, m));
-    let shared_displacement_mm = reading
-        .shared_displacement_mm
-        .iter()
-        .map(|w| turn * w)
-        .collect();
+    let by_unknowns = reading.shared_displacement_mm.iter();
     Reading {
-        moments,
+        moments: reading.moments.as_ref().map(|m| turned(frame, m)),
         motion,
         velocity_mm_s,
-        base_mm_s,
-        shared_displacement_mm,
+        // The speed along this frame's +z, where the velocity is known.
+        base_mm_s: velocity_mm_s.map(|v| v.z).or(reading.base_mm_s),
+        shared_displacement_mm: by_unknowns.map(|w| turn * w).collect(),
         ..reading.clone()
     }
 }
 
 fn turned(frame: &WireFrame, m: &Moments) -> Moments {
-    let sd = |nmm2: Matrix2<f64>| [0, 1].map(|k| nmm2[(k, k)].max(0.0).sqrt());
     let pose_nmm2 = frame.covariance(&m.pose_nmm2);
     let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().map(|h| frame.moment(*h)).collect();
     let outer = |h: &[f64; 2]| Vector2::from(*h) * Vector2::from(*h).transpose();
     let shared: Matrix2<f64> = shared_nmm.iter().map(outer).sum();
     Moments {
         moment_nmm: frame.moment(m.moment_nmm),
-        sd_nmm: sd(pose_nmm2 + shared),
-        valid: m.valid,
+        sd_nmm: (pose_nmm2 + shared)
+            .diagonal()
+            .map(|v| v.max(0.0).sqrt())
+            .into(),
         pose_nmm2,
         own_nmm2: m.own_nmm2.map(|n| frame.covariance(&n)),
-        inefficiency: m.inefficiency,
         drift_nmm2: frame.covariance(&m.drift_nmm2),
         zero_nmm2: frame.covariance(&m.zero_nmm2),
         shared_nmm,
+        ..*m
     }
 }
 

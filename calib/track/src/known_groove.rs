@@ -6,25 +6,26 @@
 //! h of n visits held, `P(H <= h)` of the binomial distribution with p = 0.95 says whether fewer
 //! are an accident.
 
-use crate::arc_posterior::REGION;
+use crate::TrackError;
 use crate::estimator::ContactEstimate;
+use crate::groove_comparison::{rms, too_few, visits_held};
 use crate::mesh_score::Distances;
 use crate::track_document::GrooveScore;
-use nalgebra::{Matrix3, Vector3};
-use std::collections::{BTreeMap, BTreeSet};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_session::{TextTableLayout, read_text_table};
 
 /// Longest interval between a reading and an answer that it is compared with, s; a longer one
 /// between readings parts visits.
-pub(crate) const MAX_INTERVAL_S: f64 = 0.3;
+const MAX_INTERVAL_S: f64 = 0.3;
 /// Squared radius of the 95 % region of three Gaussian numbers (chi-squared, three degrees of
 /// freedom).
 const CHI2_95: f64 = 7.814_727_903_251_18;
-/// Level of significance of a test against the stated coverage.
-const LEVEL: f64 = 0.01;
 
 /// Where the groove held the wire at a reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct KnownPlace {
     /// Line of the table.
     pub line: usize,
@@ -36,6 +37,53 @@ pub struct KnownPlace {
     pub settled: Option<bool>,
     /// Number of the visit: a trajectory, or readings that follow each other.
     pub visit: usize,
+}
+
+/// Columns of a session's own calibration that say where the groove was.
+const GROOVE: [&str; 3] = ["groove_x_mm", "groove_y_mm", "groove_z_mm"];
+
+/// Readings of a table with a known groove, in order of time; none where it has no such columns.
+///
+/// # Errors
+/// Where the table cannot be read.
+pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, TrackError> {
+    let table = read_text_table(path, &TextTableLayout::default())?;
+    let column = |name: &str| table.column(name).ok();
+    let (Some(time), [Some(x), Some(y), Some(z)]) = (column("t_s"), GROOVE.map(column)) else {
+        return Ok(Vec::new());
+    };
+    let (role, speed, trajectory) = (column("role"), column("speed_mm_s"), column("trajectory"));
+    let mut all: Vec<(Option<f64>, KnownPlace)> = Vec::new();
+    for (k, (line, cells)) in table.rows.iter().enumerate() {
+        let number = |column| table.number(k, column);
+        if role.is_some_and(|c| &cells[c] == "rest") {
+            continue;
+        }
+        if let (Some(t_s), Some(x), Some(y), Some(z)) =
+            (number(time)?, number(x)?, number(y)?, number(z)?)
+        {
+            let settled = speed.map(number).transpose()?.flatten().map(|v| v == 0.0);
+            let groove_mm = Vector3::new(x, y, z);
+            let place = KnownPlace {
+                line: *line,
+                t_s,
+                groove_mm,
+                settled,
+                visit: 0,
+            };
+            all.push((trajectory.map(number).transpose()?.flatten(), place));
+        }
+    }
+    all.sort_by(|a, b| a.1.t_s.total_cmp(&b.1.t_s));
+    let goes_on =
+        |(id, a): &(Option<f64>, KnownPlace), (next, b): &(Option<f64>, KnownPlace)| match id {
+            Some(id) => Some(id) == next.as_ref(),
+            None => next.is_none() && b.t_s - a.t_s <= MAX_INTERVAL_S,
+        };
+    let visits = all.chunk_by(goes_on).enumerate();
+    Ok(visits
+        .flat_map(|(visit, of)| of.iter().map(move |p| KnownPlace { visit, ..p.1 }))
+        .collect())
 }
 
 /// Velocity of the base past the groove between the readings of a table, base frame, mm/s, by line.
@@ -59,28 +107,22 @@ pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vec
     all
 }
 
-/// An answer of the tracker.
-#[derive(Debug, Clone, Copy)]
-struct Answer {
+/// What lies between an answer at a time (s) and a later one: the base goes on evenly from one to
+/// the other.
+fn between(
+    (from_s, from): (f64, ContactEstimate),
+    (to_s, to): (f64, ContactEstimate),
     t_s: f64,
-    axis_mm: Vector3<f64>,
-    covariance_mm2: Matrix3<f64>,
-    contact: f64,
-}
-
-impl Answer {
-    /// What lies between this answer and a later one at a time: the base goes on evenly from one to
-    /// the other.
-    fn until(&self, later: &Self, t_s: f64) -> Self {
-        let share = (t_s - self.t_s) / (later.t_s - self.t_s);
-        Self {
-            t_s,
-            axis_mm: self.axis_mm.lerp(&later.axis_mm, share),
-            // Errors of answers that follow each other are nearly the same.
-            covariance_mm2: self.covariance_mm2 * (1.0 - share) + later.covariance_mm2 * share,
-            contact: self.contact + (later.contact - self.contact) * share,
-        }
-    }
+) -> (f64, ContactEstimate) {
+    let share = (t_s - from_s) / (to_s - from_s);
+    let estimate = ContactEstimate {
+        place_mm: from.place_mm.lerp(&to.place_mm, share),
+        // Errors of answers that follow each other are nearly the same.
+        covariance_mm2: from.covariance_mm2 * (1.0 - share) + to.covariance_mm2 * share,
+        probability: from.probability + (to.probability - from.probability) * share,
+        ..to
+    };
+    (t_s, estimate)
 }
 
 /// Known places compared with the answers.
@@ -89,7 +131,8 @@ pub struct KnownGroove {
     places: Vec<KnownPlace>,
     next: usize,
     radius_mm: f64,
-    last: Option<Answer>,
+    /// The last answer, at the wire's axis, and its time, s.
+    last: Option<(f64, ContactEstimate)>,
     compared: Vec<GrooveError>,
     /// Readings at which the tracker sees no contact.
     unseen: usize,
@@ -106,56 +149,45 @@ struct GrooveError {
     in_region95: Option<bool>,
 }
 
-impl GrooveError {
-    /// Of a place and its answer.
-    fn new(place: &KnownPlace, answer: &Answer) -> Self {
-        let off_mm = answer.axis_mm - place.groove_mm;
-        let factor = answer.covariance_mm2.cholesky();
-        let in_region95 = factor.map(|c| off_mm.dot(&c.solve(&off_mm)) <= CHI2_95);
-        Self {
-            t_s: place.t_s,
-            visit: place.visit,
-            off_mm: off_mm.norm(),
-            in_region95,
-        }
-    }
-}
-
 impl KnownGroove {
     /// For a whisker; none without known places.
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
-        let radius_mm = whisker.diameter_mm / 2.0;
-        let own = Self {
+        (!places.is_empty()).then(|| Self {
             places,
             next: 0,
-            radius_mm,
+            radius_mm: whisker.diameter_mm / 2.0,
             last: None,
             compared: Vec::new(),
             unseen: 0,
-        };
-        (!own.places.is_empty()).then_some(own)
+        })
     }
 
     /// Takes the answer at a time; readings up to there are compared with the last one before them,
     /// moving ones with what lies between.
     pub fn push(&mut self, t_s: f64, estimate: &ContactEstimate) {
-        let now = Answer {
-            t_s,
-            // The contact is on the object's surface; the groove's place is that of the wire's
-            // axis.
-            axis_mm: estimate.place_mm + estimate.normal * self.radius_mm,
-            covariance_mm2: estimate.covariance_mm2,
-            contact: estimate.probability,
+        // The contact is on the object's surface; the groove's place is that of the wire's axis.
+        let now = ContactEstimate {
+            place_mm: estimate.place_mm + estimate.normal * self.radius_mm,
+            ..*estimate
         };
+        let now = (t_s, now);
         while let Some(place) = self.places.get(self.next).filter(|p| p.t_s <= t_s) {
-            let chosen = match self.last.filter(|_| t_s > place.t_s) {
+            let (at_s, chosen) = match self.last.filter(|_| t_s > place.t_s) {
                 Some(last) if place.settled == Some(true) => last,
-                Some(last) if t_s - last.t_s <= MAX_INTERVAL_S => last.until(&now, place.t_s),
+                Some(last) if t_s - last.0 <= MAX_INTERVAL_S => between(last, now, place.t_s),
                 _ => now,
             };
-            if (chosen.t_s - place.t_s).abs() <= MAX_INTERVAL_S {
-                self.compared.push(GrooveError::new(place, &chosen));
-                self.unseen += usize::from(chosen.contact < 0.5);
+            if (at_s - place.t_s).abs() <= MAX_INTERVAL_S {
+                let off_mm = chosen.place_mm - place.groove_mm;
+                let factor = chosen.covariance_mm2.cholesky();
+                self.compared.push(GrooveError {
+                    t_s: place.t_s,
+                    visit: place.visit,
+                    off_mm: off_mm.norm(),
+                    // Mahalanobis distance of the known place from the stated one.
+                    in_region95: factor.map(|c| off_mm.dot(&c.solve(&off_mm)) <= CHI2_95),
+                });
+                self.unseen += usize::from(chosen.probability < 0.5);
             }
             self.next += 1;
         }
@@ -196,28 +228,22 @@ impl KnownGroove {
                 .iter()
                 .rfind(|c| (*from..=*to).contains(&c.t_s))
         };
-        let last: Vec<f64> = contacts_s
-            .iter()
-            .filter_map(within)
-            .map(|c| c.off_mm.powi(2))
-            .collect();
-        (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
+        let last: Vec<&GrooveError> = contacts_s.iter().filter_map(within).collect();
+        (!last.is_empty()).then(|| rms(last.iter().map(|c| c.off_mm)))
     }
 
     /// Visits, and those of which half of the readings or more lie in their regions.
     fn visits_held(&self) -> [usize; 2] {
-        let visits: BTreeSet<usize> = self.compared.iter().map(|c| c.visit).collect();
-        let held = |visit: &&usize| {
-            let own = || self.compared.iter().filter(|c| c.visit == **visit);
-            2 * own().filter(|c| c.in_region95 == Some(true)).count() >= own().count()
-        };
-        [visits.len(), visits.iter().filter(held).count()]
+        visits_held(
+            self.compared
+                .iter()
+                .map(|c| (c.visit, c.in_region95 == Some(true))),
+        )
     }
 
     /// Whether the stated regions hold fewer visits than chance explains.
     pub(crate) fn coverage_rejected(&self) -> bool {
-        let [visits, held] = self.visits_held();
-        too_few(held, visits, REGION)
+        too_few(self.visits_held())
     }
 
     /// The same for people.
@@ -236,25 +262,10 @@ impl KnownGroove {
     }
 }
 
-/// Whether `hits` of `n` are fewer than chance explains where the probability of each is `p`.
-pub(crate) fn too_few(hits: usize, n: usize, p: f64) -> bool {
-    n > 0 && binomial_cdf(hits, n, p) < LEVEL
-}
-
-/// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
-pub(crate) fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
-    // Terms by their ratio, P(k + 1) / P(k) = (n - k) / (k + 1) p / (1 - p).
-    let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
-    for k in 0..=hits {
-        sum += ln_term.exp();
-        ln_term += ((n - k) as f64 / (k + 1) as f64).ln() + (p / (1.0 - p)).ln();
-    }
-    sum.min(1.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Matrix3;
 
     fn place(line: usize, t_s: f64, x: f64, settled: bool) -> KnownPlace {
         KnownPlace {
@@ -321,7 +332,7 @@ mod tests {
         let mut groove = KnownGroove::new(places, &WhiskerSpec::nominal()).unwrap();
         (0..9).for_each(|k| groove.push(f64::from(k), &answer(42.0, 1.0)));
         assert!(!groove.coverage_rejected());
-        assert!((binomial_cdf(1, 2, 0.9) - 0.19).abs() < 1e-12);
+        assert!((crate::groove_comparison::binomial_cdf(1, 2, 0.9) - 0.19).abs() < 1e-12);
     }
 
     #[test]

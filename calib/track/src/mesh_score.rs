@@ -13,7 +13,7 @@ const MIN_POINTS: usize = 6;
 const MAX_DISTANCE_MM: f64 = 1e4;
 
 /// Distances from a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct Distances {
     /// RMS distance, mm.
     pub rmse_mm: f64,
@@ -43,7 +43,7 @@ impl Distances {
 }
 
 /// Distances of contact points to the mesh.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct MeshScore {
     /// Points.
     pub points: usize,

@@ -14,7 +14,7 @@
 
 use crate::TrackError;
 use crate::arc::{any_motion, arc_density};
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings};
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, TOUCHED};
 use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, SeveralContacts};
 use nalgebra::Vector3;
@@ -49,8 +49,6 @@ const ASIDE: f64 = 0.2;
 /// A wire loaded by this much, N mm, and by this many standard deviations, is in contact.
 const LOADED_NMM: f64 = 0.02;
 const LOADED_SDS: f64 = 5.0;
-/// Contacts of this probability and more are points of the object.
-const TOUCHED: f32 = 0.9;
 
 impl<'a> NetworkEstimator<'a> {
     /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not
@@ -128,15 +126,14 @@ impl Estimator for NetworkEstimator<'_> {
             answer = any_motion(inverse, moment_nmm, moments.sd_nmm, answer);
         }
         let regions = arc_density(&inverse.nodes, &answer.weights).regions();
-        let on_object = answer.contact >= TOUCHED;
-        let estimate = Some(ContactEstimate::from(&answer));
+        let estimate = ContactEstimate::from(&answer);
         Ok(vec![Contact {
-            estimate,
+            estimate: Some(estimate),
             flags,
             regions,
             several,
             number: None,
-            on_object,
+            on_object: estimate.probability >= TOUCHED,
         }])
     }
 

@@ -11,12 +11,14 @@
 //! misfit: no noise of a reading, but an error that readings of like moments share.
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
-use wcal_core::stream::{Flags, StreamMoments};
+use wcal_core::stream::Flags;
 use wcal_network::stream::BasePose;
 use wcal_session::{Motion, MotionUnknown};
 
-/// Moments that are larger by 1 %, over those that are read.
-pub(crate) const PERCENT: f64 = 1.01;
+/// Sum of squares of moments, (N mm)^2.
+pub(crate) fn squares(moments_nmm: &[[f64; 2]]) -> f64 {
+    moments_nmm.as_flattened().iter().map(|m| m * m).sum()
+}
 
 /// Moments of a reading with the parts of their uncertainty.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,19 +44,8 @@ pub struct Moments {
     pub shared_nmm: Vec<[f64; 2]>,
 }
 
-impl Moments {
-    /// As a row of a track states them.
-    pub fn stated(&self) -> StreamMoments {
-        StreamMoments {
-            moment_nmm: self.moment_nmm,
-            sd_nmm: self.sd_nmm,
-            valid: self.valid,
-        }
-    }
-}
-
 /// Motion of the object with respect to the base at a reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct RowMotion {
     /// Displacement, base frame, mm, up to a constant in the piece: a point is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
@@ -87,7 +78,7 @@ impl From<Motion> for RowMotion {
 }
 
 /// What is assumed of the motion.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct MotionAccuracy {
     /// Standard deviation of the displacement in each coordinate, mm.
     pub moved_sd_mm: f64,

@@ -20,9 +20,11 @@
 //! Sources: A. P. Dawid, J. R. Stat. Soc. A 147 (1984) 278 (prequential evidence); J. A. Hoeting,
 //! D. Madigan, A. E. Raftery, C. T. Volinsky, Stat. Sci. 14 (1999) 382 (model averaging).
 
-use crate::arc_posterior::{ArcDensity, mixed_place};
-use crate::known_motion::{EpisodeContact, MomentField, MotionRow, RecursivePosterior, Settings};
-use crate::sliding::{LN_ANYTHING, model_nmm2, reversed};
+use crate::arc_posterior::ln_sum;
+use crate::calibrated_wire::CalibratedWire;
+use crate::known_motion::{LN_ANYTHING, MotionRow, RecursivePosterior, Settings};
+use crate::reading::squares;
+use crate::sliding::{model_nmm2, reversed};
 use nalgebra::Vector3;
 use wcal_core::stream::Flags;
 
@@ -83,9 +85,15 @@ pub const ANY_OBJECT: RegimeWeights = RegimeWeights([0.38, 0.32, 0.28, 0.015, 0.
 pub const SWEPT_OBJECT: RegimeWeights = RegimeWeights([0.1, 0.1, 0.78, 0.015, 0.005]);
 /// The same in a groove.
 pub(crate) const GROOVE: RegimeWeights = RegimeWeights([0.92, 0.0, 0.05, 0.02, 0.01]);
-/// The same in a groove along the trajectories of a session: a calibration is judged by what it
-/// says of that.
-pub(crate) const POINT: RegimeWeights = RegimeWeights([1.0, 0.0, 0.0, 0.0, 0.0]);
+/// A wire with what is assumed of its contacts.
+pub(crate) struct Assumed {
+    /// Wire.
+    pub wire: CalibratedWire,
+    /// Of a fixed point.
+    pub settings: Settings,
+    /// Of how a contact may move.
+    pub prior: RegimeWeights,
+}
 
 /// Probabilities of the regimes; they sum to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -166,18 +174,10 @@ impl Misstatement {
     };
 
     fn all(factors: i32) -> impl Iterator<Item = Self> {
-        let factors = (-factors..=factors)
-            .filter(|k| *k != 0)
-            .map(|k| FACTOR.powi(k));
-        let other = factors.map(|factor| Self {
-            factor,
-            ..Self::NONE
-        });
-        std::iter::once(Self {
-            reversed: true,
-            ..Self::NONE
-        })
-        .chain(other)
+        let of = |(reversed, factor)| Self { reversed, factor };
+        let factors = (-factors..=factors).filter(|k| *k != 0);
+        let scaled = factors.map(|k| (false, FACTOR.powi(k)));
+        [(true, 1.0)].into_iter().chain(scaled).map(of)
     }
 
     /// Readings as they would have been stated rightly, with what is assumed of them.
@@ -187,14 +187,13 @@ impl Misstatement {
         } else {
             rows.to_vec()
         };
-        let mut settings = *settings;
+        let (mut settings, square) = (*settings, self.factor * self.factor);
         if self.factor != 1.0 {
             for row in &mut rows {
-                let scaled = |h: [f64; 2]| h.map(|m| m / self.factor);
-                row.moment_nmm = scaled(row.moment_nmm);
-                row.noise_nmm2 /= self.factor * self.factor;
-                row.free_nmm2 = row.free_nmm2.map(|n| n / (self.factor * self.factor));
-                row.shared_nmm.iter_mut().for_each(|h| *h = scaled(*h));
+                let moments = row.shared_nmm.iter_mut().chain([&mut row.moment_nmm]);
+                moments.flatten().for_each(|m| *m /= self.factor);
+                row.noise_nmm2 /= square;
+                row.free_nmm2 = row.free_nmm2.map(|n| n / square);
                 // The unknown of the stiffness is the rest of the factor.
                 if settings.stiffness_sd == 0.0 {
                     row.shared_nmm.push([0.0; 2]);
@@ -219,7 +218,7 @@ impl Misstatement {
 }
 
 /// Weights of a contact's regimes, and of what they are made of.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct ContactWeights {
     /// Of the regimes.
     pub regimes: RegimeWeights,
@@ -303,17 +302,14 @@ impl ContactWeights {
     }
 }
 
-/// A contact's blocks of readings, and the last free reading before them.
+/// A contact's blocks of readings.
 pub(crate) struct Weighed<'a> {
-    /// Moments of the wire where it is held.
-    pub field: &'a MomentField,
-    /// What is assumed of a fixed point.
-    pub settings: Settings,
+    /// What is assumed.
+    pub of: &'a Assumed,
     /// Direction of the push.
     pub push: Vector3<f64>,
-    /// The last free reading.
+    /// The last free reading before them, where there is one, and the blocks.
     pub before: Option<MotionRow>,
-    /// Blocks.
     pub blocks: Vec<MotionRow>,
     /// Whether factors of the moments are looked at, which takes more time than a stream has.
     pub factors: bool,
@@ -323,55 +319,59 @@ impl Weighed<'_> {
     /// ln p(m) of a point that creeps by a share with this standard deviation where something is
     /// misstated; none without blocks, and where the push runs along the wire.
     fn point(&self, creep_sd: f64, misstated: Misstatement) -> Option<f64> {
-        let (blocks, settings) = misstated.undone(&self.blocks, &self.settings);
-        let before = self.before.as_ref().map(|row| {
-            misstated
-                .undone(std::slice::from_ref(row), &self.settings)
-                .0
-                .remove(0)
-        });
+        let field = &self.of.wire.field;
+        let all: Vec<MotionRow> = self.before.iter().chain(&self.blocks).cloned().collect();
+        let (mut all, settings) = misstated.undone(&all, &self.of.settings);
+        let settings = Settings {
+            creep_sd,
+            correlated: None,
+            ..settings
+        };
+        // What the wire's model is off at a block is a draw for each block, as the sliding contact
+        // has it.
+        all.iter_mut()
+            .for_each(|row| row.noise_nmm2 += model_nmm2(row));
+        let (lead, blocks) = all.split_at(usize::from(self.before.is_some()));
+        let (first, others) = blocks.split_first()?;
         let push = if misstated.reversed {
             -self.push
         } else {
             self.push
         };
+        let mut posterior = RecursivePosterior::start(field, settings, push, lead, first)?;
+        others.iter().for_each(|row| posterior.push(field, row));
+        // Every regime predicts the free reading alike.
+        let free = |row: &MotionRow| {
+            let variance = 0.5 * (row.noise_nmm2.trace() + squares(&row.shared_nmm));
+            -0.5 * squares(&[row.moment_nmm]) / variance - (std::f64::consts::TAU * variance).ln()
+        };
         // A density per N mm of what was read.
         let by_factor = 2.0 * blocks.len() as f64 * misstated.factor.ln();
-        let settings = Settings {
-            creep_sd,
-            ..settings
-        };
-        Some(point_evidence(self.field, &settings, push, before.as_ref(), &blocks)? - by_factor)
+        Some(posterior.ln_evidence(field) - lead.iter().map(free).sum::<f64>() - by_factor)
     }
 
     /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one,
     /// where one could be made; `whole`: the surface explains all blocks.
-    pub(crate) fn evidence(
-        &self,
-        prior: RegimeWeights,
-        sliding: Option<[f64; 2]>,
-        whole: bool,
-    ) -> ContactEvidence {
+    pub(crate) fn evidence(&self, sliding: Option<[f64; 2]>, whole: bool) -> ContactEvidence {
+        let prior = self.of.prior;
         let point = |creep_sd: f64, m: Misstatement| self.point(creep_sd, m).unwrap_or(OUT);
-        let creeping = match prior.of(Regime::Creeping) > 0.0 {
-            true => CREEP_SDS.map(|sd| point(sd, Misstatement::NONE)),
-            false => [OUT; 3],
+        let creeping = if prior.of(Regime::Creeping) > 0.0 {
+            CREEP_SDS.map(|sd| point(sd, Misstatement::NONE))
+        } else {
+            [OUT; 3]
         };
-        let fixed = self.point(0.0, Misstatement::NONE);
-        let anywhere = self.blocks.len() as f64 * LN_ANYTHING;
         let mut own = ContactEvidence {
             prior,
-            fixed,
+            fixed: self.point(0.0, Misstatement::NONE),
             creeping,
             sliding,
-            anywhere,
+            anywhere: self.blocks.len() as f64 * LN_ANYTHING,
             whole,
             misstated: Vec::new(),
         };
         // A surface has no point; a stream looks at a mistake where a fixed point does not explain
         // the readings as they are.
-        let fixed_explains = || own.weights(&[]).regimes.of(Regime::Fixed) >= 0.5;
-        if self.factors || !fixed_explains() {
+        if self.factors || own.weights(&[]).regimes.of(Regime::Fixed) < 0.5 {
             let point = |m: Misstatement| if whole { OUT } else { point(0.0, m) };
             let all = Misstatement::all(if self.factors { FACTORS } else { 0 });
             own.misstated = all.map(|m| (m, point(m))).collect();
@@ -402,23 +402,21 @@ impl ContactEvidence {
     /// each with its prior. Where a surface explains all blocks, a point is no other way: with
     /// moments by some factor it has the surface's curve, too.
     fn ways(&self, fixed: f64, reversed: bool) -> [f64; 3] {
+        // Priors of the ways, given that the motion is the object's.
         let total = 1.0 - self.prior.no_motion();
-        let ways = [
-            (Regime::Fixed, if self.whole { OUT } else { fixed }),
-            (
-                Regime::Creeping,
-                if reversed {
-                    OUT
-                } else {
-                    ln_mean(&self.creeping)
-                },
-            ),
-            (
-                Regime::Sliding,
-                self.sliding.map_or(OUT, |s| s[usize::from(reversed)]),
-            ),
-        ];
-        ways.map(|(way, ln)| (self.prior.of(way) / total).ln() + ln)
+        let fixed = if self.whole { OUT } else { fixed };
+        let creeping = if reversed {
+            OUT
+        } else {
+            ln_mean(&self.creeping)
+        };
+        let sliding = self.sliding.map_or(OUT, |s| s[usize::from(reversed)]);
+        let prior = |way| (self.prior.of(way) / total).ln();
+        [
+            prior(Regime::Fixed) + fixed,
+            prior(Regime::Creeping) + creeping,
+            prior(Regime::Sliding) + sliding,
+        ]
     }
 
     /// The same under each of what may be misstated.
@@ -449,13 +447,12 @@ impl ContactEvidence {
             .zip(others)
             .map(|((m, ways), others)| (ln_sum(&ways) + others, m, ways))
             .collect();
+        // What may be misstated is one way: its evidence is the mean over all of it.
         let misstated = ln_mean(&all.iter().map(|a| a.0).collect::<Vec<_>>());
-        let creeping = self.fixed.map(|_| ln_mean(&self.creeping));
-        let sliding = self.sliding.map(|s| s[0]);
         let ways = [
             self.fixed,
-            creeping,
-            sliding,
+            self.fixed.map(|_| ln_mean(&self.creeping)),
+            self.sliding.map(|s| s[0]),
             Some(misstated),
             Some(self.anywhere),
         ];
@@ -477,106 +474,20 @@ impl ContactEvidence {
 
 /// Probabilities by logarithms, each as probable before.
 fn shares(ln: &[f64; 3]) -> [f64; 3] {
-    let best = ln.iter().copied().fold(OUT, f64::max);
-    let all = ln.map(|l| {
-        if best.is_finite() {
-            (POWER * (l - best)).exp()
+    // Bayes' rule with equal priors.
+    let all = ln_sum(&ln.map(|l| POWER * l));
+    ln.map(|l| {
+        if all.is_finite() {
+            (POWER * l - all).exp()
         } else {
-            1.0
+            1.0 / 3.0
         }
-    });
-    all.map(|w| w / all.iter().sum::<f64>())
+    })
 }
 
-/// Logarithm of the sum of what has these logarithms.
-fn ln_sum(ln: &[f64]) -> f64 {
-    let best = ln.iter().copied().fold(OUT, f64::max);
-    let sum: f64 = ln.iter().map(|l| (l - best).exp()).sum();
-    if best.is_finite() {
-        best + sum.ln()
-    } else {
-        OUT
-    }
-}
-
-/// Of their mean; of nothing there is none.
+/// Logarithm of the mean of what has these logarithms; of nothing there is none.
 fn ln_mean(ln: &[f64]) -> f64 {
     ln_sum(ln) - (ln.len().max(1) as f64).ln()
-}
-
-/// ln p(m) of a contact at or near one point, over blocks of readings; `before` is the last free
-/// reading.
-fn point_evidence(
-    field: &MomentField,
-    settings: &Settings,
-    push: Vector3<f64>,
-    before: Option<&MotionRow>,
-    blocks: &[MotionRow],
-) -> Option<f64> {
-    // What the wire's model is off at a block is a draw for each block, as the sliding contact has
-    // it.
-    let noisy = |row: &MotionRow| MotionRow {
-        noise_nmm2: row.noise_nmm2 + model_nmm2(row),
-        ..row.clone()
-    };
-    let settings = Settings {
-        correlated: None,
-        ..*settings
-    };
-    let lead: Vec<MotionRow> = before.map(noisy).into_iter().collect();
-    let (first, others) = blocks.split_first()?;
-    let mut posterior = RecursivePosterior::start(field, settings, push, &lead, &noisy(first))?;
-    others
-        .iter()
-        .for_each(|row| posterior.push(field, &noisy(row)));
-    // Every regime predicts the free reading alike.
-    let free = |row: &MotionRow| {
-        let column = |h: &[f64; 2]| Vector3::new(h[0], h[1], 0.0).norm_squared();
-        let variance =
-            0.5 * (row.noise_nmm2.trace() + row.shared_nmm.iter().map(column).sum::<f64>());
-        let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
-        -0.5 * size2 / variance - (std::f64::consts::TAU * variance).ln()
-    };
-    Some(posterior.ln_evidence(field) - lead.iter().map(free).sum::<f64>())
-}
-
-/// What a regime states of a reading, with its weight.
-pub struct Alternative {
-    /// Weight.
-    pub weight: f64,
-    /// Place.
-    pub place: EpisodeContact,
-    /// Density along the wire.
-    pub arc: ArcDensity,
-}
-
-impl From<(f64, (EpisodeContact, ArcDensity))> for Alternative {
-    fn from((weight, (place, arc)): (f64, (EpisodeContact, ArcDensity))) -> Self {
-        Self { weight, place, arc }
-    }
-}
-
-/// What all of them state together; none where no alternative has a place.
-pub fn averaged(all: &[Alternative]) -> Option<(EpisodeContact, ArcDensity)> {
-    let located = || all.iter().filter_map(|a| Some((a, a.place.place_mm?)));
-    let parts = located().map(|(a, at)| (a.weight, at, a.place.covariance_mm2));
-    let (mean, covariance_mm2) = mixed_place(parts)?;
-    let total: f64 = located().map(|(a, _)| a.weight).sum();
-    let contact = located()
-        .map(|(a, _)| a.weight * a.place.contact)
-        .sum::<f64>()
-        / total;
-    let outlier = all.iter().any(|a| a.place.outlier);
-    let arc = ArcDensity::mixture(located().map(|(a, _)| (a.weight, &a.arc)));
-    Some((
-        EpisodeContact {
-            place_mm: Some(mean),
-            covariance_mm2,
-            contact,
-            outlier,
-        },
-        arc,
-    ))
 }
 
 #[cfg(test)]

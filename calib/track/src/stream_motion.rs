@@ -9,27 +9,17 @@
 //!
 //! A row's moments went through a low-pass; the motion is averaged by the same weights.
 
-use crate::reading::RowMotion;
+use crate::reading::{Reading, RowMotion};
+use crate::track_document::StreamMotionDocument;
 use nalgebra::{Isometry3, Rotation3, Vector3};
 use std::collections::BTreeMap;
 use wcal_acquisition::message::SweepEvent;
 use wcal_acquisition::rig::{BaseRig, Rig};
-use wcal_network::stream::{BaseMotion, BasePose};
+use wcal_network::stream::BaseMotion;
 use wcal_session::{MotionLog, MotionUnknown};
 
 /// Times at which a motion is averaged over the filter.
-const KERNEL: usize = 21;
-
-/// What is known of the motion at a row.
-#[derive(Debug, Clone, Copy)]
-pub struct KnownAtRow {
-    /// Pose of the base.
-    pub base: Option<BasePose>,
-    /// Speed of the base along its +z, mm/s.
-    pub base_mm_s: Option<f64>,
-    /// Velocity of the base past what it touches, base frame, mm/s.
-    pub velocity_mm_s: Option<Vector3<f64>>,
-}
+pub(crate) const KERNEL: usize = 21;
 
 /// The motion of a stream.
 pub(crate) struct StreamMotion {
@@ -88,28 +78,30 @@ impl StreamMotion {
         }
     }
 
-    /// What a network's row is judged by.
-    pub(crate) fn at(&self, t_s: f64) -> KnownAtRow {
+    /// A reading without moments, whose motion is averaged over the filter's kernel; `middle` is the
+    /// free wire's middle, mm.
+    pub(crate) fn reading(
+        &self,
+        (point, t_s): (i64, f64),
+        kernel: &[(f64, f64)],
+        middle: &Vector3<f64>,
+    ) -> Reading {
         let base = self.base.as_ref().and_then(|b| b.at(t_s));
         // The groove goes on as the base would go back.
         let groove = self.groove.as_ref().and_then(|(g, _)| g.at(t_s));
         let past_groove = groove.and_then(|g| g.velocity_mm_s).map(|v| -v);
         let velocity = base.and_then(|b| b.velocity_mm_s).or(past_groove);
-        let velocity_mm_s = velocity.or(self.base_mm_s.map(|v| Vector3::z() * v));
-        let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(self.base_mm_s);
-        KnownAtRow {
+        Reading {
+            motion: self.relative(t_s, kernel, middle),
             base,
-            base_mm_s,
-            velocity_mm_s,
+            base_mm_s: base.and_then(|b| b.along_z_mm_s()).or(self.base_mm_s),
+            velocity_mm_s: velocity.or(self.base_mm_s.map(|v| Vector3::z() * v)),
+            ..Reading::alone(point, t_s, None)
         }
     }
 
-    /// The motion of the object with respect to the base, averaged over the filter's kernel;
-    /// `middle` is the free wire's middle, mm.
-    ///
-    /// # Errors
-    /// Where it is not known.
-    pub(crate) fn relative(
+    /// The motion of the object with respect to the base; or why it is not known.
+    fn relative(
         &self,
         t_s: f64,
         kernel: &[(f64, f64)],
@@ -119,6 +111,7 @@ impl StreamMotion {
             return Ok(log.averaged(t_s, middle, kernel)?.into());
         }
         let along = |motion: &BaseMotion, sign: f64, push: Option<Vector3<f64>>| {
+            // The weights of the moments' filter: motion and moments are of one time.
             let (moved, velocity) = motion.averaged(t_s, kernel).ok_or(MotionUnknown::Outside)?;
             Ok(RowMotion {
                 moved_mm: moved * sign,
@@ -135,23 +128,18 @@ impl StreamMotion {
         }
     }
 
-    /// The log.
-    pub(crate) fn log(&self) -> Option<&MotionLog> {
-        self.log.as_ref()
-    }
-
     /// Where the motion comes from, for track.json.
-    pub(crate) fn source(&self) -> &'static str {
-        match (&self.log, &self.base, self.mounts) {
-            (Some(_), ..) => "log",
-            (None, Some(_), _) => "stage carries the base",
-            (None, None, 0) => "none",
-            (None, None, _) => "stage carries the groove",
+    pub(crate) fn document(&self) -> StreamMotionDocument {
+        let log = self.log.as_ref();
+        StreamMotionDocument {
+            source: match (log, &self.base, self.mounts) {
+                (Some(_), ..) => "log",
+                (None, Some(_), _) => "stage carries the base",
+                (None, None, 0) => "none",
+                (None, None, _) => "stage carries the groove",
+            },
+            span_s: log.map(MotionLog::span_s),
+            jump_lines: log.map(|l| l.jumps().collect()),
         }
     }
-}
-
-/// Times and weights over which the motion of a row is averaged.
-pub fn kernel<const N: usize>(filter: &wcal_network::stream::LowPass<N>) -> Vec<(f64, f64)> {
-    filter.kernel(KERNEL)
 }

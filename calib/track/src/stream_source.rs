@@ -7,14 +7,14 @@ use crate::known_groove::{KnownGroove, KnownPlace};
 use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::regimes::{ANY_OBJECT, GROOVE};
 use crate::sliding::FrictionPrior;
-use crate::stream_motion::{StreamMotion, kernel};
+use crate::stream_motion::{KERNEL, StreamMotion};
 use crate::track::Input;
 use crate::track_document::{
-    FilterDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
+    FilterDocument, StreamDocument, StreamedWhisker, TimeDocument, WhiskerDocument,
 };
 use crate::tracker::ContactTracker;
 use crate::trust::WhiskerModel;
-use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use crate::whisker_track::{Outcome, WhiskerTrack};
 use nalgebra::Vector3;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
@@ -247,10 +247,8 @@ impl<'a> StreamSource<'a> {
 
     /// Whiskers that never had a quiet prefix: the noise of their rows is not known.
     pub fn unheard(&self) -> Vec<&str> {
-        let silent = self
-            .all
-            .iter()
-            .filter(|w| w.chain.prefix().block_nmm2().is_none());
+        let all = self.all.iter();
+        let silent = all.filter(|w| w.chain.prefix().block_nmm2().is_none());
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
@@ -269,21 +267,15 @@ impl<'a> StreamSource<'a> {
         let mut whiskers = Vec::with_capacity(self.all.len());
         for (w, track) in self.all.iter().zip(tracks) {
             let found = track.findings();
-            let name = track.name();
-            let whose = if name.is_empty() {
-                String::new()
-            } else {
-                format!("whisker {name}: ")
+            let whose = match track.name() {
+                "" => String::new(),
+                name => format!("whisker {name}: "),
             };
-            messages.extend(
-                found
-                    .messages
-                    .iter()
-                    .map(|m| match m.strip_prefix("warning: ") {
-                        Some(m) => format!("warning: {whose}{m}"),
-                        None => format!("{whose}{m}"),
-                    }),
-            );
+            let said = found.messages.iter();
+            messages.extend(said.map(|m| match m.strip_prefix("warning: ") {
+                Some(m) => format!("warning: {whose}{m}"),
+                None => format!("{whose}{m}"),
+            }));
             outcome = outcome.and(found.outcome);
             whiskers.push(w.document(found.document));
         }
@@ -315,26 +307,15 @@ impl<'a> StreamSource<'a> {
                 network_s: seconds(tracked),
             },
             whiskers,
-            stream_motion: self.motion_document(),
+            // Networks locate contacts whatever the motion is.
+            stream_motion: (!self.all.iter().any(|w| w.loaded.by_network()))
+                .then(|| self.motion.document()),
         };
         StreamFindings {
             document,
             messages,
             outcome,
         }
-    }
-
-    /// Where the motion comes from; none where networks locate the contacts.
-    fn motion_document(&self) -> Option<StreamMotionDocument> {
-        let log = self.motion.log();
-        self.all
-            .iter()
-            .all(|w| !w.loaded.by_network())
-            .then(|| StreamMotionDocument {
-                source: self.motion.source(),
-                span_s: log.map(MotionLog::span_s),
-                jump_lines: log.map(|l| l.jumps().collect()),
-            })
     }
 }
 
@@ -367,10 +348,8 @@ impl<'a> Whisker<'a> {
             match l.estimator(stream.vouched)? {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
                 None => {
-                    let (accepted, changed) = l
-                        .calibration()?
-                        .wire(&whisker)
-                        .map_err(TrackError::in_file(&l.place))?;
+                    let wire = calibration.wire(&whisker);
+                    let (accepted, changed) = wire.map_err(TrackError::in_file(&l.place))?;
                     let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm)
                         .with_tolerance(stream.diameter_sd)
                         .with_friction(stream.friction);
@@ -384,17 +363,11 @@ impl<'a> Whisker<'a> {
                     (Box::new(own), middle_mm, accepted.offset_mm)
                 }
             };
-        let facts = WhiskerFacts {
-            name: l.name.clone(),
-            doubt_codes: l.doubts.codes(),
-            doubts: l.doubts.messages(),
-            calibration_sha256: l.file.content_sha256.clone(),
-        };
         let own = Self {
             loaded: l,
             whisker,
             reader: WhiskerReader::new(place, &rig.interrogator, &l.name, calibration.fbg())?,
-            kernel: kernel(chain.filter()),
+            kernel: chain.filter().kernel(KERNEL),
             chain,
             middle_mm,
             offset_mm,
@@ -403,13 +376,12 @@ impl<'a> Whisker<'a> {
         };
         Ok((
             own,
-            WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true),
+            WhiskerTrack::new(l.into(), (frame, estimator), stream.tare_s, true),
         ))
     }
 
     /// A row of the filter as a reading.
     fn reading(&self, row: &Row, motion: &StreamMotion) -> Reading {
-        let known = motion.at(row.t_s);
         let MomentSpread {
             noise_nmm2,
             shared_nmm,
@@ -423,24 +395,18 @@ impl<'a> Whisker<'a> {
             shared_nmm,
             ..Moments::default()
         });
+        let point = i64::try_from(row.serial).unwrap_or(i64::MAX);
         Reading {
             flags: row.flags,
             // What happened in between is not known.
             gap: moments.is_none(),
-            motion: motion.relative(row.t_s, &self.kernel, &self.middle_mm),
-            base: known.base,
-            base_mm_s: known.base_mm_s,
-            velocity_mm_s: known.velocity_mm_s,
             in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
-            ..Reading::alone(
-                i64::try_from(row.serial).unwrap_or(i64::MAX),
-                row.t_s,
-                moments,
-            )
+            moments,
+            ..motion.reading((point, row.t_s), &self.kernel, &self.middle_mm)
         }
     }
 
-    fn document(&self, rows: crate::track_document::WhiskerDocument) -> StreamedWhisker {
+    fn document(&self, rows: WhiskerDocument) -> StreamedWhisker {
         let block_nmm2 = self.chain.prefix().block_nmm2();
         StreamedWhisker {
             whisker: self.loaded.name.clone(),

@@ -2,8 +2,7 @@
 //! its rows.
 
 use crate::TrackError;
-use crate::groove_table::known_places;
-use crate::known_groove::{KnownPlace, velocities};
+use crate::known_groove::{KnownPlace, known_places, velocities};
 use crate::reading::{Moments, Reading, RowMotion};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use std::path::Path;
@@ -118,27 +117,19 @@ impl TableSource {
         poses: Option<&LoggedMotion>,
         base_mm_s: Option<f64>,
     ) -> Vec<Reading> {
-        let step_s = median(
-            self.rows
-                .windows(2)
-                .filter_map(|w| Some(w[1].t_s? - w[0].t_s?)),
-        );
+        let steps = self.rows.windows(2);
+        let step_s = median(steps.filter_map(|w| Some(w[1].t_s? - w[0].t_s?)));
         let longest_s = step_s.map_or(f64::INFINITY, |step_s| GAP_STEPS * step_s);
         let past_groove = velocities(&self.places, GAP_STEPS * step_s.unwrap_or_default());
-        let readings = poses.map_or_else(
-            || self.alone(),
-            |poses| self.along(poses, &Vector3::zeros()),
-        );
+        let along = |poses| self.along(poses, &Vector3::zeros());
+        let readings = poses.map_or_else(|| self.alone(), along);
         let mut last_s = f64::INFINITY;
         let one = |(row, plain): (&SensedRow, Reading)| {
             let gap = plain.t_s - std::mem::replace(&mut last_s, plain.t_s) > longest_s;
             let known = plain.velocity_mm_s.or(past_groove.get(&row.line).copied());
+            let flags = if gap { Flags::GAP } else { Flags::default() };
             Reading {
-                flags: if gap {
-                    Flags::GAP.with(plain.flags)
-                } else {
-                    plain.flags
-                },
+                flags: flags.with(plain.flags),
                 base_mm_s: plain.base_mm_s.or(base_mm_s),
                 velocity_mm_s: known.or(base_mm_s.map(|v| Vector3::z() * v)),
                 gap,
@@ -152,34 +143,23 @@ impl TableSource {
     fn reading(&self, row: &SensedRow) -> Reading {
         let usable = !self.needs_reference || row.reference;
         let s = &row.sensed;
+        let noise = &self.noise;
+        let own = noise.misfit_sd_nmm.and(noise.reading_sd_nmm);
         let moments = Moments {
             moment_nmm: s.moment_nmm,
             sd_nmm: row.sd_nmm(),
             valid: s.valid,
             pose_nmm2: s.noise_nmm2,
-            own_nmm2: self
-                .noise
-                .misfit_sd_nmm
-                .and(self.noise.reading_sd_nmm)
-                .map(diagonal),
-            drift_nmm2: self
-                .noise
-                .drift_sd_nmm
-                .map_or_else(Matrix2::zeros, diagonal),
+            own_nmm2: own.map(diagonal),
+            drift_nmm2: noise.drift_sd_nmm.map_or_else(Matrix2::zeros, diagonal),
             shared_nmm: s.shared_nmm.clone(),
             ..Moments::default()
         };
-        let flags = if usable {
-            Flags::default()
-        } else {
-            Flags::REFERENCE_LOST
-        };
-        let alone = Reading::alone(
-            row.point,
-            row.t_s.unwrap_or_default(),
-            usable.then_some(moments),
-        );
-        Reading { flags, ..alone }
+        let mut reading = Reading::alone(row.point, row.t_s.unwrap_or_default(), Some(moments));
+        if !usable {
+            (reading.moments, reading.flags) = (None, Flags::REFERENCE_LOST);
+        }
+        reading
     }
 }
 

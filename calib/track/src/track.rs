@@ -31,23 +31,18 @@ pub fn track<E: From<TrackError>>(
 ) -> Result<Duration, E> {
     let (mut flushed, mut spent, mut fault) = (Instant::now(), Duration::ZERO, None);
     for input in source {
-        match input {
-            Ok(Input::Reading(whisker, reading)) => {
+        let taken = input.and_then(|input| {
+            if let Input::Reading(whisker, reading) = input {
                 let begun = Instant::now();
-                match tracks[whisker].push(*reading) {
-                    Ok(rows) => rows.iter().try_for_each(|row| files.row(row))?,
-                    Err(why) => {
-                        fault = Some(why.into());
-                        break;
-                    }
-                }
+                let rows = tracks[whisker].push(*reading)?;
+                rows.iter().try_for_each(|row| files.row(row))?;
                 spent += begun.elapsed();
             }
-            Ok(Input::Idle) => {}
-            Err(why) => {
-                fault = Some(why);
-                break;
-            }
+            Ok(())
+        });
+        if let Err(why) = taken {
+            fault = Some(why);
+            break;
         }
         if flushed.elapsed() > FLUSH {
             files.flush()?;

@@ -1,10 +1,8 @@
 //! `track.json`: what a track is made of and what was found, as a program reads it.
 
 use crate::arc_posterior::Region;
-use crate::known_motion::{EpisodeEstimate, Innovations, Posterior};
+use crate::known_motion::Innovations;
 use crate::mesh_score::MeshScore;
-use crate::regimes::{ContactWeights, MIN_WEIGHT, REGIMES, Regime};
-use crate::sliding::SlidingContact;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -20,7 +18,7 @@ pub const AXIS_OF_WIRE: &str = "axis of the wire at the contact, base frame";
 pub(crate) const POINT_OF_OBJECT: &str = "point of the object, base frame";
 
 /// Where readings come from.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum TrackSource {
     /// A table or a session folder.
@@ -32,7 +30,7 @@ pub enum TrackSource {
 }
 
 /// How the contacts were found where no model did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Along a known motion.
@@ -44,7 +42,7 @@ pub enum Method {
 
 /// Summary of track.csv: a table and a session by known motion have their counts at the top, a
 /// stream has them for each whisker.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct TrackDocument {
     /// Format and version.
     #[schemars(extend("const" = TRACK_FORMAT))]
@@ -75,7 +73,7 @@ impl TrackDocument {
 }
 
 /// Of a table or a session.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct TableDocument {
     /// Lag of the rows, s.
     pub lag_s: f64,
@@ -98,7 +96,7 @@ pub struct TableDocument {
 }
 
 /// Rows of one whisker.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct WhiskerDocument {
     /// Rows.
     pub rows: u64,
@@ -125,7 +123,7 @@ pub struct WhiskerDocument {
 }
 
 /// What an estimator found; what it does not know is absent.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, JsonSchema)]
 pub struct EstimatorDocument {
     /// How.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -161,7 +159,7 @@ pub struct EstimatorDocument {
 }
 
 /// A contact of a known motion, or a trajectory of a session.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, JsonSchema)]
 pub struct ContactDocument {
     /// Identifier of a session's trajectory.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -206,84 +204,22 @@ pub struct ContactDocument {
 }
 
 impl ContactDocument {
-    fn new(i: &Innovations, readings: usize) -> Self {
+    /// By its innovations.
+    pub(crate) fn new(i: &Innovations, readings: usize) -> Self {
         Self {
-            trajectory: None,
-            regions: None,
             chi2: i.plain,
             chi2_robust: i.robust,
             dof: i.dof,
             outlier: i.outlier,
             disagreement: (!i.consistent()).then_some("motion-disagrees"),
             readings,
-            from_s: None,
-            to_s: None,
-            contact: None,
-            weights: None,
-            sliding: None,
-            mm_by_gain_percent: None,
-        }
-    }
-
-    /// Of a session's trajectory.
-    pub fn of_trajectory(id: u32, found: &EpisodeEstimate, readings: usize) -> Self {
-        let regions = found.posterior.as_ref().map(Posterior::regions);
-        Self {
-            trajectory: Some(id),
-            regions,
-            ..Self::new(&found.innovations, readings)
-        }
-    }
-
-    /// Of a table's contact, and as the likeliest one at a point.
-    pub fn of_table(
-        point: &EpisodeEstimate,
-        weights: &ContactWeights,
-        sliding: &SlidingContact,
-        [from_s, to_s]: [f64; 2],
-        readings: usize,
-    ) -> Self {
-        let own = Self::new(&point.innovations, readings);
-        let certain = weights.certain();
-        let weights = &weights.regimes;
-        let at_a_point = weights.at_a_point() > 1.0 - MIN_WEIGHT;
-        let may_slide = weights.of(Regime::Sliding) > MIN_WEIGHT;
-        Self {
-            regions: point
-                .posterior
-                .as_ref()
-                .map(Posterior::regions)
-                .filter(|_| at_a_point),
-            from_s: Some(from_s),
-            to_s: Some(to_s),
-            disagreement: own
-                .disagreement
-                .filter(|_| weights.of(Regime::Sliding) <= 0.5),
-            contact: Some(certain.map_or("undecided", Regime::name)),
-            weights: Some(REGIMES.iter().map(|r| (r.name(), weights.of(*r))).collect()),
-            sliding: Some(may_slide.then_some(SlidingDocument {
-                log_evidence: sliding.evidence,
-                reversed_log_evidence: sliding.reversed_evidence,
-                predicted: sliding.predicted,
-            })),
-            ..own
-        }
-    }
-
-    /// Of a stream's contact.
-    pub fn of_stream(i: &Innovations, regions: Vec<Region>, [from_s, to_s]: [f64; 2]) -> Self {
-        let (from_s, to_s) = (Some(from_s), Some(to_s));
-        Self {
-            regions: Some(regions),
-            from_s,
-            to_s,
-            ..Self::new(i, i.rows)
+            ..Self::default()
         }
     }
 }
 
 /// How well a motion predicts a sliding contact.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct SlidingDocument {
     /// Marginal log likelihood of the readings along the motion, natural units of 1/(N mm)^2 a
     /// block.
@@ -295,7 +231,7 @@ pub struct SlidingDocument {
 }
 
 /// Rows with several contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct SeveralContacts {
     /// Rows with a probability of several contacts.
     pub rows: u64,
@@ -304,7 +240,7 @@ pub struct SeveralContacts {
 }
 
 /// Answers compared with a known groove.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct GrooveScore {
     /// Readings with a known groove.
     pub readings: usize,
@@ -325,7 +261,7 @@ pub struct GrooveScore {
 }
 
 /// The log of a table's motion.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct LogDocument {
     /// File.
     pub file: PathBuf,
@@ -338,7 +274,7 @@ pub struct LogDocument {
 }
 
 /// Of a stream.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct StreamDocument {
     /// Rows a second.
     pub rate_hz: f64,
@@ -375,7 +311,7 @@ pub struct StreamDocument {
 }
 
 /// A low-pass.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct FilterDocument {
     /// What it is.
     pub kind: &'static str,
@@ -392,7 +328,7 @@ pub struct FilterDocument {
 }
 
 /// Time that a stream took.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct TimeDocument {
     /// Of the stream, s.
     pub stream_s: f64,
@@ -407,7 +343,7 @@ pub struct TimeDocument {
 }
 
 /// A whisker of a stream.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct StreamedWhisker {
     /// Name; empty where there is one.
     pub whisker: String,
@@ -421,7 +357,7 @@ pub struct StreamedWhisker {
 }
 
 /// Where the motion of a stream comes from.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct StreamMotionDocument {
     /// What says how base and object move.
     pub source: &'static str,

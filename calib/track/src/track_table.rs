@@ -2,15 +2,14 @@
 
 use crate::TrackError;
 use crate::arc_posterior::Region;
-use crate::estimator::ContactEstimate;
+use crate::estimator::Contact;
+use crate::reading::Reading;
 use crate::track_document::TrackDocument;
 use nalgebra::{Matrix3, Vector3};
-use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use wcal_core::stream::{Flags, StreamMoments};
-use wcal_network::stream::BasePose;
+use wcal_core::stream::Flags;
 
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
@@ -18,149 +17,73 @@ const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,
      world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,segment,arclength_regions95,\
      several_probability,object_distance_mm,assumes";
 
-/// A row of a track.
+/// A row of a track: a reading and its contact, base frame.
 #[derive(Debug, Clone)]
 pub struct TrackRow {
-    /// Number of the reading or of the scan.
-    pub point: i64,
-    /// Time of validity, s.
-    pub t_s: f64,
     /// Whisker.
     pub whisker: String,
-    /// Flags.
-    pub flags: Flags,
     /// Codes of doubts.
     pub doubts: String,
-    /// Moments.
-    pub moments: Option<StreamMoments>,
-    /// The contact.
-    pub estimate: Option<ContactEstimate>,
-    /// Speed of the base along +z, mm/s.
-    pub base_mm_s: Option<f64>,
-    /// Pose of the base.
-    pub base: Option<BasePose>,
-    /// Contact interval that the row belongs to.
-    pub segment: Option<u64>,
-    /// 95 % region of highest density over the arc length.
-    pub regions: Vec<Region>,
-    /// Probability of several contacts where there is contact.
-    pub several: Option<f64>,
+    /// The reading.
+    pub reading: Reading,
+    /// The contact, with what was wrong with the reading among its flags and the number of its
+    /// contact interval.
+    pub contact: Contact,
     /// Distance of the contact from an object whose place is known, positive outside, mm.
     pub object_mm: Option<f64>,
     /// What the contact's regions assume.
     pub assumes: String,
 }
 
-/// Appends numbers, or as many empty cells.
-fn cells(out: &mut String, values: Option<&[f64]>, count: usize, digits: usize) {
-    for k in 0..count {
-        out.push(',');
-        if let Some(values) = values {
-            let _ = write!(out, "{:.digits$}", values[k]);
-        }
-    }
+/// Cells of numbers with so many digits, or as many empty ones.
+fn cells<const N: usize>(values: Option<[f64; N]>, digits: usize) -> String {
+    let cell = |value| format!(",{value:.digits$}");
+    values.map_or_else(|| ",".repeat(N), |v| v.map(cell).concat())
 }
 
-fn spread(c: &Matrix3<f64>) -> [f64; 6] {
-    [
-        c[(0, 0)],
-        c[(1, 1)],
-        c[(2, 2)],
-        c[(0, 1)],
-        c[(0, 2)],
-        c[(1, 2)],
-    ]
+/// Cells of a place, mm, and of its covariance, mm^2.
+fn place_cells(place: Option<(Vector3<f64>, Matrix3<f64>)>) -> String {
+    let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    let spread = place.map(|(_, covariance)| entries.map(|at| covariance[at]));
+    cells(place.map(|(at, _)| at.into()), 4) + &cells(spread, 8)
 }
 
 impl TrackRow {
-    fn place(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-        self.estimate.map(|e| (e.place_mm, e.covariance_mm2))
+    /// Place of the contact in the world, mm, with its covariance, mm^2.
+    pub(crate) fn world(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let (e, base) = self.contact.estimate.zip(self.reading.base)?;
+        Some(base.to_world(&e.place_mm, &e.covariance_mm2))
     }
 
     /// The row as a line of `track.csv`; cells without a value are empty.
     pub fn line(&self) -> String {
-        // Microseconds: an absolute clock leaves no more digits.
-        let mut out = format!("{},{}", self.point, (self.t_s * 1e6).round() / 1e6);
-        cells(
-            &mut out,
-            self.moments.as_ref().map(|m| &m.moment_nmm[..]),
-            2,
-            6,
-        );
-        let outside = self
-            .moments
-            .map_or_else(String::new, |m| u8::from(!m.valid).to_string());
-        let _ = write!(out, ",{outside},{}", u8::from(!self.doubts.is_empty()));
-        let place = self.place();
-        cells(
-            &mut out,
-            self.estimate
-                .map(|e| [e.probability])
-                .as_ref()
-                .map(|v| &v[..]),
-            1,
-            4,
-        );
-        cells(&mut out, place.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(
-            &mut out,
-            place
-                .as_ref()
-                .map(|p| spread(&p.1))
-                .as_ref()
-                .map(|v| &v[..]),
-            6,
-            8,
-        );
-        let _ = write!(
-            out,
-            ",{},{},{}",
-            self.whisker,
-            self.flags.text(),
-            self.doubts
-        );
-        cells(&mut out, self.moments.as_ref().map(|m| &m.sd_nmm[..]), 2, 6);
-        cells(
-            &mut out,
-            self.base_mm_s.map(|v| [v]).as_ref().map(|v| &v[..]),
-            1,
-            4,
-        );
-        let world = self.world();
-        cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(
-            &mut out,
-            world
-                .as_ref()
-                .map(|p| spread(&p.1))
-                .as_ref()
-                .map(|v| &v[..]),
-            6,
-            8,
-        );
-        let segment = self.segment.map_or_else(String::new, |n| n.to_string());
+        let (reading, contact) = (&self.reading, &self.contact);
+        let (moments, estimate) = (reading.moments.as_ref(), contact.estimate);
+        let outside = moments.map(|m| u8::from(!m.valid).to_string());
         let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
-        let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
-        let _ = write!(out, ",{segment},{regions}");
-        cells(
-            &mut out,
-            self.several.map(|p| [p]).as_ref().map(|v| &v[..]),
-            1,
-            4,
-        );
-        cells(
-            &mut out,
-            self.object_mm.map(|d| [d]).as_ref().map(|v| &v[..]),
-            1,
-            4,
-        );
-        let _ = writeln!(out, ",{}", self.assumes);
-        out
-    }
-
-    fn world(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-        let ((point, covariance), base) = self.place().zip(self.base)?;
-        Some(base.to_world(&point, &covariance))
+        let regions: Vec<String> = contact.regions.iter().map(piece).collect();
+        let segment = contact.number.map(|n| n.to_string()).unwrap_or_default();
+        [
+            // Microseconds: an absolute clock leaves no more digits.
+            format!("{},{}", reading.point, (reading.t_s * 1e6).round() / 1e6),
+            cells(moments.map(|m| m.moment_nmm), 6),
+            format!(
+                ",{},{}",
+                outside.unwrap_or_default(),
+                u8::from(!self.doubts.is_empty())
+            ),
+            cells(estimate.map(|e| [e.probability]), 4),
+            place_cells(estimate.map(|e| (e.place_mm, e.covariance_mm2))),
+            format!(",{},{},{}", self.whisker, contact.flags.text(), self.doubts),
+            cells(moments.map(|m| m.sd_nmm), 6),
+            cells(reading.base_mm_s.map(|v| [v]), 4),
+            place_cells(self.world()),
+            format!(",{segment},{}", regions.join("|")),
+            cells(contact.several.map(|p| [p]), 4),
+            cells(self.object_mm.map(|d| [d]), 4),
+            format!(",{}\n", self.assumes),
+        ]
+        .concat()
     }
 }
 
@@ -204,20 +127,17 @@ impl TrackFiles {
         let out = &self.out;
         let bytes = wcal_core::files::read(out).map_err(TrackError::file("reading", out))?;
         let text = String::from_utf8_lossy(&bytes);
-        let at = |name: &str| {
+        let [name, status] = ["whisker", "status"].map(|name| {
             COLUMNS
                 .split(',')
                 .position(|column| column == name)
-                .unwrap_or_default()
-        };
-        let (name, status) = (at("whisker"), at("status"));
+                .unwrap_or(0)
+        });
         let flagged = |line: &str| {
-            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            let mut cells: Vec<&str> = line.split(',').collect();
+            let both = format!("{}|{}", cells[status], flag.text());
             if cells[name] == whisker {
-                let before = Some(&cells[status])
-                    .filter(|s| *s != "ok")
-                    .map(|s| format!("{s}|"));
-                cells[status] = before.unwrap_or_default() + &flag.text();
+                cells[status] = both.strip_prefix("ok|").unwrap_or(&both);
             }
             cells.join(",") + "\n"
         };

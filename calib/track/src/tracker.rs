@@ -1,10 +1,10 @@
-//! Contacts along a known motion, fed reading by reading by a table, a recording, a live stream or
-//! a session; no network.
+//! Contacts along a known motion, fed reading by reading by a table, a recording or a live stream; no
+//! network.
 //!
 //! ```text
 //! stream      a reading is answered at once, from those up to it                                   (contact_so_far)
 //! record      answers are stated in the end, each from all readings of its contact                 (whole_contact)
-//! no motion   of a stream: the arc of the wire that the moments of a loaded reading allow          (static_arc)
+//! no motion   of a stream: the arc of the wire that the moments of a loaded reading allow          (arc)
 //! ```
 //!
 //! Noise of a stream: a row's own is that of the no-contact prefix through the filter; the
@@ -12,17 +12,17 @@
 //! a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
 
 use crate::TrackError;
-use crate::calibrated_wire::{Assumed, CalibratedWire};
+use crate::arc::StaticArc;
+use crate::calibrated_wire::CalibratedWire;
 use crate::contact_so_far::ContactSoFar;
 use crate::estimator::{Contact, Estimator, Findings};
 use crate::known_motion::{CorrelatedNoise, MotionRow, Segmenter, Settings, Step, check_row};
 use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
-use crate::regimes::{GAIN, POINT, RegimeWeights};
-use crate::static_arc::StaticArc;
+use crate::regimes::{Assumed, GAIN, RegimeWeights};
 use crate::track_document::{
     AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT,
 };
-use crate::whole_contact::{Known, WholeContact, located};
+use crate::whole_contact::{Known, located};
 use crate::zero::WHITE;
 use std::collections::BTreeMap;
 use wcal_core::stream::Flags;
@@ -51,11 +51,10 @@ pub struct ContactTracker {
     segmenter: Segmenter,
     contact: Option<ContactSoFar>,
     last: Option<(f64, usize)>,
-    /// Of a record: readings along their motion, all answers until they are stated, and contacts.
+    /// Of a record: readings along their motion, and all answers until they are stated.
     is_record: bool,
     known: Vec<Known>,
     answers: Vec<Contact>,
-    contacts: Vec<WholeContact>,
     /// For readings whose motion is not known, and how many there are by why; of a stream those
     /// that are loaded.
     alone: StaticArc,
@@ -77,18 +76,6 @@ impl ContactTracker {
         }
     }
 
-    /// Of a session, whose trajectories are pieces of the motion that take turns, each past one
-    /// point of the groove.
-    pub fn of_session(wire: CalibratedWire, correlated: Option<CorrelatedNoise>) -> Self {
-        let accuracy = MotionAccuracy {
-            moved_sd_mm: 0.0,
-            clock_sd_s: 0.0,
-        };
-        let mut own = Self::of_record(wire, accuracy, POINT);
-        own.of.settings.correlated = correlated;
-        own
-    }
-
     /// By readings that are answered at once.
     pub fn of_stream(wire: CalibratedWire, accuracy: MotionAccuracy, prior: RegimeWeights) -> Self {
         Self {
@@ -98,7 +85,6 @@ impl ContactTracker {
             is_record: false,
             known: Vec::new(),
             answers: Vec::new(),
-            contacts: Vec::new(),
             alone: StaticArc::new(wire.clone()),
             lost: BTreeMap::new(),
             readings: 0,
@@ -112,11 +98,6 @@ impl ContactTracker {
             },
             accuracy,
         }
-    }
-
-    /// Of a record, each with all of its readings, and what is assumed of them.
-    pub(crate) fn whole_contacts(&self) -> (&Assumed, &[WholeContact]) {
-        (&self.of, &self.contacts)
     }
 
     /// Whether readings had a motion.
@@ -188,16 +169,12 @@ impl ContactTracker {
         let Some(contact) = self.contact.take().filter(|_| long_enough) else {
             return;
         };
-        let document = contact.document();
-        let said = contact
-            .innovations()
-            .sentence()
-            .map(|said| format!("{said}; marked motion-disagrees in status"));
-        let doubted = document.disagreement.is_some();
+        let said = contact.innovations().sentence().into_iter();
+        let said = said.map(|said| format!("{said}; marked motion-disagrees in status"));
         self.ended.push(Ended {
-            document,
-            said: said.into_iter().collect(),
-            doubted,
+            document: contact.document(),
+            doubted: said.len() > 0,
+            said: said.collect(),
         });
     }
 
@@ -212,12 +189,8 @@ impl ContactTracker {
         }
         let lost: u64 = self.lost.values().sum();
         if lost > 0 {
-            let why: Vec<String> = self
-                .lost
-                .iter()
-                .map(|(name, n)| format!("{name} {n}"))
-                .collect();
-            let why = why.join(", ");
+            let why = self.lost.iter().map(|(name, n)| format!("{name} {n}"));
+            let why = why.collect::<Vec<_>>().join(", ");
             all.push(match self.is_record {
                 true => format!("the motion of {lost} of {readings} readings is not known ({why}); marked motion-lost in status"),
                 false => format!(
@@ -295,8 +268,8 @@ impl Estimator for ContactTracker {
     fn finish(&mut self) -> Result<Vec<Contact>, TrackError> {
         self.segmenter.interrupt();
         self.end();
-        self.contacts = located(&self.of, std::mem::take(&mut self.known))?;
-        for (n, contact) in self.contacts.iter().enumerate() {
+        let contacts = located(&self.of, std::mem::take(&mut self.known))?;
+        for (n, contact) in contacts.iter().enumerate() {
             for (k, number) in contact.numbers.iter().enumerate() {
                 let stated = contact.stated(k, &mut self.alone)?;
                 self.answers[*number] = Contact {
@@ -304,10 +277,9 @@ impl Estimator for ContactTracker {
                     ..stated
                 };
             }
-            let (document, said) = (contact.document(), contact.sentences());
             self.ended.push(Ended {
-                document,
-                said,
+                document: contact.document(),
+                said: contact.sentences(),
                 doubted: !contact.flags().none(),
             });
         }
@@ -316,12 +288,13 @@ impl Estimator for ContactTracker {
 
     fn findings(&self) -> Findings {
         let (is_lost, is_stream) = (!self.lost.is_empty(), !self.is_record);
-        let (method, place) = match self.is_along() {
-            true => (Method::KnownMotion, AXIS_OF_WIRE),
-            false => (Method::StaticArc, POINT_OF_OBJECT),
+        let (method, place) = if self.is_along() {
+            (Method::KnownMotion, AXIS_OF_WIRE)
+        } else {
+            (Method::StaticArc, POINT_OF_OBJECT)
         };
-        let contacts: Vec<ContactDocument> =
-            self.ended.iter().map(|e| e.document.clone()).collect();
+        let contacts = self.ended.iter().map(|e| e.document.clone());
+        let contacts: Vec<ContactDocument> = contacts.collect();
         let span_s = |c: &ContactDocument| Some([c.from_s?, c.to_s?]);
         Findings {
             messages: self.messages(),

@@ -2,6 +2,7 @@
 
 use crate::TrackError;
 use crate::network::NetworkEstimator;
+use crate::whisker_track::WhiskerFacts;
 use crate::zero::{WHITE, ZERO};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
@@ -23,11 +24,8 @@ pub struct TrustIssues(Vec<TrustIssue>);
 impl TrustIssues {
     /// Codes with `|` between them.
     pub fn codes(&self) -> String {
-        self.0
-            .iter()
-            .map(TrustIssue::code)
-            .collect::<Vec<_>>()
-            .join("|")
+        let codes: Vec<_> = self.0.iter().map(TrustIssue::code).collect();
+        codes.join("|")
     }
 
     /// Sentences.
@@ -52,6 +50,17 @@ pub struct WhiskerModel<'a> {
     pub doubts: TrustIssues,
 }
 
+impl From<&WhiskerModel<'_>> for WhiskerFacts {
+    fn from(model: &WhiskerModel<'_>) -> Self {
+        Self {
+            name: model.name.clone(),
+            doubt_codes: model.doubts.codes(),
+            doubts: model.doubts.messages(),
+            calibration_sha256: model.file.content_sha256.clone(),
+        }
+    }
+}
+
 /// Filters that know the noise of the moments that come through a calibration.
 pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {
     let noise_nmm = model
@@ -74,12 +83,23 @@ impl<'a> WhiskerModel<'a> {
     /// # Errors
     /// Where the moments are not across the wire's root.
     pub fn frame(&self) -> Result<WireFrame, TrackError> {
-        let own = self
-            .file
-            .whisker
-            .as_ref()
-            .or(self.card.as_ref().map(|card| &card.whisker));
-        frame_of(&self.file, own.ok_or_else(|| self.nameless())?, &self.place)
+        let of_card = self.card.as_ref().map(|card| &card.whisker);
+        let own = self.file.whisker.as_ref().or(of_card);
+        let own = own.ok_or_else(|| self.nameless())?;
+        // Older ones have moments about y and z.
+        let seen = self.file.frame.as_ref();
+        let axes = seen.map_or_else(MomentAxes::default, CalibrationFrame::moments);
+        WireFrame::new(own, &axes).map_err(|e: OutOfRange| {
+            let what = format!("{}: frame.{}", self.place.display(), e.key);
+            TrackError::value(what, e.expected, e.found)
+        })
+    }
+
+    /// The calibration's whisker in that frame, where it says which: a network knows one
+    /// orientation.
+    fn own_whisker(&self) -> Result<Option<WhiskerSpec>, TrackError> {
+        let own = self.file.whisker.as_ref();
+        own.map(|w| Ok(self.frame()?.whisker(w))).transpose()
     }
 
     /// The whisker in that frame: the model's, else the calibration's.
@@ -87,11 +107,10 @@ impl<'a> WhiskerModel<'a> {
     /// # Errors
     /// Where neither says.
     pub fn whisker(&self) -> Result<WhiskerSpec, TrackError> {
-        match (&self.card, &self.file.whisker) {
-            (Some(card), _) => Ok(card.whisker.clone()),
-            (None, Some(whisker)) => Ok(self.frame()?.whisker(whisker)),
-            (None, None) => Err(self.nameless()),
-        }
+        let of_card = self.card.as_ref().map(|card| card.whisker.clone());
+        of_card
+            .map_or_else(|| self.own_whisker(), |whisker| Ok(Some(whisker)))?
+            .ok_or_else(|| self.nameless())
     }
 
     fn nameless(&self) -> TrackError {
@@ -111,17 +130,10 @@ impl<'a> WhiskerModel<'a> {
         let Some((tracker, card)) = self.tracker.zip(self.card.as_ref()) else {
             return Ok(None);
         };
-        let own = self
-            .file
-            .whisker
-            .as_ref()
-            .map(|w| Ok::<_, TrackError>(self.frame()?.whisker(w)));
-        let other = own
-            .transpose()?
-            .filter(|w| w.difference(&card.whisker).is_some());
-        let other = other
-            .map(|w| StaticInverse::new(&w, InverseGrid::coarse()))
-            .transpose()?;
+        let own = self.own_whisker()?;
+        let other = own.filter(|w| w.difference(&card.whisker).is_some());
+        let other = other.map(|w| StaticInverse::new(&w, InverseGrid::coarse()));
+        let other = other.transpose()?;
         let filters = filters_for(tracker.filters, &self.file.model);
         Ok(Some(NetworkEstimator::new(
             (tracker, card),
@@ -143,37 +155,31 @@ impl<'a> WhiskerModel<'a> {
     /// Where the calibration cannot be read, or was changed so that its content means nothing any
     /// more.
     pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, TrackError> {
-        let (file, mut issues) = calibration_issues(place)?;
-        // In the frame of the wire: a network knows one orientation.
-        let own = file
-            .whisker
-            .as_ref()
-            .map(|w| Ok::<_, TrackError>(frame_of(&file, w, place)?.whisker(w)));
-        let own = own.transpose()?;
-        let differs = own
-            .as_ref()
-            .zip(card.as_ref())
-            .and_then(|(w, c)| w.difference(&c.whisker));
-        issues.extend(differs.map(TrustIssue::OtherWhisker));
-        let doubts = TrustIssues(issues);
-        let (name, place) = (name.to_owned(), place.to_owned());
-        Ok(Self {
-            name,
-            place,
+        let (file, changed) = read_unsealed(place)?;
+        of_whisker(place, &file)?;
+        let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
+        issues.extend(standing(&file, jiff::Timestamp::now())?);
+        if file.verification == VerificationStatus::Unverified {
+            issues.push(TrustIssue::NeverVerified);
+        }
+        let mut own = Self {
+            name: name.to_owned(),
+            place: place.to_owned(),
             file,
             card,
             tracker: None,
-            doubts,
-        })
+            doubts: TrustIssues(issues),
+        };
+        let both = own.own_whisker()?.zip(own.card.as_ref());
+        let differs = both.and_then(|(whisker, card)| whisker.difference(&card.whisker));
+        own.doubts.0.extend(differs.map(TrustIssue::OtherWhisker));
+        Ok(own)
     }
 
     /// Judges the whisker of a session beside that of the calibration.
     pub fn check_session(&mut self, whisker: &WhiskerSpec) {
-        let differs = self
-            .file
-            .whisker
-            .as_ref()
-            .and_then(|w| w.difference(whisker));
+        let own = self.file.whisker.as_ref();
+        let differs = own.and_then(|w| w.difference(whisker));
         self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
     }
 
@@ -183,43 +189,8 @@ impl<'a> WhiskerModel<'a> {
         let trained_s = trained_steps_s(card.training.time_factor);
         let [low, high] = trained_s;
         if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
-            self.doubts
-                .0
-                .push(TrustIssue::SampleRate { trained_s, found_s });
+            let issue = TrustIssue::SampleRate { trained_s, found_s };
+            self.doubts.0.push(issue);
         }
     }
-}
-
-/// The frame of a wire by what its calibration says of the session; older ones have moments about y
-/// and z.
-fn frame_of(
-    file: &CalibrationFile<CalibrationModel>,
-    whisker: &WhiskerSpec,
-    place: &Path,
-) -> Result<WireFrame, TrackError> {
-    let axes = file
-        .frame
-        .as_ref()
-        .map_or_else(MomentAxes::default, CalibrationFrame::moments);
-    WireFrame::new(whisker, &axes).map_err(|e: OutOfRange| {
-        let what = format!("{}: frame.{}", place.display(), e.key);
-        TrackError::value(what, e.expected, e.found)
-    })
-}
-
-/// A whisker's calibration, and what speaks against it by itself.
-///
-/// # Errors
-/// Where the file cannot be read, or was changed so that its content means nothing any more.
-fn calibration_issues(
-    place: &Path,
-) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>), TrackError> {
-    let (file, changed) = read_unsealed(place)?;
-    of_whisker(place, &file)?;
-    let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
-    issues.extend(standing(&file, jiff::Timestamp::now())?);
-    if file.verification == VerificationStatus::Unverified {
-        issues.push(TrustIssue::NeverVerified);
-    }
-    Ok((file, issues))
 }

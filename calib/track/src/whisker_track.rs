@@ -10,13 +10,12 @@ use crate::frame::{in_base_frame, in_wire_frame};
 use crate::groove_comparison::coverage_rejected;
 use crate::known_groove::KnownGroove;
 use crate::mesh_score::{KnownObject, MeshScore};
-use crate::reading::{Moments, Reading};
+use crate::reading::Reading;
 use crate::track_document::WhiskerDocument;
 use crate::track_table::TrackRow;
 use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
-use wcal_core::stream::StreamMoments;
 use wcal_core::verify_document::GrooveTracking;
 use wcal_network::segments::SegmentFinder;
 
@@ -33,19 +32,14 @@ pub struct WhiskerFacts {
     pub calibration_sha256: String,
 }
 
-/// A reading that waits for its contact.
-struct Pending {
-    reading: Reading,
-    moments: Option<StreamMoments>,
-}
-
 /// The track of one whisker.
 pub struct WhiskerTrack<'a> {
     facts: WhiskerFacts,
     frame: WireFrame,
     estimator: Box<dyn Estimator + 'a>,
     zero: Zero,
-    pending: VecDeque<Pending>,
+    /// Readings that wait for their contacts.
+    pending: VecDeque<Reading>,
     /// Contact intervals; none where each reading stands by itself.
     segments: SegmentFinder,
     followed: bool,
@@ -98,8 +92,7 @@ impl<'a> WhiskerTrack<'a> {
         let moments = reading.moments.clone().map(|m| self.zero.applied(t_s, m));
         let reading = Reading { moments, ..reading };
         let contacts = self.estimator.push(&in_wire_frame(&self.frame, &reading))?;
-        let moments = reading.moments.as_ref().map(Moments::stated);
-        self.pending.push_back(Pending { reading, moments });
+        self.pending.push_back(reading);
         Ok(self.settle(contacts))
     }
 
@@ -113,38 +106,16 @@ impl<'a> WhiskerTrack<'a> {
     }
 
     fn settle(&mut self, contacts: Vec<Contact>) -> Vec<TrackRow> {
-        let mut rows = Vec::with_capacity(contacts.len());
-        for contact in contacts {
-            let Some(Pending { reading, moments }) = self.pending.pop_front() else {
-                break;
-            };
-            rows.push(self.row(reading, moments, contact));
-        }
-        rows
+        let row = |contact| {
+            let reading = self.pending.pop_front()?;
+            Some(self.row(reading, contact))
+        };
+        contacts.into_iter().map_while(row).collect()
     }
 
-    fn row(
-        &mut self,
-        reading: Reading,
-        moments: Option<StreamMoments>,
-        contact: Contact,
-    ) -> TrackRow {
-        let Reading {
-            point,
-            t_s,
-            base,
-            base_mm_s,
-            ..
-        } = reading;
-        let Contact {
-            estimate,
-            regions,
-            several,
-            number,
-            on_object,
-            ..
-        } = contact;
-        let estimate = estimate.map(|e| in_base_frame(&self.frame, e));
+    fn row(&mut self, reading: Reading, contact: Contact) -> TrackRow {
+        let (t_s, base_mm_s) = (reading.t_s, reading.base_mm_s);
+        let estimate = contact.estimate.map(|e| in_base_frame(&self.frame, e));
         if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
             groove.push(t_s, estimate);
         }
@@ -157,49 +128,36 @@ impl<'a> WhiskerTrack<'a> {
             self.segments
                 .push(t_s, e.probability, e.place_mm, e.covariance_mm2, step_mm)
         });
-        let flags = reading.flags.with(contact.flags);
-        let object_mm = self
-            .object
-            .as_ref()
-            .zip(estimate)
-            .zip(base)
-            .map(|((object, e), base)| {
-                object.distance_mm(&base.to_world(&e.place_mm, &e.covariance_mm2).0)
-            });
-        self.distances_mm.extend(object_mm.filter(|_| on_object));
-        self.rows += 1;
-        self.flagged += u64::from(!flags.none());
-        self.outside += u64::from(moments.is_some_and(|m| !m.valid));
-        TrackRow {
-            point,
-            t_s,
+        let mut row = TrackRow {
             whisker: self.facts.name.clone(),
-            flags,
             doubts: self.facts.doubt_codes.clone(),
-            moments,
-            estimate,
-            base_mm_s,
-            base,
-            segment: number.or(segment.filter(|_| self.followed)),
-            regions,
-            several,
-            object_mm,
             assumes: estimate.map_or_else(String::new, |_| self.estimator.assumes()),
-        }
+            object_mm: None,
+            contact: Contact {
+                estimate,
+                flags: reading.flags.with(contact.flags),
+                number: contact.number.or(segment.filter(|_| self.followed)),
+                ..contact
+            },
+            reading,
+        };
+        let object = self.object.as_ref().zip(row.world());
+        row.object_mm = object.map(|(object, (world_mm, _))| object.distance_mm(&world_mm));
+        let on_object = row.object_mm.filter(|_| row.contact.on_object);
+        self.distances_mm.extend(on_object);
+        let moments = row.reading.moments.as_ref();
+        self.rows += 1;
+        self.flagged += u64::from(!row.contact.flags.none());
+        self.outside += u64::from(moments.is_some_and(|m| !m.valid));
+        row
     }
 
     /// Whether the stated regions do not hold a known groove.
     pub(crate) fn coverage_rejected(&self) -> bool {
-        self.estimator
-            .findings()
-            .groove
-            .iter()
-            .flatten()
-            .any(coverage_rejected)
-            || self
-                .groove
-                .as_ref()
-                .is_some_and(KnownGroove::coverage_rejected)
+        let known = self.groove.as_ref();
+        let of_session = self.estimator.findings().groove.flatten();
+        of_session.as_ref().is_some_and(coverage_rejected)
+            || known.is_some_and(KnownGroove::coverage_rejected)
     }
 
     /// All of its rows are flagged.

@@ -2,22 +2,21 @@
 //! ([`crate::regimes`]); what is misstated of the record is so in all of them.
 
 use crate::TrackError;
-use crate::arc_posterior::ArcDensity;
-use crate::calibrated_wire::Assumed;
+use crate::arc::StaticArc;
 use crate::estimator::Contact;
 use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::recursive::LEAD;
 use crate::known_motion::segmenter::Segmenter;
 use crate::known_motion::{
-    Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Settings, estimate_contact,
+    Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings,
+    estimate_contact, larger,
 };
-use crate::reading::{Moments, PERCENT, RowMotion};
+use crate::reading::{Moments, RowMotion, squares};
 use crate::regimes::{
-    Alternative, ContactEvidence, ContactWeights, MIN_WEIGHT, Misstatement, POINT, Regime, Weighed,
+    Assumed, ContactEvidence, ContactWeights, MIN_WEIGHT, Misstatement, REGIMES, Regime, Weighed,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
-use crate::static_arc::StaticArc;
-use crate::track_document::ContactDocument;
+use crate::track_document::{ContactDocument, SlidingDocument};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::order_statistics::median;
@@ -32,7 +31,7 @@ const PAST: usize = 2;
 /// A contact with its weights.
 pub(crate) struct WholeContact {
     /// Its readings, and their numbers.
-    pub episode: Episode,
+    episode: Episode,
     pub numbers: Vec<usize>,
     /// Readings past its end, which show whether the load was lost at once.
     past: Vec<MotionRow>,
@@ -61,8 +60,7 @@ impl Known {
     /// With its moments and motion.
     pub(crate) fn new(number: usize, row: MotionRow, m: &Moments, motion: &RowMotion) -> Self {
         // What of the noise from pose to pose is no noise of a reading.
-        let misfit =
-            |own: Matrix2<f64>| [0, 1].map(|c| (m.pose_nmm2[(c, c)] - own[(c, c)]).max(0.0));
+        let misfit = |own: Matrix2<f64>| (m.pose_nmm2 - own).diagonal().map(|v| v.max(0.0)).into();
         Self {
             row,
             number,
@@ -73,8 +71,7 @@ impl Known {
     }
 }
 
-/// The contacts of all readings of a record; of a session, whose contacts stay, each piece is a
-/// trajectory.
+/// The contacts of all readings of a record.
 ///
 /// # Errors
 /// Where moments or motion cannot be used.
@@ -82,54 +79,29 @@ pub(crate) fn located(
     of: &Assumed,
     mut known: Vec<Known>,
 ) -> Result<Vec<WholeContact>, TrackError> {
-    let (touched, ranges) = if of.prior == POINT {
-        known.sort_by_key(|k| k.piece);
-        let mut to = 0;
-        let range = |of: &[Known]| {
-            to += of.len();
-            [to - of.len(), to]
-        };
-        (
-            None,
-            known
-                .chunk_by(|a, b| a.piece == b.piece)
-                .map(range)
-                .collect(),
-        )
-    } else {
-        split_noise(&mut known, of.wire.stiffness_sd() > 0.0);
-        (Some(of.wire.touched()?), ranges(&of.wire.field, &mut known))
-    };
+    split_noise(&mut known, of.wire.stiffness_sd() > 0.0);
+    let (touched, ranges) = (of.wire.touched()?, ranges(&of.wire.field, &mut known));
     let begun = |range: [usize; 2]| {
         let mut own = WholeContact::new(of, &known, range);
-        let evidence = touched.as_ref().and_then(|touched| {
-            own.slide(of, touched, Misstatement::NONE);
-            own.evidence(of)
-        });
+        own.slide(of, &touched, Misstatement::NONE);
+        let evidence = own.evidence(of);
         (own, evidence)
     };
     let found: Vec<(WholeContact, Option<ContactEvidence>)> =
         ranges.into_par_iter().map(begun).collect();
-    let said = |e: &Option<ContactEvidence>| {
-        e.as_ref()
-            .map_or_else(Vec::new, ContactEvidence::of_misstatements)
-    };
-    let said: Vec<Vec<f64>> = found.iter().map(|f| said(&f.1)).collect();
+    let said = found.iter().map(|(_, e)| e.as_ref());
+    let said = said.map(|e| e.map_or_else(Vec::new, ContactEvidence::of_misstatements));
+    let said: Vec<Vec<f64>> = said.collect();
     // Contacts are independent but for what is misstated, which is so in all of them: their
     // logarithms add up.
     let others = |n: usize| {
-        let of = |m: usize| {
-            said.iter()
-                .enumerate()
-                .filter(|(k, _)| *k != n)
-                .filter_map(|(_, s)| s.get(m))
-                .sum()
-        };
+        let others = || (0..said.len()).filter(|k| *k != n);
+        let of = |m: usize| others().filter_map(|k| said[k].get(m)).sum();
         (0..said[n].len()).map(of).collect::<Vec<f64>>()
     };
     let weighed = |(n, (mut own, evidence)): (usize, (WholeContact, Option<ContactEvidence>))| {
         own.weights = evidence.map_or(own.weights, |e| e.weights(&others(n)));
-        own.locate(of, touched.as_ref())?;
+        own.locate(of, &touched)?;
         Ok(own)
     };
     found.into_par_iter().enumerate().map(weighed).collect()
@@ -144,46 +116,38 @@ pub(crate) fn located(
 fn split_noise(known: &mut [Known], has_stiffness: bool) {
     // An error of the law is a smooth function of the moment: to first order a gain, largest at the
     // largest load.
-    let size = |k: &Known| k.row.moment_nmm[0].hypot(k.row.moment_nmm[1]);
-    let largest_nmm = known.iter().map(size).fold(1e-9, f64::max);
-    let poses: Vec<f64> = (0..known.len()).map(|k| same_pose(known, k)).collect();
-    for (
-        Known {
-            row, misfit_nmm2, ..
-        },
-        n,
-    ) in known.iter_mut().zip(poses)
-    {
-        let Some(misfit) = misfit_nmm2 else {
+    let sizes = known.iter().map(|k| squares(&[k.row.moment_nmm]).sqrt());
+    let largest_nmm = sizes.fold(1e-9, f64::max);
+    let of_pose = |k: usize| {
+        let at = known[k].row.moved_mm;
+        let near = |other: &&Known| (other.row.moved_mm - at).norm() < 0.5 * SAME_POSE_MM;
+        let (before, after) = known.split_at(k);
+        let before = before.iter().rev().take_while(near).count();
+        (before + after.iter().take_while(near).count()).max(1) as f64
+    };
+    let poses: Vec<f64> = (0..known.len()).map(of_pose).collect();
+    for (known, rows_of_pose) in known.iter_mut().zip(poses) {
+        let row = &mut known.row;
+        let Some(misfit) = known.misfit_nmm2 else {
             // Whether one reading is loaded does not depend on how many there are.
-            let shared = row
-                .shared_nmm
-                .iter()
-                .map(|h| Vector2::from(*h) * Vector2::from(*h).transpose());
-            row.free_nmm2 = Some(row.noise_nmm2 + shared.sum::<Matrix2<f64>>());
-            row.noise_nmm2 *= n;
+            let columns = row.shared_nmm.iter().map(|h| Vector2::from(*h));
+            let shared: Matrix2<f64> = columns.map(|h| h * h.transpose()).sum();
+            row.free_nmm2 = Some(row.noise_nmm2 + shared);
+            row.noise_nmm2 *= rows_of_pose;
             continue;
         };
-        for (i, m) in [0, 1]
-            .into_iter()
-            .flat_map(|i| row.moment_nmm.map(|m| (i, m)))
-        {
-            let mut column = [0.0; 2];
-            column[i] = (0.5 * misfit[i]).sqrt() * m / largest_nmm;
-            // The stiffness stays the last.
-            row.shared_nmm
-                .insert(row.shared_nmm.len() - usize::from(has_stiffness), column);
-        }
+        // The stiffness stays the last.
+        let at = row.shared_nmm.len() - usize::from(has_stiffness);
+        let gain = |i: usize, m: f64| (0.5 * misfit[i]).sqrt() * m / largest_nmm;
+        let [y, z] = row.moment_nmm;
+        let columns = [
+            [gain(0, y), 0.0],
+            [gain(0, z), 0.0],
+            [0.0, gain(1, y)],
+            [0.0, gain(1, z)],
+        ];
+        row.shared_nmm.splice(at..at, columns);
     }
-}
-
-/// Rows around one that are of its pose.
-fn same_pose(known: &[Known], k: usize) -> f64 {
-    let near =
-        |other: &&Known| (other.row.moved_mm - known[k].row.moved_mm).norm() < 0.5 * SAME_POSE_MM;
-    let (before, after) = known.split_at(k);
-    (before.iter().rev().take_while(near).count() + after.iter().take_while(near).count()).max(1)
-        as f64
 }
 
 /// First reading of each contact, the free ones before it that belong to it included, and one past
@@ -191,12 +155,9 @@ fn same_pose(known: &[Known], k: usize) -> f64 {
 fn ranges(field: &MomentField, known: &mut [Known]) -> Vec<[usize; 2]> {
     let mut segmenter = Segmenter::new(field);
     let mut segments = Vec::new();
-    for Known {
-        row, piece, push, ..
-    } in &mut *known
-    {
-        let is_loaded = loaded(row);
-        segmenter.push(row, *piece, *push, is_loaded);
+    for known in &mut *known {
+        let is_loaded = loaded(&known.row);
+        segmenter.push(&mut known.row, known.piece, known.push, is_loaded);
         segments.extend(segmenter.take_ended());
     }
     segmenter.interrupt();
@@ -221,31 +182,20 @@ fn median_mm(a: &EpisodeEstimate, b: &EpisodeEstimate) -> f64 {
 
 impl WholeContact {
     fn new(of: &Assumed, known: &[Known], [from, to]: [usize; 2]) -> Self {
-        let (first, n) = (&known[from], to - from);
-        let past = known[to..]
-            .iter()
-            .take(PAST)
-            .take_while(|k| k.piece == first.piece);
-        let past = past.map(|k| k.row.clone()).collect();
-        let (rows, numbers) = known[from..to]
-            .iter()
-            .map(|k| (k.row.clone(), k.number))
-            .unzip();
-        let (episode, sliding) = (
-            Episode {
-                rows,
+        let first = &known[from];
+        let rows = |of: &[Known]| of.iter().map(|k| k.row.clone()).collect();
+        let past = known[to..].iter().take(PAST);
+        let past = past.take_while(|k| k.piece == first.piece).count();
+        Self {
+            episode: Episode {
+                rows: rows(&known[from..to]),
                 push: first.push,
             },
-            SlidingContact::nothing(n),
-        );
-        let (weights, points) = (ContactWeights::prior(of.prior), Vec::new());
-        Self {
-            episode,
-            numbers,
-            past,
-            weights,
-            points,
-            sliding,
+            numbers: known[from..to].iter().map(|k| k.number).collect(),
+            past: rows(&known[to..to + past]),
+            weights: ContactWeights::prior(of.prior),
+            points: Vec::new(),
+            sliding: SlidingContact::nothing(to - from),
             point_mm_by_gain: 0.0,
         }
     }
@@ -256,30 +206,25 @@ impl WholeContact {
             misstated.undone(&[&self.episode.rows[..], &self.past].concat(), &of.settings);
         self.sliding = locate_sliding(touched, &rows);
         self.sliding.places.truncate(self.numbers.len());
-        self.sliding.arcs.truncate(self.numbers.len());
     }
 
     /// What its readings say of how it moves; none where the motion has no direction.
     fn evidence(&self, of: &Assumed) -> Option<ContactEvidence> {
-        let (field, rows, sliding) = (&of.wire.field, &self.episode.rows, &self.sliding);
-        let push = ContactPath::new(field, &self.episode)?.push;
+        let (rows, sliding) = (&self.episode.rows, &self.sliding);
         let first = rows.iter().position(loaded).unwrap_or(0);
-        let before = first.checked_sub(1).map(|k| rows[k].clone());
-        let (settings, blocks) = (of.settings, sliding.means.at_middles());
         let weighed = Weighed {
-            field,
-            settings,
-            push,
-            before,
-            blocks,
+            of,
+            push: ContactPath::new(&of.wire.field, &self.episode)?.push,
+            before: first.checked_sub(1).map(|k| rows[k].clone()),
+            blocks: sliding.means.at_middles(),
             factors: true,
         };
-        Some(weighed.evidence(of.prior, sliding.ln_evidence, sliding.supported()))
+        Some(weighed.evidence(sliding.ln_evidence, sliding.supported()))
     }
 
     /// Locates it in each way that its weights allow.
-    fn locate(&mut self, of: &Assumed, touched: Option<&TouchedWire>) -> Result<(), TrackError> {
-        if let Some((touched, misstated)) = touched.zip(self.weights.misstated_slide()) {
+    fn locate(&mut self, of: &Assumed, touched: &TouchedWire) -> Result<(), TrackError> {
+        if let Some(misstated) = self.weights.misstated_slide() {
             self.slide(of, touched, misstated);
         }
         let Episode { rows, push } = &self.episode;
@@ -302,20 +247,13 @@ impl WholeContact {
                     .push((weight, misstated, located(rows, creep_sd, misstated)?));
             }
         }
-        if touched.is_some() {
-            let larger = |r: &MotionRow| MotionRow {
-                moment_nmm: r.moment_nmm.map(|m| m * PERCENT),
-                ..r.clone()
-            };
-            let larger: Vec<MotionRow> = rows.iter().map(larger).collect();
-            let moved = located(&larger, 0.0, Misstatement::NONE)?;
-            self.point_mm_by_gain = median_mm(&moved, self.point());
-        }
+        let moved = located(&larger(rows), 0.0, Misstatement::NONE)?;
+        self.point_mm_by_gain = median_mm(&moved, self.point());
         Ok(())
     }
 
     /// How far moments that are larger by 1 % move it, mm.
-    pub(crate) fn mm_by_gain(&self) -> f64 {
+    fn mm_by_gain(&self) -> f64 {
         if self.weights.slides() {
             self.sliding.mm_by_gain
         } else {
@@ -324,7 +262,7 @@ impl WholeContact {
     }
 
     /// The likeliest of the points along the motion as it is stated.
-    pub(crate) fn point(&self) -> &EpisodeEstimate {
+    fn point(&self) -> &EpisodeEstimate {
         let own = self.points.iter().filter(|p| p.1 == Misstatement::NONE);
         &own.max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or(&self.points[0])
@@ -339,24 +277,34 @@ impl WholeContact {
 
     /// For track.json.
     pub(crate) fn document(&self) -> ContactDocument {
-        let rows = &self.episode.rows;
-        let span_s = [rows[0].t_s, rows[rows.len() - 1].t_s];
-        let found = ContactDocument::of_table(
-            self.point(),
-            &self.weights,
-            &self.sliding,
-            span_s,
-            rows.len(),
-        );
+        let (rows, point, sliding) = (&self.episode.rows, self.point(), &self.sliding);
+        let certain = self.weights.certain();
+        let weights = &self.weights.regimes;
+        let own = ContactDocument::new(&point.innovations, rows.len());
+        let slides = SlidingDocument {
+            log_evidence: sliding.evidence,
+            reversed_log_evidence: sliding.reversed_evidence,
+            predicted: sliding.predicted,
+        };
+        let is_at_a_point = weights.at_a_point() > 1.0 - MIN_WEIGHT;
+        let regions = point.posterior.as_ref().map(Posterior::regions);
+        let is_a_point = weights.of(Regime::Sliding) <= 0.5;
         ContactDocument {
+            regions: regions.filter(|_| is_at_a_point),
+            from_s: Some(rows[0].t_s),
+            to_s: Some(rows[rows.len() - 1].t_s),
+            disagreement: own.disagreement.filter(|_| is_a_point),
+            contact: Some(certain.map_or("undecided", Regime::name)),
+            weights: Some(REGIMES.iter().map(|r| (r.name(), weights.of(*r))).collect()),
+            sliding: Some((weights.of(Regime::Sliding) > MIN_WEIGHT).then_some(slides)),
             mm_by_gain_percent: Some(self.mm_by_gain()),
-            ..found
+            ..own
         }
     }
 
     /// As one that slides at a reading: where the path has no place yet, that of the nearest
     /// reading goes with the object.
-    fn slid(&self, k: usize) -> Option<(EpisodeContact, ArcDensity)> {
+    fn slid(&self, k: usize) -> Option<EpisodeContact> {
         let (rows, places) = (&self.episode.rows, &self.sliding.places);
         let located = (0..places.len()).filter(|j| places[*j].place_mm.is_some());
         let near = located
@@ -364,14 +312,13 @@ impl WholeContact {
             .filter(|near| *near == k || !self.weights.slides())?;
         // A point of a rigid object goes with it.
         let turn = rows[k].turn * rows[near].turn.inverse();
-        let place = EpisodeContact {
+        Some(EpisodeContact {
             place_mm: places[near]
                 .place_mm
                 .map(|at| turn * (at - rows[near].moved_mm) + rows[k].moved_mm),
             contact: if near == k { places[k].contact } else { 0.0 },
             ..places[near].clone()
-        };
-        Some((place, self.sliding.arcs[near].clone()))
+        })
     }
 
     /// What is stated of a reading.
@@ -379,75 +326,61 @@ impl WholeContact {
     /// # Errors
     /// Where the wire cannot be bent.
     pub(crate) fn stated(&self, k: usize, alone: &mut StaticArc) -> Result<Contact, TrackError> {
-        let of_point = |(weight, _, found): &(f64, Misstatement, EpisodeEstimate)| Alternative {
-            weight: *weight,
-            place: found.places[k].clone(),
-            arc: found.arcs[k].clone(),
-        };
-        let mut all: Vec<Alternative> = self.points.iter().map(of_point).collect();
+        let points = self.points.iter();
+        let mut all: Vec<(f64, EpisodeContact)> = points
+            .map(|(weight, _, found)| (*weight, found.places[k].clone()))
+            .collect();
         let (weight, slid) = (self.weights.sliding(), self.slid(k));
         let row = &self.episode.rows[k];
-        // Before its first place a contact that slides is not known to be anywhere.
         if self.weights.slides() && slid.is_none() {
-            let flags = if loaded(row) {
-                self.flags()
-            } else {
-                Flags::default()
-            };
-            return Ok(Contact {
-                flags,
-                ..Contact::default()
-            });
-        }
-        all.extend(
-            slid.filter(|_| weight > MIN_WEIGHT)
-                .map(|slid| Alternative::from((weight, slid))),
-        );
-        let weight = self.weights.regimes.of(Regime::Anywhere);
-        if weight > MIN_WEIGHT && loaded(row) {
-            let sd_nmm = [0, 1].map(|c| row.noise_nmm2[(c, c)].sqrt());
-            let (e, arc) = alone.allowed(row.moment_nmm, sd_nmm)?;
-            let (place_mm, covariance_mm2) = (Some(e.place_mm), e.covariance_mm2);
-            let place = EpisodeContact {
-                place_mm,
-                covariance_mm2,
-                contact: 1.0,
-                outlier: false,
-            };
-            all.push(Alternative { weight, place, arc });
-        }
-        let belongs = !self.flags().has(Flags::MOTION_DISAGREES);
-        let found = Contact::averaged(&all, self.flags(), |_| belongs);
-        // Outside of a contact nothing is in doubt.
-        let held = loaded(row) || found.estimate.is_some_and(|e| e.probability > 0.5);
-        Ok(if held {
-            found
+            // Before its first place a contact that slides is not known to be anywhere.
+            all.clear();
         } else {
-            Contact {
-                flags: Flags::default(),
-                ..found
+            let slid = slid.filter(|_| weight > MIN_WEIGHT);
+            all.extend(slid.map(|slid| (weight, slid)));
+            let weight = self.weights.regimes.of(Regime::Anywhere);
+            if weight > MIN_WEIGHT && loaded(row) {
+                let sd_nmm = [0, 1].map(|c| row.noise_nmm2[(c, c)].sqrt());
+                let (e, arc) = alone.allowed(row.moment_nmm, sd_nmm)?;
+                let anywhere = EpisodeContact {
+                    place_mm: Some(e.place_mm),
+                    covariance_mm2: e.covariance_mm2,
+                    contact: 1.0,
+                    outlier: false,
+                    arc,
+                };
+                all.push((weight, anywhere));
             }
-        })
+        }
+        let flags = self.flags();
+        let belongs = !flags.has(Flags::MOTION_DISAGREES);
+        let mut found = Contact::averaged(&all, flags, |_| belongs);
+        // Outside of a contact nothing is in doubt.
+        if !loaded(row) && found.estimate.is_none_or(|e| e.probability <= 0.5) {
+            found.flags = Flags::default();
+        }
+        Ok(found)
     }
 
     /// What is said of it, for people.
     pub(crate) fn sentences(&self) -> Vec<String> {
         let weights = &self.weights;
+        let disagrees = self.flags().has(Flags::MOTION_DISAGREES);
         let said = match (weights.certain(), weights.misstatement) {
-            (Some(Regime::Misstated), Some((m, _))) => Some(format!("{}; marked motion-disagrees in status", m.sentence())),
-            _ if self.flags().has(Flags::MOTION_DISAGREES) => {
+            (Some(Regime::Misstated), Some((m, _))) => format!("{}; marked motion-disagrees in status", m.sentence()),
+            _ if disagrees => {
                 let said = self.point().innovations.sentence();
                 let said = said.unwrap_or_else(|| "the motion says nothing of the moments".to_owned());
-                Some(format!("{said}; marked motion-disagrees in status"))
+                format!("{said}; marked motion-disagrees in status")
             }
-            (None, _) if self.flags().has(Flags::UNDECIDED) => Some("a way in which its point of the object may move could not be looked at, for want of \
-                 readings; marked undecided in status".to_owned()),
-            (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
-            (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, depends on its \
+            (None, _) if self.flags().has(Flags::UNDECIDED) => "a way in which its point of the object may move could not be looked at, for want of \
+                 readings; marked undecided in status".to_owned(),
+            (None, _) => "whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned(),
+            (Some(Regime::Sliding), _) if !self.sliding.sure() => "the fit of a sliding contact leaves more than noise, depends on its \
                  start, or the motion turns back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
-                .to_owned()),
-            (Some(Regime::Sliding), _) => Some("it slides over the object".to_owned()),
-            _ => None,
+                .to_owned(),
+            (Some(Regime::Sliding), _) => "it slides over the object".to_owned(),
+            _ => String::new(),
         };
         let slips = self
             .sliding
@@ -460,6 +393,10 @@ impl WholeContact {
                     self.episode.rows[*k].t_s
                 )
             });
-        said.into_iter().chain(slips).collect()
+        [said]
+            .into_iter()
+            .filter(|said| !said.is_empty())
+            .chain(slips)
+            .collect()
     }
 }

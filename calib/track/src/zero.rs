@@ -12,7 +12,7 @@
 //! pose B, an assumption. Where R is not known the free readings are one draw of B. The sum ends
 //! where two successive rho_j are not positive together (C. J. Geyer, Stat. Sci. 7 (1992) 473).
 
-use crate::reading::{Moments, Reading};
+use crate::reading::{Moments, Reading, squares};
 use nalgebra::{Matrix2, Vector2};
 use wcal_core::order_statistics::median;
 
@@ -55,7 +55,7 @@ pub enum FreeStart {
 }
 
 /// Takes the zero off the moments of one whisker, in order of time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Zero {
     span_s: f64,
     begun_s: Option<f64>,
@@ -156,44 +156,37 @@ pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
         .filter_map(|r| Some((r.t_s, r.moments.as_ref()?)))
         .collect();
     let moments: Vec<Vector2<f64>> = all.iter().map(|(_, m)| m.moment_nmm.into()).collect();
-    let known = all
-        .first()
-        .and_then(|(_, m)| m.own_nmm2)
-        .map_or(0.0, |n| (0.5 * n.trace()).sqrt());
-    let Some(Steady {
-        count: free,
-        limit_nmm: limit,
-    }) = steady(&moments, known)
-    else {
+    let known = all.first().and_then(|(_, m)| m.own_nmm2);
+    let known = known.map_or(0.0, |n| (0.5 * n.trace()).sqrt());
+    let Some(steady) = steady(&moments, known) else {
         return FreeStart::Unknown;
     };
-    let at = |k: usize| moments[k];
-    let mean = (0..free).map(at).sum::<Vector2<f64>>() / free as f64;
-    let m = all[0].1;
-    let shared: f64 = m.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
-    if zero_known && mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
+    let readings = steady.count;
+    let free = &moments[..readings];
+    let mean = free.iter().sum::<Vector2<f64>>() / readings as f64;
+    let (begun_s, m) = all[0];
+    let stated_nmm = ZERO_SDS * (m.pose_nmm2.trace() + squares(&m.shared_nmm)).sqrt();
+    if zero_known && mean.norm() > stated_nmm.max(steady.limit_nmm) {
         return FreeStart::Loaded(mean.norm());
     }
     // Sample covariance; the mean takes one degree of freedom.
-    let off: Vec<Vector2<f64>> = (0..free).map(|k| at(k) - mean).collect();
+    let off: Vec<Vector2<f64>> = free.iter().map(|m| m - mean).collect();
     let spread: Matrix2<f64> = off.iter().map(|o| o * o.transpose()).sum();
     let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
-    let noise_nmm2 = spread / (free - 1) as f64 + floor;
     // Half a step past the last free reading.
-    let next = all
-        .get(free)
-        .map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
-    let inefficiency = inefficiency(&off);
+    let last_s = all[readings - 1].0;
+    let next_s = all.get(readings).map_or(last_s, |n| 0.5 * (last_s + n.0));
     FreeStart::Free {
-        span_s: next - all[0].0,
-        readings: free,
-        noise_nmm2,
-        inefficiency,
+        span_s: next_s - begun_s,
+        readings,
+        noise_nmm2: spread / (readings - 1) as f64 + floor,
+        inefficiency: inefficiency(&off),
     }
 }
 
 /// Statistical inefficiency of noise, see the module.
 fn inefficiency(off: &[Vector2<f64>]) -> f64 {
+    // Autocovariance of both moments together.
     let covariance = |lag: usize| {
         off[lag..]
             .iter()
@@ -202,6 +195,7 @@ fn inefficiency(off: &[Vector2<f64>]) -> f64 {
             .sum::<f64>()
     };
     let variance = covariance(0).max(f64::MIN_POSITIVE);
+    // Geyer's sequence: sums of pairs of a reversible process are positive; noise ends it.
     let pairs = (0..off.len() / 4).map(|k| (covariance(2 * k) + covariance(2 * k + 1)) / variance);
     (2.0 * pairs.take_while(|pair| *pair > 0.0).sum::<f64>() - 1.0).max(1.0)
 }

@@ -152,7 +152,11 @@ impl Session {
 /// turned, mm; none where one has a place alone.
 fn apart(session: &Session, rows: &[TrackRow], plain: &[TrackRow]) -> Option<f64> {
     let mut far: f64 = 0.0;
-    for (row, plain) in rows.iter().zip(plain) {
+    let contacts = rows
+        .iter()
+        .zip(plain)
+        .map(|(a, b)| (&a.contact, &b.contact));
+    for (row, plain) in contacts {
         match (row.estimate, plain.estimate) {
             (Some(a), Some(b)) => {
                 let a = a.turned(&session.turn.inverse());
@@ -182,10 +186,10 @@ fn a_turned_session_has_the_same_contacts() {
         .map(|which| plain.rows(which, plain.frame()))
         .collect();
     for rows in &expected {
-        assert!(rows.iter().filter(|r| r.estimate.is_some()).count() > 20);
+        assert!(rows.iter().filter(|r| r.contact.estimate.is_some()).count() > 20);
     }
     // The place is the true one, to begin with.
-    let end = expected[0].last().unwrap().estimate.unwrap();
+    let end = expected[0].last().unwrap().contact.estimate.unwrap();
     let touch = field(&wire()).free(42.0).0 + Vector3::new(0.0, 0.1, -1.0) * 4.25;
     let off = end.place_mm - touch;
     // Of an object of which nothing is known the point may have crept: by the stated covariance.

@@ -54,16 +54,14 @@ fn wire(case: &SweepCase) -> TouchedWire {
 /// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`,
 /// and whether the ellipsoid in space holds the truth; one a reading in contact.
 fn judged(case: &SweepCase, found: &SlidingContact, shift_mm: f64) -> Vec<(f64, bool, bool)> {
-    let all = case
-        .readings
-        .iter()
-        .zip(found.places.iter().zip(&found.arcs));
-    all.filter_map(|(reading, (place, arc))| {
+    let all = case.readings.iter().zip(&found.places);
+    all.filter_map(|(reading, place)| {
         let (truth, at) = (reading.touch?, place.place_mm?);
         let off = at - truth.axis_mm;
         let inside = off.dot(&(place.covariance_mm2.try_inverse()? * off)) < 7.815;
         let s = truth.arclength_mm - shift_mm;
-        let held = arc
+        let held = place
+            .arc
             .regions()
             .iter()
             .any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));

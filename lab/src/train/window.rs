@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use wcal_mesh::Mesh;
 use wcal_network::inverse::StaticInverse;
+use wcal_network::network::features::SWEEP_STEP_S;
 use wcal_network::network::{FeatureExtractor, NetworkConfig, features};
-use wcal_network::tracker::SWEEP_STEP_S;
 
 /// A window of a series, ready for the network.
 pub(super) struct Window<'a> {

@@ -153,8 +153,8 @@ fn a_sliding_contact_is_followed_in_any_direction() {
             if !found.supported() {
                 continue;
             }
-            for ((place, arc), truth) in found.places.iter().zip(&found.arcs).zip(&track.truth) {
-                let regions = arc.regions();
+            for (place, truth) in found.places.iter().zip(&track.truth) {
+                let regions = place.arc.regions();
                 let (Some(at), Some((truth_mm, s_mm))) = (place.place_mm, truth) else {
                     continue;
                 };

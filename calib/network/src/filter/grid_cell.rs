@@ -22,7 +22,7 @@ use std::f64::consts::TAU;
 /// Weight of a node, mean and variance of the offset within it, from -1/2 to 1/2 nodes, and of the
 /// velocity: the path along the curve (mm on the wire, rad of the force at the tip) by the base's
 /// travel.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct GridCell {
     pub weight: f64,
     pub offset: f64,
@@ -55,6 +55,7 @@ impl GridCell {
 
     /// One cell with the first two moments of several, each with a factor on its weight.
     pub(crate) fn merged(parts: &[(&Self, f64)]) -> Self {
+        // Moments of a mixture add: several Gaussians become one of the same mean and variance.
         let mut all = MomentSums::default();
         for (cell, factor) in parts {
             all.add(&MomentSums::of(cell), *factor);
@@ -209,10 +210,8 @@ impl MomentSums {
 /// Squared distance in standard deviations beyond which a density counts as zero.
 pub(super) const MAX_MAHALANOBIS2: f64 = 36.0;
 
-/// Standard deviations beyond which the normal density is taken for zero.
-const MAX_SDS: f64 = 7.5;
-
-/// A node farther than this from a density's mean holds nothing of it, standard deviations.
+/// A node farther than this from a density's mean holds nothing of it, and the normal density there
+/// is taken for zero, standard deviations.
 pub(super) const MAX_TRUNCATED_SDS: f64 = 7.0;
 
 /// Share of a normal distribution within [-1/2, 1/2], with its mean and variance there; none where
@@ -233,7 +232,7 @@ fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     }
     // Density at both ends, and the tails beyond them: the side on which no digits cancel.
     let density = |x: f64| {
-        if x.abs() > MAX_SDS {
+        if x.abs() > MAX_TRUNCATED_SDS {
             0.0
         } else {
             exp(-0.5 * x * x) / TAU.sqrt()
@@ -266,7 +265,7 @@ fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     ))
 }
 
-/// Mills' ratio (1 - Phi(x)) / phi(x), to 1e-7 of itself for x from 0 to `MAX_SDS`.
+/// Mills' ratio (1 - Phi(x)) / phi(x), to 1e-7 of itself for x from 0 to 7.5.
 ///
 /// A polynomial in 1 / (1 + 0.29 x) times that, fitted to the complementary error function: no
 /// exponential is needed for it.
@@ -301,7 +300,7 @@ mod tests {
     fn mills_ratio_is_that_of_the_normal_distribution() {
         let normal = Normal::new(0.0, 1.0).unwrap();
         for k in 0..=1000 {
-            let x = MAX_SDS * f64::from(k) / 1000.0;
+            let x = 7.5 * f64::from(k) / 1000.0;
             let density = (-0.5 * x * x).exp() / TAU.sqrt();
             assert!(
                 (mills_ratio(x) * density / normal.sf(x) - 1.0).abs() < 1e-7,

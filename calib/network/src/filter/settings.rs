@@ -220,7 +220,7 @@ impl Default for BayesSettings {
 }
 
 /// The filters below a network, which weighs them against each other.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct FilterBank {
     /// For objects with friction; for all objects where it is the only one.
     pub frictional: BayesSettings,

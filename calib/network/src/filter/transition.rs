@@ -20,7 +20,6 @@
 //! Biometrika 55 (1968) 119.
 
 mod likelihood;
-mod model;
 
 use super::exp::exp;
 use super::grid_cell::{
@@ -29,9 +28,8 @@ use super::grid_cell::{
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
-use likelihood::{ConstraintResidual, laplace_pdf};
-use model::BaseStep;
-pub(super) use model::TransitionModel;
+pub(super) use likelihood::TransitionModel;
+use likelihood::{BaseStep, ConstraintResidual, laplace_pdf};
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
 
@@ -46,8 +44,6 @@ const TIP_TO_WIRE: f64 = 0.1;
 const TIP_TO_WIRE_TILT: f64 = 0.05;
 /// Floor of the density of first contacts, where wires are rarely touched first.
 const MIN_FIRST_CONTACT: f64 = 0.02;
-/// Length of wire that the tip stands for at a first contact, mm.
-const TIP_MM: f64 = 1.0;
 /// Weights below this share of all are dropped: a larger share loses contacts that would have been
 /// found again.
 const MIN_WEIGHT: f64 = 5e-5;
@@ -119,12 +115,12 @@ impl<'a> TransitionModel<'a> {
             if !c.reachable {
                 return GridCell::default();
             }
-            // Length of wire that the node stands for; the tip's nodes share its length in
+            // Length of wire that the node stands for; the tip's nodes share a millimetre in
             // proportion to the turn of the force.
             let length_mm = if j < self.first_tip {
                 pitch_mm
             } else {
-                TIP_MM * now.turns[j] / now.tip_turn.max(1e-12)
+                now.turns[j] / now.tip_turn.max(1e-12)
             };
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;

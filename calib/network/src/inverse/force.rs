@@ -78,6 +78,7 @@ pub(super) fn solve_ray(
     for m in 1..=grid.steps {
         if let Some(from) = force {
             let to = moment(direction, m, grid);
+            // Linear extrapolation from the two entries before.
             let guess = if m > 1 {
                 from * 2.0 - before
             } else {
@@ -145,6 +146,7 @@ fn broyden<const N: usize>(
         let carried = rate.take();
         let slope = carried.unwrap_or_else(|| by_differences(&force));
         let step = -slope.try_inverse()? * value;
+        // A step of more than half the force would leave the branch.
         let largest = 0.5 * force.norm();
         let step = if step.norm() > largest {
             step * (largest / step.norm())

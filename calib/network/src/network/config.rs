@@ -95,13 +95,12 @@ impl NetworkConfig {
     /// # Errors
     /// Where it weights two filters and there is one, or the reverse.
     pub fn check_filters(&self, filters: &FilterBank) -> Result<(), NetworkError> {
-        if self.two_filters != filters.frictionless.is_some() {
-            let found = if self.two_filters { "one" } else { "two" };
-            return Err(NetworkError::value(
-                "filters below the network",
-                "as many as it weighs",
-                found,
-            ));
+        let found = filters.frictionless.is_some();
+        if self.two_filters != found {
+            let count = |two: bool| if two { "two" } else { "one" };
+            let expected = format!("{}, as the network weighs", count(self.two_filters));
+            let what = "training: filters below the network";
+            return Err(NetworkError::value(what, expected, count(found)));
         }
         Ok(())
     }

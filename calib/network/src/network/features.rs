@@ -12,18 +12,17 @@
 //!
 //! Knots are every fourth node; what lies between is shared by linear interpolation. N mm, mm, s.
 
-use super::config::COMMON_INPUTS;
+use super::config::{COMMON_INPUTS, PLACE_SCALE_MM};
 use crate::filter::{BayesFilter, FilterBank};
 use crate::inverse::{InverseSolution, StaticInverse};
 use nalgebra::Vector3;
 
-/// Scales that bring inputs near one: N mm, mm, mm/s.
+/// Scales that bring inputs near one: N mm, mm/s.
 const MOMENT_NMM: f64 = 0.5;
 const SMALL_MOMENT_NMM: f64 = 0.02;
-const LENGTH_MM: f64 = 30.0;
 const SPEED_MM_S: f64 = 5.0;
-/// Nominal time step, s.
-const STEP_S: f64 = 0.1;
+/// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
+pub const SWEEP_STEP_S: f64 = 0.1;
 
 /// Inputs from the filter: its evidence, and its posterior mean of the speed.
 const FILTER_INPUTS: usize = 2;
@@ -61,7 +60,7 @@ pub fn knot_weights(nodes: usize) -> Vec<(usize, f32)> {
 }
 
 /// A sample as the network takes it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Token {
     /// `FeatureExtractor::width` numbers.
     pub inputs: Vec<f32>,
@@ -140,7 +139,7 @@ impl<'a> FeatureExtractor<'a> {
                 let moved = (c.point_mm - before[k].point_mm) / dt + base;
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
-            inputs.extend(c.point_mm.iter().map(|x| x / LENGTH_MM));
+            inputs.extend(c.point_mm.iter().map(|x| x / PLACE_SCALE_MM));
             let velocity = if at_knots[k] > 1e-3 {
                 (velocity[k] / at_knots[k]).clamp(-4.0, 4.0)
             } else {
@@ -171,12 +170,14 @@ impl<'a> FeatureExtractor<'a> {
             self.frictionless.is_some(),
         ));
         inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
+        // asinh: linear for small moments, logarithmic for large ones.
         inputs.extend(moment_nmm.map(|m| (m / SMALL_MOMENT_NMM).asinh() / 4.0));
+        // Finite difference, bounded: a contact's first load has no rate.
         let rate = self.before.as_ref().map_or([0.0; 2], |(m, _)| {
             [0, 1].map(|k| (moment_nmm[k] - m[k]) / dt)
         });
         inputs.extend(rate.map(|r| (r / MOMENT_NMM).clamp(-8.0, 8.0)));
-        inputs.push((dt / STEP_S).ln());
+        inputs.push((dt / SWEEP_STEP_S).ln());
         inputs.push(f64::from(u8::from(base_mm_s.is_some())));
         inputs.push(base_mm_s.unwrap_or(0.0) / SPEED_MM_S);
         inputs

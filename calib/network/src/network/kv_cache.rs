@@ -62,6 +62,7 @@ impl KvCache {
         for (head, out) in out.chunks_exact_mut(of_head).enumerate() {
             let part = head * of_head..(head + 1) * of_head;
             let (query, slope) = (&qkv[part.clone()], time_bias_slope(head, heads));
+            // Scaled dot product, less the bias by the token's age.
             let score = |(key, age_s): (&[f32], &f32)| {
                 let product: f32 = query
                     .iter()

@@ -170,6 +170,7 @@ impl LayerNorm {
     fn forward(&self, x: &[f32]) -> Vec<f32> {
         let n = x.len() as f32;
         let mean = x.iter().sum::<f32>() / n;
+        // Biased variance, as in training.
         let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / n;
         let scale = (variance + NORM_EPSILON).sqrt().recip();
         let each = x.iter().zip(self.gamma.iter().zip(&self.beta));

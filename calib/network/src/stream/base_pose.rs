@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 use std::collections::VecDeque;
 
 /// Pose and velocity of the base at an instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct BasePose {
     /// Base coordinates to the world's, mm.
     pub world_from_base: Isometry3<f64>,
@@ -120,6 +120,7 @@ impl BaseMotion {
             return None;
         }
         let speed = (b.1 - a.1) / (b.0 - a.0);
+        // Between two positions the stage goes evenly.
         let moved = along * (a.1 + speed * (t_s - a.0));
         let world_from_base = self.at_zero * Isometry3::translation(moved.x, moved.y, moved.z);
         Some(BasePose {

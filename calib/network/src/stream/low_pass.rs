@@ -36,6 +36,7 @@ impl<const N: usize> LowPass<N> {
             let n = k as f64 - half as f64;
             let x = std::f64::consts::PI * cut * n;
             let sinc = if n == 0.0 { 1.0 } else { x.sin() / x };
+            // Hann's window: side lobes below -31 dB for a little width.
             let window = 0.5 + 0.5 * (std::f64::consts::PI * n / (half as f64 + 1.0)).cos();
             sinc * window
         };

@@ -17,7 +17,7 @@ const WINDOW_BLOCKS: usize = 10;
 const MIN_BLOCKS: usize = 280;
 
 /// A mean over [`BLOCK_S`]: middle of its time, s, and moments, N mm.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 struct Block {
     t_s: f64,
     moment: Vector2<f64>,
@@ -139,6 +139,7 @@ fn detrended(blocks: &[Block]) -> Vec<Vector2<f64>> {
     let middle_s = blocks.iter().map(|b| b.t_s).sum::<f64>() / n;
     let mean = blocks.iter().map(|b| b.moment).sum::<Vector2<f64>>() / n;
     let stt: f64 = blocks.iter().map(|b| (b.t_s - middle_s).powi(2)).sum();
+    // Least squares: drift of the zero is no noise of a block.
     let slope = blocks
         .iter()
         .map(|b| (b.moment - mean) * (b.t_s - middle_s))

@@ -7,7 +7,7 @@ use nalgebra::Matrix2;
 use wcal_core::stream::{Flags, MomentSpread, MomentStream, StreamMoments, WhiskerReading};
 
 /// Rates and lag of a chain.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct SignalChainSettings {
     /// Scans a second.
     pub rate_hz: f64,
@@ -20,7 +20,7 @@ pub struct SignalChainSettings {
 }
 
 /// A row: what the tracker takes, or why there is nothing to take.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Row {
     /// Scan that completed it.
     pub serial: u64,

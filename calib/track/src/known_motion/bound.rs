@@ -7,166 +7,135 @@
 //!
 //! S is the covariance of the moments at the truth: each reading's own noise, what motion and table
 //! add, the part that is correlated in time, and the columns of what all readings share (module
-//! head of [`super`]).
+//! head of [`super`]), as the filter linearises the readings ([`NodeFilter`]).
 //!
 //! A uniform prior has no own Fisher information; those of s and x (widths L_s, L_x) count as
 //! Gaussians of their variance L^2 / 12. Source: H. L. Van Trees, "Detection, Estimation, and
 //! Modulation Theory" I, 1968, 2.4.3.
 
-use super::contact_path::{ContactPath, State};
-use super::{CorrelatedNoise, Episode, MomentField, Settings, TABLE_MM, TABLE_SHARE};
+use super::contact_path::{BEFORE_MM, ContactPath, State, loaded};
+use super::episode::{TABLE_MM, TABLE_SHARE};
+use super::node::{COMMON, Linearised, NodeFilter, Reading};
+use super::{CorrelatedNoise, Episode, MomentField, MotionRow, Settings};
 use crate::TrackError;
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
+use crate::reading::squares;
+use nalgebra::{DMatrix, DVector, Matrix2};
 
 /// Step of differences, mm.
 const STEP_MM: f64 = 0.02;
 
-/// Bayesian Cramer-Rao bound of the contact point at an episode's true state, mm^2: `T J^-1 T'` of
-/// the module's head. None where the rod has no derivative there.
+/// Root of the trace of the bound at an episode's true state, mm: what an RMS error in space is
+/// compared with. None where the rod has no derivative there.
 ///
 /// # Errors
 /// Where the covariance of the moments is not positive definite.
-pub fn bound_mm2(
-    field: &MomentField,
-    episode: &Episode,
-    settings: &Settings,
-    truth: &State,
-) -> Result<Option<Matrix3<f64>>, TrackError> {
-    let Some(path) = ContactPath::new(field, episode) else {
-        return Ok(None);
-    };
-    let fails = || {
-        TrackError::value(
-            "covariance of the moments",
-            "positive definite",
-            "one that is not",
-        )
-    };
-    let Some((slopes, covariance)) = slopes(&path, truth).zip(covariance(&path, settings, truth))
-    else {
-        return Ok(None);
-    };
-    // Fisher information of Gaussian readings, G' S^-1 G.
-    let mut information = slopes.tr_mul(&covariance.cholesky().ok_or_else(fails)?.solve(&slopes));
-    information[(2, 2)] += 1.0 / settings.gap_sd_mm.powi(2);
-    // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12.
-    information[(0, 0)] += 12.0 / (field.length_mm() - settings.first_mm).powi(2);
-    information[(1, 1)] += 12.0 / (path.onset_mm[1] - path.onset_mm[0]).powi(2);
-    let (Some(covariance), Some(turn)) = (information.try_inverse(), place_rates(&path, truth))
-    else {
-        return Ok(None);
-    };
-    let covariance = Matrix3::from_fn(|i, j| covariance[(i, j)]);
-    // What all readings have of the interpolated wire's error.
-    let table_mm2 = Matrix3::identity() * TABLE_MM.powi(2);
-    Ok(Some(turn * covariance * turn.transpose() + table_mm2))
-}
-
-/// Root of the bound's trace, mm: what an RMS error in space is compared with.
-///
-/// # Errors
-/// As [`bound_mm2`].
 pub fn bound_mm(
     field: &MomentField,
     episode: &Episode,
     settings: &Settings,
     truth: &State,
 ) -> Result<Option<f64>, TrackError> {
-    Ok(bound_mm2(field, episode, settings, truth)?.map(|b| b.trace().max(0.0).sqrt()))
+    let Some(path) = ContactPath::new(field, episode) else {
+        return Ok(None);
+    };
+    let before = |k: usize| &path.rows[k.saturating_sub(1)];
+    let readings: Vec<Reading<'_>> = (0..path.rows.len())
+        .map(|k| {
+            Reading::new(
+                (field, settings),
+                (path.push, path.reference),
+                before(k),
+                &path.rows[k],
+            )
+        })
+        .collect();
+    let Some((rates, at)) = rates(&path, &readings, truth).zip(NodeFilter::along(&readings, truth))
+    else {
+        return Ok(None);
+    };
+    let (slopes, turn) = (rates.rows(0, 2 * at.len()), rates.rows(2 * at.len(), 3));
+    let Some(factor) = covariance(path.rows, settings, &at).cholesky() else {
+        let what = "covariance of the moments";
+        return Err(TrackError::value(
+            what,
+            "positive definite",
+            "one that is not",
+        ));
+    };
+    // Fisher information of Gaussian readings, G' S^-1 G.
+    let mut information = slopes.tr_mul(&factor.solve(&slopes));
+    // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12.
+    let along_mm = |row: &MotionRow| path.displacement(row).dot(&path.push);
+    let lowest = path.rows.iter().map(along_mm).fold(0.0, f64::min);
+    let touched = path.rows.iter().filter(|row| loaded(row));
+    let deepest = touched.map(along_mm).fold(f64::NEG_INFINITY, f64::max);
+    let widths = [
+        field.length_mm() - settings.first_mm,
+        deepest - lowest + BEFORE_MM,
+    ];
+    (0..2).for_each(|k| information[(k, k)] += 12.0 / widths[k].powi(2));
+    information[(2, 2)] += 1.0 / settings.gap_sd_mm.powi(2);
+    // What all readings have of the interpolated wire's error, in each coordinate.
+    let table_mm2 = 3.0 * TABLE_MM.powi(2);
+    let bound = |inverse: DMatrix<f64>| (turn * inverse * turn.transpose()).trace() + table_mm2;
+    Ok(information
+        .try_inverse()
+        .map(|inverse| bound(inverse).max(0.0).sqrt()))
 }
 
-/// G = dm/d(s, onset, gap), by differences; from one side where the other has no equilibrium.
-fn slopes(path: &ContactPath<'_>, state: &State) -> Option<DMatrix<f64>> {
-    let moments = |k: usize, step: f64| {
-        let all = path.moments(&moved(state, k, step))?;
-        Some(DVector::from_iterator(
-            2 * all.len(),
-            all.into_iter().flatten(),
-        ))
+/// d(moments, place at the first reading)/d(s, onset, gap), by differences; from one side where the
+/// other has no equilibrium.
+fn rates(path: &ContactPath<'_>, readings: &[Reading<'_>], state: &State) -> Option<DMatrix<f64>> {
+    let seen = |k: usize, step: f64| {
+        let mut state = *state;
+        *[&mut state.s_mm, &mut state.onset_mm, &mut state.gap_mm][k] += step;
+        let (at, place) = (NodeFilter::along(readings, &state)?, path.place(&state, 0)?);
+        let moments = at.iter().flat_map(|at| &at.moment_nmm);
+        let all = moments.chain(&place).copied();
+        Some(DVector::from_iterator(2 * at.len() + 3, all))
     };
     // Central differences err by O(h^2), one-sided ones by O(h): the latter only at the edge of the
     // equilibria.
-    let column = |k: usize| match (moments(k, -STEP_MM), moments(k, STEP_MM)) {
+    let column = |k: usize| match (seen(k, -STEP_MM), seen(k, STEP_MM)) {
         (Some(a), Some(b)) => Some((b - a) / (2.0 * STEP_MM)),
-        (Some(a), None) => Some((moments(k, 0.0)? - a) / STEP_MM),
-        (None, Some(b)) => Some((b - moments(k, 0.0)?) / STEP_MM),
+        (Some(a), None) => Some((seen(k, 0.0)? - a) / STEP_MM),
+        (None, Some(b)) => Some((b - seen(k, 0.0)?) / STEP_MM),
         (None, None) => None,
     };
-    Some(DMatrix::from_columns(
-        &(0..3).map(column).collect::<Option<Vec<_>>>()?,
-    ))
+    let columns: Vec<DVector<f64>> = (0..3).map(column).collect::<Option<_>>()?;
+    Some(DMatrix::from_columns(&columns))
 }
 
-/// S at a state; none where the rod has no equilibrium there.
-fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Option<DMatrix<f64>> {
-    let rows = path.rows;
-    let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
-    let mut all = DMatrix::zeros(2 * rows.len(), 2 * rows.len());
+/// S, of readings linearised at a state.
+fn covariance(rows: &[MotionRow], settings: &Settings, at: &[Linearised]) -> DMatrix<f64> {
+    let (size, shared) = (2 * rows.len(), rows[0].shared_nmm.len());
+    let mut all = DMatrix::zeros(size, size);
     // One column for each common unknown, the last for the clock's offset.
-    let mut columns = DMatrix::zeros(2 * rows.len(), shared + 1);
-    for (k, row) in rows.iter().enumerate() {
-        let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
-        let mut own = row.noise_nmm2 + Matrix2::identity() * TABLE_SHARE.powi(2) * size2;
-        let mut column = columns.rows_mut(2 * k, 2);
-        for (j, by) in row.shared_nmm.iter().enumerate() {
-            column.set_column(j, &Vector2::from(*by));
-        }
-        // A free wire shows neither place nor motion.
-        if path.held(state, k) {
-            // Errors of the displacement enter through dm/dP.
-            let (here, rate) = path.field.held_and_rate(&path.place(state, k)?, 0.0)?;
-            own += rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2));
-            for (j, by) in row.shared_displacement_mm.iter().enumerate() {
-                let mut column = column.column_mut(j);
-                column += rate * by;
-            }
-            column.set_column(shared, &(rate * row.velocity_mm_s * settings.clock_sd_s));
-            for (j, changed) in path.field.changed.iter().enumerate() {
-                let there = changed.held(&path.place(state, k)?, 0.0)?;
-                let mut column = column.column_mut(j);
-                column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
-            }
-        }
-        all.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
+    let mut columns = DMatrix::zeros(size, shared + 1);
+    for (k, (row, here)) in rows.iter().zip(at).enumerate() {
+        let slope = here.slope.columns(COMMON, shared + 1);
+        columns.rows_mut(2 * k, 2).copy_from(&slope);
+        // Relative errors are those of every reading; a held one has them already.
+        let relative = if here.contact.is_some() {
+            0.0
+        } else {
+            TABLE_SHARE
+        };
+        let relative_nmm2 = relative.powi(2) * squares(&[row.moment_nmm]);
+        let own = here.own + Matrix2::identity() * relative_nmm2;
+        all.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&own);
     }
+    let mut clock = columns.column_mut(shared);
+    clock *= settings.clock_sd_s;
     // First-order Gauss-Markov part: its covariance falls as exp(-|dt| / tau); the white part is on
     // the diagonal alone.
-    if let Some(CorrelatedNoise::InTime {
-        variance_share,
-        time_constant_s,
-    }) = settings.correlated
-    {
-        let factors = rows
-            .iter()
-            .map(|r| Some(r.noise_nmm2.cholesky()?.l()))
-            .collect::<Option<Vec<Matrix2<f64>>>>()?;
-        for (k, l) in (0..rows.len()).flat_map(|k| (0..k).map(move |l| (k, l))) {
-            let correlation =
-                (-(rows[k].t_s - rows[l].t_s).abs() / time_constant_s.max(1e-9)).exp();
-            let block = factors[k] * factors[l].transpose() * (variance_share * correlation);
-            all.view_mut((2 * k, 2 * l), (2, 2)).copy_from(&block);
-            all.view_mut((2 * l, 2 * k), (2, 2))
-                .copy_from(&block.transpose());
+    if let Some(noise @ CorrelatedNoise::InTime { .. }) = settings.correlated {
+        for (k, l) in (0..rows.len()).flat_map(|k| (0..rows.len()).map(move |l| (k, l))) {
+            let [a, b] = [k, l].map(|k| at[k].slope.fixed_columns::<2>(COMMON + shared + 1));
+            let mut block = all.fixed_view_mut::<2, 2>(2 * k, 2 * l);
+            block += a * b.transpose() * noise.correlation(0.0, rows[k].t_s - rows[l].t_s);
         }
     }
     // Common unknowns of unit variance, marginalised: each adds a rank-one term to S.
-    Some(all + &columns * columns.transpose())
-}
-
-/// A state with one of its three numbers moved.
-fn moved(state: &State, k: usize, by: f64) -> State {
-    let mut state = *state;
-    *[&mut state.s_mm, &mut state.onset_mm, &mut state.gap_mm][k] += by;
-    state
-}
-
-/// dP/d(s, onset, gap).
-fn place_rates(path: &ContactPath<'_>, state: &State) -> Option<Matrix3<f64>> {
-    let columns: Vec<Vector3<f64>> = (0..3)
-        .map(|k| {
-            let [a, b] = [-STEP_MM, STEP_MM].map(|h| path.place(&moved(state, k, h), 0));
-            Some((b? - a?) / (2.0 * STEP_MM))
-        })
-        .collect::<Option<_>>()?;
-    Some(Matrix3::from_columns(&columns))
+    all + &columns * columns.transpose()
 }

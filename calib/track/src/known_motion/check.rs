@@ -21,7 +21,7 @@ const DISAGREEMENT: &str = "moments and motion disagree: the motion reversed or 
      contact that is no fixed point";
 
 /// Innovations of an episode at its best state.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Innovations {
     /// Chi-squared with every reading taken as regular.
     pub plain: f64,

@@ -1,6 +1,7 @@
 //! Readings of an episode with their motion, and what is assumed where nothing is known.
 
 use crate::TrackError;
+use crate::arc_posterior::ArcDensity;
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
 
 /// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
@@ -8,6 +9,10 @@ pub(crate) const TABLE_SHARE: f64 = 3e-4;
 /// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate,
 /// mm.
 pub(crate) const TABLE_MM: f64 = 0.003;
+
+/// Logarithm of the density of moments of which nothing is predicted: anywhere in a circle of 3 N
+/// mm, the largest moment of a wire pressed near its root.
+pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
 
 /// One reading with the motion at its time.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,6 +47,29 @@ pub struct MotionRow {
     pub contact_segment: u32,
 }
 
+impl MotionRow {
+    /// Motion since another reading: a point is at `turn p + moved`, mm.
+    pub(crate) fn since(&self, other: &Self) -> (Rotation3<f64>, Vector3<f64>) {
+        let turn = self.turn * other.turn.inverse();
+        (turn, self.moved_mm - turn * other.moved_mm)
+    }
+
+    /// Displacement of a point since another reading, mm.
+    pub(crate) fn displacement_mm(&self, other: &Self, point_mm: &Vector3<f64>) -> Vector3<f64> {
+        let (turn, moved_mm) = self.since(other);
+        turn * point_mm + moved_mm - point_mm
+    }
+}
+
+/// Readings whose moments are larger by 1 %.
+pub(crate) fn larger(rows: &[MotionRow]) -> Vec<MotionRow> {
+    const PERCENT: f64 = 1.01;
+    let mut rows = rows.to_vec();
+    let moments = rows.iter_mut().flat_map(|row| &mut row.moment_nmm);
+    moments.for_each(|m| *m *= PERCENT);
+    rows
+}
+
 /// Readings over which the displacement is known up to one constant, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
@@ -53,7 +81,7 @@ pub struct Episode {
 }
 
 /// What is assumed where nothing is known.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// Standard deviation of the gap at which the object passes the free wire before it holds it,
     /// mm.
@@ -95,7 +123,7 @@ impl Default for Settings {
 }
 
 /// Noise of which successive readings share part.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub enum CorrelatedNoise {
     /// Noise from pose to pose, beside each reading's own: readings at poses near each other share
     /// one draw.
@@ -167,16 +195,8 @@ pub struct EpisodeContact {
     pub contact: f64,
     /// Whether the reading was treated as an outlier.
     pub outlier: bool,
-}
-
-pub(crate) fn check_rows(episode: &Episode) -> Result<(), TrackError> {
-    let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
-    let mut last_s = f64::NEG_INFINITY;
-    for (k, row) in episode.rows.iter().enumerate() {
-        check_row(row, last_s, shared, &format!("reading {k} of an episode"))?;
-        last_s = row.t_s;
-    }
-    Ok(())
+    /// Density along the wire.
+    pub arc: ArcDensity,
 }
 
 /// A reading after one at `last_s`, of a record with `shared` common unknowns.

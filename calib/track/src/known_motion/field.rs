@@ -8,11 +8,11 @@
 //! beyond the true length. Nodes are solved by continuation from the free wire, which keeps to the
 //! branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
-use super::interpolation::{cubic, cubic_rate};
 use nalgebra::{Matrix2x3, Vector3};
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, RwLock};
 use wcal_core::observation::MomentAxes;
+use wcal_network::inverse::cubic;
 use wcal_rod::{Equilibrium, Guess, Rod, Tangential};
 
 /// Spacing of the nodes, mm. Relative error of interpolated moments: 3e-4 from 10 mm on (tests).
@@ -31,7 +31,7 @@ const JUMP_MM: f64 = 0.5;
 const HALVINGS: usize = 4;
 
 /// Friction along the wire.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Friction {
     /// Largest tangential over normal force, the groove's walls included.
     pub coefficient: f64,
@@ -48,7 +48,7 @@ impl Friction {
 }
 
 /// The wire held at one point: moments (N mm) and contact arc length (mm).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct ContactMoments {
     /// The two moment components, N mm.
     pub moment_nmm: [f64; 2],
@@ -110,7 +110,7 @@ pub struct MomentField {
     friction: Friction,
     at_rest_nmm: [f64; 2],
     /// The field with each of the first common unknowns one standard deviation higher.
-    pub(crate) changed: Vec<MomentField>,
+    pub changed: Vec<MomentField>,
     /// Samples of the free wire: arc length and place.
     wire: Vec<(f64, Vector3<f64>)>,
     nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
@@ -157,13 +157,6 @@ impl MomentField {
         }
     }
 
-    /// With the fields of the wire that has each of the readings' first common unknowns one
-    /// standard deviation higher.
-    pub(crate) fn with_changed(mut self, changed: Vec<Self>) -> Self {
-        self.changed = changed;
-        self
-    }
-
     /// Length of the wire, mm.
     pub fn length_mm(&self) -> f64 {
         self.length_mm
@@ -182,11 +175,17 @@ impl MomentField {
                 .shape
                 .rest_point(s.clamp(0.0, self.rod.shape.length_mm))
         };
+        // Central difference over the joints of the shape.
         let tangent = at(s_mm + STEP_MM) - at(s_mm - STEP_MM);
         (
             at(s_mm),
             tangent.try_normalize(1e-12).unwrap_or_else(Vector3::x),
         )
+    }
+
+    /// Middle of the free wire, which stands for the object under rotation, mm.
+    pub fn middle_mm(&self) -> Vector3<f64> {
+        self.free(0.5 * self.length_mm).0
     }
 
     /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where
@@ -258,28 +257,18 @@ impl MomentField {
     /// Fills the table for places up to `reach_mm` from the free wire, so that no reading of a
     /// stream has to wait for the rod.
     pub fn fill(&self, reach_mm: f64) {
-        let mut cells: Vec<Key> = Vec::new();
+        let mut cells: BTreeSet<Key> = BTreeSet::new();
         let steps = (reach_mm / PITCH_MM).ceil() as i32;
+        let side = 2 * steps + 1;
         for (_, wire) in self.wire.iter().step_by((PITCH_MM / WIRE_MM) as usize) {
-            let at = key_of(wire);
-            for n in 0..(2 * steps + 1).pow(3) {
-                let side = 2 * steps + 1;
-                let by = [
-                    n / side / side - steps,
-                    n / side % side - steps,
-                    n % side - steps,
-                ];
-                let key = [at[0] + by[0], at[1] + by[1], at[2] + by[2]];
-                if (place(&key) - wire).norm() <= reach_mm {
-                    cells.push(key);
-                }
-            }
+            let [x, y, z] = key_of(wire).map(|k| k - steps);
+            let around =
+                (0..side.pow(3)).map(|n| [x + n / side / side, y + n / side % side, z + n % side]);
+            cells.extend(around.filter(|key| (place(key) - wire).norm() <= reach_mm));
         }
-        cells.sort_unstable();
-        cells.dedup();
-        cells.into_iter().for_each(|key| {
+        for key in cells {
             let _ = self.cell(key);
-        });
+        }
         self.changed
             .iter()
             .for_each(|changed| changed.fill(reach_mm));
@@ -317,21 +306,17 @@ impl MomentField {
         [0.5 * v * (v - 1.0), 1.0 - v * v, 0.5 * v * (v + 1.0)]
     }
 
-    fn cell(&self, low: Key) -> Option<Arc<[[f64; 3]]>> {
+    fn cell(&self, low: Key) -> Option<Cell> {
         if let Some(known) = self.cells.read().ok()?.get(&low) {
             return known.clone();
         }
-        let around = (0..64_i32).map(|n| {
-            let key = [
-                low[0] + n / 16 - 1,
-                low[1] + n / 4 % 4 - 1,
-                low[2] + n % 4 - 1,
-            ];
-            self.node(key).map(|node| node.values.clone())
-        });
-        let cell: Option<Arc<[[f64; 3]]>> = around
-            .collect::<Option<Vec<Values>>>()
-            .map(|all| all.concat().into());
+        let [x, y, z] = low.map(|k| k - 1);
+        let values = |n: i32| {
+            let node = self.node([x + n / 16, y + n / 4 % 4, z + n % 4])?;
+            Some(node.values.clone())
+        };
+        let all: Option<Vec<Values>> = (0..64).map(values).collect();
+        let cell: Option<Cell> = all.map(|all| all.concat().into());
         self.cells.write().ok()?.insert(low, cell.clone());
         cell
     }
@@ -397,32 +382,30 @@ impl MomentField {
                     force_n: Vector3::zeros(),
                     arclength_mm: step.arclength_mm,
                 };
-                let found = self
-                    .rod
-                    .solve(&target, &free, Tangential::Frictionless)
-                    .ok()?;
-                let jump = (found.arclength_mm - step.arclength_mm).abs();
-                (jump <= JUMP * step.distance_mm + JUMP_MM).then_some(found)?
+                let found = self.rod.solve(&target, &free, Tangential::Frictionless);
+                let is_near = |found: &Equilibrium| {
+                    let jump = (found.arclength_mm - step.arclength_mm).abs();
+                    jump <= JUMP * step.distance_mm + JUMP_MM
+                };
+                found.ok().filter(is_near)?
             }
             Some(previous) => self.continued(&self.node(previous)?.equilibrium, &target)?,
         };
         let squared = target.norm_squared();
+        // q = |P|^2 m has no pole at the root.
         let values = |e: &Equilibrium| {
             let m = self.axes.components_nmm(&e.moment_nmm);
             [m[0] * squared, m[1] * squared, e.arclength_mm]
         };
-        let free = values(&equilibrium);
+        let mut all = vec![values(&equilibrium)];
         let mu = self.friction.coefficient;
-        if mu <= 0.0 {
-            return Some(Node {
-                equilibrium,
-                values: vec![free],
-            });
+        if mu > 0.0 {
+            let slipped = |ratio: f64| Some(values(&self.slipped(&equilibrium, ratio)?));
+            all = vec![slipped(-mu)?, all[0], slipped(mu)?];
         }
-        let slipped = |ratio: f64| self.slipped(&equilibrium, ratio).map(|e| values(&e));
         Some(Node {
             equilibrium,
-            values: vec![slipped(-mu)?, free, slipped(mu)?],
+            values: all,
         })
     }
 
@@ -430,6 +413,7 @@ impl MomentField {
     /// where a solution is refused.
     fn continued(&self, from: &Equilibrium, target: &Vector3<f64>) -> Option<Equilibrium> {
         (0..=HALVINGS).find_map(|halvings| {
+            // A step that leads to another branch is tried again in halves.
             let steps = 1 << halvings;
             let mut last = *from;
             for k in 1..=steps {
@@ -457,6 +441,7 @@ impl MomentField {
         const STEPS: usize = 3;
         let mut last = *free;
         for k in 1..=STEPS {
+            // The force leans by degrees: each solution is the next one's guess.
             let part = Tangential::Ratio(ratio * k as f64 / STEPS as f64);
             last = self
                 .rod
@@ -465,6 +450,16 @@ impl MomentField {
         }
         Some(last)
     }
+}
+
+/// Derivatives of the weights ([`wcal_network::inverse::cubic`]) by the argument.
+fn cubic_rate(u: f64) -> [f64; 4] {
+    [
+        -(3.0 * u * u - 6.0 * u + 2.0) / 6.0,
+        (3.0 * u * u - 4.0 * u - 1.0) / 2.0,
+        -(3.0 * u * u - 2.0 * u - 2.0) / 2.0,
+        (3.0 * u * u - 1.0) / 6.0,
+    ]
 }
 
 #[cfg(test)]

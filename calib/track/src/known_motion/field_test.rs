@@ -106,3 +106,25 @@ fn friction_moves_the_contact_both_ways() {
         "{low} {free} {high}"
     );
 }
+
+#[test]
+fn a_cubic_and_its_slope_are_exact() {
+    let f = |x: f64| 0.3 * x.powi(3) - x * x + 2.0 * x - 1.0;
+    let slope = |x: f64| 0.9 * x * x - 2.0 * x + 2.0;
+    let nodes = [-1.0, 0.0, 1.0, 2.0].map(f);
+    let sum = |weights: [f64; 4]| weights.iter().zip(nodes).map(|(w, f)| w * f).sum::<f64>();
+    for u in [0.0, 0.3, 0.71, 1.0] {
+        assert!(
+            (sum(cubic(u)) - f(u)).abs() < 1e-12 && (sum(cubic_rate(u)) - slope(u)).abs() < 1e-12
+        );
+    }
+    // Control: a quartic is not.
+    let nodes = [-1.0, 0.0, 1.0, 2.0_f64].map(|x| x.powi(4));
+    let off = cubic(0.3)
+        .iter()
+        .zip(nodes)
+        .map(|(w, f)| w * f)
+        .sum::<f64>()
+        - 0.3_f64.powi(4);
+    assert!(off.abs() > 0.1, "{off}");
+}

@@ -51,7 +51,7 @@ pub mod check;
 pub mod contact_path;
 pub mod episode;
 pub mod field;
-mod interpolation;
+mod node;
 pub mod posterior;
 pub mod recursive;
 pub mod segmenter;
@@ -60,14 +60,13 @@ pub use bound::bound_mm;
 pub use check::Innovations;
 pub use episode::EpisodeContact;
 pub use episode::{CorrelatedNoise, Episode, MotionRow, Settings};
-pub(crate) use episode::{TABLE_MM, TABLE_SHARE, check_row, check_rows};
+pub(crate) use episode::{LN_ANYTHING, check_row, larger};
 pub use field::{Friction, MomentField};
 pub use posterior::Posterior;
 pub use recursive::RecursivePosterior;
 pub use segmenter::{Segmenter, Step};
 
 use crate::TrackError;
-use crate::arc_posterior::ArcDensity;
 use contact_path::{ContactPath, loaded};
 
 /// Result of an episode.
@@ -75,8 +74,6 @@ use contact_path::{ContactPath, loaded};
 pub struct EpisodeEstimate {
     /// The contact at each row.
     pub places: Vec<EpisodeContact>,
-    /// Density along the wire at each row.
-    pub arcs: Vec<ArcDensity>,
     /// The posterior of the state; none where no state explains anything.
     pub posterior: Option<Posterior>,
     /// Innovations at the best state.
@@ -93,13 +90,19 @@ pub fn estimate_contact(
     episode: &Episode,
     settings: &Settings,
 ) -> Result<EpisodeEstimate, TrackError> {
-    check_rows(episode)?;
+    let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
+    let mut last_s = f64::NEG_INFINITY;
+    for (k, row) in episode.rows.iter().enumerate() {
+        check_row(row, last_s, shared, &format!("reading {k} of an episode"))?;
+        last_s = row.t_s;
+    }
     let Some(path) = ContactPath::new(field, episode) else {
         // A loaded wire whose motion has no direction is not explained; a free one has no contact.
         let loaded = episode.rows.iter().any(loaded);
-        return Ok(match loaded {
-            true => EpisodeEstimate::unexplained(episode),
-            false => EpisodeEstimate::nothing(episode),
+        return Ok(if loaded {
+            EpisodeEstimate::unexplained(episode)
+        } else {
+            EpisodeEstimate::nothing(episode)
         });
     };
     let chosen = thinned(episode, settings.max_rows);
@@ -118,20 +121,12 @@ pub fn estimate_contact(
         return Ok(EpisodeEstimate::unexplained(episode));
     };
     let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
-    let place = |k| {
-        let (place, arc) = found.posterior.place(&path, k);
-        (
-            EpisodeContact {
-                outlier: outlier(k),
-                ..place
-            },
-            arc,
-        )
+    let place = |k| EpisodeContact {
+        outlier: outlier(k),
+        ..found.posterior.place(&path, k)
     };
-    let (places, arcs) = (0..episode.rows.len()).map(place).unzip();
     Ok(EpisodeEstimate {
-        places,
-        arcs,
+        places: (0..episode.rows.len()).map(place).collect(),
         posterior: Some(found.posterior),
         innovations: found.innovations,
     })
@@ -177,7 +172,6 @@ impl EpisodeEstimate {
         let rows = episode.rows.len();
         Self {
             places: vec![EpisodeContact::default(); rows],
-            arcs: vec![ArcDensity::default(); rows],
             posterior: None,
             innovations: Innovations {
                 rows,

@@ -7,7 +7,7 @@ use crate::arc_posterior::{ArcDensity, REGION, Region, normal_share};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
 /// A node of the grid: onset and gap given the arc length.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Node {
     /// Mean of onset and gap at this arc length.
     pub state: State,
@@ -24,7 +24,7 @@ pub struct Node {
 }
 
 /// The two shares of a creeping contact in units of their prior's standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Creep {
     /// Mean.
     pub mean: Vector2<f64>,
@@ -37,19 +37,19 @@ pub struct Creep {
 impl Node {
     /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc
     /// length.
-    pub(crate) fn new(state: State, covariance_mm2: Matrix2<f64>, ln: f64) -> Self {
+    pub(crate) fn new(
+        (state, covariance_mm2): (State, Matrix2<f64>),
+        creep: Option<Creep>,
+        ln: f64,
+    ) -> Self {
         Self {
             state,
             covariance_mm2,
-            creep: None,
+            creep,
             ln,
             mass: 0.0,
             length_mm: 0.0,
         }
-    }
-
-    pub(crate) fn with_creep(self, creep: Option<Creep>) -> Self {
-        Self { creep, ..self }
     }
 }
 
@@ -147,26 +147,22 @@ impl Posterior {
     /// Mean and covariance of the point's place at a reading, and the density over the arc length
     /// at which the wire is held there (of first touch where it is free); whether the reading was
     /// treated as an outlier is not known here.
-    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> (EpisodeContact, ArcDensity) {
+    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> EpisodeContact {
+        let (row, (turn, moved_mm)) = (&path.rows[row], path.rows[row].since(path.reference));
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let (mut total, mut along) = (0.0, Vec::new());
         // How far the point has crept by one standard deviation of each share.
-        let way = creep_mm(
-            &path.push,
-            path.turned(row),
-            &path.displacement(row),
-            self.creep_sd,
-        );
+        let way = creep_mm(&path.push, &turn, &path.displacement(row), self.creep_sd);
         let way = Matrix3x2::from_columns(&way);
         for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
             let Some((touch, across)) = path.touch(&n.state) else {
                 continue;
             };
-            let mut at = path.carried(&(touch - path.push * n.state.onset_mm), row);
+            let mut at = turn * (touch - path.push * n.state.onset_mm) + moved_mm;
             let axes = Matrix3x2::from_columns(&[-path.push, across]);
             // The place is linear in onset and gap: its covariance follows from dP/d(x, g), turned
             // as the point is.
-            let turn = path.turned(row).matrix() * axes;
+            let turn = turn.matrix() * axes;
             let mut covariance = turn * n.covariance_mm2 * turn.transpose();
             // The point has gone on by its share of the way, which the readings tell together with
             // the onset.
@@ -188,35 +184,29 @@ impl Posterior {
             let held = path
                 .field
                 .held_and_rate(&at, 0.0)
-                .filter(|_| past > 0.0 && !path.rows[row].free);
+                .filter(|_| past > 0.0 && !row.free);
             let s_mm = held.map_or(n.state.s_mm, |h| h.0.arclength_mm);
             let tangent = path.field.free(s_mm).1;
             let spread =
                 tangent.dot(&(covariance * tangent)).max(0.0) * f64::from(u8::from(past > 0.0));
             along.push((n.mass, s_mm, (spread + n.length_mm.powi(2) / 12.0).sqrt()));
-            contact += n.mass
-                * if path.rows[row].free {
-                    0.0
-                } else {
-                    normal_share(past)
-                };
+            if !row.free {
+                contact += n.mass * normal_share(past);
+            }
             total += n.mass;
         }
         if total <= 0.0 {
-            return (EpisodeContact::default(), ArcDensity::default());
+            return EpisodeContact::default();
         }
         let mean = mean / total;
-        let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);
-        let place = EpisodeContact {
+        let motion = Matrix3::identity() * row.moved_sd_mm.powi(2);
+        EpisodeContact {
             place_mm: Some(mean),
             covariance_mm2: square / total - mean * mean.transpose() + motion,
             contact: contact / total,
             outlier: false,
-        };
-        (
-            place,
-            ArcDensity::of_normals(&along, path.field.length_mm()),
-        )
+            arc: ArcDensity::of_normals(&along, path.field.length_mm()),
+        }
     }
 }
 
@@ -230,6 +220,7 @@ fn peak(n: &Node) -> f64 {
 /// its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
     let peaks: Vec<f64> = nodes.iter().map(peak).collect();
+    // A two-dimensional Gaussian has 1 - t / peak of its mass above the level t.
     let above = |t: f64| {
         nodes
             .iter()

@@ -37,16 +37,13 @@
 //! (1968) 1327; expected weights of outliers: A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat.
 //! Soc. B 39 (1977) 1, the uniform part: D. W. Hogg, J. Bovy, D. Lang, arXiv:1008.4686, 3.
 
-mod node;
-
 use super::contact_path::{BEFORE_MM, ContactPath, creep_mm, loaded};
-use super::episode::CorrelatedNoise;
+use super::episode::{CorrelatedNoise, TABLE_MM};
+use super::node::{NodeFilter, Reading};
 use super::posterior;
 use super::segmenter::Beginning;
-use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
-use crate::arc_posterior::ArcDensity;
-use nalgebra::{Matrix2, Rotation3, Vector3};
-use node::{NodeFilter, Reading};
+use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings};
+use nalgebra::{Matrix2, Vector3};
 use rayon::prelude::*;
 
 /// Free readings before a contact that belong to it: they bound its onset.
@@ -99,12 +96,6 @@ pub struct RecursivePosterior {
     nodes: Vec<NodeFilter>,
     /// Logarithm that was taken off those of all nodes.
     taken_ln: f64,
-}
-
-/// Motion of a reading since the reference: rotation and translation (mm).
-fn motion_since(reference: &MotionRow, row: &MotionRow) -> (Rotation3<f64>, Vector3<f64>) {
-    let turn = row.turn * reference.turn.inverse();
-    (turn, row.moved_mm - turn * reference.moved_mm)
 }
 
 /// An episode after all of its readings: its state is constant, so that the last posterior is that
@@ -171,9 +162,9 @@ impl RecursivePosterior {
         };
         own.rows = vec![own.with_creep(field, first)];
         own.lead = lead.iter().map(|row| own.with_creep(field, row)).collect();
-        let still = own.middle_mm(field, first);
-        let along_mm = |row: &MotionRow| (own.middle_mm(field, row) - still).dot(&push);
+        let along_mm = |row: &MotionRow| own.displacement_mm(field, row).dot(&push);
         own.range_mm = BEFORE_MM - own.lead.iter().map(along_mm).fold(0.0, f64::min);
+        // Equal steps over the wire, on which s is uniform.
         let length = field.length_mm() - settings.first_mm;
         let count = (length / SCAN_MM).ceil().max(1.0) as usize;
         let place = |k: usize| settings.first_mm + length * k as f64 / count as f64;
@@ -219,6 +210,7 @@ impl RecursivePosterior {
             let reading = self.reading(field, before, row);
             nodes.iter_mut().for_each(|node| node.update(&reading));
         }
+        // A posterior narrower than the grid lies between two nodes: halving finds it.
         for _ in 0..MAX_HALVINGS {
             let gaps = gaps(&nodes);
             let made: Vec<NodeFilter> = gaps
@@ -239,8 +231,8 @@ impl RecursivePosterior {
     fn with_creep(&self, field: &MomentField, row: &MotionRow) -> MotionRow {
         let (mut row, creep_sd) = (row.clone(), self.settings.creep_sd);
         if creep_sd > 0.0 {
-            let moved_mm = self.middle_mm(field, &row) - self.middle_mm(field, &self.reference);
-            let (turn, _) = motion_since(&self.reference, &row);
+            let moved_mm = self.displacement_mm(field, &row);
+            let (turn, _) = row.since(&self.reference);
             // An error of the place that grows with the way, of the map that is none.
             row.shared_displacement_mm
                 .resize(row.shared_nmm.len(), Vector3::zeros());
@@ -251,20 +243,23 @@ impl RecursivePosterior {
         row
     }
 
-    /// Where the middle of the free wire is carried by a reading, mm.
-    fn middle_mm(&self, field: &MomentField, row: &MotionRow) -> Vector3<f64> {
-        let (turn, displacement_mm) = motion_since(&self.reference, row);
-        turn * field.free(0.5 * field.length_mm()).0 + displacement_mm
+    /// Displacement of the middle of the free wire by a reading, mm.
+    fn displacement_mm(&self, field: &MomentField, row: &MotionRow) -> Vector3<f64> {
+        row.displacement_mm(&self.reference, &field.middle_mm())
     }
 
     /// Where the wire is held at a reading that was taken, in space and along the wire.
-    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, ArcDensity) {
-        let posterior = self.posterior();
-        let motion = motion_since(&self.reference, row);
-        let path = ContactPath::of_reading(field, row, self.push, motion);
-        let outlier = self.best().is_some_and(|n| n.last_outlier > 0.5);
-        let (place, arc) = posterior.place(&path, 0);
-        (EpisodeContact { outlier, ..place }, arc)
+    pub(crate) fn place(&self, field: &MomentField, row: &MotionRow) -> EpisodeContact {
+        let path = ContactPath {
+            field,
+            rows: std::slice::from_ref(row),
+            reference: &self.reference,
+            push: self.push,
+        };
+        EpisodeContact {
+            outlier: self.best().is_some_and(|n| n.last_outlier > 0.5),
+            ..self.posterior().place(&path, 0)
+        }
     }
 
     /// The posterior over arc length, onset and gap.
@@ -276,7 +271,7 @@ impl RecursivePosterior {
             let (state, covariance_mm2) = n.state();
             let creep =
                 (self.settings.creep_sd > 0.0).then(|| n.creep(self.reference.shared_nmm.len()));
-            posterior::Node::new(state, covariance_mm2 + table_mm2, n.ln).with_creep(creep)
+            posterior::Node::new((state, covariance_mm2 + table_mm2), creep, n.ln)
         };
         Posterior::of_nodes(
             self.nodes.iter().map(node).collect(),
@@ -311,9 +306,10 @@ impl RecursivePosterior {
             .map(width)
             .sum::<f64>()
             .max(MIN_STEP_MM);
-        match self.nodes.is_empty() {
-            true => f64::NEG_INFINITY,
-            false => self.taken_ln + (mass / (field.length_mm() - self.settings.first_mm)).ln(),
+        if self.nodes.is_empty() {
+            f64::NEG_INFINITY
+        } else {
+            self.taken_ln + (mass / (field.length_mm() - self.settings.first_mm)).ln()
         }
     }
 
@@ -328,22 +324,8 @@ impl RecursivePosterior {
         before: &MotionRow,
         row: &'a MotionRow,
     ) -> Reading<'a> {
-        let (turn, displacement_mm) = motion_since(&self.reference, row);
-        let correlation = |c: CorrelatedNoise| {
-            let moved_mm = (self.middle_mm(field, row) - self.middle_mm(field, before)).norm();
-            c.correlation(moved_mm, row.t_s - before.t_s)
-        };
-        Reading {
-            field,
-            settings: &self.settings,
-            push: self.push,
-            row,
-            turn,
-            displacement_mm,
-            correlation: self.settings.correlated.map_or(0.0, correlation),
-            loaded: self.settings.is_loaded(row),
-            touched_anew: row.contact_segment != before.contact_segment,
-        }
+        let way = (self.push, &self.reference);
+        Reading::new((field, &self.settings), way, before, row)
     }
 
     /// The best node's logarithm is zero; nodes without mass go, but for one on each side of those
@@ -353,6 +335,7 @@ impl RecursivePosterior {
         self.nodes.retain(|n| n.ln.is_finite());
         self.nodes.iter_mut().for_each(|n| n.ln -= best);
         self.taken_ln += best;
+        // A neighbour without mass stays: the next reading may move the mass there.
         let has: Vec<bool> = self.nodes.iter().map(|n| n.ln > -NO_MASS).collect();
         let near = |k: usize| {
             has[k.saturating_sub(1)..(k + 2).min(has.len())]

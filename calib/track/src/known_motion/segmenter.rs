@@ -90,7 +90,7 @@ impl Segmenter {
     /// Past a wire.
     pub fn new(field: &MomentField) -> Self {
         Self {
-            middle_mm: field.free(0.5 * field.length_mm()).0,
+            middle_mm: field.middle_mm(),
             lead: VecDeque::with_capacity(LEAD + 1),
             running: None,
             ended: None,
@@ -129,7 +129,10 @@ impl Segmenter {
             running.loaded += 1;
             running.segment[1] = number;
         } else if let Some(running) = &mut self.running {
-            let moved = |push| displacement_mm(self.middle_mm, &running.first, row).dot(&push);
+            let moved = |push| {
+                row.displacement_mm(&running.first, &self.middle_mm)
+                    .dot(&push)
+            };
             let past = running
                 .push
                 .map(moved)
@@ -191,7 +194,7 @@ impl Segmenter {
             return Step::Within;
         };
         waiting.push(row.clone());
-        let displacement = |to: &MotionRow| displacement_mm(self.middle_mm, first, to);
+        let displacement = |to: &MotionRow| to.displacement_mm(first, &self.middle_mm);
         let enough = |w: &Vector3<f64>| w.norm() > BACK_MM.max(3.0 * first.moved_sd_mm);
         let before = || {
             self.lead
@@ -217,12 +220,6 @@ impl Segmenter {
             rows,
         })
     }
-}
-
-/// Displacement of a reading from another, mm.
-fn displacement_mm(middle_mm: Vector3<f64>, first: &MotionRow, row: &MotionRow) -> Vector3<f64> {
-    let turn = row.turn * first.turn.inverse();
-    turn * (middle_mm - first.moved_mm) + row.moved_mm - middle_mm
 }
 
 #[cfg(test)]

@@ -4,8 +4,7 @@
 
 use super::*;
 use crate::arc_posterior::REGION;
-use crate::groove_comparison::coverage_rejected;
-use crate::known_groove::binomial_cdf;
+use crate::groove_comparison::{binomial_cdf, coverage_rejected};
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -17,7 +17,7 @@ const MIN_STEP_MM: f64 = 0.2;
 const PAST: f64 = 0.7;
 
 /// Means over blocks, each with the variance of the way within it, mm^2.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default)]
 pub struct Means {
     pub(super) rows: Vec<MotionRow>,
     spreads_mm2: Vec<f64>,
@@ -26,6 +26,7 @@ pub struct Means {
 impl Means {
     fn push(&mut self, rows: &[MotionRow]) {
         let mean = mean(rows);
+        // Variance of the way within the block, by which its mean moment is off.
         let off = |r: &MotionRow| (r.moved_mm - mean.moved_mm).norm_squared();
         self.spreads_mm2
             .push(rows.iter().map(off).sum::<f64>() / rows.len() as f64);
@@ -112,9 +113,10 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
         let step = means[k + 1].moved_mm - means[k].moved_mm;
         // A contact goes on with the motion: a hold where it turns lies at the turn, whatever its
         // time.
-        let share = match step.norm() > MIN_STEP_MM {
-            true => (row.moved_mm - means[k].moved_mm).dot(&step) / step.norm_squared(),
-            false => (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s),
+        let share = if step.norm() > MIN_STEP_MM {
+            (row.moved_mm - means[k].moved_mm).dot(&step) / step.norm_squared()
+        } else {
+            (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s)
         };
         (k, share.clamp(-PAST, 1.0 + PAST))
     };
@@ -158,6 +160,7 @@ fn mean(rows: &[MotionRow]) -> MotionRow {
     MotionRow {
         t_s: of(&|r| r.t_s),
         moment_nmm: [0, 1].map(|c| of(&|r| r.moment_nmm[c])),
+        // Noise of a mean of n independent readings: the mean covariance over n.
         noise_nmm2: rows.iter().map(|r| r.noise_nmm2).sum::<Matrix2<f64>>() / (n * n),
         shared_nmm: (0..middle.shared_nmm.len())
             .map(|j| [0, 1].map(|c| of(&|r| r.shared_nmm[j][c])))

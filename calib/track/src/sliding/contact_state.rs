@@ -12,6 +12,7 @@
 //! is turned by the wire's rest curvature, which is all that it has where no moment acts.
 
 use super::friction::FrictionPrior;
+use crate::calibrated_wire::CalibratedWire;
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 use wcal_core::observation::MomentAxes;
@@ -42,7 +43,7 @@ const FOLD_STEP: f64 = 1.12;
 const FOLD_STEPS: i32 = 14;
 
 /// What a contact shows, base frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct ContactQuantities(pub SVector<f64, SHOWN>);
 
 impl ContactQuantities {
@@ -114,6 +115,19 @@ pub struct TouchedWire {
     pub friction: FrictionPrior,
     /// Turn of each joint at rest, rad.
     rest: Vec<Vector3<f64>>,
+}
+
+impl CalibratedWire {
+    /// As one that is touched at one place, whatever touches it.
+    ///
+    /// # Errors
+    /// Where it cannot be bent.
+    pub fn touched(&self) -> Result<TouchedWire, RodError> {
+        Ok(TouchedWire {
+            friction: self.friction,
+            ..TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?
+        })
+    }
 }
 
 impl TouchedWire {
@@ -226,6 +240,7 @@ impl TouchedWire {
             // Newton's step in force and azimuth, by forward differences.
             let j = Matrix2::from_columns(&[by(1, 1e-4 * x[1].abs().max(1e-4)), by(2, 1e-5)]);
             let step = j.try_inverse()? * off;
+            // A step is cut to half of the force and half a radian: beyond lies another branch.
             let cut = (step[0].abs() / (0.5 * x[1].abs().max(1e-4)))
                 .max(step[1].abs() / 0.5)
                 .max(1.0);
@@ -238,6 +253,7 @@ impl TouchedWire {
     /// The second contact with the same moment at the same place, past the fold where more force
     /// gives no more moment as the wire turns away; none where the fold is far.
     pub(super) fn past_fold(&self, low: &State, moment_nmm: &Vector2<f64>) -> Option<State> {
+        // Past the fold the wire turns away: more force gives no more moment.
         let size = |x: &State| self.show(x).moment_nmm().norm();
         let scaled = |by: f64| {
             let mut x = *low;
@@ -248,6 +264,7 @@ impl TouchedWire {
         if size(&scaled(1.01)) > m * (1.0 + 0.01 * FOLD_NEAR) {
             return None;
         }
+        // The first larger force with less moment lies past the fold.
         let from = (1..FOLD_STEPS)
             .map(|k| FOLD_STEP.powi(k))
             .find(|by| size(&scaled(*by)) < m)?;

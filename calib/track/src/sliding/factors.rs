@@ -50,8 +50,7 @@ const SLIP_MM: f64 = 0.02;
 const MAX_RATIO: f64 = 3.0;
 /// Standard deviation of a force that draws, N.
 const PULL_N: f64 = 1e-3;
-/// How far from its tip the wire is when it slips off, in steps and mm.
-const OFF_STEPS: f64 = 1.0;
+/// How far from its tip the wire is when it slips off, beside a step, mm.
 const OFF_MM: f64 = 0.3;
 
 /// Step of the differences of residuals.
@@ -89,7 +88,7 @@ pub(super) struct Local {
 }
 
 /// How the readings of a contact begin and end.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Ends {
     /// Whether the wire was free before; else the contact slipped here from another place.
     pub from_free: bool,
@@ -127,7 +126,7 @@ pub(super) struct Chain<'a> {
 /// path is fitted with these errors at their mean (S. F. Schmidt's considered parameters, Adv.
 /// Control Syst. 3 (1966) 293), and their whole prior is in its covariance. A constant, the zero,
 /// shows at first touch and is fitted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Common {
     Held,
     Free,
@@ -301,7 +300,7 @@ impl<'a> Chain<'a> {
             Kind::End => {
                 let short = (self.wire.length_mm - here.x[0]).max(0.0);
                 let step = (here.x[0] - all[0].x[0]).abs().max(self.step_mm[k]);
-                single(short / (OFF_STEPS * step + OFF_MM))
+                single(short / (step + OFF_MM))
             }
         }
     }

@@ -115,21 +115,20 @@ fn spreads(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize) -> Vec<f64> {
             / (3.0 * chain.wire.ei_nmm2);
         let next = solved[k][(i + 1).min(n - 1)]
             .as_ref()
-            .map_or(0.0, |(z, w)| match z[0] > x[0] {
-                true => (w.point_mm() - y.point_mm()).dot(&y.normal()) / 2.0,
-                false => 0.0,
+            .map_or(0.0, |(z, w)| {
+                if z[0] > x[0] {
+                    (w.point_mm() - y.point_mm()).dot(&y.normal()) / 2.0
+                } else {
+                    0.0
+                }
             });
         noise.hypot(next)
     };
     (0..n).map(of).collect()
 }
 
-/// A step of a path to node `to` from node `from` of the reading before.
-struct Step {
-    to: usize,
-    from: usize,
-    cost: f64,
-}
+/// A step of a path: to a node, from one of the reading before, and its cost.
+type Step = (usize, usize, f64);
 
 /// All steps to a reading.
 fn steps(
@@ -163,11 +162,7 @@ fn steps(
             // Errors of both places across the surface add.
             let variance = STEP_SD_MM.powi(2) + spreads[0][j].powi(2) + spreads[1][i].powi(2);
             let cost = 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
-            steps.push(Step {
-                to: i,
-                from: j,
-                cost,
-            });
+            steps.push((i, j, cost));
         }
     }
     steps
@@ -183,10 +178,11 @@ struct Search {
 impl Search {
     fn go_on(&mut self, steps: &[Step], nodes: usize) {
         let (mut next, mut best) = (vec![f64::INFINITY; nodes], vec![0; nodes]);
-        for step in steps {
-            let cost = self.costs[step.from] + step.cost;
-            if cost < next[step.to] {
-                (next[step.to], best[step.to]) = (cost, step.from);
+        for (to, from, cost) in steps {
+            // Bellman: the best path to a node goes on from the best one to its predecessor.
+            let cost = self.costs[*from] + cost;
+            if cost < next[*to] {
+                (next[*to], best[*to]) = (cost, *from);
             }
         }
         self.costs = next;
@@ -208,6 +204,7 @@ impl Search {
         let costs = &self.costs;
         let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
         let mut at = best.filter(|i| costs[*i].is_finite())?;
+        // Backwards along the best predecessors.
         let mut path = vec![last[at]?.0];
         for (from, solved) in self.from.iter().zip(solved).rev() {
             at = from[at];
@@ -239,6 +236,7 @@ pub(super) fn candidates(wire: &TouchedWire, rows: &[MotionRow]) -> Vec<Vec<Cand
                 .or_else(|| wire.frictionless(*q, &moment, None));
         }
         for (state, low) in high.iter_mut().zip(&last) {
+            // The second branch of equilibria, where the wire has one.
             *state = low.as_ref().and_then(|low| wire.past_fold(low, &moment));
         }
         let mut fine = Vec::with_capacity(2 * places.len() * PARTS);

@@ -16,7 +16,7 @@ const OUTER_SDS: f64 = 2.0;
 const LARGEST: f64 = 2.0;
 
 /// A coefficient of friction before a record.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct FrictionPrior {
     /// Mean and standard deviation, where they are stated.
     stated: Option<[f64; 2]>,
@@ -37,6 +37,7 @@ impl FrictionPrior {
 
     /// Weights of hypotheses with these coefficients, which rise.
     pub(super) fn weights(&self, of: &[f64]) -> Vec<f64> {
+        // Trapezoids of the prior: the density at a coefficient times its cell.
         let density = |mu: f64| {
             self.stated.map_or(1.0, |[m, s]| {
                 (-0.5 * ((mu - m) / s.max(1e-9)).powi(2)).exp()

@@ -59,7 +59,7 @@ pub(crate) use stream::SlidingStream;
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::contact_path::loaded;
-use crate::known_motion::{EpisodeContact, MotionRow};
+use crate::known_motion::{EpisodeContact, LN_ANYTHING, MotionRow};
 use blocks::blocks;
 pub use blocks::{Blocks, Means};
 pub(crate) use factors::model_nmm2;
@@ -68,7 +68,9 @@ use first_path::{Candidate, candidates, first_paths};
 use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
 use slips::{LEAPS, parts};
-use smooth::{BlockPosterior, SAME_COST, Smoothed, ln_evidence, mm_by_gain, posterior, refined};
+use smooth::{
+    BlockPosterior, HALVINGS, SAME_COST, Smoothed, ln_evidence, mm_by_gain, posterior, refined,
+};
 use std::ops::Range;
 
 /// Weight of a hypothesis by its sum of squares: 1/2 for independent residuals.
@@ -91,7 +93,7 @@ const LOST: f64 = 0.3;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
 /// Fewer blocks have no change of slip.
-const MIN_MEANS: usize = 3;
+pub(crate) const MIN_MEANS: usize = 3;
 /// Fewer blocks of a contact are no evidence of a slide: without two changes of slip its course is
 /// that of the priors.
 const MIN_WEIGHED: usize = 4;
@@ -99,17 +101,12 @@ const MIN_WEIGHED: usize = 4;
 const LOST_AT_ONCE: f64 = 3.0;
 /// A motion that comes back by more than this has turned, mm: above the noise of an arm's log.
 const TURNED_MM: f64 = 0.5;
-/// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N
-/// mm.
-pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
 
 /// Where a sliding contact is at each reading.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct SlidingContact {
     /// Places, one a reading.
     pub places: Vec<EpisodeContact>,
-    /// Densities along the wire, one a reading.
-    pub arcs: Vec<ArcDensity>,
     /// Means of the readings over a step of the motion, by which contacts are weighed.
     pub means: Means,
     /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a
@@ -163,7 +160,6 @@ impl SlidingContact {
     pub(crate) fn nothing(readings: usize) -> Self {
         Self {
             places: vec![EpisodeContact::default(); readings],
-            arcs: vec![ArcDensity::default(); readings],
             means: Means::default(),
             ln_evidence: None,
             evidence: f64::NEG_INFINITY,
@@ -195,6 +191,7 @@ fn turns_back(rows: &[MotionRow]) -> bool {
     };
     let mut reached = f64::NEG_INFINITY;
     rows.iter().any(|r| {
+        // The way along the main direction falls behind the farthest so far.
         let way = (r.moved_mm - from).dot(&along);
         reached = reached.max(way);
         way < reached - TURNED_MM
@@ -315,9 +312,7 @@ fn locate_parts(
     for (range, part) in ranges.iter().zip(&found) {
         let Some(part) = part else { continue };
         for (k, at) in range.clone().zip(&part.at) {
-            let each = part.mixture(*at);
-            all.places[first + k] = place(&each, &held[k], lost * wire.length_mm.powi(2) / 12.0);
-            all.arcs[first + k] = arc(&each, wire.length_mm, lost);
+            all.places[first + k] = place(wire, &part.hypotheses, *at, (&held[k], lost));
         }
     }
     all
@@ -347,41 +342,29 @@ impl Part {
         let contacts = candidates(wire, &means);
         let frictions = wire.friction.coefficients();
         let chain = Chain::new(wire, &means, ends);
+        let all = 0..means.len();
+        let backward = reversed(&means);
         let (hypotheses, control) = rayon::join(
-            || hypotheses(&chain, &contacts, &frictions),
+            || hypotheses(&chain, &contacts, (&frictions, HALVINGS), all.clone()),
             || {
-                hypotheses(
-                    &Chain::new(wire, &reversed(&means), ends),
-                    &contacts,
-                    &frictions[..1],
-                )
+                let chain = Chain::new(wire, &backward, ends);
+                hypotheses(&chain, &contacts, (&frictions[..1], HALVINGS), all.clone())
             },
         );
+        let most = |all: &[Hypothesis], which: &dyn Fn(&&Hypothesis) -> bool| {
+            let those = all.iter().filter(which).map(|h| h.ln_evidence);
+            those.fold(f64::NEG_INFINITY, f64::max)
+        };
         // The law of friction is a separate prior at each coefficient: their evidence compares at
         // one alone.
-        let least = hypotheses
-            .iter()
-            .map(|h| h.friction)
-            .fold(f64::INFINITY, f64::min);
-        let at_least = |all: &[Hypothesis]| {
-            let those = all.iter().filter(|h| h.friction <= least);
-            those
-                .map(|h| h.ln_evidence)
-                .fold(f64::NEG_INFINITY, f64::max)
-        };
-        let by_motion = [at_least(&hypotheses), at_least(&control)];
+        let frictions = hypotheses.iter().map(|h| h.friction);
+        let least = frictions.fold(f64::INFINITY, f64::min);
+        let by_motion = [&hypotheses, &control].map(|all| most(all, &|h| h.friction <= least));
         let hypotheses = of_one_surface(hypotheses, means.len());
         // A surface that leaves more than this explains nothing, whatever its evidence beside worse
         // ones.
-        let most = MAX_COST * means.len() as f64;
-        let explains = |h: &&Hypothesis| h.cost() <= most;
-        let best = |all: &[Hypothesis]| {
-            all.iter()
-                .filter(explains)
-                .map(|h| h.ln_evidence)
-                .fold(f64::NEG_INFINITY, f64::max)
-        };
-        let ln_evidence = [best(&hypotheses), best(&control)];
+        let explains = |h: &&Hypothesis| h.cost() <= MAX_COST * means.len() as f64;
+        let ln_evidence = [&hypotheses, &control].map(|all| most(all, &explains));
         let count = means.len();
         let mut own = Self {
             hypotheses,
@@ -421,15 +404,6 @@ impl Part {
             .sum::<usize>()
             > 1
     }
-
-    /// What the hypotheses say a share of the way from a block to the next, with their weights.
-    fn mixture(&self, (block, share): (usize, f64)) -> Vec<(f64, BlockPosterior)> {
-        let weight = |h: &Hypothesis| h.weight * (-DISCOUNT * (h.cost() - self.cost())).exp();
-        self.hypotheses
-            .iter()
-            .map(|h| (weight(h), between(&h.blocks, block, share)))
-            .collect()
-    }
 }
 
 /// Without those that go on to another surface, where one without a gap explains the readings:
@@ -460,6 +434,7 @@ fn lost_at_once(rows: &[MotionRow]) -> bool {
     let size = |k: usize| Vector2::from(rows[k].moment_nmm).norm();
     let last = rows.len() - 1;
     let noise = rows[last].noise_nmm2.trace().sqrt();
+    // A load that falls evenly is gone after size / fall readings.
     last > 0 && size(last) > LOST_AT_ONCE * ((size(last) - size(last - 1)).abs() + noise)
 }
 
@@ -473,28 +448,27 @@ pub(crate) fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
     rows
 }
 
-/// All paths under all friction coefficients; those that explain the readings and have a curvature.
+/// All paths under all friction coefficients, between which `halvings` more are looked for, with
+/// their posteriors at some blocks; those that explain the readings and have a curvature.
 fn hypotheses(
     chain: &Chain<'_>,
     contacts: &[Vec<Candidate>],
-    frictions: &[f64],
+    (frictions, halvings): (&[f64], usize),
+    blocks: Range<usize>,
 ) -> Vec<Hypothesis> {
-    let firsts = first_paths(chain, contacts);
     let one = |path: Vec<_>| {
-        let found = refined(&mut chain.clone(), path, frictions);
-        let weights = chain
-            .wire
-            .friction
-            .weights(&found.iter().map(|f| f.0).collect::<Vec<_>>());
-        let found = found
-            .into_iter()
-            .zip(weights)
-            .map(|((mu, found), weight)| (mu, weight, found));
-        found
-            .filter_map(|each| Hypothesis::new(chain, each, 0..chain.rows.len()))
+        let found = refined(&mut chain.clone(), path, frictions, halvings);
+        let frictions: Vec<f64> = found.iter().map(|f| f.0).collect();
+        let weights = chain.wire.friction.weights(&frictions);
+        let each = found.into_iter().zip(weights);
+        let each = each.map(|((mu, found), weight)| (mu, weight, found));
+        each.filter_map(|each| Hypothesis::new(chain, each, blocks.clone()))
             .collect::<Vec<_>>()
     };
-    firsts.into_par_iter().flat_map_iter(one).collect()
+    first_paths(chain, contacts)
+        .into_par_iter()
+        .flat_map_iter(one)
+        .collect()
 }
 
 /// A share of the way from a block to the next.
@@ -510,9 +484,25 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
     }
 }
 
-/// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may
-/// be lost.
-fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
+/// What the hypotheses state together of a reading that lies a share of the way from a block to the
+/// next, base frame; the contact may be `lost` with this probability, and is anywhere on the wire
+/// then.
+fn place(
+    wire: &TouchedWire,
+    all: &[Hypothesis],
+    (block, share): (usize, f64),
+    (row, lost): (&MotionRow, f64),
+) -> EpisodeContact {
+    let best = all
+        .iter()
+        .map(Hypothesis::cost)
+        .fold(f64::INFINITY, f64::min);
+    let at = |h: &Hypothesis| {
+        // Weight of a hypothesis: its prior times the likelihood to a power below 1/2.
+        let weight = h.weight * (-DISCOUNT * (h.cost() - best)).exp();
+        (weight, between(&h.blocks, block, share))
+    };
+    let (each, length_mm): (Vec<_>, f64) = (all.iter().map(at).collect(), wire.length_mm);
     let Some((mean, covariance)) =
         mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
     else {
@@ -520,22 +510,21 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Epis
     };
     // Independent of the hypotheses: what the model leaves out, and a uniform share of the wire
     // (variance L^2 / 12).
+    let lost_mm2 = lost * length_mm.powi(2) / 12.0;
     let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
+    let normal = |(w, b): &(f64, BlockPosterior)| (*w, b.arclength_mm, b.sd_mm.hypot(MODEL_SD_MM));
+    let own = ArcDensity::of_normals(&each.iter().map(normal).collect::<Vec<_>>(), length_mm);
     let turn = row.turn.matrix();
     EpisodeContact {
         place_mm: Some(row.turn * mean + row.moved_mm),
         covariance_mm2: turn * covariance * turn.transpose(),
         contact: 1.0,
         outlier: false,
+        arc: match lost > 0.0 {
+            true => {
+                ArcDensity::mixture([(1.0 - lost, &own), (lost, &ArcDensity::uniform(length_mm))])
+            }
+            false => own,
+        },
     }
-}
-
-/// Density of the hypotheses along the wire; `lost` of it is anywhere.
-fn arc(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> ArcDensity {
-    let normal = |(w, b): &(f64, BlockPosterior)| (*w, b.arclength_mm, b.sd_mm.hypot(MODEL_SD_MM));
-    let own = ArcDensity::of_normals(&each.iter().map(normal).collect::<Vec<_>>(), length_mm);
-    if lost == 0.0 {
-        return own;
-    }
-    ArcDensity::mixture([(1.0 - lost, &own), (lost, &ArcDensity::uniform(length_mm))])
 }

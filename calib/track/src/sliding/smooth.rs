@@ -3,8 +3,7 @@
 
 use super::contact_state::{ContactQuantities, STATE, State};
 use super::factors::{Chain, Common, KINDS, Kind, ln_norm};
-use crate::known_motion::MotionRow;
-use crate::reading::PERCENT;
+use crate::known_motion::larger;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -44,7 +43,7 @@ pub(super) struct BlockPosterior {
 /// From a first path under all friction coefficients, in their order: each begins where its
 /// neighbour's descent ended, upward and then back, since a descent that begins far off ends in
 /// another minimum.
-pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Smoothed> {
+fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Smoothed> {
     let start = Smoothed {
         x: first,
         common: chain.prior(),
@@ -61,6 +60,7 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
         let from = found.last().unwrap_or(&start).clone();
         found.push(descend(chain, from, *mu, true, true));
     }
+    // Back again: what a descent from below missed, one from above may find.
     for k in (0..frictions.len() - 1).rev() {
         let back = descend(chain, found[k + 1].clone(), frictions[k], true, true);
         // One branch, both ways along the friction.
@@ -79,7 +79,7 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
 
 /// Differences of the sum of squares that tell a coefficient, and halvings of the step between two.
 const MIN_COST_RISE: f64 = 2.0;
-const HALVINGS: usize = 3;
+pub(super) const HALVINGS: usize = 3;
 
 /// As `smooth`, with further coefficients around the best one while the sum of squares tells it
 /// from its neighbours.
@@ -87,13 +87,14 @@ pub(super) fn refined(
     chain: &mut Chain<'_>,
     first: Vec<State>,
     frictions: &[f64],
+    halvings: usize,
 ) -> Vec<(f64, Smoothed)> {
     let mut found: Vec<(f64, Smoothed)> = frictions
         .iter()
         .copied()
         .zip(smooth(chain, first, frictions))
         .collect();
-    for _ in 0..HALVINGS {
+    for _ in 0..halvings {
         let Some(best) =
             (0..found.len()).min_by(|a, b| found[*a].1.cost.total_cmp(&found[*b].1.cost))
         else {
@@ -279,11 +280,7 @@ fn axis_by_state(chain: &Chain<'_>, x: &State) -> (ContactQuantities, SMatrix<f6
 /// How far moments that are larger by 1 % move the contact, median over the blocks, mm; none where
 /// the sum has no curvature.
 pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
-    let larger = |r: &MotionRow| MotionRow {
-        moment_nmm: r.moment_nmm.map(|m| m * PERCENT),
-        ..r.clone()
-    };
-    let larger: Vec<MotionRow> = chain.rows.iter().map(larger).collect();
+    let larger = larger(chain.rows);
     let mut chain = chain.clone();
     let here = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
     chain.rows = &larger;

@@ -11,16 +11,13 @@
 //! a contact's beginning; a filter cannot.
 
 use super::blocks::Means;
-use super::first_path::{candidates, first_paths};
-use super::smooth::{BlockPosterior, Smoothed, descend, smooth};
+use super::first_path::candidates;
+use super::smooth::{Smoothed, descend};
 use super::{Chain, Ends, Hypothesis, TouchedWire};
-use super::{DISCOUNT, LOST, arc, between, of_one_surface, place};
-use crate::arc_posterior::ArcDensity;
+use super::{DISCOUNT, LOST, MIN_WEIGHED, hypotheses, of_one_surface, place};
 use crate::known_motion::{EpisodeContact, MotionRow};
 use rayon::prelude::*;
 
-/// Blocks at which all paths are looked for anew: from so many on, at each doubling.
-const FIRST_SEARCH: usize = 4;
 /// Weight of a path, and number of them, that are followed.
 const MIN_WEIGHT: f64 = 1e-3;
 const MAX_PATHS: usize = 8;
@@ -38,6 +35,7 @@ pub(crate) struct SlidingStream {
     wire: TouchedWire,
     /// Blocks that the paths go through.
     solved: usize,
+    /// Blocks at which all paths are looked for anew, at each doubling.
     search_at: usize,
     paths: Vec<Hypothesis>,
 }
@@ -48,22 +46,18 @@ impl SlidingStream {
         Self {
             wire,
             solved: 0,
-            search_at: FIRST_SEARCH,
+            search_at: MIN_WEIGHED,
             paths: Vec::new(),
         }
     }
 
-    /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the
-    /// density along the wire, where some path explains the readings so far.
-    pub(crate) fn push(
-        &mut self,
-        row: &MotionRow,
-        means: &Means,
-    ) -> Option<(EpisodeContact, ArcDensity)> {
+    /// Takes a loaded reading that is the last one in the blocks of its contact; its place, where
+    /// some path explains the readings so far.
+    pub(crate) fn push(&mut self, row: &MotionRow, means: &Means) -> Option<EpisodeContact> {
         if means.len() > MAX_BLOCKS {
             return None;
         }
-        if means.len() > self.solved && means.len() >= FIRST_SEARCH {
+        if means.len() > self.solved && means.len() >= MIN_WEIGHED {
             self.follow(means);
         }
         let [.., a, b] = &means.rows[..self.solved] else {
@@ -73,28 +67,9 @@ impl SlidingStream {
         let step = b.moved_mm - a.moved_mm;
         // Projection on the last step of the motion.
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
-        let best = self
-            .paths
-            .iter()
-            .map(Hypothesis::cost)
-            .fold(f64::INFINITY, f64::min);
-        let weight = |p: &Hypothesis| p.weight * (-DISCOUNT * (p.cost() - best)).exp();
-        let at = |p: &Hypothesis| {
-            (
-                weight(p),
-                between(&p.blocks, 0, share.clamp(0.0, MAX_SHARE)),
-            )
-        };
-        let each: Vec<(f64, BlockPosterior)> = self.paths.iter().map(at).collect();
-        if each.is_empty() {
-            return None;
-        }
+        let at = (0, share.clamp(0.0, MAX_SHARE));
         // Nothing is sure before the end is seen.
-        let lost = LOST * self.wire.length_mm.powi(2) / 12.0;
-        Some((
-            place(&each, row, lost),
-            arc(&each, self.wire.length_mm, LOST),
-        ))
+        (!self.paths.is_empty()).then(|| place(&self.wire, &self.paths, at, (row, LOST)))
     }
 
     /// ln p(m) of so many blocks; none where no path could be made through them.
@@ -108,16 +83,18 @@ impl SlidingStream {
         let blocks = means.len();
         let searched = blocks >= self.search_at;
         let chain = Chain::new(&self.wire, &means.rows, GOING_ON);
-        let found: Vec<(f64, f64, Smoothed)> = if searched || self.paths.is_empty() {
-            search(&chain)
+        let last = blocks - 2..blocks;
+        let mut paths: Vec<Hypothesis> = if searched || self.paths.is_empty() {
+            let contacts = candidates(&self.wire, &means.rows);
+            let frictions = self.wire.friction.coefficients();
+            hypotheses(&chain, &contacts, (&frictions, 0), last)
         } else {
-            self.paths
-                .par_iter()
-                .map(|p| (p.friction, p.weight, drawn_on(&chain, p, self.solved)))
-                .collect()
+            let on = |p: &Hypothesis| {
+                let found = drawn_on(&chain, p, self.solved);
+                Hypothesis::new(&chain, (p.friction, p.weight, found), last.clone())
+            };
+            self.paths.par_iter().filter_map(on).collect()
         };
-        let path = |each| Hypothesis::new(&chain, each, blocks - 2..blocks);
-        let mut paths: Vec<Hypothesis> = found.into_par_iter().filter_map(path).collect();
         paths.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
         let best = paths.first().map_or(f64::INFINITY, Hypothesis::cost);
         paths.retain(|p| (-DISCOUNT * (p.cost() - best)).exp() >= MIN_WEIGHT);
@@ -130,29 +107,12 @@ impl SlidingStream {
     }
 }
 
-/// All paths under all coefficients.
-fn search(chain: &Chain<'_>) -> Vec<(f64, f64, Smoothed)> {
-    let frictions = chain.wire.friction.coefficients();
-    let weights = chain.wire.friction.weights(&frictions);
-    let contacts = candidates(chain.wire, chain.rows);
-    let one = |path: Vec<_>| {
-        let found = smooth(&mut chain.clone(), path, &frictions);
-        let known = frictions.iter().zip(&weights).zip(found);
-        known
-            .map(|((mu, weight), found)| (*mu, *weight, found))
-            .collect::<Vec<_>>()
-    };
-    first_paths(chain, &contacts)
-        .into_par_iter()
-        .flat_map_iter(one)
-        .collect()
-}
-
 /// A path through the blocks that are new, too.
 fn drawn_on(chain: &Chain<'_>, path: &Hypothesis, solved: usize) -> Smoothed {
     let mut x = path.found.x.clone();
     for row in &chain.rows[solved..] {
         let last = x[x.len() - 1];
+        // The newest contact goes on along the wire as the last ones did.
         let slid = x.len().checked_sub(2).map_or(0.0, |k| last[0] - x[k][0]);
         let moment = nalgebra::Vector2::from(row.moment_nmm);
         let next = chain

@@ -12,18 +12,50 @@
 
 use super::super::exp::exp;
 use super::super::grid_cell::LinearGaussianPair;
-use super::super::sample_geometry::ContactState;
-use super::model::{BaseStep, TransitionModel};
+use super::super::sample_geometry::{ContactState, SampleGeometry};
+use super::super::settings::BayesSettings;
+use crate::inverse::StaticInverse;
 use nalgebra::Vector3;
+
+/// Inverse solutions of two samples, with their derivatives.
+pub(crate) struct TransitionModel<'a> {
+    pub settings: &'a BayesSettings,
+    pub inverse: &'a StaticInverse,
+    pub before: SampleGeometry<'a>,
+    pub now: SampleGeometry<'a>,
+    /// Nodes from here on are the tip's.
+    pub first_tip: usize,
+    /// Density of a jump's path along the wire over the length of a node, by the nodes that it
+    /// passes, from `-first_tip`.
+    pub jump_paths: Vec<f64>,
+}
+
+/// What one step of the base allows.
+pub(super) struct BaseStep {
+    /// Travel, mm, and its variance where the speed is one of several.
+    pub travel_mm: f64,
+    pub travel_variance_mm2: f64,
+    /// Part of the force along the surface against a slip, f = mu / sqrt(1 + mu^2), and its
+    /// variance.
+    pub drag: f64,
+    pub drag_variance: f64,
+    /// Variances of the path along the wire, mm^2, and of the turn at the tip, rad^2: constant
+    /// velocity, perturbed, reset.
+    pub path_variances: [f64; 3],
+    pub tip_variances: [f64; 3],
+    /// Reach along the wire, mm, and scale of paths beyond its end, mm.
+    pub reach_mm: f64,
+    pub path_sd_mm: f64,
+}
 
 /// Residual of the rigid-body constraint from a contact before to a node now.
 pub(super) struct ConstraintResidual {
     /// First measurement: distance by which the touched point leaves the object's surface.
-    pub(super) pair: LinearGaussianPair,
+    pub pair: LinearGaussianPair,
     /// Its variance in an outlier, mm^2.
-    pub(super) outlier_variance: f64,
+    pub outlier_variance: f64,
     /// Path along the surface, mm.
-    pub(super) slip_mm: Vector3<f64>,
+    pub slip_mm: Vector3<f64>,
 }
 
 impl TransitionModel<'_> {

@@ -1,18 +1,26 @@
 //! One node of the grid: a Gaussian in all that is not the arc length, updated reading by reading
-//! (equations in [`super`]).
+//! (equations in [`super::recursive`]).
+//!
+//! ```text
+//! contact     (P_k - P_0) . u > 0,   else the wire is free and m = 0
+//! friction    s_c(k) = clamp(s_c(k-1), s(P_k, -mu), s(P_k, +mu))               stick, then slip: a play operator
+//! ```
+//!
+//! Source of the play operator: M. A. Krasnosel'skii, A. V. Pokrovskii, "Systems with Hysteresis",
+//! 1989.
 
-use crate::arc_posterior::normal_share;
-use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
-use crate::known_motion::episode::{CorrelatedNoise, MotionRow, Settings, TABLE_MM, TABLE_SHARE};
-use crate::known_motion::field::ContactMoments;
-use crate::known_motion::field::MomentField;
-use crate::known_motion::posterior::Creep;
+use super::contact_path::{ACROSS, State};
+use super::episode::{CorrelatedNoise, LN_ANYTHING, MotionRow, Settings, TABLE_MM, TABLE_SHARE};
+use super::field::{ContactMoments, MomentField};
+use super::posterior::Creep;
+use crate::arc_posterior::{ln_sum, normal_share};
+use crate::reading::squares;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vector2, Vector3};
 
+/// Longest step over which stick and slip are integrated, mm.
+const PLAY_MM: f64 = 0.25;
 /// Standard deviation of noisy outliers in units of the noise.
 const NOISY: f64 = 10.0;
-/// Largest moment of a wire pressed near its root, N mm: outliers that are anything lie below.
-const MAX_NMM: f64 = 3.0;
 /// Least inverse variance of a reading in units of that of its noise: a certain outlier has no
 /// weight.
 const NO_WEIGHT: f64 = 1e-9;
@@ -33,7 +41,7 @@ const TRIALS: usize = 9;
 /// Place of onset and gap in the state; the common unknowns come after them.
 const ONSET: usize = 0;
 const GAP: usize = 1;
-const COMMON: usize = 2;
+pub(super) const COMMON: usize = 2;
 
 /// A reading as every node sees it.
 pub(super) struct Reading<'a> {
@@ -52,7 +60,32 @@ pub(super) struct Reading<'a> {
     pub touched_anew: bool,
 }
 
-impl Reading<'_> {
+impl<'a> Reading<'a> {
+    /// A reading after another one, whose displacements along the push count from the reference.
+    pub(super) fn new(
+        (field, settings): (&'a MomentField, &'a Settings),
+        (push, reference): (Vector3<f64>, &MotionRow),
+        before: &MotionRow,
+        row: &'a MotionRow,
+    ) -> Self {
+        let (turn, displacement_mm) = row.since(reference);
+        let moved = |row: &MotionRow| row.displacement_mm(reference, &field.middle_mm());
+        let correlation = |c: CorrelatedNoise| {
+            c.correlation((moved(row) - moved(before)).norm(), row.t_s - before.t_s)
+        };
+        Self {
+            field,
+            settings,
+            push,
+            row,
+            turn,
+            displacement_mm,
+            correlation: settings.correlated.map_or(0.0, correlation),
+            loaded: settings.is_loaded(row),
+            touched_anew: row.contact_segment != before.contact_segment,
+        }
+    }
+
     /// Place of the two unknowns of a creeping contact in the state, and how far one standard
     /// deviation of each moves the point, mm.
     fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
@@ -91,16 +124,16 @@ pub(super) struct NodeFilter {
 }
 
 /// The reading linearised at a state.
-struct Linearised {
+pub(super) struct Linearised {
     state: DVector<f64>,
     /// m(P), N mm.
-    moment_nmm: Vector2<f64>,
+    pub moment_nmm: Vector2<f64>,
     /// dy/dz.
-    slope: Matrix2xX<f64>,
+    pub slope: Matrix2xX<f64>,
     /// Covariance of the reading's own noise, (N mm)^2, and of b where it has gone on for long.
-    own: Matrix2<f64>,
+    pub own: Matrix2<f64>,
     correlated: Matrix2<f64>,
-    contact: Option<(f64, Vector3<f64>)>,
+    pub contact: Option<(f64, Vector3<f64>)>,
 }
 
 /// Variance along the push of what is not known of a reading's motion, mm^2.
@@ -110,29 +143,16 @@ fn moved_mm2(reading: &Reading<'_>) -> f64 {
 }
 
 fn ln_normal(squared: f64, determinant: f64) -> f64 {
+    // ln N(i; 0, S) in two dimensions, from i' S^-1 i and |S|.
     -0.5 * (squared + determinant.max(1e-300).ln()) - std::f64::consts::TAU.ln()
 }
 
 /// Expected inverse variance of a reading in units of that of its noise, and the logarithm of its
 /// density, from the logarithms of its three parts (regular, noisy, anything).
 fn inverse_variance(parts: &[f64; 3]) -> (f64, f64) {
-    let largest = parts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let ln = largest + parts.iter().map(|p| (p - largest).exp()).sum::<f64>().ln();
+    let ln = ln_sum(parts);
     let weight = (parts[0] - ln).exp() + (parts[1] - ln).exp() / (NOISY * NOISY);
     (weight.max(NO_WEIGHT), ln)
-}
-
-impl Linearised {
-    /// Covariance that the correlated noise gives a reading, (N mm)^2.
-    fn noise_of_draw(&self, reading: &Reading<'_>) -> Matrix2<f64> {
-        if reading.settings.correlated.is_none() {
-            return Matrix2::zeros();
-        }
-        let factor = self
-            .slope
-            .fixed_columns::<2>(COMMON + reading.row.shared_nmm.len() + 1);
-        factor * self.correlated * factor.transpose()
-    }
 }
 
 impl NodeFilter {
@@ -142,14 +162,16 @@ impl NodeFilter {
         let settings = reading.settings;
         let common = reading.row.shared_nmm.len();
         let size = COMMON + common + 1 + if settings.correlated.is_some() { 2 } else { 0 };
+        // The prior: a uniform onset by its variance L^2 / 12, the gap, unit unknowns, the clock.
         let mut covariance = DMatrix::identity(size, size);
         covariance[(ONSET, ONSET)] = range_mm * range_mm / 12.0;
         covariance[(GAP, GAP)] = settings.gap_sd_mm.powi(2);
         covariance[(COMMON + common, COMMON + common)] = settings.clock_sd_s.powi(2);
-        let mut node = Self {
+        let (wire_mm, tangent) = reading.field.free(s_mm);
+        Some(Self {
             s_mm,
-            wire_mm: Vector3::zeros(),
-            across: Vector3::zeros(),
+            wire_mm,
+            across: tangent.cross(&reading.push).try_normalize(ACROSS)?,
             mean: DVector::zeros(size),
             covariance,
             ln: 0.0,
@@ -159,22 +181,14 @@ impl NodeFilter {
             last_outlier: 0.0,
             bounded_mm: None,
             contact: None,
-        };
-        node.put(reading.field, &reading.push, s_mm)?;
-        Some(node)
-    }
-
-    fn put(&mut self, field: &MomentField, push: &Vector3<f64>, s_mm: f64) -> Option<()> {
-        let (wire, tangent) = field.free(s_mm);
-        (self.s_mm, self.wire_mm) = (s_mm, wire);
-        self.across = tangent.cross(push).try_normalize(ACROSS)?;
-        Some(())
+        })
     }
 
     /// The first loaded reading: the onset that explains it best starts the iteration and is the
     /// middle of its prior.
     pub(crate) fn start(&mut self, reading: &Reading<'_>) {
         let y = Vector2::from(reading.row.moment_nmm);
+        // A depth of the right order is enough: the iteration goes on from there.
         let trials = (0..TRIALS)
             .map(|k| FIRST_DEPTH_MM * f64::from(1 << k))
             .filter_map(|depth| {
@@ -184,7 +198,7 @@ impl NodeFilter {
             });
         let best = trials.min_by(|a, b| a.1.total_cmp(&b.1));
         self.mean[ONSET] = -best.map_or(FIRST_DEPTH_MM, |b| b.0);
-        self.iterate(reading, FIRST_ITERATIONS, true);
+        self.take(reading, FIRST_ITERATIONS, true);
         // A loaded wire is held: the onset lies before this reading.
         let past = self.depth_mm(reading);
         self.bound_onset(-1.0, past, moved_mm2(reading));
@@ -196,34 +210,26 @@ impl NodeFilter {
         let depth_mm = self.depth_mm(reading);
         let blur_mm2 = moved_mm2(reading);
         let near_mm = NEAR_SDS * (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
-        if reading.row.free || reading.loaded || depth_mm.abs() > near_mm {
-            return self.iterate(
-                reading,
-                ITERATIONS,
-                !reading.row.free && (reading.loaded || depth_mm > 0.0),
-            );
-        }
+        let is_sure = reading.row.free || reading.loaded || depth_mm.abs() > near_mm;
         // Readings of one pose bound the onset once.
-        if self
-            .bounded_mm
-            .is_some_and(|at| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM)
-        {
-            return self.iterate(reading, ITERATIONS, depth_mm > 0.0);
+        let is_near = |at: f64| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM;
+        if is_sure || self.bounded_mm.is_some_and(is_near) {
+            let held = !reading.row.free && (reading.loaded || depth_mm > 0.0);
+            return self.take(reading, ITERATIONS, held);
         }
         let mut held = self.clone();
         held.bound_onset(-1.0, depth_mm, blur_mm2);
-        held.iterate(reading, ITERATIONS, true);
+        held.take(reading, ITERATIONS, true);
         self.bounded_mm = Some(depth_mm + self.mean[ONSET]);
         self.bound_onset(1.0, -depth_mm, blur_mm2);
-        self.iterate(reading, ITERATIONS, false);
+        self.take(reading, ITERATIONS, false);
         self.join(held);
     }
 
     /// The mixture of this Gaussian and another as one of the same mean and covariance.
     fn join(&mut self, other: Self) {
         // Moments of a mixture of two: mean, and covariance with the spread of the means.
-        let larger = self.ln.max(other.ln);
-        let ln = larger + ((self.ln - larger).exp() + (other.ln - larger).exp()).ln();
+        let ln = ln_sum(&[self.ln, other.ln]);
         let [a, b] = [self.ln, other.ln].map(|l| (l - ln).exp());
         let off = &other.mean - &self.mean;
         self.covariance =
@@ -237,6 +243,20 @@ impl NodeFilter {
         if b > a {
             self.contact = other.contact;
         }
+    }
+
+    /// Readings linearised at one state, the contact carried from each to the next; none where the
+    /// wire has no equilibrium.
+    pub(crate) fn along(readings: &[Reading<'_>], state: &State) -> Option<Vec<Linearised>> {
+        let mut node = Self::new(readings.first()?, state.s_mm, 0.0)?;
+        (node.mean[ONSET], node.mean[GAP]) = (state.onset_mm, state.gap_mm);
+        let one = |reading: &Reading<'_>| {
+            let held = !reading.row.free && node.depth_mm(reading) > 0.0;
+            let found = node.linearised(reading, &node.mean, held)?;
+            node.contact = found.contact;
+            Some(found)
+        };
+        readings.iter().map(one).collect()
     }
 
     /// State of the contact with its covariance.
@@ -261,6 +281,7 @@ impl NodeFilter {
 
     /// Displacement along the push past first touch at the mean, mm.
     pub(crate) fn depth_mm(&self, reading: &Reading<'_>) -> f64 {
+        // The point goes along the push; it holds the wire from first touch on.
         (self.place_mm(reading, &self.mean) - self.touch_mm(&self.mean)).dot(&reading.push)
     }
 
@@ -297,16 +318,13 @@ impl NodeFilter {
             .contact
             .filter(|_| !reading.touched_anew)
             .unwrap_or(start);
-        let share = if reading.row.velocity_mm_s.norm() > 0.0 {
-            mu.moving_share
-        } else {
-            1.0
-        };
+        let moving = reading.row.velocity_mm_s.norm() > 0.0;
+        let friction = mu.coefficient * if moving { mu.moving_share } else { 1.0 };
         let steps = ((place - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
         let mut held = None;
         for n in 1..=steps {
             let at = from + (place - from) * (n as f64 / steps as f64);
-            held = Some(play(reading.field, &at, mu.coefficient * share, &mut s)?);
+            held = Some(play(reading.field, &at, friction, &mut s)?);
         }
         Some((held?, rate))
     }
@@ -351,39 +369,31 @@ impl NodeFilter {
         let (held, rate) = self.held(reading, &place, &touch)?;
         found.moment_nmm = Vector2::from(held.moment_nmm);
         found.contact = Some((held.arclength_mm, place));
-        found
-            .slope
-            .set_column(ONSET, &(rate * (reading.turn * -reading.push)));
-        found
-            .slope
-            .set_column(GAP, &(rate * (reading.turn * self.across)));
+        let slope = &mut found.slope;
+        slope.set_column(ONSET, &(rate * (reading.turn * -reading.push)));
+        slope.set_column(GAP, &(rate * (reading.turn * self.across)));
         // The last common unknown but for those of a creeping point.
         if settings.stiffness_sd > 0.0 {
             let at = COMMON + common - 1 - if settings.creep_sd > 0.0 { 2 } else { 0 };
-            found
-                .slope
-                .set_column(at, &(found.moment_nmm * settings.stiffness_sd));
+            slope.set_column(at, &(found.moment_nmm * settings.stiffness_sd));
         }
         // Errors of the displacement enter through dm/dP.
         for (j, way) in row.shared_displacement_mm.iter().enumerate() {
-            let mut column = found.slope.column_mut(COMMON + j);
+            let mut column = slope.column_mut(COMMON + j);
             column += rate * way;
         }
         for (j, changed) in field.changed.iter().enumerate() {
             // Without friction: its change by another coefficient is what it is at the edge of the
             // cone at most.
-            let Some((there, here)) = changed.held(&place, 0.0).zip(field.held(&place, 0.0)) else {
-                continue;
-            };
-            let mut column = found.slope.column_mut(COMMON + j);
-            column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
+            if let Some((there, here)) = changed.held(&place, 0.0).zip(field.held(&place, 0.0)) {
+                let mut column = slope.column_mut(COMMON + j);
+                column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
+            }
         }
-        found
-            .slope
-            .set_column(COMMON + common, &(rate * row.velocity_mm_s));
+        slope.set_column(COMMON + common, &(rate * row.velocity_mm_s));
         // Motion and table; where readings of one pose share a draw of the noise, they share these
         // too.
-        let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
+        let size2 = squares(&[row.moment_nmm]);
         let by_pose = rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2))
             + Matrix2::identity() * TABLE_SHARE.powi(2) * size2;
         match settings.correlated {
@@ -410,93 +420,83 @@ impl NodeFilter {
         block += correlated * (1.0 - rho * rho);
     }
 
+    /// Takes a reading with the wire held, or free. Where the wire has no equilibrium, or the
+    /// numbers have none, nothing is left of the node.
+    fn take(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
+        if self.iterate(reading, iterations, held).is_none() {
+            (self.ln, self.regular_ln) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        }
+    }
+
     /// Iterated Kalman update with the mixture of regular readings, noisy ones, and such that are
     /// anything.
-    fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
-        let Some(mut at) = self.linearised(reading, &self.mean, held) else {
-            return self.unexplained();
-        };
+    fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) -> Option<()> {
+        let mut at = self.linearised(reading, &self.mean, held)?;
         self.carry_correlated(reading, &at.correlated);
         let (before, y) = (self.mean.clone(), Vector2::from(reading.row.moment_nmm));
         let mut z = before.clone();
         let share = reading.settings.gross_share;
+        let ln_share = share.max(1e-300).ln();
         let creep = reading.creep().map(|(at, _)| at);
+        let draw = COMMON + reading.row.shared_nmm.len() + 1;
         for n in 1..=iterations {
             // Innovation at the prior mean by the slope at the present one; what moves the point
             // (onset, gap, creep) acts on more than a line.
+            let of_pair = |k: usize| at.slope.fixed_columns::<2>(k) * z.fixed_rows::<2>(k);
             let innovation = y - at.moment_nmm - &at.slope * &before
-                + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0)
-                + creep.map_or_else(Vector2::zeros, |k| {
-                    at.slope.fixed_columns::<2>(k) * z.fixed_rows::<2>(k)
-                });
+                + of_pair(ONSET)
+                + creep.map_or_else(Vector2::zeros, of_pair);
             let to_state = &at.slope * &self.covariance;
-            let known = &to_state * at.slope.transpose();
-            let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);
             // All of the reading's noise, the correlated part included: what an outlier has more
             // of.
-            let noise = at.own + at.noise_of_draw(reading);
-            let (regular, noisy) = (
-                known + at.own,
-                known + at.own + noise * (NOISY * NOISY - 1.0),
-            );
-            let (Some(inverse), Some(inverse_noisy)) = (regular.try_inverse(), noisy.try_inverse())
-            else {
-                return self.unexplained();
+            let noise = match reading.settings.correlated {
+                Some(_) => {
+                    let factor = at.slope.fixed_columns::<2>(draw);
+                    at.own + factor * at.correlated * factor.transpose()
+                }
+                None => at.own,
             };
+            let regular = &to_state * at.slope.transpose() + at.own;
+            let noisy = regular + noise * (NOISY * NOISY - 1.0);
             // Mahalanobis distances of the innovation as a regular reading and as a noisy one.
-            let squared = innovation.dot(&(inverse * innovation));
-            let squared_noisy = innovation.dot(&(inverse_noisy * innovation));
-            let ln_share = share.max(1e-300).ln();
+            let squared = |s: &Matrix2<f64>| Some(innovation.dot(&(s.try_inverse()? * innovation)));
             let mut parts = [
-                (1.0 - share).ln() + ln_normal(squared, regular.determinant()),
-                ln_share + ln_normal(squared_noisy, noisy.determinant()),
+                (1.0 - share).ln() + ln_normal(squared(&regular)?, regular.determinant()),
+                ln_share + ln_normal(squared(&noisy)?, noisy.determinant()),
                 f64::NEG_INFINITY,
             ];
+            let used = |weight: f64| regular + noise * (1.0 / weight - 1.0);
             // A step by the other two alone: where the slope is still that of a distant state, a
             // regular reading looks like anything.
-            let used = regular + noise * (1.0 / inverse_variance(&parts).0 - 1.0);
-            let Some(inverse_used) = used.try_inverse() else {
-                return self.unexplained();
-            };
-            let next = &before + to_state.transpose() * inverse_used * innovation;
+            let gain = to_state.transpose() * used(inverse_variance(&parts).0).try_inverse()?;
+            let next = &before + gain * innovation;
             let step = (next.fixed_rows::<2>(0) - z.fixed_rows::<2>(0)).norm();
             z = next;
             if n == iterations || step < SETTLED_MM {
-                parts[2] = ln_share - (std::f64::consts::PI * MAX_NMM * MAX_NMM).ln();
+                parts[2] = ln_share + LN_ANYTHING;
                 let (weight, ln) = inverse_variance(&parts);
-                let used = regular + noise * (1.0 / weight - 1.0);
-                let Some(inverse_used) = used.try_inverse() else {
-                    return self.unexplained();
-                };
-                let gain = to_state.transpose() * inverse_used;
+                let used = used(weight);
+                let gain = to_state.transpose() * used.try_inverse()?;
                 self.mean = before + &gain * innovation;
                 self.covariance -= gain * to_state;
                 self.regular_ln = self.ln + parts[0];
                 self.ln += ln;
-                self.chi2[0] += squared;
-                self.chi2[1] += innovation.dot(&(inverse_used * innovation));
+                self.chi2[0] += squared(&regular)?;
+                self.chi2[1] += squared(&used)?;
                 self.last_outlier = 1.0 - (parts[0] - ln).exp();
                 self.outlier += self.last_outlier;
                 self.contact = at.contact;
-                return;
+                return Some(());
             }
             // A step out of the wire's reach is shortened.
             let step = &z - &at.state;
-            let reached = (0..SHORTENED).find_map(|k| {
+            at = (0..SHORTENED).find_map(|k| {
                 let z = &at.state + &step * 0.5_f64.powi(k);
                 self.linearised(reading, &z, held)
-            });
-            match reached {
-                Some(next) => at = next,
-                None => return self.unexplained(),
-            }
+            })?;
             z.copy_from(&at.state);
         }
-    }
-
-    /// The wire has no equilibrium here, or the numbers have none: no state of this node.
-    fn unexplained(&mut self) {
-        (self.ln, self.regular_ln) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        None
     }
 
     /// `p(x) <- p(x) Phi(past / w)`, `past = sign (x - x_k)`, moments matched (C. E. Rasmussen, C.
@@ -521,18 +521,53 @@ impl NodeFilter {
     /// one that goes on.
     pub(crate) fn keep_correlated(&mut self) {
         let size = self.mean.len();
-        let kept = |i: usize| if i < size { i } else { i - 2 };
-        self.mean = DVector::from_fn(size + 2, |i, _| self.mean[kept(i)]);
-        self.covariance = DMatrix::from_fn(size + 2, size + 2, |i, j| {
-            self.covariance[(kept(i), kept(j))]
-        });
+        self.rearrange(size + 2, |i| if i < size { i } else { i - 2 });
     }
 
     /// After the lead: forwards in time from the first loaded reading.
     pub(crate) fn resume_correlated(&mut self) {
         let size = self.mean.len() - 2;
-        let kept = |i: usize| if i < size - 2 { i } else { i + 2 };
-        self.mean = DVector::from_fn(size, |i, _| self.mean[kept(i)]);
-        self.covariance = DMatrix::from_fn(size, size, |i, j| self.covariance[(kept(i), kept(j))]);
+        self.rearrange(size, |i| if i < size - 2 { i } else { i + 2 });
     }
+
+    /// The state of unknowns in another order.
+    fn rearrange(&mut self, size: usize, from: impl Fn(usize) -> usize) {
+        self.mean = DVector::from_fn(size, |i, _| self.mean[from(i)]);
+        self.covariance = DMatrix::from_fn(size, size, |i, j| self.covariance[(from(i), from(j))]);
+    }
+}
+
+/// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
+fn play(
+    field: &MomentField,
+    at: &Vector3<f64>,
+    friction: f64,
+    s_mm: &mut f64,
+) -> Option<ContactMoments> {
+    let here = field.at_place(at)?;
+    // Arc lengths at both edges of the friction cone and without friction.
+    let [low, free, high] =
+        [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
+    let (low, free, high) = (low?, free?, high?);
+    *s_mm = s_mm.clamp(low.min(high), low.max(high));
+    // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.
+    let (mut a, mut b) = ((-friction, low - *s_mm), (friction, high - *s_mm));
+    let mut ratio = 0.0;
+    let mut value = free - *s_mm;
+    for _ in 0..8 {
+        if value.abs() < 1e-7 {
+            break;
+        }
+        if (value > 0.0) == (a.1 > 0.0) {
+            a = (ratio, value)
+        } else {
+            b = (ratio, value)
+        }
+        if (b.1 - a.1).abs() < 1e-12 {
+            break;
+        }
+        ratio = a.0 - a.1 * (b.0 - a.0) / (b.1 - a.1);
+        value = here.held(ratio)?.arclength_mm - *s_mm;
+    }
+    here.held(ratio)
 }

@@ -47,12 +47,8 @@ impl TableSource {
         (calibration, noise): (&dyn WhiskerCalibration, CalibrationNoise),
         whisker: &WhiskerSpec,
     ) -> Result<Self, TrackError> {
-        let SensedTable {
-            rows,
-            wire,
-            changed,
-            warnings,
-        } = calibration.sensed(path, whisker)?;
+        let SensedTable { rows, warnings } = calibration.sensed(path)?;
+        let (wire, changed) = calibration.wire(whisker)?;
         let of_motion = |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
         let needs_reference = calibration.fbg().needs_reference();
         let mut last_s = f64::NEG_INFINITY;
@@ -151,12 +147,12 @@ impl TableSource {
     /// A reading without its motion.
     fn reading(&self, row: &SensedRow) -> Reading {
         let usable = !self.needs_reference || row.reference;
-        let s = &row.sensed;
+        let (m, spread) = (&row.moments, &row.spread);
         let moments = Moments {
-            moment_nmm: s.moment_nmm,
-            sd_nmm: row.sd_nmm(),
-            valid: s.valid,
-            pose_nmm2: s.noise_nmm2,
+            moment_nmm: m.moment_nmm,
+            sd_nmm: m.sd_nmm,
+            valid: m.valid,
+            pose_nmm2: spread.noise_nmm2,
             own_nmm2: self
                 .noise
                 .misfit_sd_nmm
@@ -166,7 +162,7 @@ impl TableSource {
                 .noise
                 .drift_sd_nmm
                 .map_or_else(Matrix2::zeros, diagonal),
-            shared_nmm: s.shared_nmm.clone(),
+            shared_nmm: spread.shared_nmm.clone(),
             ..Moments::default()
         };
         let flags = if usable {

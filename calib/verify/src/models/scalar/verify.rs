@@ -9,10 +9,8 @@ use super::range_limit::range_limits;
 use super::spread_trend::heteroscedasticity_note;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
-use crate::error::VerifyError;
-use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::spread::Spread;
-use crate::method::search_result::RankedHypothesis;
+use crate::VerifyError;
+use crate::method::{LackOfFit, RankedHypothesis, Spread};
 use crate::verify::{Verification, Verified, VerifyRequest, verify};
 use wcal_core::Sealed;
 use wcal_core::residual::ResidualRecord;
@@ -74,25 +72,16 @@ pub fn verify_scalar(
     let limits = range_limits(&points, declared);
     points.retain(|r| !limits.iter().any(|l| l.origins.contains(&r.origin)));
     let rows = thin(points.clone());
-    let scaling = Scaling {
-        count: points.len(),
-        ..Scaling::of(&rows)
-    }
-    .with_unreliability(&rows, declared);
     let (stimulus, response) = data.units();
-    let scaling = match data {
-        ScalarData::Transducer(_) => scaling.of_transducer(&rows, &stimulus),
-        ScalarData::Axis(_) => scaling.with_places(&rows),
-    };
-    let deviation = matches!(data, ScalarData::Transducer(data) if data.deviation);
+    let scaling = Scaling::of_session(&rows, declared, &stimulus, points.len());
     let names = Names {
         stimulus,
         response,
-        deviation,
+        deviation: matches!(data, ScalarData::Transducer(data) if data.deviation),
         covariates: data.covariate_names(),
     };
-    let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
-        .of_session(names, points, limits);
+    let frame = Frame::new(rows, &scaling, declared, false);
+    let model = ScalarSystem::new(frame, &names.covariates).of_session(names, points, limits);
     Ok(match verify(model, sealed, &[], request)? {
         Verified::Done(v) => for_report(session, *v, request),
         Verified::Refused(why) => refused(session, data, request.search.seed, &why),

@@ -160,7 +160,7 @@ impl Row {
             return Ok(());
         };
         self.calibrated += 1;
-        let [sealed, _] = whole.held_out();
+        let sealed = &whole.sealed;
         let mut found = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm)?;
         // Its readings have one error.
         found.dedup_by_key(|c| c.trajectory);

@@ -43,14 +43,13 @@ pub fn moment_labels(data: &WhiskerData, source: LabelSource) -> anyhow::Result<
             })
         }
         LabelSource::Rod => {
-            let rows: Vec<_> = data.rows.iter().collect();
-            let system = WhiskerSystem::new(data, &rows)?;
+            let system = WhiskerSystem::new(data, &[])?;
             let Some((_, base)) = system.moments(&[]) else {
                 bail!(
                     "labels from the rod: expected an equilibrium at every pose, found none on some trajectory"
                 );
             };
-            let mut moments_nmm = vec![None; rows.len()];
+            let mut moments_nmm = vec![None; data.rows.len()];
             for (m, &row) in base.iter().zip(&system.path.rows) {
                 moments_nmm[row] = Some(*m);
             }

@@ -473,7 +473,7 @@ fn contacts(
         contact_comparison([&before, &after], count_loaded(decision.model(), |_| true));
     document.groove_tracking = groove_tracking(&own, "fit");
     if has_sealed {
-        let [sealed, _] = whole.held_out();
+        let sealed = &whole.sealed;
         let of = |model: &PhysicalModel| groove_places(whole, model, |i| sealed[i]);
         let [before, after] = [
             of(&decision.declared_calibration())?,

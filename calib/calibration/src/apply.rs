@@ -2,14 +2,13 @@
 
 use crate::error::CalibrationError;
 use std::path::Path;
-use wcal_core::stream::MomentStream;
+use wcal_core::stream::{MomentSpread, MomentStream, StreamMoments};
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_verify::scalar::ScalarSystem;
-use wcal_verify::verify::HeldOut;
-use wcal_verify::verify::session_model::Quantity;
-use wcal_verify::verify::{SessionModel, SessionText};
-use wcal_verify::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
+use wcal_verify::verify::{HeldOut, Quantity, SessionModel, SessionText};
+use wcal_verify::whisker::groove_motion::{AcceptedWire, GrooveMotion};
+use wcal_verify::whisker::physical::CalibratedReading;
 use wcal_verify::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.
@@ -58,21 +57,16 @@ pub trait WhiskerCalibration {
     }
     /// What the errors of its moments are made of.
     fn noise(&self) -> CalibrationNoise;
-    /// Moments of a table's readings.
-    ///
-    /// # Errors
-    /// Where the table cannot be read, or lacks a column that the calibration needs.
-    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError>;
     /// Reading by reading, memory carried on from one to the next.
     ///
     /// # Errors
     /// Where it cannot be inverted.
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError>;
-    /// A table's moments, and the wire that `whisker` describes as the calibration has it.
+    /// A table's moments.
     ///
     /// # Errors
-    /// Where the table cannot be read, lacks a column, or the wire cannot be bent.
-    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError>;
+    /// Where the table cannot be read, or lacks a column that the calibration needs.
+    fn sensed(&self, table: &Path) -> Result<SensedTable, CalibrationError>;
     /// The wire that `whisker` describes, in air, as the calibration has it, and by one standard
     /// deviation of each of the first common unknowns.
     ///
@@ -89,11 +83,7 @@ pub trait WhiskerCalibration {
 
 /// The error of [`WhiskerCalibration::wire`].
 pub(crate) fn no_wire() -> CalibrationError {
-    let detail = "expected a wire that can be bent".to_owned();
-    CalibrationError::Content {
-        place: "calibration".to_owned(),
-        detail,
-    }
+    CalibrationError::content(Path::new("calibration"), "expected a wire that can be bent")
 }
 
 /// A session as its kind's measurement model sees it.
@@ -147,15 +137,11 @@ pub struct AppliedTable {
     pub warnings: Vec<SessionWarning>,
 }
 
-/// A table through a calibration, with the wire that its contacts bend.
+/// A table through a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensedTable {
     /// Rows in the table's order.
     pub rows: Vec<SensedRow>,
-    /// Wire.
-    pub wire: AcceptedWire,
-    /// The wire by one standard deviation of each of the first common unknowns.
-    pub changed: Vec<AcceptedWire>,
     /// What is odd about the table of readings.
     pub warnings: Vec<SessionWarning>,
 }
@@ -172,60 +158,20 @@ pub struct SensedRow {
     /// Whether the strain-isolated grating was read.
     pub reference: bool,
     /// Moments.
-    pub sensed: CalibratedReading,
+    pub moments: StreamMoments,
+    /// What their spread is made of.
+    pub spread: MomentSpread,
 }
 
 impl SensedRow {
-    pub(crate) fn new(row: &WhiskerRow, sensed: CalibratedReading) -> Self {
-        let reference = row.reference_shift_pm.is_some();
+    pub(crate) fn new(row: &WhiskerRow, (moments, spread): CalibratedReading) -> Self {
         Self {
             point: row.point,
             line: row.line,
             t_s: row.t_s,
-            reference,
-            sensed,
+            reference: row.reference_shift_pm.is_some(),
+            moments,
+            spread,
         }
     }
-
-    /// Standard deviations of the moments, N mm: noise and what all rows share.
-    pub fn sd_nmm(&self) -> [f64; 2] {
-        let shared = |c: usize| {
-            self.sensed
-                .shared_nmm
-                .iter()
-                .map(|h| h[c] * h[c])
-                .sum::<f64>()
-        };
-        [0, 1].map(|c| (self.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())
-    }
-}
-
-/// Moments of one reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MomentRow {
-    /// Number of the reading.
-    pub point: i64,
-    /// Its line in the table.
-    pub line: usize,
-    /// Whether the strain-isolated grating was read.
-    pub reference: bool,
-    /// Time, s, where the table has it.
-    pub t_s: Option<f64>,
-    /// Shifts, pm.
-    pub shift_pm: [f64; 2],
-    /// Moments, N mm.
-    pub moment_nmm: [f64; 2],
-    /// Their standard deviations, N mm.
-    pub sd_nmm: [f64; 2],
-    /// Whether the calibration vouches for them.
-    pub valid: bool,
-}
-
-/// Moments of a table's readings.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct MomentTable {
-    /// One a reading, in the table's order.
-    pub rows: Vec<MomentRow>,
-    /// What is odd about the table.
-    pub warnings: Vec<SessionWarning>,
 }

@@ -71,24 +71,22 @@ pub fn seal(
     provenance: Provenance,
     wire: Option<WireParts<'_>>,
 ) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
-    let noise = wire.as_ref().and_then(|_| Some(model.whisker()?.noise()));
-    let noise = serde_json::from_str(&serde_json::to_string(&noise)?)?;
-    let mut file = CalibrationFile {
+    let file = CalibrationFile {
         format: CALIBRATION_FORMAT.to_owned(),
         session: session.to_owned(),
         verification,
         expires,
-        // Through JSON once, so that the hash is that of what is written.
-        model: serde_json::from_str(&serde_json::to_string(&model)?)?,
         provenance,
         whisker: wire.as_ref().map(|w| w.whisker.clone()),
         frame: wire.as_ref().map(|w| frame(w.whisker, w.moments)),
-        noise,
-        contact_uncertainty: serde_json::from_str(&serde_json::to_string(
-            &wire.and_then(|w| w.contact),
-        )?)?,
+        noise: wire.as_ref().and_then(|_| Some(model.whisker()?.noise())),
+        contact_uncertainty: wire.and_then(|w| w.contact),
+        model,
         content_sha256: String::new(),
     };
+    // Through JSON once, so that the hash is that of what is written.
+    let mut file: CalibrationFile<CalibrationModel> =
+        serde_json::from_str(&serde_json::to_string(&file)?)?;
     file.content_sha256 = file.compute_hash()?;
     Ok(file)
 }

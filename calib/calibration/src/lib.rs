@@ -16,9 +16,7 @@ mod physical;
 mod scalar;
 mod trust_issue;
 
-pub use apply::{
-    Calibration, MomentTable, SensedRow, SensedTable, SessionSystem, WhiskerCalibration,
-};
+pub use apply::{Calibration, SensedRow, SensedTable, SessionSystem, WhiskerCalibration};
 pub use artefact::{
     CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,
     standing,

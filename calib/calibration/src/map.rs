@@ -1,8 +1,7 @@
 //! A fitted wavelength-to-moment map.
 
 use crate::apply::{
-    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
-    WhiskerCalibration, no_wire,
+    AppliedTable, Calibration, SensedRow, SensedTable, SessionSystem, WhiskerCalibration, no_wire,
 };
 use crate::error::CalibrationError;
 use std::path::Path;
@@ -118,45 +117,16 @@ impl WhiskerCalibration for MapArtefact {
         Some(self.training_pm.len())
     }
 
-    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
-        let predictor = MapPredictor::new(self)?;
+    fn sensed(&self, table: &Path) -> Result<SensedTable, CalibrationError> {
+        let mut predictor = MapPredictor::new(self)?;
         let table = load_table(table, &self.fbg)?;
-        let one = |row: &wcal_core::WhiskerRow| {
+        let rows = table.rows.iter().map(|row| {
             let shift_pm = row.compensated_pm(&self.fbg);
-            let p = predictor.predict(shift_pm);
-            let (moment_nmm, sd_nmm, valid) = (p.moment_nmm, p.sd_nmm, p.is_valid());
-            MomentRow {
-                point: row.point,
-                line: row.line,
-                reference: row.reference_shift_pm.is_some(),
-                t_s: row.t_s,
-                shift_pm,
-                moment_nmm,
-                sd_nmm,
-                valid,
-            }
-        };
-        Ok(MomentTable {
-            rows: table.rows.iter().map(one).collect(),
-            warnings: table.warnings,
-        })
-    }
-
-    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
-        let place = table;
-        let table = load_table(place, &self.fbg)?;
-        let shifts = table.rows.iter().map(|r| r.compensated_pm(&self.fbg));
-        let found = groove_motion::of_shifts(shifts, whisker, self)
-            .ok_or_else(|| CalibrationError::content(place, "expected a wire that can be bent"))?;
-        let rows = table
-            .rows
-            .iter()
-            .zip(found.readings)
-            .map(|(row, sensed)| SensedRow::new(row, sensed));
+            let moments = predictor.moments(0.0, shift_pm, 0.0);
+            SensedRow::new(row, (moments, predictor.spread()))
+        });
         Ok(SensedTable {
             rows: rows.collect(),
-            wire: found.wire,
-            changed: found.changed,
             warnings: table.warnings,
         })
     }
@@ -165,9 +135,8 @@ impl WhiskerCalibration for MapArtefact {
         &self,
         whisker: &WhiskerSpec,
     ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
-        let found =
-            groove_motion::of_shifts(std::iter::empty(), whisker, self).ok_or_else(no_wire)?;
-        Ok((found.wire, found.changed))
+        let nominal = AcceptedWire::nominal(whisker).ok_or_else(no_wire)?;
+        Ok((nominal, Vec::new()))
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {

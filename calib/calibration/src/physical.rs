@@ -2,13 +2,12 @@
 //! own history.
 
 use crate::apply::{
-    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
-    WhiskerCalibration, no_wire,
+    AppliedTable, Calibration, SensedRow, SensedTable, SessionSystem, WhiskerCalibration, no_wire,
 };
 use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
-use wcal_core::{CalibrationNoise, FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
+use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::{SessionWarning, load_table};
 use wcal_verify::verify::HeldOut;
 use wcal_verify::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
@@ -31,22 +30,20 @@ impl Calibration for PhysicalModel {
     }
 
     fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
-        let MomentTable { rows, warnings } = self.moments(table)?;
+        let History {
+            rows,
+            path,
+            warnings,
+        } = history(self, table)?;
+        let inferred = self.infer(&path, None);
         let mut csv = String::from(HEADER);
-        for r in &rows {
-            csv += &format!(
-                "{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.6},{}\n",
-                r.point,
-                r.shift_pm[0],
-                r.shift_pm[1],
-                r.moment_nmm[0],
-                r.moment_nmm[1],
-                r.sd_nmm[0],
-                r.sd_nmm[1],
-                u8::from(!r.valid)
-            );
+        for i in in_order(&path) {
+            let (point, m) = (rows[path.rows[i]].point, &inferred[i]);
+            let ([a, b], outside) = (path.readings[i].shift_pm, u8::from(!m.valid));
+            let ([m1, m2], [sd1, sd2]) = (m.moment_nmm, m.sd_nmm);
+            csv += &format!("{point},{a:.4},{b:.4},{m1:.6},{m2:.6},{sd1:.6},{sd2:.6},{outside}\n");
         }
-        let (outside, rows) = (rows.iter().filter(|r| !r.valid).count(), rows.len());
+        let (outside, rows) = (inferred.iter().filter(|m| !m.valid).count(), rows.len());
         let outside = (outside > 0).then(|| {
             format!("{outside} of {rows} readings ask for moments beyond those that were fitted")
         });
@@ -102,46 +99,16 @@ impl WhiskerCalibration for PhysicalModel {
         }
     }
 
-    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
+    fn sensed(&self, table: &Path) -> Result<SensedTable, CalibrationError> {
         let History {
             rows,
             path,
             warnings,
         } = history(self, table)?;
-        let inferred = self.infer(&path, None);
-        let one = |i: usize| {
-            let (row, m) = (&rows[path.rows[i]], &inferred[i]);
-            MomentRow {
-                point: row.point,
-                line: row.line,
-                reference: row.reference_shift_pm.is_some(),
-                t_s: row.t_s,
-                shift_pm: path.readings[i].shift_pm,
-                moment_nmm: m.moment_nmm,
-                sd_nmm: m.sd_nmm,
-                valid: m.valid,
-            }
-        };
-        Ok(MomentTable {
-            rows: in_order(&path).into_iter().map(one).collect(),
-            warnings,
-        })
-    }
-
-    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
-        let History {
-            rows,
-            path,
-            warnings,
-        } = history(self, table)?;
-        let found = groove_motion::of_readings(&path, whisker, self)
-            .ok_or_else(|| CalibrationError::content(table, "expected a wire that can be bent"))?;
-        let one = |i: usize| SensedRow::new(&rows[path.rows[i]], found.readings[i].clone());
-        let rows = in_order(&path).into_iter().map(one).collect();
+        let readings = self.calibrated(&path).ok_or_else(singular)?;
+        let one = |i: usize| SensedRow::new(&rows[path.rows[i]], readings[i].clone());
         Ok(SensedTable {
-            rows,
-            wire: found.wire,
-            changed: found.changed,
+            rows: in_order(&path).into_iter().map(one).collect(),
             warnings,
         })
     }
@@ -150,9 +117,7 @@ impl WhiskerCalibration for PhysicalModel {
         &self,
         whisker: &WhiskerSpec,
     ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
-        let path = WhiskerPath::new(&[], &[], &MomentAxes::default(), &self.fbg, None, None);
-        let found = groove_motion::of_readings(&path, whisker, self).ok_or_else(no_wire)?;
-        Ok((found.wire, found.changed))
+        AcceptedWire::accepted(whisker, self).ok_or_else(no_wire)
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {
@@ -160,13 +125,15 @@ impl WhiskerCalibration for PhysicalModel {
     }
 
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {
-        let stream =
-            PhysicalStream::new(self.clone()).ok_or_else(|| CalibrationError::Content {
-                place: "calibration".to_owned(),
-                detail: "expected a sensitivity that can be inverted".to_owned(),
-            })?;
-        Ok(Box::new(stream))
+        Ok(Box::new(
+            PhysicalStream::new(self.clone()).ok_or_else(singular)?,
+        ))
     }
+}
+
+fn singular() -> CalibrationError {
+    let detail = "expected a sensitivity that can be inverted";
+    CalibrationError::content(Path::new("calibration"), detail)
 }
 
 /// A table's readings in order of time.
@@ -185,8 +152,7 @@ fn history(model: &PhysicalModel, place: &Path) -> Result<History, CalibrationEr
         .into_iter()
         .map(|r| WhiskerRow { seating, ..r })
         .collect();
-    let all: Vec<&WhiskerRow> = rows.iter().collect();
-    let path = WhiskerPath::new(&all, &[], &MomentAxes::default(), &model.fbg, None, None);
+    let path = WhiskerPath::new(&rows, &[], &model.fbg, None);
     if let Some((id, column)) = model.missing_column(&path) {
         let detail =
             format!("the calibration carries {id}: expected {column} in every row, found none");

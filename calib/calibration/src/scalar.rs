@@ -100,16 +100,14 @@ impl Calibration for ScalarModel {
             (false, true) => columns.gappy("measured_mm")?,
             (false, false) => columns.gappy("response")?,
         };
-        let [t_s, temperature, direction, cycle, point] =
-            ["t_s", "temperature_degc", "direction", "cycle", "point"]
-                .map(|name| columns.numbers(name, false));
-        let (t_s, temperature, direction, cycle, point) =
-            (t_s?, temperature?, direction?, cycle?, point?);
+        let optional = |name| columns.numbers(name, false);
+        let (t_s, temperature) = (optional("t_s")?, optional("temperature_degc")?);
+        let (direction, cycle) = (optional("direction")?, optional("cycle")?);
+        let point = optional("point")?;
         let needed = self.effects.iter().any(|e| e.id == "cross-axis");
-        let mut covariates = Vec::new();
-        for name in &self.covariates {
-            covariates.push(columns.numbers(name, needed)?);
-        }
+        let further = self.covariates.iter();
+        let covariates = further.map(|name| columns.numbers(name, needed));
+        let covariates = covariates.collect::<Result<Vec<_>, _>>()?;
         let middle = 0.5 * (self.stimulus_range[0] + self.stimulus_range[1]);
         let rows: Vec<ScalarRow> = (0..table.rows.len())
             .map(|k| {
@@ -123,12 +121,15 @@ impl Calibration for ScalarModel {
                     role: Role::Verification,
                     x: at(&stimulus).unwrap_or(middle),
                     x_sd: None,
-                    y: at(&response).unwrap_or(0.0),
+                    y: at(&response).unwrap_or_default(),
                     t_s: at(&t_s),
                     temperature_degc: at(&temperature),
                     direction: at(&direction),
                     cycle: at(&cycle).map(|c| c as u32),
-                    covariates: covariates.iter().map(|c| at(c).unwrap_or(0.0)).collect(),
+                    covariates: covariates
+                        .iter()
+                        .map(|c| at(c).unwrap_or_default())
+                        .collect(),
                     place: None,
                 }
             })

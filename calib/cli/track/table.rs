@@ -9,7 +9,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
 use std::str::FromStr;
-use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
+use wcal_core::{SessionData, WhiskerData, WireFrame};
 use wcal_session::motion_table::{LoggedMotion, has_motion, read};
 use wcal_session::sweep_session::SweepSession;
 use wcal_track::TrackError;
@@ -91,8 +91,7 @@ pub(crate) fn of_session<'a>(
 ) -> Result<Prepared<'a>> {
     // From here on nobody knows where the groove is.
     let blind = without_groove(&session.data)?;
-    let rows: Vec<&WhiskerRow> = blind.rows.iter().collect();
-    let system = WhiskerSystem::new(&blind, &rows)?;
+    let system = WhiskerSystem::new(&blind, &[])?;
     let motion = loaded
         .calibration()?
         .groove_motion(&system)

@@ -25,7 +25,7 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
     let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
     order.sort_by_key(|&i| whole.path.rows[i]);
     for i in order {
-        let (row, [before, after]) = (whole.row(i), [before, after].map(|p| &p.readings[i]));
+        let (row, [before, after]) = (whole.row(i), [before, after].map(|p| &p[i]));
         let role = serde_json::to_value(row.role)?;
         write!(
             csv,

@@ -46,12 +46,8 @@ impl TableSource {
         (calibration, noise): (&dyn WhiskerCalibration, CalibrationNoise),
         whisker: &WhiskerSpec,
     ) -> Result<Self, TrackError> {
-        let SensedTable {
-            rows,
-            wire,
-            changed,
-            warnings,
-        } = calibration.sensed(path, whisker)?;
+        let SensedTable { rows, warnings } = calibration.sensed(path)?;
+        let (wire, changed) = calibration.wire(whisker)?;
         let of_motion = |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
         let needs_reference = calibration.fbg().needs_reference();
         let mut last_s = f64::NEG_INFINITY;
@@ -142,17 +138,16 @@ impl TableSource {
     /// A reading without its motion.
     fn reading(&self, row: &SensedRow) -> Reading {
         let usable = !self.needs_reference || row.reference;
-        let s = &row.sensed;
-        let noise = &self.noise;
+        let (m, spread, noise) = (&row.moments, &row.spread, &self.noise);
         let own = noise.misfit_sd_nmm.and(noise.reading_sd_nmm);
         let moments = Moments {
-            moment_nmm: s.moment_nmm,
-            sd_nmm: row.sd_nmm(),
-            valid: s.valid,
-            pose_nmm2: s.noise_nmm2,
+            moment_nmm: m.moment_nmm,
+            sd_nmm: m.sd_nmm,
+            valid: m.valid,
+            pose_nmm2: spread.noise_nmm2,
             own_nmm2: own.map(diagonal),
             drift_nmm2: noise.drift_sd_nmm.map_or_else(Matrix2::zeros, diagonal),
-            shared_nmm: s.shared_nmm.clone(),
+            shared_nmm: spread.shared_nmm.clone(),
             ..Moments::default()
         };
         let mut reading = Reading::alone(row.point, row.t_s.unwrap_or_default(), Some(moments));

@@ -105,6 +105,18 @@ impl EffectModel {
         self
     }
 
+    /// With several alike.
+    pub(crate) fn amplitudes<const N: usize>(
+        self,
+        names: [&'static str; N],
+        unit: &'static str,
+        range: [f64; 2],
+        probe: f64,
+    ) -> Self {
+        let add = |law: Self, name| law.amplitude(name, unit, range, probe);
+        names.into_iter().fold(self, add)
+    }
+
     /// With a value that shapes it.
     pub fn shape(
         mut self,
@@ -126,6 +138,11 @@ impl EffectModel {
     pub fn column(mut self, name: &'static str, unit: &'static str) -> Self {
         self.linear.push((name, unit));
         self
+    }
+
+    /// With `count` of them alike.
+    pub(crate) fn columns(self, count: usize, name: &'static str, unit: &'static str) -> Self {
+        (0..count).fold(self, |law, _| law.column(name, unit))
     }
 
     /// With a largest share.

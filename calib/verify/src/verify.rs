@@ -18,7 +18,7 @@ mod left_out;
 pub mod prediction_residual;
 mod request;
 pub(crate) mod sealed_in_fit;
-pub mod session_model;
+mod session_model;
 mod witness;
 
 use crate::error::VerifyError;
@@ -35,7 +35,9 @@ use evidence::MAX_ROUNDS;
 pub use explained::Explained;
 pub use left_out::FoldCalibrations;
 pub use request::VerifyRequest;
-pub use session_model::{HeldOut, SessionModel, SessionText};
+pub use session_model::{
+    FloorStatement, Folds, HeldOut, Origin, Quantity, SessionModel, SessionText,
+};
 use wcal_core::Sealed;
 use wcal_core::verify_document::VerifyDocument;
 pub use witness::Witness;

@@ -157,11 +157,11 @@ impl VirtualBench {
         let by = by.whisker().ok_or_else(|| {
             LabError::value("virtual bench, calibration", "a whisker's", "another kind")
         })?;
-        let rows = by.sensed(&path, &self.whisker)?.rows;
+        let rows = by.sensed(&path)?.rows;
         let mut tare = Tare::new(TARE_S);
         let mut seen = series.clone();
         for (instant, row) in seen.samples.iter_mut().zip(&rows) {
-            instant.moment_nmm = tare.zeroed(instant.t_s, row.sensed.moment_nmm);
+            instant.moment_nmm = tare.zeroed(instant.t_s, row.moments.moment_nmm);
         }
         Ok(seen)
     }

@@ -59,7 +59,7 @@ fn tracked(
     let whole = &done.assessment.whole;
     let mut motion = model.groove_motion(whole).unwrap();
     change(&mut motion);
-    let [sealed, _] = whole.held_out();
+    let sealed = &whole.sealed;
     let mut compared = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm).unwrap();
     compared.dedup_by_key(|c| c.trajectory);
     compared

@@ -13,7 +13,7 @@ use super::decision::Decision;
 use super::error_summary::{coverage95, summarise};
 use super::left_out::{Errors, SharedNoise, noise_ratio};
 use super::prediction_residual::PredictionResidual;
-use super::session_model::{HeldOut, Quantity, Record, SessionModel};
+use super::session_model::{HeldOut, Quantity, SessionModel};
 use crate::error::VerifyError;
 use crate::levels::{HOLDOUT, SEALED_ABOVE_FLOOR, SEALED_RIVAL, SEALED_SINGLE_READINGS};
 use crate::method::fit::{Weights, fit};
@@ -325,15 +325,25 @@ fn residuals<M: SessionModel>(
         (!whole.sealed()[i] && !fitted.contains(&own))
             .then(|| "left out of the search: too many readings".to_owned())
     };
-    (0..sd.len())
-        .flat_map(|i| {
-            let at = Record {
-                reading: i,
-                noise_sd: sd[i] * whole.noise_factor(),
-                rejected: rejected(i),
-                covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
-            };
-            whole.records(before, after, &at)
-        })
-        .collect()
+    let of = |i: usize| {
+        let origin = whole.origin(i);
+        let record = |(channel, values): (String, [f64; 3])| ResidualRecord {
+            source: origin.source.clone(),
+            line: origin.line,
+            point: origin.point,
+            role: format!("{:?}", origin.role).to_lowercase(),
+            group: whole.groups()[i],
+            channel,
+            unit: whole.unit(),
+            measured: values[0],
+            predicted_before: values[1],
+            predicted_after: values[2],
+            noise_sd: sd[i] * whole.noise_factor(),
+            rejected: rejected(i),
+            covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
+        };
+        let channels = whole.channels(before, after, i).into_iter();
+        channels.map(record).collect::<Vec<_>>()
+    };
+    (0..sd.len()).flat_map(of).collect()
 }

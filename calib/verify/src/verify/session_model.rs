@@ -9,11 +9,11 @@ use crate::method::noise::Noise;
 use crate::method::options::Options;
 use crate::method::search_result::SearchResult;
 use crate::verify::explained::Explained;
+use wcal_core::Sealed;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
     EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, TwinFault,
 };
-use wcal_core::{ResidualRecord, Sealed};
 
 /// A held-out error of `verify.json`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -228,28 +228,15 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn predict_by_labels(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None
     }
-    /// Residual records of a reading, one a channel.
-    fn records(
+    /// Channels of a reading: name, measured value, and what both models predict.
+    fn channels(
         &self,
         before: &Self::Predictions,
         after: &Self::Predictions,
-        at: &Record,
-    ) -> Vec<ResidualRecord>;
+        reading: usize,
+    ) -> Vec<(String, [f64; 3])>;
     /// How the zero varies from session to session, where several were joined.
     fn seating_repeatability(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
         None
     }
-}
-
-/// What a residual record holds beyond the predictions.
-#[derive(Debug, Clone)]
-pub struct Record {
-    /// Reading.
-    pub reading: usize,
-    /// Standard deviation of its noise, in the sensor's unit.
-    pub noise_sd: f64,
-    /// Why it was in no fit.
-    pub rejected: Option<String>,
-    /// Covariates by name.
-    pub covariates: Vec<(String, f64)>,
 }

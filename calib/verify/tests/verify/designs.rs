@@ -87,11 +87,19 @@ fn scalar(stimuli: &[f64], declared: Declared) -> ScalarSystem {
         .enumerate()
         .map(|at| (&row(at)).into())
         .collect();
-    let scaling = Scaling::of(&rows)
-        .with_unreliability(&rows, declared)
-        .of_transducer(&rows, "degC")
-        .with_places(&rows);
-    ScalarSystem::new(Frame::new(rows, &scaling, declared), &["other".to_owned()])
+    let of = |declared| Scaling::of_session(&rows, declared, "degC", rows.len());
+    let transducer = match declared {
+        Declared::Axis => Declared::Polynomial(0),
+        Declared::Polynomial(_) => declared,
+    };
+    let scaling = Scaling {
+        places: of(Declared::Axis).places,
+        ..of(transducer)
+    };
+    ScalarSystem::new(
+        Frame::new(rows, &scaling, declared, false),
+        &["other".to_owned()],
+    )
 }
 
 #[test]
@@ -138,7 +146,7 @@ fn a_design_is_finite_or_none() {
             .step_by(1 + data.rows.len() / 60)
             .cloned()
             .collect();
-        let system = WhiskerSystem::new(&data, &data.rows.iter().collect::<Vec<_>>()).unwrap();
+        let system = WhiskerSystem::new(&data, &[]).unwrap();
         let [made, tried] = designs(&system, folder);
         assert!(made > tried / 3, "{folder}: {made} of {tried}");
     }

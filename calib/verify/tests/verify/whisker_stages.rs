@@ -4,7 +4,7 @@
 use crate::search;
 use std::path::Path;
 use std::sync::OnceLock;
-use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
+use wcal_core::observation::{TwinLabel, WhiskerData};
 use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_core::{Decide, Ledger, SessionData};
 use wcal_verify::effect::EffectTerm;
@@ -43,11 +43,7 @@ pub(crate) fn data(name: &str) -> WhiskerData {
 }
 
 fn system(data: &WhiskerData) -> WhiskerSystem {
-    system_of(data, &data.rows.iter().collect::<Vec<_>>())
-}
-
-fn system_of(data: &WhiskerData, rows: &[&WhiskerRow]) -> WhiskerSystem {
-    WhiskerSystem::new(data, rows).unwrap()
+    WhiskerSystem::new(data, &[]).unwrap()
 }
 
 fn fitted(system: &WhiskerSystem, terms: &[EffectTerm]) -> Hypothesis {
@@ -178,17 +174,17 @@ fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     let noise_of = |system: &WhiskerSystem, h: &Hypothesis| {
         NoiseEstimator::new(system, 1).noise(h, &[]).unwrap()
     };
-    let floor = noise_floor(rich, &found.base, &noise_of(rich, &found.base), false).unwrap();
-    assert_eq!(floor.source, "replicates");
+    let floor = noise_floor(rich, &found.base, &noise_of(rich, &found.base), false);
+    assert_eq!(floor.floor.source, "replicates");
     // Nothing acts there: pure error and residual agree within their scatter.
-    let ratio = floor.sd_pm / found.base.fit.variance().sqrt();
+    let ratio = floor.sd / found.base.fit.variance().sqrt();
     assert!((ratio - 1.0).abs() < 0.15, "{ratio}");
     let single = data("whiskerfbg");
     let system = system(&single);
     let h = fitted(&system, &[]);
-    let floor = noise_floor(&system, &h, &noise_of(&system, &h), false).unwrap();
-    assert_eq!(floor.source, "difference");
-    assert!(floor.remark().unwrap().contains("not known"));
+    let floor = noise_floor(&system, &h, &noise_of(&system, &h), false);
+    assert_eq!(floor.floor.source, "difference");
+    assert!(floor.note.unwrap().contains("not known"));
 }
 
 // The omnibus test, adequacy and the order of verdicts.
@@ -243,8 +239,7 @@ fn every_effect_has_a_line_saying_what_could_have_been_seen() {
 #[test]
 fn friction_is_tested_on_poses_that_more_friction_would_lose() {
     let data = data("whiskerfbg");
-    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    let system = system_of(&data, &rows);
+    let system = system(&data);
     let effect = system
         .catalogue()
         .iter()
@@ -385,11 +380,14 @@ fn the_tables_hold_the_rod_to_a_tenth_of_the_finest_noise() {
     let (mut worst, mut squares) = ([0.0_f64; 10], 0.0);
     for some in settled.chunks(6) {
         // So few that each is solved for by itself.
-        let rows: Vec<_> = some
+        let rows = some
             .iter()
-            .map(|&i| &data.rows[by_table.path.rows[i]])
-            .collect();
-        let solved = system_of(&data, &rows).moments(&[]).unwrap().1;
+            .map(|&i| data.rows[by_table.path.rows[i]].clone());
+        let few = WhiskerData {
+            rows: rows.collect(),
+            ..data.clone()
+        };
+        let solved = system(&few).moments(&[]).unwrap().1;
         for (s, &i) in solved.iter().zip(some) {
             let off = (s[0] - tabulated[i][0]).hypot(s[1] - tabulated[i][1]);
             squares += off * off;

@@ -1,6 +1,7 @@
 //! Which readings can be used at all.
 
 use super::frame::{Declared, ScalarRow, Scaling};
+use crate::models::range;
 use crate::verify::sealed_in_fit::sealed_in_fit;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -24,21 +25,16 @@ pub(super) fn refusal(
         Declared::Axis => 1,
     };
     let least = MIN_ROWS.max(parameters + 2);
-    if points.len() < least {
-        return Some(format!(
-            "{} readings; at least {least} are needed",
-            points.len()
-        ));
+    let readings = points.len();
+    if readings < least {
+        return Some(format!("{readings} readings; at least {least} are needed"));
     }
     let rows = &thin(points.to_vec())[..];
     if let Some(why) = not_finite(rows, &()).or_else(|| sealed.refusal(&(), not_finite)) {
         return Some(why);
     }
-    let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
-    x.sort_by(f64::total_cmp);
-    x.dedup();
-    if x.len() < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
-        let count = x.len();
+    let count = levels(rows).len();
+    if count < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
         return Some(declared.format_text(&format!(
             "{count} different stimuli do not determine {parameters} coefficients"
         )));
@@ -54,13 +50,19 @@ pub(super) fn refusal(
         .or_else(|| transposed_digits(rows, declared).map(|why| declared.format_text(&why)))
 }
 
+/// Different stimuli, rising.
+fn levels(rows: &[ScalarRow]) -> Vec<f64> {
+    let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
+    x.sort_by(f64::total_cmp);
+    x.dedup();
+    x
+}
+
 /// The first reading that is no number.
 fn not_finite(rows: &[ScalarRow], (): &()) -> Option<String> {
     let bad = rows.iter().find(|r| !r.x.is_finite() || !r.y.is_finite())?;
-    Some(format!(
-        "reading {} of {} is not a finite number",
-        bad.origin.2, bad.origin.0
-    ))
+    let (file, _, point) = &bad.origin;
+    Some(format!("reading {point} of {file} is not a finite number"))
 }
 
 /// One value throughout, where the declared model follows the stimulus.
@@ -104,9 +106,7 @@ fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
         Declared::Axis => (1, true),
     };
     let y = |r: &ScalarRow| if axis { r.x + 1e-3 * r.y } else { r.y };
-    let mut levels: Vec<f64> = rows.iter().map(|r| r.x).collect();
-    levels.sort_by(f64::total_cmp);
-    levels.dedup();
+    let levels = levels(rows);
     if levels.len() < degree + 4 || levels.len() > MAX_LEVELS {
         return None;
     }
@@ -149,24 +149,17 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     if total <= MAX_ROWS {
         return rows;
     }
-    let [lo, hi] = rows
-        .iter()
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], r| {
-            [a.min(r.x), b.max(r.x)]
-        });
+    let [lo, hi] = range(rows.iter().map(|r| r.x));
     let bin =
         |x: f64| (((x - lo) / (hi - lo).max(1e-300)) * BINS as f64).min(BINS as f64 - 1.0) as usize;
     let mut strata: BTreeMap<(usize, i8, u32), Vec<usize>> = BTreeMap::new();
     for (k, r) in rows.iter().enumerate() {
         // Without a column the direction is that of the step from the row before.
         let step = k.checked_sub(1).map_or(0.0, |j| r.x - rows[j].x);
-        let direction = r
-            .direction
-            .unwrap_or(if step == 0.0 { 0.0 } else { step.signum() });
-        strata
-            .entry((bin(r.x), direction as i8, r.cycle.unwrap_or(0)))
-            .or_default()
-            .push(k);
+        let step = if step == 0.0 { 0.0 } else { step.signum() };
+        let way = r.direction.unwrap_or(step) as i8;
+        let stratum = (bin(r.x), way, r.cycle.unwrap_or(0));
+        strata.entry(stratum).or_default().push(k);
     }
     let mut kept = vec![false; total];
     for (s, members) in strata.values().enumerate() {
@@ -188,12 +181,8 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
 pub(super) fn number(rows: &mut [ScalarRow]) {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     if rows.iter().all(|r| r.t_s.is_some()) {
-        order.sort_by(|&a, &b| {
-            rows[a]
-                .t_s
-                .unwrap_or(0.0)
-                .total_cmp(&rows[b].t_s.unwrap_or(0.0))
-        });
+        let t_s = |k: usize| rows[k].t_s.unwrap_or_default();
+        order.sort_by(|&a, &b| t_s(a).total_cmp(&t_s(b)));
     }
     for (place, k) in order.into_iter().enumerate() {
         rows[k].place = Some(place);

@@ -12,21 +12,16 @@
 
 use super::effects::POLYNOMIAL;
 use super::frame::Declared;
-use super::row::range;
 use super::system::ScalarSystem;
-use crate::effect::{EffectModel, EffectTerm};
+use crate::effect::EffectModel;
 use crate::levels::{RETAIN_BESIDE_CORRELATED, RIVAL, z};
-use crate::measurement_model::MeasurementModel;
-use crate::method::admissible::REFIT_STEPS;
-use crate::method::fit::{Fit, Status, Weights, fit};
-use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::Noise;
-use crate::method::noise_estimator::noise_for_predictions;
-use crate::method::omnibus::omnibus_test;
-use crate::method::options::Options;
-use crate::method::signature::{Signature, nuisance_basis, signatures_of_effect};
-use crate::verify::session_model::Folds;
-use crate::verify::{Explained, SessionModel};
+use crate::method::{
+    Fit, Hypothesis, Noise, Options, REFIT_STEPS, Signature, Status, Weights, fit,
+    noise_for_predictions, nuisance_basis, omnibus_test, signatures_of_effect,
+};
+use crate::models::range;
+use crate::verify::{Explained, Folds, SessionModel};
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::{DMatrix, DVector};
 
 /// A bend that leaves this much more of the fitted readings is no rival.
@@ -34,50 +29,17 @@ const MUCH_MORE: f64 = 4.0;
 /// Share of the squares left out that another description may leave.
 const MATTERS: f64 = 0.5;
 
-/// Errors of readings that are left out in turn, in units of their noise; none where a fold has no
-/// fit.
-struct LeftOut {
-    errors: Vec<f64>,
+/// The readings speak against the model of errors `left_out` beside the `best`, at the level `z`;
+/// `noise`: covariance of the errors.
+fn is_behind(left_out: &LeftOut, best: &LeftOut, noise: &DMatrix<f64>, z: f64) -> bool {
+    // sum e'^2 - e^2 = d' (e' + e), d = e' - e: its variance is 4 d' C d where e is noise.
+    let difference = left_out - best;
+    let sd = 2.0 * difference.dot(&(noise * &difference)).sqrt();
+    left_out.norm_squared() - best.norm_squared() > z * sd
 }
 
-impl LeftOut {
-    /// With a model of `terms` that starts from their values, on readings taken for independent;
-    /// without those beyond the stimuli that are kept where `inside`.
-    fn of(
-        system: &ScalarSystem,
-        terms: &[EffectTerm],
-        weights: &Weights,
-        folds: &Folds,
-        inside: bool,
-    ) -> Option<Self> {
-        let mut errors = vec![0.0; folds.fold.len()];
-        for f in 0..folds.fold.iter().flatten().max().map_or(0, |m| m + 1) {
-            let kept = weights.masked(|i| folds.fold[i] != Some(f));
-            let left = fit(system, terms, &kept, REFIT_STEPS)?.raw_residual;
-            let u = &system.frame.u;
-            let [low, high] = range((0..u.len()).filter(|&i| kept.counts(i)).map(|i| u[i]));
-            let asked = |i: usize| !inside || (low..=high).contains(&u[i]);
-            for i in (0..errors.len())
-                .filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && asked(i))
-            {
-                errors[i] = left[(i, 0)] * weights.of(i);
-            }
-        }
-        Some(Self { errors })
-    }
-
-    fn squares(&self) -> f64 {
-        self.errors.iter().map(|e| e * e).sum()
-    }
-
-    /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the
-    /// errors.
-    fn is_behind(&self, best: &Self, noise: &DMatrix<f64>, z: f64) -> bool {
-        let difference =
-            DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
-        self.squares() - best.squares() > 2.0 * z * difference.dot(&(noise * &difference)).sqrt()
-    }
-}
+/// Errors of readings that are left out in turn, in units of their noise.
+type LeftOut = DVector<f64>;
 
 /// Lets the bends compete, in place of what was found.
 pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
@@ -110,25 +72,30 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
 }
 
 /// Takes the bends that stand in place of every bend that was found.
-fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, options: &Options) {
+fn take(
+    system: &ScalarSystem,
+    explained: &mut Explained,
+    (mut remaining, all): (Vec<Hypothesis>, Vec<Hypothesis>),
+    options: &Options,
+) {
     let found = &mut explained.found;
-    let Some(first) = outcome.remaining.first().cloned() else {
+    let competed: Vec<Vec<usize>> = all.iter().map(keys).collect();
+    let Some(first) = remaining.first().cloned() else {
         return;
     };
-    let competed: Vec<Vec<usize>> = outcome.competed.iter().map(keys).collect();
-    let beside = |h: &&Hypothesis| !competed.contains(&keys(h));
     if !competed.contains(&keys(&found.best)) {
         return;
     }
-    let other: Vec<Hypothesis> = found.survivors.iter().filter(beside).cloned().collect();
     if keys(&first) != keys(&found.best) {
         found.last_test = omnibus_test(system, &first.fit, &first.weights, options);
         found.best = first;
     }
     // Each fold holds the contest again.
     found.refitted.retain(|h| !competed.contains(&keys(h)));
-    found.refitted.splice(0..0, outcome.competed);
-    found.survivors = outcome.remaining.into_iter().chain(other).collect();
+    found.refitted.splice(0..0, all);
+    found.survivors.retain(|h| !competed.contains(&keys(h)));
+    remaining.append(&mut found.survivors);
+    found.survivors = remaining;
 }
 
 fn keys(h: &Hypothesis) -> Vec<usize> {
@@ -139,13 +106,8 @@ fn keys(h: &Hypothesis) -> Vec<usize> {
 
 /// Only powers of the stimulus.
 fn is_polynomial(system: &ScalarSystem, h: &Hypothesis) -> bool {
-    let bends = h
-        .fit
-        .terms
-        .iter()
-        .map(|t| &system.effects[t.effect])
-        .filter(|e| e.bend);
-    bends.into_iter().all(|e| e.degree.is_some())
+    let mut effects = h.fit.terms.iter().map(|t| &system.effects[t.effect]);
+    effects.all(|e| !e.bend || e.degree.is_some())
 }
 
 /// Something remains that follows the stimulus alone: repeats say so, or the strongest driver.
@@ -154,11 +116,9 @@ fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
     let lack = system
         .pure_error(found.accepted())
         .is_some_and(|l| l.is_significant());
-    let driver = |d: &str| d == "stimulus";
-    let left = found
-        .failed_adequacy_test()
-        .and_then(|t| t.covariates.first());
-    lack || left.is_some_and(|d| driver(&d.covariate))
+    let left = found.failed_adequacy_test();
+    let driver = left.and_then(|t| t.covariates.first());
+    lack || driver.is_some_and(|d| d.covariate == "stimulus")
 }
 
 /// Bends in one place: what stands beside them, readings taken for independent, and how they are
@@ -182,12 +142,9 @@ impl<'a> Contest<'a> {
     /// The place of the bends of `h`; `waves`: its waves over the stimulus stay beside them.
     fn of(system: &'a ScalarSystem, h: &'a Hypothesis, noise: &Noise, waves: bool) -> Self {
         let rows: Vec<usize> = (0..system.frame.rows.len()).collect();
-        let mut covariance = noise.weights_of(&system.noise_inputs()).covariance(&rows);
-        let scale = |i: usize| h.weights.relative()[i] * noise.repeat.value;
-        covariance
-            .iter_mut()
-            .enumerate()
-            .for_each(|(k, c)| *c *= scale(k / rows.len()) * scale(k % rows.len()));
+        let covariance = noise.weights_of(&system.noise_inputs()).covariance(&rows);
+        let scale = DVector::from_column_slice(h.weights.relative()) * noise.repeat.value;
+        let covariance = covariance.component_mul(&(&scale * scale.transpose()));
         let effects = &system.effects;
         let beside = |t: &&EffectTerm| {
             let of = &effects[t.effect];
@@ -209,14 +166,21 @@ impl<'a> Contest<'a> {
         }
     }
 
+    /// With a model of `terms` that starts from their values; none where a fold has no fit.
     fn left_out(&self, terms: &[EffectTerm]) -> Option<LeftOut> {
-        LeftOut::of(
-            self.system,
-            terms,
-            &self.independent,
-            &self.folds,
-            self.inside,
-        )
+        let (fold, weights, u) = (&self.folds.fold, &self.independent, &self.system.frame.u);
+        let mut errors = DVector::zeros(fold.len());
+        for f in 0..fold.iter().flatten().max().map_or(0, |m| m + 1) {
+            let kept = weights.masked(|i| fold[i] != Some(f));
+            let left = fit(self.system, terms, &kept, REFIT_STEPS)?.raw_residual;
+            let [low, high] = range((0..u.len()).filter(|&i| kept.counts(i)).map(|i| u[i]));
+            let asked = |i: usize| !self.inside || (low..=high).contains(&u[i]);
+            let own = |i: &usize| fold[*i] == Some(f) && weights.counts(*i) && asked(*i);
+            for i in (0..u.len()).filter(own) {
+                errors[i] = left[(i, 0)] * weights.of(i);
+            }
+        }
+        Some(errors)
     }
 
     /// Every bend that may stand in this place, refitted, with what it leaves of readings left out.
@@ -244,15 +208,10 @@ impl<'a> Contest<'a> {
             }
         }
         let least = fits.iter().map(|f| f.ssr).fold(f64::INFINITY, f64::min);
-        fits.retain(|f| {
-            f.ssr <= MUCH_MORE * least
-                && system
-                    .unidentified_term(&self.hypothesis(f.clone()))
-                    .is_none()
-        });
-        fits.into_iter()
-            .filter_map(|f| self.left_out(&f.terms).map(|e| (f, e)))
-            .collect()
+        let unidentified = |f: &Fit| system.unidentified_term(&self.hypothesis(f.clone()));
+        fits.retain(|f| f.ssr <= MUCH_MORE * least && unidentified(f).is_none());
+        let with_errors = |f: Fit| self.left_out(&f.terms).map(|errors| (f, errors));
+        fits.into_iter().filter_map(with_errors).collect()
     }
 
     fn hypothesis(&self, fit: Fit) -> Hypothesis {
@@ -263,23 +222,26 @@ impl<'a> Contest<'a> {
         }
     }
 
-    /// The bends that the readings do not speak against, one law of each. The plainest stands alone
-    /// where none predicts better.
-    fn outcome(&self) -> Outcome {
+    /// The bends that the readings do not speak against, one law of each, the plainest first, and all
+    /// that competed. The plainest stands alone where none predicts better.
+    fn outcome(&self) -> (Vec<Hypothesis>, Vec<Hypothesis>) {
         let mut all = self.bends();
-        all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
+        all.sort_by(|(_, a), (_, b)| a.norm_squared().total_cmp(&b.norm_squared()));
         let mut set: Vec<Hypothesis> = Vec::new();
         let mut competed = Vec::new();
         for (f, errors) in &all {
-            let own = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS);
-            let own = own.map(|fit| Hypothesis {
+            let Some(fit) = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS) else {
+                continue;
+            };
+            let own = Hypothesis {
                 fit,
                 ..self.of.clone()
-            });
-            let remains = !errors.is_behind(&all[0].1, &self.noise, self.z);
-            let new = |h: &&Hypothesis| remains && set.iter().all(|s| keys(s) != keys(h));
-            set.extend(own.iter().filter(new).cloned().collect::<Vec<_>>());
-            competed.extend(own);
+            };
+            let remains = !is_behind(errors, &all[0].1, &self.noise, self.z);
+            if remains && set.iter().all(|s| keys(s) != keys(&own)) {
+                set.push(own.clone());
+            }
+            competed.push(own);
         }
         let best = set.first().map(keys);
         // The plainest first: fewest parameters, then the catalogue's order.
@@ -287,17 +249,8 @@ impl<'a> Contest<'a> {
         if set.first().map(keys) == best {
             set.truncate(1);
         }
-        Outcome {
-            remaining: set,
-            competed,
-        }
+        (set, competed)
     }
-}
-
-/// Bends that stand, the plainest first, and all that competed.
-struct Outcome {
-    remaining: Vec<Hypothesis>,
-    competed: Vec<Hypothesis>,
 }
 
 /// A polynomial of the least degree that no higher one beats on readings left out, where it takes
@@ -337,22 +290,22 @@ fn prefer_polynomial(
         .collect();
     let Some((best, _)) = all
         .iter()
-        .min_by(|a, b| a.0.squares().total_cmp(&b.0.squares()))
+        .min_by(|a, b| a.0.norm_squared().total_cmp(&b.0.norm_squared()))
     else {
         return;
     };
     // What the best one leaves is the noise: what the laws leave is none.
-    let noise = DMatrix::identity(best.errors.len(), best.errors.len())
-        * (best.squares() / best.errors.len() as f64);
+    let count = best.len();
+    let noise = DMatrix::identity(count, count) * (best.norm_squared() / count as f64);
     let Some((errors, terms)) = all
         .iter()
-        .find(|(e, _)| !e.is_behind(best, &noise, z(RIVAL)))
+        .find(|(e, _)| !is_behind(e, best, &noise, z(RIVAL)))
     else {
         return;
     };
     let laws = contest.left_out(&found.accepted().fit.terms);
     let most = if in_pieces { 1.0 } else { MATTERS };
-    if laws.is_none_or(|laws| errors.squares() >= most * laws.squares()) {
+    if laws.is_none_or(|laws| errors.norm_squared() >= most * laws.norm_squared()) {
         return;
     }
     let fitted = |terms: &Vec<EffectTerm>| {

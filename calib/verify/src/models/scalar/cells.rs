@@ -14,14 +14,11 @@ use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::levels::{BETWEEN_STRATA, NEGLIGIBLE, WITHIN_STRATA};
 use crate::measurement_model::{DesignTest, MeasurementModel};
-use crate::method::admissible::REFIT_STEPS;
-use crate::method::deletion_diagnostics::influential_set;
-use crate::method::fit::{Fit, Weights, fit};
-use crate::method::hypothesis::{Hypothesis, NotIdentified};
-use crate::method::lack_of_fit::{Part, extra_sum_of_squares_p, members, split, split_of};
-use crate::method::min_p::{f_test, strongest};
-use crate::method::search_result::SearchResult;
-use nalgebra::{DMatrix, DVector};
+use crate::method::{
+    Fit, Hypothesis, NotIdentified, Part, REFIT_STEPS, SearchResult, Weights,
+    extra_sum_of_squares_p, f_test, fit, influential_set, members, split, split_of, strongest,
+};
+use nalgebra::DVector;
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
@@ -50,6 +47,15 @@ struct Strata {
 }
 
 impl Strata {
+    /// Cells of a law over the clock, or of another one.
+    fn of(&self, by_clock: bool) -> &[u64] {
+        if by_clock {
+            &self.protocol
+        } else {
+            &self.cells
+        }
+    }
+
     /// A term gains where it says something by itself: within cells, or for a law of the stimulus
     /// between them.
     fn explains_between_strata(
@@ -59,17 +65,16 @@ impl Strata {
         by_clock: bool,
         x: &[f64],
     ) -> bool {
-        let cells = if by_clock {
-            &self.protocol
-        } else {
-            &self.cells
-        };
-        let [with, without] = fits.map(|fit| split(fit, weights, cells, x));
+        let [with, without] = fits.map(|fit| split(fit, weights, self.of(by_clock), x));
         extra_sum_of_squares_p(without.within, with.within).is_some_and(|p| p < WITHIN_STRATA)
             || (!by_clock
                 && extra_sum_of_squares_p(without.between, with.between)
                     .is_some_and(|p| p < BETWEEN_STRATA))
     }
+}
+
+fn of_time(need: &LawRequirement) -> bool {
+    matches!(need, LawRequirement::Clock | LawRequirement::Time)
 }
 
 impl ScalarSystem {
@@ -81,21 +86,14 @@ impl ScalarSystem {
         // Laws with memory of the stimulus need the time, but follow the protocol; the settling of
         // an earlier load does not.
         let by_stimulus = effect.has_memory && law.name != "settling";
-        !by_stimulus
-            && law.needs.iter().any(|n| {
-                matches!(
-                    n,
-                    LawRequirement::Clock | LawRequirement::Order | LawRequirement::Time
-                )
-            })
+        let by_clock = |n: &LawRequirement| *n == LawRequirement::Order || of_time(n);
+        !by_stimulus && law.needs.iter().any(by_clock)
     }
 
     /// The law depends on the stimulus of earlier times (lag, creep).
     fn remembers_in_time(&self, term: &EffectTerm) -> bool {
         let effect = &self.catalogue()[term.effect];
-        let by_time =
-            |n: &LawRequirement| matches!(n, LawRequirement::Clock | LawRequirement::Time);
-        effect.has_memory && effect.law(term.law).needs.iter().any(by_time)
+        effect.has_memory && effect.law(term.law).needs.iter().any(of_time)
     }
 
     /// The tests of [`Strata::explains_between_strata`], of a term's signature.
@@ -109,18 +107,10 @@ impl ScalarSystem {
         let Some(strata) = self.strata(h) else {
             return Vec::new();
         };
-        let cells = if by_clock {
-            &strata.protocol
-        } else {
-            &strata.cells
-        };
-        let parts = split_of(
-            signature.as_slice(),
-            &h.fit,
-            &h.weights,
-            cells,
-            &self.frame.read_u,
-        );
+        let cells = strata.of(by_clock);
+        let (values, x) = (signature.as_slice(), &self.frame.read_u);
+        let parts = split_of(values, &h.fit, &h.weights, cells, x);
+        // One more column takes one degree of freedom of what is left.
         let test = |part: Part, level| DesignTest {
             level,
             norm: part.ss.sqrt(),
@@ -172,21 +162,19 @@ impl ScalarSystem {
                 return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
             }
             let (levels, value) = self.driving_levels(term, &h.weights);
+            let rests_on = |sets: &[Vec<usize>]| {
+                let set = influential_set(&h.fit, &without, sets)?;
+                Some(sets[set][0])
+            };
             let one_is_enough = self.effects[term.effect].shows_on_one_level;
-            if let Some(level) =
-                influential_set(&h.fit, &without, &levels).filter(|_| !one_is_enough)
-            {
-                return why(format!(
-                    "it rests on one level ({})",
-                    value(&self.frame.rows[levels[level][0]])
-                ));
+            if let Some(row) = rests_on(&levels).filter(|_| !one_is_enough) {
+                let level = value(&self.frame.rows[row]);
+                return why(format!("it rests on one level ({level})"));
             }
             // A cycle is a stretch of the clock: a law over the clock may live in one.
-            let cycle = influential_set(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
-            why(format!(
-                "it rests on one cycle ({})",
-                self.frame.groups[cycles[cycle][0]]
-            ))
+            let row = rests_on(&cycles).filter(|_| !by_clock)?;
+            let cycle = self.frame.groups[row];
+            why(format!("it rests on one cycle ({cycle})"))
         })
     }
 
@@ -295,11 +283,9 @@ impl ScalarSystem {
         const MIN_CYCLES: usize = 4;
         let keys: Vec<u64> = self.frame.groups.iter().map(|g| u64::from(*g)).collect();
         let cycles = members(&keys, weights.relative());
-        if cycles.len() < MIN_CYCLES {
-            Vec::new()
-        } else {
-            cycles
-        }
+        Some(cycles)
+            .filter(|cycles| cycles.len() >= MIN_CYCLES)
+            .unwrap_or_default()
     }
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take
@@ -321,23 +307,19 @@ impl ScalarSystem {
         if !repeated(&cells, h.weights.relative()) {
             return false;
         }
-        let n = cells.len();
-        let old = &h.fit.raw_design;
-        let added = DMatrix::from_fn(n, old.ncols() + columns.len(), |i, j| {
-            if j < old.ncols() {
-                old[(i, j)]
-            } else {
-                columns[j - old.ncols()][i]
-            }
-        });
-        let richer = Fit {
-            raw_design: added,
-            ..h.fit.clone()
-        };
-        extra_sum_of_squares_p(
-            split(&h.fit, &h.weights, &cells, &self.frame.read_u).within,
-            split(&richer, &h.weights, &cells, &self.frame.read_u).within,
-        )
-        .is_none_or(|p| p >= WITHIN_STRATA)
+        let own = h.fit.raw_design.ncols();
+        let mut richer = h.fit.clone();
+        richer.raw_design = richer
+            .raw_design
+            .resize_horizontally(own + columns.len(), 0.0);
+        for (k, column) in columns.iter().enumerate() {
+            richer
+                .raw_design
+                .column_mut(own + k)
+                .copy_from_slice(column);
+        }
+        let [plain, rich] =
+            [&h.fit, &richer].map(|fit| split(fit, &h.weights, &cells, &self.frame.read_u).within);
+        extra_sum_of_squares_p(plain, rich).is_none_or(|p| p >= WITHIN_STRATA)
     }
 }

@@ -12,10 +12,9 @@
 use super::frame::Frame;
 use super::sequence::ways;
 use super::system::ScalarSystem;
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::{Noise, Weights};
-use crate::method::settings::settings;
+use crate::MeasurementModel;
+use crate::method::{Hypothesis, Noise, Weights, members, settings};
+use nalgebra::DVector;
 use std::collections::BTreeMap;
 
 /// Floor of the response.
@@ -63,12 +62,8 @@ pub(crate) fn place_keys(frame: &Frame) -> Vec<u64> {
 /// One key a setting of the stimulus, or of the further column `column`.
 pub(crate) fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
     let of_column = column.and_then(|k| Some(settings(frame.covariates.get(k)?.as_ref()?)));
-    of_column
-        .as_ref()
-        .unwrap_or(&frame.setting)
-        .iter()
-        .map(|k| *k as u64)
-        .collect()
+    let settings = of_column.as_ref().unwrap_or(&frame.setting);
+    settings.iter().map(|k| *k as u64).collect()
 }
 
 fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
@@ -76,27 +71,17 @@ fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
     // A column that is another at every reading is watched, not set: it says nothing of what ought
     // to agree.
     let set = |of: &Vec<usize>| 2 * (of.iter().max().map_or(0, |m| m + 1)) <= n;
-    let columns: Vec<Vec<usize>> = frame
-        .covariates
-        .iter()
-        .flatten()
-        .map(|c| settings(c))
-        .filter(set)
-        .collect();
-    let inputs = |i: usize| {
-        let down = usize::from(direction.is_some_and(|d| d[i] < 0.0));
-        [frame.setting[i], down]
-            .into_iter()
-            .chain(columns.iter().map(move |c| c[i]))
-            .collect::<Vec<usize>>()
-    };
+    let columns = frame.covariates.iter().flatten().map(|c| settings(c));
+    let columns: Vec<Vec<usize>> = columns.filter(set).collect();
     let mut seen: BTreeMap<Vec<usize>, u64> = BTreeMap::new();
-    (0..n)
-        .map(|i| {
-            let next = seen.len() as u64;
-            *seen.entry(inputs(i)).or_insert(next)
-        })
-        .collect()
+    let key = |i: usize| {
+        let down = usize::from(direction.is_some_and(|d| d[i] < 0.0));
+        let mut inputs = vec![frame.setting[i], down];
+        inputs.extend(columns.iter().map(|c| c[i]));
+        let next = seen.len() as u64;
+        *seen.entry(inputs).or_insert(next)
+    };
+    (0..n).map(key).collect()
 }
 
 /// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of
@@ -107,14 +92,10 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     let counts = |i: &usize| h.weights.counts(*i);
     let scatter = Scatter { h, shape };
     // Readings of one stimulus and direction: n - 1 degrees of freedom a cell.
-    let keys = repeat_keys(frame);
-    let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
-    rows.sort_by_key(|&i| keys[i]);
-    let cells: Vec<&[usize]> = rows
-        .chunk_by(|&a, &b| keys[a] == keys[b])
-        .filter(|cell| cell.len() > 1)
-        .collect();
+    let mut cells = members(&repeat_keys(frame), h.weights.relative());
+    cells.retain(|cell| cell.len() > 1);
     let dof: usize = cells.iter().map(|cell| cell.len() - 1).sum();
+    // Repeats do not show what they share: it is added again.
     let whole = (1.0 + noise.shared_variance()).sqrt();
     // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM
     // F.2.2.1).
@@ -124,11 +105,14 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
         source,
     };
     if dof >= MIN_DOF {
-        return Some(floor(scatter.repeat_sd(cells.into_iter())?, "replicates"));
+        return Some(floor(
+            scatter.repeat_sd(cells.iter().map(Vec::as_slice))?,
+            "replicates",
+        ));
     }
     // Neighbours in time differ by their noise; where the order is not known, neighbours in the
     // stimulus.
-    let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
+    let mut rows: Vec<usize> = (0..frame.u.len()).filter(counts).collect();
     if !frame.ordered {
         rows.sort_by(|&a, &b| frame.u[a].total_cmp(&frame.u[b]));
     }
@@ -150,22 +134,14 @@ impl Scatter<'_> {
     fn repeat_sd<'b>(&self, sets: impl Iterator<Item = &'b [usize]>) -> Option<f64> {
         let (mut found, mut expected) = (0.0, 0.0);
         for set in sets {
-            let count = set.len() as f64;
-            let weighted = |i: usize| self.h.weights.of(i) * self.h.fit.raw_residual[(i, 0)];
-            let mean = set.iter().map(|&i| weighted(i)).sum::<f64>() / count;
-            found += set
-                .iter()
-                .map(|&i| (weighted(i) - mean).powi(2))
-                .sum::<f64>();
+            let weights = DVector::from_fn(set.len(), |k, _| self.h.weights.of(set[k]));
+            let left = |k: usize, _| weights[k] * self.h.fit.raw_residual[(set[k], 0)];
+            let weighted = DVector::from_fn(set.len(), left);
+            found += weighted.add_scalar(-weighted.mean()).norm_squared();
             // E sum (r - mean)^2 = tr C - 1'C 1 / n.
-            let mut c = self.shape.covariance(set);
-            c.row_iter_mut()
-                .zip(set)
-                .for_each(|(mut row, &i)| row *= self.h.weights.of(i));
-            c.column_iter_mut()
-                .zip(set)
-                .for_each(|(mut column, &i)| column *= self.h.weights.of(i));
-            expected += c.trace() - c.sum() / count;
+            let c = self.shape.covariance(set);
+            let c = c.component_mul(&(&weights * weights.transpose()));
+            expected += c.trace() - c.sum() / set.len() as f64;
         }
         (expected > 0.0).then(|| (found / expected).sqrt())
     }

@@ -2,10 +2,12 @@
 //! covariates.
 
 pub use super::row::ScalarRow;
-use super::row::{all, range};
-use super::sequence::{MIN_EACH_WAY, directions, groups, series, sorted_with_repetitions};
+use super::row::all;
+use super::sequence::{MIN_REPEATS, directions, groups, series, sorted_with_repetitions};
 use super::stimulus_scale::{absolute_zero, full_turn, wraps};
-use crate::method::settings::{means, reliability, settings};
+use crate::method::{cosine, means, reliability, settings};
+use crate::models::range;
+use nalgebra::DVector;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -158,7 +160,7 @@ pub struct Frame {
 
 impl Scaling {
     /// Normalisation by the rows to be fitted.
-    pub fn of(rows: &[ScalarRow]) -> Self {
+    fn of(rows: &[ScalarRow]) -> Self {
         let [lo, hi] = range(rows.iter().map(|r| r.x));
         let time = all(rows, |r| r.t_s)
             .map(|t| range(t.into_iter()))
@@ -168,12 +170,11 @@ impl Scaling {
             b > a
         });
         let count = rows.first().map_or(0, |r| r.covariates.len());
-        let covariates = (0..count)
-            .map(|k| {
-                let [a, b] = range(rows.iter().map(|r| r.covariates[k]));
-                [0.5 * (a + b), 0.5 * (b - a)]
-            })
-            .collect();
+        let middle = |k: usize| {
+            let [a, b] = range(rows.iter().map(|r| r.covariates[k]));
+            [0.5 * (a + b), 0.5 * (b - a)]
+        };
+        let covariates = (0..count).map(middle).collect();
         Self {
             mid: 0.5 * (lo + hi),
             half: 0.5 * (hi - lo),
@@ -190,46 +191,49 @@ impl Scaling {
         }
     }
 
-    /// The same with the scatter of the stimulus's reading, where a response follows it; an axis is
-    /// commanded to its places.
-    pub fn with_unreliability(self, rows: &[ScalarRow], declared: Declared) -> Self {
-        let Declared::Polynomial(1..) = declared else {
-            return self;
-        };
+    /// Normalisation of a session by the rows that the search takes of its `count`: with the scatter
+    /// of the stimulus's reading where a response follows it, what the unit of the stimulus says of
+    /// it, and where a count starts again; an axis is commanded to its places.
+    pub fn of_session(rows: &[ScalarRow], declared: Declared, unit: &str, count: usize) -> Self {
         let [x, y] = [|r: &ScalarRow| r.x, |r: &ScalarRow| r.y]
             .map(|f| rows.iter().map(f).collect::<Vec<f64>>());
+        let of = Self {
+            count,
+            ..Self::of(rows)
+        };
+        let Declared::Polynomial(degree) = declared else {
+            let places = repeated_places(x);
+            return Self { places, ..of };
+        };
+        let setting = settings(&x);
+        let levels = setting.iter().max().map_or(0, |last| last + 1);
         Self {
-            unreliability: 1.0 - reliability(&settings(&x), &x, &y),
-            ..self
-        }
-    }
-
-    /// The same with what the unit of the stimulus says of it, and where a count starts again.
-    pub fn of_transducer(self, rows: &[ScalarRow], unit: &str) -> Self {
-        let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
-        let levels = settings(&x).into_iter().max().map_or(0, |last| last + 1);
-        let turn = full_turn(unit, 2.0 * self.half, levels);
-        Self {
-            turn,
+            unreliability: if degree > 0 {
+                1.0 - reliability(&setting, &x, &y)
+            } else {
+                0.0
+            },
+            turn: full_turn(unit, 2.0 * of.half, levels),
             absolute_zero: absolute_zero(unit),
             wraps: wraps(rows),
-            ..self
+            ..of
         }
     }
 
-    /// The same with the places of an axis.
-    pub fn with_places(self, rows: &[ScalarRow]) -> Self {
-        let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
-        x.sort_by(f64::total_cmp);
-        let all: Vec<&[f64]> = x.chunk_by(|a, b| a == b).collect();
-        let repeated = all.len() <= MAX_PLACES && all.iter().all(|level| level.len() > 1);
-        let places = if repeated {
-            all.iter().map(|level| level[0]).collect()
-        } else {
-            Vec::new()
-        };
-        Self { places, ..self }
+    /// Half of the stimulus's range; 1 where it has none.
+    pub(super) fn half_range(&self) -> f64 {
+        if self.half > 0.0 { self.half } else { 1.0 }
     }
+}
+
+/// Places that were all read more than once, rising; none where one was not.
+fn repeated_places(mut x: Vec<f64>) -> Vec<f64> {
+    x.sort_by(f64::total_cmp);
+    let all: Vec<&[f64]> = x.chunk_by(|a, b| a == b).collect();
+    if all.len() > MAX_PLACES || all.iter().any(|level| level.len() < 2) {
+        return Vec::new();
+    }
+    all.iter().map(|level| level[0]).collect()
 }
 
 /// A table of more places is a list of readings.
@@ -240,17 +244,8 @@ const ONE_WAY: f64 = 0.5;
 /// Stimulus from which on a first reading is a loaded one, in half ranges.
 const LOADED: f64 = 0.1;
 impl Frame {
-    /// Frame of `rows`, normalised by `scaling`.
-    pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
-        Self::build(rows, scaling, declared, false)
-    }
-
-    /// Frame of rows for prediction alone, `y` unused.
-    pub(crate) fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
-        Self::build(rows, scaling, declared, true)
-    }
-
-    fn build(
+    /// Frame of `rows`, normalised by `scaling`; `new_rows`: for prediction alone, `y` unused.
+    pub fn new(
         mut rows: Vec<ScalarRow>,
         scaling: &Scaling,
         declared: Declared,
@@ -258,29 +253,23 @@ impl Frame {
     ) -> Self {
         let timed = rows.iter().all(|r| r.t_s.is_some());
         if timed {
-            rows.sort_by(|a, b| a.t_s.unwrap_or(0.0).total_cmp(&b.t_s.unwrap_or(0.0)));
+            rows.sort_by(|a, b| {
+                a.t_s
+                    .unwrap_or_default()
+                    .total_cmp(&b.t_s.unwrap_or_default())
+            });
         }
-        let half = if scaling.half > 0.0 {
-            scaling.half
-        } else {
-            1.0
-        };
+        let half = scaling.half_range();
         let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
         let setting = settings(&x);
         let mean = means(&setting, &x);
         let span = scaling.count.max(2) as f64 - 1.0;
-        let covariates = scaling
-            .covariates
-            .iter()
-            .enumerate()
-            .map(|(k, [mid, half])| {
-                (*half > 0.0).then(|| {
-                    rows.iter()
-                        .map(|r| (r.covariates[k] - mid) / half)
-                        .collect()
-                })
-            })
-            .collect();
+        let covariate = |(k, [mid, half]): (usize, &[f64; 2])| {
+            let values = rows.iter().map(|r| (r.covariates[k] - mid) / half);
+            (*half > 0.0).then(|| values.collect())
+        };
+        let covariates = scaling.covariates.iter().enumerate();
+        let covariates = covariates.map(covariate).collect();
         Self {
             read_u: x.iter().map(|x| (x - scaling.mid) / half).collect(),
             u: x.iter()
@@ -301,7 +290,7 @@ impl Frame {
             temperature: scaling
                 .temperature
                 .and_then(|mean| all(&rows, |r| r.temperature_degc.map(|t| t - mean))),
-            direction: directions(&rows, &setting, if new_rows { 0 } else { MIN_EACH_WAY }),
+            direction: directions(&rows, &setting, if new_rows { 0 } else { MIN_REPEATS }),
             covariates,
             counts_readings: declared == Declared::Polynomial(0)
                 && x.windows(2).all(|p| p[1] == p[0] + 1.0),
@@ -317,16 +306,9 @@ impl Frame {
 
     /// Places of a table of errors in half ranges.
     pub fn places(&self) -> Vec<f64> {
-        let half = if self.scaling.half > 0.0 {
-            self.scaling.half
-        } else {
-            1.0
-        };
-        self.scaling
-            .places
-            .iter()
-            .map(|x| (x - self.scaling.mid) / half)
-            .collect()
+        let (mid, half) = (self.scaling.mid, self.scaling.half_range());
+        let places = self.scaling.places.iter();
+        places.map(|x| (x - mid) / half).collect()
     }
 
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
@@ -358,8 +340,8 @@ impl Frame {
         };
         let mean_way = |s: &u32| {
             let own = direction.iter().zip(&self.groups).filter(|(_, g)| *g == s);
-            let (sum, count) = own.fold((0.0, 0.0), |(sum, count), (d, _)| (sum + d, count + 1.0));
-            sum / f64::max(count, 1.0)
+            let own: Vec<f64> = own.map(|(d, _)| *d).collect();
+            own.iter().sum::<f64>() / own.len().max(1) as f64
         };
         let ways: Vec<f64> = self.scaling.series.iter().map(mean_way).collect();
         // The reading at the turn may count for the stroke before.
@@ -370,13 +352,10 @@ impl Frame {
     /// they say.
     pub(crate) fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
         let mut direction = self.direction.clone()?;
-        let still = self
-            .setting
-            .iter()
-            .take_while(|s| **s == self.setting[0])
-            .count();
+        let still = self.setting.iter().map(|s| *s == self.setting[0]);
+        let still = direction.iter_mut().zip(still).take_while(|d| d.1);
         if !self.new_rows {
-            direction.iter_mut().take(still).for_each(|d| *d *= before);
+            still.for_each(|(d, _)| *d *= before);
         }
         Some(direction)
     }
@@ -387,12 +366,11 @@ impl Frame {
             return false;
         };
         let of = |way: f64| -> BTreeSet<usize> {
-            (0..direction.len())
-                .filter(|&i| direction[i] * way > 0.0)
-                .map(|i| self.setting[i])
-                .collect()
+            let settings = self.setting.iter().zip(direction);
+            let settings = settings.filter(|(_, d)| *d * way > 0.0);
+            settings.map(|(s, _)| *s).collect()
         };
-        of(1.0).intersection(&of(-1.0)).count() >= MIN_EACH_WAY
+        of(1.0).intersection(&of(-1.0)).count() >= MIN_REPEATS
     }
 
     /// The first reading is a loaded one.
@@ -414,18 +392,11 @@ impl Frame {
 }
 
 /// Correlation of two covariates.
-pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let n = a.len() as f64;
-    let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
-    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
-    for (x, y) in a.iter().zip(b) {
-        ab += (x - ma) * (y - mb);
-        aa += (x - ma).powi(2);
-        bb += (y - mb).powi(2);
-    }
-    if aa > 0.0 && bb > 0.0 {
-        ab / (aa * bb).sqrt()
-    } else {
-        0.0
-    }
+pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let [a, b] = [a, b].map(|v| {
+        // Cosine of what is left of both without their means.
+        let v = DVector::from_column_slice(v);
+        v.add_scalar(-v.mean())
+    });
+    cosine(&a, &b)
 }

@@ -2,8 +2,8 @@
 
 use super::model::{ModelError, ScalarModel};
 use super::system::ScalarSystem;
-use crate::measurement_model::MeasurementModel;
-use crate::method::inference::t95;
+use crate::MeasurementModel;
+use crate::method::t95;
 use crate::verify::{HeldOut, SessionModel};
 
 /// All readings, or those that were sealed, through the calibration.

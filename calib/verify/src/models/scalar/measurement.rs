@@ -12,27 +12,21 @@ use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
 use super::spread_trend::with_spread_of;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::{SWEPT_ONCE, ScalarSystem};
-use super::table::{deviations, has_table, prefer_error_table};
+use super::table::{deviations, prefer_error_table};
 use super::usable::{domain_error, non_invertible_reason, untested};
 use super::{ScalarRow, next};
-use crate::effect::EffectTerm;
-use crate::error::VerifyError;
 use crate::levels::CATALOGUE;
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::t95;
-use crate::method::lack_of_fit::{LackOfFit, split};
-use crate::method::noise::Noise;
-use crate::method::noise::spread::SpreadLaw;
-use crate::method::options::Options;
-use crate::method::rounding::is_rounding;
-use crate::method::search_result::SearchResult;
-use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
+use crate::method::{
+    Hypothesis, LackOfFit, Noise, Options, SearchResult, SpreadLaw, is_rounding, split, t95,
+};
+use crate::verify::{
+    Explained, FloorStatement, Folds, HeldOut, Origin, Quantity, SessionModel, SessionText,
+};
+use crate::{EffectTerm, MeasurementModel, VerifyError};
 use nalgebra::DVector;
+use wcal_core::Sealed;
 use wcal_core::order_statistics::median;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor};
-use wcal_core::{ResidualRecord, Sealed};
 
 /// Predictions at every row, in the system's own values, with half widths of 95 % intervals and how
 /// many standard deviations those are.
@@ -51,6 +45,12 @@ impl ScalarSystem {
         self.frame.declared == Declared::Axis
     }
 
+    /// An explanation that holds the effect `id`.
+    fn has(&self, h: &Hypothesis, id: &str) -> bool {
+        let mut terms = h.fit.terms.iter();
+        terms.any(|t| self.catalogue()[t.effect].id == id)
+    }
+
     /// The declared model as a polynomial in the stimulus (none for an axis), and the accepted one
     /// where it is one of higher degree.
     pub(super) fn polynomials(
@@ -58,8 +58,7 @@ impl ScalarSystem {
         base: &Hypothesis,
         accepted: &Hypothesis,
     ) -> [Option<Polynomial>; 2] {
-        let x: Vec<f64> = self.frame.rows.iter().map(|r| r.x).collect();
-        let y: Vec<f64> = self.frame.rows.iter().map(|r| r.y).collect();
+        let (x, y): (Vec<f64>, Vec<f64>) = self.frame.rows.iter().map(|r| (r.x, r.y)).unzip();
         let of = |h: &Hypothesis, degree: usize| polynomial(&x, &y, h.weights.relative(), degree);
         let Declared::Polynomial(declared) = self.frame.declared else {
             return [None, None];
@@ -73,15 +72,12 @@ impl ScalarSystem {
     /// Degree of the polynomial that the accepted effects make of the declared one.
     fn degree(&self, declared: usize, accepted: &Hypothesis) -> Option<usize> {
         let degree = |t: &EffectTerm| self.effects[t.effect].degree;
-        let mut powers: Vec<usize> = accepted
-            .fit
-            .terms
-            .iter()
-            .map(degree)
-            .collect::<Option<_>>()?;
+        let powers = accepted.fit.terms.iter().map(degree);
+        let mut powers: Vec<usize> = powers.collect::<Option<_>>()?;
         powers.sort_unstable();
-        let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();
-        (powers == wanted && !powers.is_empty()).then_some(declared + powers.len())
+        let degree = declared + powers.len();
+        let whole = powers.iter().copied().eq(declared + 1..=degree);
+        (whole && degree > declared).then_some(degree)
     }
 
     /// Splits what a fit leaves by its replicates.
@@ -123,7 +119,7 @@ impl SessionText for ScalarSystem {
     }
 
     fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
-        if parameters::zeros(self, &accepted.fit) == Some(2) {
+        if self.has(accepted, ZERO_BY_SERIES) && self.frame.scaling.series.len() == 2 {
             return Some(
                 "The zero of a further series is known from two alone: intervals of predictions hold it, 13 times as wide as from many.".to_owned(),
             );
@@ -245,10 +241,8 @@ impl SessionModel for ScalarSystem {
             SpreadLaw::Power => ("power", "exponent"),
             SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
         };
-        let sentence = self
-            .catalogue()
-            .iter()
-            .find(|c| c.id == HETEROSCEDASTIC_NOISE);
+        let mut catalogue = self.catalogue().iter();
+        let sentence = catalogue.find(|c| c.id == HETEROSCEDASTIC_NOISE);
         Some(NamedEffect {
             id: HETEROSCEDASTIC_NOISE.to_owned(),
             laws: vec![law.to_owned()],
@@ -270,12 +264,9 @@ impl SessionModel for ScalarSystem {
         if self.is_time_confounded(found) {
             return true;
         }
+        let driver = found.last_test.covariates.first();
         stationarity(self, &found.best).is_some_and(|s| s.z > UNSTEADY)
-            && found
-                .last_test
-                .covariates
-                .first()
-                .is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
+            && driver.is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
             && found.last_test.p_catalogue() >= CATALOGUE
     }
 
@@ -290,25 +281,16 @@ impl SessionModel for ScalarSystem {
     fn floor(&self, h: &Hypothesis, noise: &Noise, _left: bool) -> FloorStatement {
         let floor = noise_floor(self, h, noise);
         let sd = floor.map(|f| f.sd);
-        let source = floor.map_or("none", |f| f.source).to_owned();
-        let floor = if self.axis() {
-            NoiseFloor {
-                error_um: sd,
-                source,
-                ..NoiseFloor::default()
-            }
-        } else {
-            NoiseFloor {
-                response: sd,
-                source,
-                ..NoiseFloor::default()
-            }
-        };
-        let dof = self.pure_error(h).map(|l| l.pure_dof);
+        let axis = self.axis();
         FloorStatement {
-            floor,
+            floor: NoiseFloor {
+                error_um: sd.filter(|_| axis),
+                response: sd.filter(|_| !axis),
+                source: floor.map_or("none", |f| f.source).to_owned(),
+                ..NoiseFloor::default()
+            },
             sd: sd.unwrap_or(noise.repeat.value),
-            dof,
+            dof: self.pure_error(h).map(|l| l.pure_dof),
             ..FloorStatement::default()
         }
     }
@@ -363,14 +345,9 @@ impl SessionModel for ScalarSystem {
     }
 
     fn folds(&self, accepted: &Hypothesis) -> Folds {
-        let grouping = if has_table(self, accepted) {
+        let grouping = if self.has(accepted, ERROR_TABLE) {
             Grouping::Repeats
-        } else if accepted
-            .fit
-            .terms
-            .iter()
-            .any(|t| self.catalogue()[t.effect].id == ZERO_BY_SERIES)
-        {
+        } else if self.has(accepted, ZERO_BY_SERIES) {
             Grouping::WithinSeries
         } else if follows_neighbours(self, accepted) {
             Grouping::Blocks
@@ -382,22 +359,14 @@ impl SessionModel for ScalarSystem {
         // omitted.
         let local = |t: &EffectTerm| self.effects[t.effect].shows_on_one_level;
         let slots = accepted.fit.slots(self.catalogue());
-        for (_, slots) in accepted
-            .fit
-            .terms
-            .iter()
-            .zip(slots)
-            .filter(|(t, _)| local(t))
-        {
+        let terms = accepted.fit.terms.iter().zip(slots);
+        for (_, slots) in terms.filter(|(t, _)| local(t)) {
             let column = accepted.fit.raw_design.column(slots.columns.start);
-            let typical = median(column.iter().copied()).unwrap_or(0.0);
+            let typical = median(column.iter().copied()).unwrap_or_default();
             let own = column.map(|v| (v - typical).abs()).imax();
             let kept = folds.fold[own];
-            folds
-                .fold
-                .iter_mut()
-                .filter(|fold| **fold == kept)
-                .for_each(|fold| *fold = None);
+            let place = folds.fold.iter_mut().filter(|fold| **fold == kept);
+            place.for_each(|fold| *fold = None);
         }
         folds
     }
@@ -427,28 +396,15 @@ impl SessionModel for ScalarSystem {
         non_invertible_reason(self, accepted).or_else(|| domain_error(self, accepted))
     }
 
-    fn records(
+    fn channels(
         &self,
         before: &ScalarPredictions,
         after: &ScalarPredictions,
-        at: &Record,
-    ) -> Vec<ResidualRecord> {
-        let (i, row) = (at.reading, &self.frame.rows[at.reading]);
-        let (source, line, point) = row.origin.clone();
-        vec![ResidualRecord {
-            source,
-            line,
-            point,
-            role: format!("{:?}", row.role).to_lowercase(),
-            group: self.frame.groups[i],
-            channel: if self.axis() { "error" } else { "response" }.to_owned(),
-            unit: self.unit(),
-            measured: row.y,
-            predicted_before: before.value[i] - self.offset,
-            predicted_after: after.value[i] - self.offset,
-            noise_sd: at.noise_sd,
-            rejected: at.rejected.clone(),
-            covariates: at.covariates.clone(),
-        }]
+        reading: usize,
+    ) -> Vec<(String, [f64; 3])> {
+        let channel = if self.axis() { "error" } else { "response" };
+        let [before, after] = [before, after].map(|p| p.value[reading] - self.offset);
+        let measured = self.frame.rows[reading].y;
+        vec![(channel.to_owned(), [measured, before, after])]
     }
 }

@@ -1,21 +1,18 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions
 //! at new readings.
 
-use super::effects::scalar_catalogue;
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::system::{ScalarSystem, relative_sd_at};
-use crate::effect::{EffectTerm, LawRequirement};
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::spread::SpreadLaw;
+use crate::effect::LawRequirement;
+use crate::method::{Hypothesis, LackOfFit, SpreadLaw};
+use crate::models::rows;
+use crate::{Effect, EffectTerm, MeasurementModel};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use wcal_core::observation::Role;
 
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations,
 /// cycles).
@@ -129,19 +126,46 @@ pub enum ModelError {
     },
 }
 
-impl ModelError {
-    /// A field that does not hold what its neighbours ask for.
-    pub(crate) fn shape(
-        what: impl Into<String>,
-        expected: impl ToString,
-        found: impl ToString,
-    ) -> Self {
-        Self::Shape {
-            what: what.into(),
-            expected: expected.to_string(),
-            found: found.to_string(),
-        }
-    }
+/// A term of a calibration by its names and values.
+///
+/// # Errors
+/// What this version's catalogue does not have, or has with other values.
+pub(crate) fn term_named<'a>(
+    catalogue: impl IntoIterator<Item = &'a Effect>,
+    id: &str,
+    law: &str,
+    values: &[f64],
+) -> Result<EffectTerm, ModelError> {
+    let mut all = catalogue.into_iter().enumerate();
+    let found = all.find(|(_, e)| e.id == id);
+    let found = found.and_then(|(effect, e)| Some((effect, e.law_named(law)?)));
+    let (effect, (index, form)) = found.ok_or_else(|| ModelError::UnknownEffect {
+        effect: id.to_owned(),
+        law: law.to_owned(),
+    })?;
+    let (parameters, count) = (form.parameters.len(), values.len());
+    let what = format!("values of {id} ({law})");
+    require(parameters == count, what, parameters, count)?;
+    Ok(EffectTerm {
+        effect,
+        law: index,
+        values: values.to_vec(),
+    })
+}
+
+/// A field must hold what its neighbours ask for.
+pub(crate) fn require(
+    holds: bool,
+    what: impl ToString,
+    expected: impl ToString,
+    found: impl ToString,
+) -> Result<(), ModelError> {
+    let shape = || ModelError::Shape {
+        what: what.to_string(),
+        expected: expected.to_string(),
+        found: found.to_string(),
+    };
+    holds.then_some(()).ok_or_else(shape)
 }
 
 /// What an effect that follows the order of the fitted readings lacks in any other rows.
@@ -158,75 +182,39 @@ impl ScalarModel {
     /// # Errors
     /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
     pub fn check(&self) -> Result<(), ModelError> {
-        let declared = match self.declared {
-            Declared::Polynomial(degree) if degree > MAX_DEGREE => {
-                return Err(ModelError::shape(
-                    "declared.polynomial",
-                    format!("a degree of at most {MAX_DEGREE}"),
-                    degree,
-                ));
-            }
-            Declared::Polynomial(degree) => degree + 1,
-            Declared::Axis => 1,
+        let (degree, kind) = match self.declared {
+            Declared::Polynomial(degree) => (degree, "transducer"),
+            Declared::Axis => (0, "axis"),
         };
-        let kind = if self.declared == Declared::Axis {
-            "axis"
-        } else {
-            "transducer"
-        };
-        if self.session_kind != kind {
-            return Err(ModelError::shape("session_kind", kind, &self.session_kind));
-        }
-        if self.declared == Declared::Axis && self.offset == 0.0 {
-            return Err(ModelError::shape(
-                "offset",
-                "a number other than 0",
-                self.offset,
-            ));
-        }
+        let most = format!("a degree of at most {MAX_DEGREE}");
+        require(degree <= MAX_DEGREE, "declared.polynomial", most, degree)?;
+        let stated = &self.session_kind;
+        require(stated == kind, "session_kind", kind, stated)?;
+        let seen_from_afar = self.declared != Declared::Axis || self.offset != 0.0;
+        let expected = "a number other than 0";
+        require(seen_from_afar, "offset", expected, self.offset)?;
         let [low, high] = self.stimulus_range;
-        if low > high {
-            return Err(ModelError::shape(
-                "stimulus_range",
-                "the lower end first",
-                format!("{low}, {high}"),
-            ));
-        }
-        if self.variance < 0.0 {
-            return Err(ModelError::shape("variance", "0 or more", self.variance));
-        }
+        let (expected, found) = ("the lower end first", format!("{low}, {high}"));
+        require(!(low > high), "stimulus_range", expected, found)?;
+        let variance = self.variance;
+        require(!(variance < 0.0), "variance", "0 or more", variance)?;
         let (names, scales) = (self.covariates.len(), self.scaling.covariates.len());
-        if names != scales {
-            return Err(ModelError::shape("scaling.covariates", names, scales));
-        }
-        // Laws do not depend on the rows: one row at the middle stands for any.
-        let row = ScalarRow {
-            origin: (String::new(), 0, 0),
-            role: Role::Verification,
-            x: self.scaling.mid,
-            x_sd: None,
-            y: 0.0,
-            t_s: None,
-            temperature_degc: None,
-            direction: None,
-            cycle: None,
-            covariates: vec![0.0; names],
-            place: None,
-        };
-        let frame = Frame::of_new_rows(vec![row], &self.scaling, self.declared);
-        let system = ScalarSystem::new(frame, &self.covariates);
+        require(names == scales, "scaling.covariates", names, scales)?;
+        // Laws do not depend on the rows.
+        let system = self.system(Vec::new());
         let terms = self.terms(&system)?;
         let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-        let columns = declared + terms.iter().map(linear).sum::<usize>();
-        if self.coefficients.len() != columns {
-            return Err(ModelError::shape(
-                "coefficients",
-                columns,
-                self.coefficients.len(),
-            ));
-        }
+        let columns = degree + 1 + terms.iter().map(linear).sum::<usize>();
+        let count = self.coefficients.len();
+        require(count == columns, "coefficients", columns, count)?;
         let slots = columns + terms.iter().map(|t| t.values.len()).sum::<usize>();
         square(&self.covariance, slots, slots)
+    }
+
+    /// New rows as the model sees them.
+    fn system(&self, rows: Vec<ScalarRow>) -> ScalarSystem {
+        let frame = Frame::new(rows, &self.scaling, self.declared, true);
+        ScalarSystem::new(frame, &self.covariates).with_offset(self.offset)
     }
 
     /// The model of an accepted explanation; `polynomial` and lack of fit are carried for the
@@ -242,6 +230,16 @@ impl ScalarModel {
         let (frame, names) = (&system.frame, &system.names);
         let axis = frame.declared == Declared::Axis;
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
+        let term = |t: &EffectTerm| {
+            let effect = &system.catalogue()[t.effect];
+            let column = effect.column(t.law, &names.covariates);
+            ModelTerm {
+                id: effect.id.to_owned(),
+                law: effect.law(t.law).name.to_owned(),
+                column: column.map(str::to_owned),
+                values: t.values.clone(),
+            }
+        };
         // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further
         // reading anywhere between them does not.
         let step = system.step();
@@ -253,38 +251,16 @@ impl ScalarModel {
             columns: BTreeMap::new(),
             declared: frame.declared,
             scaling: s.clone(),
-            effects: fitted
-                .terms
-                .iter()
-                .map(|t| {
-                    let candidate = &system.catalogue()[t.effect];
-                    ModelTerm {
-                        id: candidate.id.to_owned(),
-                        law: candidate.law(t.law).name.to_owned(),
-                        column: candidate
-                            .column(t.law, &names.covariates)
-                            .map(str::to_owned),
-                        values: t.values.clone(),
-                    }
-                })
-                .collect(),
-            coefficients: fitted.coefficients.clone(),
-            covariance: fitted
-                .covariance
-                .row_iter()
-                .map(|r| r.iter().copied().collect())
-                .collect(),
+            effects: fitted.terms.iter().map(term).collect(),
+            covariance: rows(&fitted.covariance),
+            coefficients: fitted.coefficients,
             variance: (fitted.variance * (1.0 + shared)).max(step * step / 12.0),
             dof: fitted.dof,
             offset: system.offset,
-            spread: system.spread.as_ref().map(|s| {
-                let z = s.law.scale(frame);
-                let centre = z.iter().sum::<f64>() / z.len() as f64;
-                ModelSpread {
-                    law: s.law,
-                    exponent: s.exponent,
-                    centre,
-                }
+            spread: system.spread.as_ref().map(|s| ModelSpread {
+                law: s.law,
+                exponent: s.exponent,
+                centre: s.law.centre(frame),
             }),
             stimulus_range: [s.mid - half, s.mid + half],
             polynomial,
@@ -294,44 +270,22 @@ impl ScalarModel {
 
     /// Terms by the catalogue of `system`.
     fn terms(&self, system: &ScalarSystem) -> Result<Vec<EffectTerm>, ModelError> {
-        self.effects
-            .iter()
-            .map(|t| {
-                let unknown = || ModelError::UnknownEffect {
+        let of = |t: &ModelTerm| {
+            let mut term = term_named(system.catalogue(), &t.id, &t.law, &t.values)?;
+            // Laws of one name follow a column each.
+            if let Some(column) = &t.column {
+                let effect = &system.catalogue()[term.effect];
+                let is_own =
+                    |l: &usize| effect.column(*l, &self.covariates) == Some(column.as_str());
+                let own = (0..self.covariates.len()).find(is_own);
+                term.law = own.ok_or_else(|| ModelError::UnknownEffect {
                     effect: t.id.clone(),
                     law: t.law.clone(),
-                };
-                let effect = system
-                    .catalogue()
-                    .iter()
-                    .position(|c| c.id == t.id)
-                    .ok_or_else(unknown)?;
-                let (mut law, form) = system.catalogue()[effect]
-                    .law_named(&t.law)
-                    .ok_or_else(unknown)?;
-                // Laws of one name follow a column each.
-                if let Some(column) = &t.column {
-                    let of = |l: &usize| {
-                        system.catalogue()[effect].column(*l, &self.covariates)
-                            == Some(column.as_str())
-                    };
-                    law = (0..self.covariates.len()).find(of).ok_or_else(unknown)?;
-                }
-                if form.parameters.len() != t.values.len() {
-                    let what = format!("values of {} ({})", t.id, t.law);
-                    return Err(ModelError::shape(
-                        what,
-                        form.parameters.len(),
-                        t.values.len(),
-                    ));
-                }
-                Ok(EffectTerm {
-                    effect,
-                    law,
-                    values: t.values.clone(),
-                })
-            })
-            .collect()
+                })?;
+            }
+            Ok(term)
+        };
+        self.effects.iter().map(of).collect()
     }
 
     /// What an effect's law needs of new rows, where they lack it.
@@ -365,17 +319,9 @@ impl ScalarModel {
     /// belong together.
     pub fn predict(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         // Each row finds its way back by its place here, whatever its line in the file.
-        let numbered: Vec<ScalarRow> = rows
-            .iter()
-            .enumerate()
-            .map(|(k, r)| {
-                let mut row = r.clone();
-                row.origin.1 = k;
-                row
-            })
-            .collect();
-        let frame = Frame::of_new_rows(numbered, &self.scaling, self.declared);
-        let system = ScalarSystem::new(frame, &self.covariates).with_offset(self.offset);
+        let mut numbered = rows.to_vec();
+        (0..rows.len()).for_each(|k| numbered[k].origin.1 = k);
+        let system = self.system(numbered);
         let terms = self.terms(&system)?;
         for t in &terms {
             let effect = &system.catalogue()[t.effect];
@@ -399,12 +345,10 @@ impl ScalarModel {
             Some(s) => relative_sd_at(&system.frame, s.law, s.exponent, s.centre),
             None => vec![1.0; rows.len()],
         };
-        let no_design = || {
-            ModelError::shape(
-                "coefficients",
-                "a design of as many columns",
-                "none at these rows",
-            )
+        let no_design = || ModelError::Shape {
+            what: "coefficients".to_owned(),
+            expected: "a design of as many columns".to_owned(),
+            found: "none at these rows".to_owned(),
         };
         let noise_sd: Vec<f64> = relative.iter().map(|r| self.variance.sqrt() * r).collect();
         let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
@@ -439,14 +383,10 @@ impl ScalarModel {
             effect: "the inverse".into(),
             needs: why.to_owned(),
         };
-        let catalogue = scalar_catalogue(
-            &Frame::of_new_rows(Vec::new(), &self.scaling, self.declared),
-            self.covariates.len(),
-        );
+        let system = self.system(Vec::new());
         let remembers = |t: &&ModelTerm| {
-            catalogue
-                .iter()
-                .any(|e| e.effect.id == t.id && e.effect.has_memory)
+            let mut catalogue = system.catalogue().iter();
+            catalogue.any(|e| e.id == t.id && e.has_memory)
         };
         if let Some(t) = self.effects.iter().find(remembers) {
             return Err(no(&format!(
@@ -454,91 +394,77 @@ impl ScalarModel {
                 t.id
             )));
         }
-        let at = |x: &[f64]| -> Result<Vec<ScalarPrediction>, ModelError> {
-            let moved: Vec<ScalarRow> = rows
-                .iter()
-                .zip(x)
-                .map(|(r, x)| ScalarRow { x: *x, ..r.clone() })
-                .collect();
-            self.predict(&moved)
+        let at = |x: &[f64]| {
+            let moved = rows.iter().zip(x);
+            let moved = moved.map(|(r, x)| ScalarRow { x: *x, ..r.clone() });
+            self.predict(&moved.collect::<Vec<_>>())
         };
         let [low, high] = self.stimulus_range;
-        let places: Vec<f64> = (0..=PLACES)
-            .map(|k| low + (high - low) * k as f64 / PLACES as f64)
-            .collect();
-        let mut curves = Vec::new();
-        for p in &places {
-            curves.push(at(&vec![*p; rows.len()])?);
-        }
-        let rising = |i: usize| curves.windows(2).all(|c| c[1][i].value > c[0][i].value);
-        let falling = |i: usize| curves.windows(2).all(|c| c[1][i].value < c[0][i].value);
-        if (0..rows.len()).any(|i| !rising(i) && !falling(i)) {
-            return Err(no(
-                "a response that rises or falls throughout; give the stimulus",
-            ));
-        }
-        let sign: Vec<f64> = (0..rows.len())
-            .map(|i| if rising(i) { 1.0 } else { -1.0 })
-            .collect();
+        let place = |k: usize| low + (high - low) * k as f64 / PLACES as f64;
+        let curves = (0..=PLACES).map(|k| at(&vec![place(k); rows.len()]));
+        let curves = curves.collect::<Result<Vec<_>, _>>()?;
+        let goes = |i: usize, sign: f64| {
+            let mut steps = curves.windows(2);
+            steps.all(|c| sign * c[1][i].value > sign * c[0][i].value)
+        };
+        // +1 where the response rises with the stimulus, -1 where it falls.
+        let sign = |i: usize| [1.0, -1.0].into_iter().find(|sign| goes(i, *sign));
+        let sign: Option<Vec<f64>> = (0..rows.len()).map(sign).collect();
+        let either = "a response that rises or falls throughout; give the stimulus";
+        let sign = sign.ok_or_else(|| no(either))?;
         let (mut a, mut b) = (vec![low; rows.len()], vec![high; rows.len()]);
+        let middle = |a: &[f64], b: &[f64]| -> Vec<f64> {
+            a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
+        };
         for _ in 0..60 {
-            let middle: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
-            for (i, p) in at(&middle)?.iter().enumerate() {
-                if sign[i] * (rows[i].y - p.value) > 0.0 {
-                    a[i] = middle[i]
-                } else {
-                    b[i] = middle[i]
-                }
+            let x = middle(&a, &b);
+            for (i, p) in at(&x)?.iter().enumerate() {
+                let below = sign[i] * (rows[i].y - p.value) > 0.0;
+                let end = if below { &mut a } else { &mut b };
+                end[i] = x[i];
             }
         }
-        let ends = [&curves[0], &curves[PLACES]];
-        let x: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+        let x = middle(&a, &b);
         let here = at(&x)?;
         // Slope over a hundredth of the range turns the response's interval into the stimulus's.
         let step = 0.005 * (high - low);
-        let [up, down] = [1.0, -1.0].map(|s| x.iter().map(|x| x + s * step).collect::<Vec<f64>>());
-        let (up, down) = (at(&up)?, at(&down)?);
-        Ok((0..rows.len())
-            .map(|i| {
-                let slope = (up[i].value - down[i].value) / (2.0 * step);
-                let inside = |k: usize, s: f64| {
-                    s * sign[i] * (rows[i].y - ends[k][i].value) >= -here[i].half95
-                };
-                ScalarPrediction {
-                    value: x[i],
-                    half95: here[i].half95 / slope.abs(),
-                    valid: inside(0, 1.0) && inside(1, -1.0),
-                }
-            })
-            .collect())
+        let moved = |by: f64| at(&x.iter().map(|x| x + by).collect::<Vec<f64>>());
+        let (up, down) = (moved(step)?, moved(-step)?);
+        let of = |i: usize| {
+            let slope = (up[i].value - down[i].value) / (2.0 * step);
+            let inside = |end: &[ScalarPrediction], s: f64| {
+                s * sign[i] * (rows[i].y - end[i].value) >= -here[i].half95
+            };
+            ScalarPrediction {
+                value: x[i],
+                half95: here[i].half95 / slope.abs(),
+                valid: inside(&curves[0], 1.0) && inside(&curves[PLACES], -1.0),
+            }
+        };
+        Ok((0..rows.len()).map(of).collect())
     }
 }
 
 /// Refuses a covariance that is not square with a size from `least` to `most`.
 pub(crate) fn square(covariance: &[Vec<f64>], least: usize, most: usize) -> Result<(), ModelError> {
     let size = covariance.len();
-    let expected = || {
-        let range = if least == most {
-            format!("{least}")
-        } else {
-            format!("{least} to {most}")
-        };
-        format!("{range} rows of as many numbers")
+    let range = if least == most {
+        format!("{least}")
+    } else {
+        format!("{least} to {most}")
     };
-    if !(least..=most).contains(&size) {
-        return Err(ModelError::shape(
-            "covariance",
-            expected(),
-            format!("{size} rows"),
-        ));
-    }
-    match covariance.iter().position(|row| row.len() != size) {
-        Some(k) => {
-            let found = format!("{} numbers in row {}", covariance[k].len(), k + 1);
-            Err(ModelError::shape("covariance", expected(), found))
-        }
-        None => Ok(()),
-    }
+    let expected = format!("{range} rows of as many numbers");
+    let found = format!("{size} rows");
+    require(
+        (least..=most).contains(&size),
+        "covariance",
+        &expected,
+        found,
+    )?;
+    covariance.iter().enumerate().try_for_each(|(k, row)| {
+        let found = format!("{} numbers in row {}", row.len(), k + 1);
+        require(row.len() == size, "covariance", &expected, found)
+    })
 }
 
 /// Places at which the inverse checks that the response goes one way.
@@ -551,5 +477,11 @@ impl SpreadLaw {
             Self::Power => frame.rows.iter().map(|r| r.x.max(1e-300).ln()).collect(),
             Self::Exponential => frame.u.clone(),
         }
+    }
+
+    /// Its mean over the rows of a frame: where the relative spread is one.
+    pub(super) fn centre(self, frame: &Frame) -> f64 {
+        let scale = self.scale(frame);
+        scale.iter().sum::<f64>() / scale.len() as f64
     }
 }

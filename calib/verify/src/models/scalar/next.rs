@@ -1,9 +1,10 @@
 //! What would decide between survivors: the same session again, as often as it takes.
 
 use super::system::ScalarSystem;
-use crate::measurement_model::MeasurementModel;
+use crate::MeasurementModel;
+use crate::method::Hypothesis;
 use crate::method::ambiguity;
-use crate::method::hypothesis::Hypothesis;
+use std::collections::BTreeSet;
 use wcal_core::verify_document::NextMeasurement;
 
 /// More repetitions than this are not worth proposing.
@@ -17,27 +18,19 @@ pub fn next_measurement(
     best: &Hypothesis,
     rivals: &[&Hypothesis],
 ) -> Option<NextMeasurement> {
-    let id = |h: &Hypothesis| -> Vec<String> {
-        h.effects(system.outliers())
-            .iter()
-            .map(|&e| system.catalogue()[e].id.to_owned())
-            .collect()
-    };
     let sd = best.fit.variance().sqrt();
-    let nearest = rivals
-        .iter()
-        .map(|h| ((&h.fit.residual - &best.fit.residual).norm() / sd, *h))
-        .min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let (d, rival) = nearest;
+    let apart = |h: &Hypothesis| (&h.fit.residual - &best.fit.residual).norm() / sd;
+    let rival = rivals.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
+    let d = apart(rival);
+    // The noncentrality d^2 of repeated sessions adds up.
     let power = |sessions: usize| ambiguity::power(d * d * sessions as f64);
     let repeats = (1..=MAX_REPEATS).find(|&k| power(k + 1) >= 0.9);
-    let mut separates = id(best);
-    separates.extend(
-        id(rival)
-            .into_iter()
-            .filter(|i| !separates.contains(i))
-            .collect::<Vec<_>>(),
-    );
+    let mut effects = best.effects(system.outliers());
+    effects.extend(rival.effects(system.outliers()));
+    let mut seen = BTreeSet::new();
+    effects.retain(|e| seen.insert(*e));
+    let id = |e: usize| system.catalogue()[e].id.to_owned();
+    let separates = effects.into_iter().map(id).collect();
     let sequence = if system.frame.direction.is_none() {
         ", with falling as well as rising stimulus"
     } else {

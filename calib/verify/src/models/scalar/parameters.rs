@@ -3,12 +3,10 @@
 use super::effects::{PERIODIC, ZERO_BY_SERIES, of_a_turn};
 use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
-use crate::effect::{EffectTerm, Values};
+use crate::effect::Values;
 use crate::levels::NORMAL_95;
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::{Fit, linear};
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::{covariance, t95};
+use crate::method::{Fit, Hypothesis, covariance, linear, t95};
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
 
@@ -24,31 +22,24 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
             unit.to_owned()
         }
     };
-    let below: Vec<&(&str, i32)> = denominators
-        .iter()
-        .filter(|(unit, _)| !plain(unit))
-        .collect();
-    let mut out = match (plain(numerator), below.is_empty()) {
-        (true, _) => "1".to_owned(),
-        (false, true) => return numerator.to_owned(),
-        (false, false) => whole(numerator),
+    let divided = |(unit, power): &(&str, i32)| match power {
+        _ if plain(unit) => String::new(),
+        2.. => format!("/{}^{power}", whole(unit)),
+        _ => format!("/{}", whole(unit)),
     };
-    for (unit, power) in below {
-        let exponent = if *power > 1 {
-            format!("^{power}")
-        } else {
-            String::new()
-        };
-        out += &format!("/{}{exponent}", whole(unit));
+    let below: String = denominators.iter().map(divided).collect();
+    match (plain(numerator), below.is_empty()) {
+        (true, _) => format!("1{below}"),
+        (false, true) => numerator.to_owned(),
+        (false, false) => whole(numerator) + &below,
     }
-    out
 }
 
 /// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of
 /// `cross-axis`.
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
-    let half = if s.half > 0.0 { s.half } else { 1.0 };
+    let half = s.half_range();
     let readings = s.count.max(2) as f64 - 1.0;
     let (response, stimulus) = (&names.response, &names.stimulus);
     let duration = s.time.map_or(1.0, |t| t[1]);
@@ -155,7 +146,7 @@ pub(crate) fn of_effect(
             let halves = if half > 0.0 && !place {
                 [half; 2]
             } else {
-                reach95(system, h, k)
+                reach95(system, h, k, *v, p.range)
             };
             // What is positive by its nature has no interval below zero.
             let lowest = if p.range[0] >= 0.0 && !place {
@@ -190,15 +181,6 @@ pub(crate) fn of_effect(
     out
 }
 
-/// How many series have a zero of their own, where that is the case.
-pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
-    let term = fit
-        .terms
-        .iter()
-        .find(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES)?;
-    Some(system.catalogue()[term.effect].law(term.law).linear.len() + 1)
-}
-
 /// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of
 /// the same 95 % interval (Student's t with k - 1 degrees of freedom); 0 where they have one zero.
 pub(crate) fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
@@ -208,50 +190,36 @@ pub(crate) fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
         return 0.0;
     };
     let shifts: Vec<f64> = own.columns.map(|k| fit.coefficients[(k, 0)]).collect();
-    let (square, sum) = shifts
-        .iter()
-        .fold((0.0, 0.0), |(square, sum), s| (square + s * s, sum + s));
+    let (square, sum): (f64, f64) = (shifts.iter().map(|s| s * s).sum(), shifts.iter().sum());
+    // Sum-to-zero contrasts: the first series has minus the sum of the others.
     let dof = shifts.len() as f64;
     (square + sum * sum) / dof * (1.0 + 1.0 / (dof + 1.0)) * (t95(dof) / NORMAL_95).powi(2)
 }
 
-/// How far nonlinear value `slot` can move down and up until its sum of squares, with the
-/// coefficients that suit it, rises by what a 95 % interval of the likelihood allows: chi-squared
-/// of one degree of freedom. Readings weigh as in the fit.
+/// How far nonlinear value `slot` can move in its range, down and up, until its sum of squares, with
+/// the coefficients that suit it, rises by what a 95 % interval of the likelihood allows:
+/// chi-squared of one degree of freedom. Readings weigh as in the fit.
 fn reach95(
     system: &ScalarSystem,
     Hypothesis { fit, weights, .. }: &Hypothesis,
     slot: usize,
+    value: f64,
+    range: [f64; 2],
 ) -> [f64; 2] {
-    let places = fit
-        .terms
-        .iter()
-        .enumerate()
-        .flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
-    let Some((t, k)) = places.into_iter().nth(slot) else {
-        return [0.0; 2];
-    };
-    let [lo, hi] = system.catalogue()[fit.terms[t].effect]
-        .law(fit.terms[t].law)
-        .parameters[k]
-        .range;
-    let value = fit.terms[t].values[k];
     let measured = weights.apply(system.measured());
     let ssr = |v: f64| {
         let mut terms = fit.terms.clone();
-        terms[t].values[k] = v;
-        Some(
-            linear(&weights.apply(&system.design(&terms)?), &measured)
-                .1
-                .norm_squared(),
-        )
+        *terms.iter_mut().flat_map(|t| &mut t.values).nth(slot)? = v;
+        let design = weights.apply(&system.design(&terms)?);
+        Some(linear(&design, &measured).1.norm_squared())
     };
     let Some(least) = ssr(value) else {
         return [0.0; 2];
     };
     // The rounding of sums that are equal.
+    // S(v) - S_min = s^2 chi^2(1) at the ends of a profile likelihood interval.
     let most = least * (1.0 + 1e-9) + least / fit.dof.max(1.0) * NORMAL_95.powi(2);
-    [lo, hi].map(|end| {
+    range.map(|end| {
         // Bisection for the last place that is as good.
         let (mut inside, mut outside) = (0.0, 1.0);
         for _ in 0..30 {
@@ -286,24 +254,15 @@ fn derived(
         unit: ratio("1", &[(&period.unit, 1)]),
         interval95: ordered(period.interval95.map(|v| 1.0 / v)),
     });
-    let (s, c) = (
-        fit.coefficients[(column, 0)],
-        fit.coefficients[(column + 1, 0)],
-    );
-    let size = s.hypot(c);
+    let waves = fit.coefficients.fixed_view::<2, 1>(column, 0).clone_owned();
+    let size = waves.norm();
     if size > 0.0 {
-        let g = [s / size, c / size];
-        let mut variance = 0.0;
-        for i in 0..2 {
-            for j in 0..2 {
-                variance += g[i] * g[j] * covariance[(column + i, column + j)];
-            }
-        }
+        // g' C g, g along sine and cosine.
+        let along = waves / size;
+        let variance = along.dot(&(covariance.fixed_view::<2, 2>(column, column) * along));
         let half = t * variance.max(0.0).sqrt();
-        let unit = out
-            .iter()
-            .find(|p| p.name == named("sine"))
-            .map_or(String::new(), |p| p.unit.clone());
+        let sine = out.iter().find(|p| p.name == named("sine"));
+        let unit = sine.map_or(String::new(), |p| p.unit.clone());
         out.push(EffectParameter {
             name: named("amplitude"),
             value: size,

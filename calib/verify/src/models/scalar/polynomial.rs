@@ -50,6 +50,7 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
         .map(|x| (0..q).map(|k| x.powi(k as i32)).collect::<Vec<f64>>())
         .collect();
     let design = DMatrix::from_fn(x.len(), q, |i, j| weights[i] * powers[i][j]);
+    // Columns of unit length: powers of a stimulus differ by many orders of magnitude.
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     if scale.iter().any(|s| !(*s > 0.0)) {
         return None;
@@ -73,6 +74,7 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
     }
     let dof = (n - q) as f64;
     let residual_sd = (left(&b).norm_squared() / dof).sqrt();
+    // s sqrt((X' X)^-1_kk), by the rows of R^-1.
     let standard_errors = (0..q)
         .map(|k| residual_sd * r_inverse.row(k).norm() / scale[k])
         .collect();

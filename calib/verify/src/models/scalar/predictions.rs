@@ -3,14 +3,12 @@
 use super::floor::{place_keys, replicate_keys};
 use super::frame::Frame;
 use super::system::ScalarSystem;
-use crate::effect::EffectTerm;
-use crate::levels::REMARK;
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Fit;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::{covariance, t95};
-use crate::verify::session_model::Folds;
+use crate::levels::{REMARK, z};
+use crate::method::{Fit, Hypothesis, covariance, t95};
+use crate::verify::Folds;
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::{DMatrix, DVector};
+use std::collections::BTreeSet;
 
 /// More folds than this cost refits and tell no more.
 const MAX_FOLDS: usize = 40;
@@ -43,75 +41,60 @@ pub(crate) fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -
         .filter(|&i| accepted.weights.counts(i))
         .map(|i| accepted.fit.raw_residual[(i, 0)] * accepted.weights.relative()[i])
         .collect();
+    // Lag-one correlation times the root of n is standard normal where neighbours share nothing.
     let square = left.iter().map(|r| r * r).sum::<f64>() / left.len().max(1) as f64;
     let product = left.windows(2).map(|r| r[0] * r[1]).sum::<f64>();
-    let z = product / square.max(1e-300) / (left.len().max(2) as f64 - 1.0).sqrt();
-    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z) < REMARK
+    let score = product / square.max(1e-300) / (left.len().max(2) as f64 - 1.0).sqrt();
+    score > z(REMARK)
 }
 
 /// Cycles where there are three, else what `grouping` asks for.
 pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
+    let n = frame.rows.len();
     let of = |split, words, fold: Vec<usize>| Folds {
         split,
         words,
         fold: fold.into_iter().map(Some).collect(),
         refit_steps: REFIT_STEPS,
     };
-    let number = |keys: Vec<i64>| {
-        let mut distinct = keys.clone();
-        distinct.sort_unstable();
-        distinct.dedup();
-        let fold: Vec<usize> = keys
-            .iter()
-            .map(|k| distinct.partition_point(|d| d < k))
-            .collect();
-        (fold, distinct.len())
+    let neighbours = |count: usize| {
+        let words =
+            format!("by leaving out each of {count} blocks of neighbouring readings in turn");
+        (words, (0..n).map(|i| i * count / n).collect::<Vec<usize>>())
     };
-    let (fold, count) = number(frame.groups.iter().map(|g| i64::from(*g)).collect());
-    if count >= 3 && grouping != Grouping::WithinSeries {
-        return of(
-            "loto",
-            format!("by leaving out each of {count} cycles in turn"),
-            fold,
-        );
+    let cycles: BTreeSet<u32> = frame.groups.iter().copied().collect();
+    if cycles.len() >= 3 && grouping != Grouping::WithinSeries {
+        let words = format!("by leaving out each of {} cycles in turn", cycles.len());
+        let fold = frame.groups.iter().map(|g| cycles.range(..*g).count());
+        return of("loto", words, fold.collect());
     }
     if grouping == Grouping::Repeats {
         let keys = replicate_keys(frame);
         let visit = |i: usize| keys[..i].iter().filter(|k| **k == keys[i]).count();
-        let visits: Vec<usize> = (0..keys.len()).map(visit).collect();
+        let visits: Vec<usize> = (0..n).map(visit).collect();
         let folds = (1 + visits.iter().max().copied().unwrap_or(0)).min(BLOCKS);
         let words = format!("by leaving out each of {folds} repeats of the places in turn");
-        return of(
-            "loo",
-            words,
-            visits.into_iter().map(|v| v % folds).collect(),
-        );
+        let fold = visits.into_iter().map(|v| v % folds);
+        return of("loo", words, fold.collect());
     }
     if grouping == Grouping::Blocks {
-        let n = frame.rows.len();
-        let words =
-            format!("by leaving out each of {BLOCKS} blocks of neighbouring readings in turn");
-        return of("loo", words, (0..n).map(|i| i * BLOCKS / n).collect());
+        let (words, fold) = neighbours(BLOCKS);
+        return of("loo", words, fold);
     }
-    let (fold, count) = number(place_keys(frame).iter().map(|k| *k as i64).collect());
-    let n = frame.rows.len();
+    let places = place_keys(frame);
+    let count = places.iter().max().map_or(0, |last| *last as usize + 1);
     if count < n && count >= 3 {
         let folds = count.min(MAX_FOLDS);
         // Neighbouring stimuli go to different folds, so that no fold is an extrapolation.
-        let fold = fold.iter().map(|f| f % folds).collect();
+        let fold = places.iter().map(|f| *f as usize % folds).collect();
         let words = format!(
             "by leaving out each of {count} stimuli with all its readings, in {folds} folds"
         );
         return of("loo", words, fold);
     }
-    let folds = n.min(MAX_FOLDS);
-    let fold = (0..n).map(|i| i * folds / n).collect();
-    let words = if folds == n {
-        "by leaving out one reading at a time".to_owned()
-    } else {
-        format!("by leaving out each of {folds} blocks of neighbouring readings in turn")
-    };
-    of("loo", words, fold)
+    let (words, fold) = neighbours(n.min(MAX_FOLDS));
+    let one_by_one = "by leaving out one reading at a time".to_owned();
+    of("loo", if n <= MAX_FOLDS { one_by_one } else { words }, fold)
 }
 
 /// What predictions need of a fit.
@@ -158,6 +141,7 @@ pub fn predict(
     let prediction = &design * &coefficients;
     let (n, q) = design.shape();
     let mut gradient = DMatrix::zeros(n, fitted.covariance.nrows());
+    // d prediction / d coefficient is the column itself; by a nonlinear value a forward difference.
     gradient.view_mut((0, 0), (n, q)).copy_from(&design);
     let mut slot = q;
     for (t, term) in fitted.terms.iter().enumerate() {
@@ -172,12 +156,9 @@ pub fn predict(
         }
     }
     let t = t95(fitted.dof);
-    let half = (0..n)
-        .map(|i| {
-            let g = gradient.row(i);
-            let parameters = (g * &fitted.covariance * g.transpose())[(0, 0)].max(0.0);
-            t * (noise_sd[i].powi(2) + parameters).sqrt()
-        })
-        .collect();
-    Some((prediction, half))
+    // g' C g of each reading.
+    let parameters = (&gradient * &fitted.covariance).component_mul(&gradient);
+    let parameters = parameters.column_sum();
+    let half = |i: usize| t * (noise_sd[i].powi(2) + parameters[i].max(0.0)).sqrt();
+    Some((prediction, (0..n).map(half).collect()))
 }

@@ -3,7 +3,9 @@
 //! no measurement of the stimulus (Tobin 1958), and what it scatters by is no noise.
 
 use super::frame::{Declared, ScalarRow};
-use crate::method::settings::{means, settings};
+use super::sequence::MIN_REPEATS;
+use crate::method::{means, settings};
+use crate::models::range;
 use wcal_core::order_statistics::median;
 use wcal_core::repeats::decimal_step;
 use wcal_core::text::number;
@@ -11,8 +13,6 @@ use wcal_core::text::number;
 /// What the law of the other settings goes on by beyond the limit, in resolvable steps: a coarse
 /// gauge repeats itself, too.
 const BEYOND_STEPS: f64 = 6.0;
-/// Fewest readings at the limit of one setting alone.
-const MIN_REPEATS: usize = 3;
 
 /// A limit of the read-out.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,11 +28,8 @@ pub struct RangeLimit {
 impl RangeLimit {
     /// In a sentence; `unit` of the response.
     pub fn sentence(&self, unit: &str) -> String {
-        let points: Vec<String> = self
-            .origins
-            .iter()
-            .map(|origin| origin.2.to_string())
-            .collect();
+        let points = self.origins.iter().map(|origin| origin.2.to_string());
+        let points: Vec<String> = points.collect();
         let unit = if unit == "1" { "" } else { unit };
         let [from, last] = self.stimuli.map(|stimulus| number(stimulus, 10));
         format!(
@@ -95,21 +92,18 @@ fn at_end(
     // The law of the two settings next to the limit, at the far end of the stimulus.
     let [mx, my] = [x, y].map(|v| means(setting, v));
     let [near, next] = [place(at), place(at + 1)];
+    // Straight on from the two settings before the limit.
     let expected =
         my[near] + (my[near] - my[next]) / (mx[near] - mx[next]) * (mx[place(0)] - mx[near]);
     // What the read-out resolves, and what the other settings scatter by.
     let others = || (at..count).map(|k| &of[place(k)]);
     let spread = |rows: &Vec<usize>| {
-        let [low, high] = rows
-            .iter()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &i| {
-                [a.min(y[i]), b.max(y[i])]
-            });
+        let [low, high] = range(rows.iter().map(|&i| y[i]));
         high - low
     };
     let resolved = decimal_step(y)
-        .unwrap_or(0.0)
-        .max(median(others().map(spread)).unwrap_or(0.0));
+        .unwrap_or_default()
+        .max(median(others().map(spread)).unwrap_or_default());
     let repeats_scatter = others().filter(|rows| spread(rows) > 0.0).count() * 2 > count - at;
     let beyond =
         end(expected, value) == expected && (expected - value).abs() > BEYOND_STEPS * resolved;

@@ -10,9 +10,7 @@
 //! well.
 
 use super::system::ScalarSystem;
-use crate::method::admissible::REFIT_STEPS;
-use crate::method::fit::fit;
-use crate::method::hypothesis::Hypothesis;
+use crate::method::{Hypothesis, REFIT_STEPS, fit};
 
 /// Readings of a value of the stimulus, on average, from which on its record has steps.
 const MIN_RUN: f64 = 1.5;
@@ -35,6 +33,7 @@ impl ScalarSystem {
             let end = first + run.len();
             if first > 0 && end < n {
                 let [from, to] = [first, end].map(|k| 0.5 * (frame.u[k - 1] + frame.u[k]));
+                // Readings stand in the middle of equal parts of the run.
                 let share = |k: usize| (k as f64 + 0.5) / run.len() as f64;
                 (0..run.len()).for_each(|k| u[first + k] = from + (to - from) * share(k));
             }

@@ -58,12 +58,6 @@ impl ScalarRow {
     }
 }
 
-pub(super) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| {
-        [a.min(v), b.max(v)]
-    })
-}
-
 pub(super) fn all<T: Copy>(
     rows: &[ScalarRow],
     f: impl Fn(&ScalarRow) -> Option<T>,

@@ -67,3 +67,14 @@ impl From<Effect> for ScalarEffect {
         }
     }
 }
+
+/// Equal steps above `low`.
+pub(super) const fn steps_above<const N: usize>(low: f64, step: f64) -> [f64; N] {
+    let mut grid = [0.0; N];
+    let mut k = 0;
+    while k < N {
+        grid[k] = low + step * (k as f64 + 1.0);
+        k += 1;
+    }
+    grid
+}

@@ -1,7 +1,7 @@
 //! What the order of the rows says: directions, strokes, series.
 
-use super::row::{ScalarRow, all, range};
-use std::cmp::Ordering;
+use super::row::{ScalarRow, all};
+use crate::models::range;
 use std::collections::BTreeSet;
 
 /// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or
@@ -14,26 +14,26 @@ pub(super) fn sorted_with_repetitions(setting: &[usize]) -> bool {
     (rises || falls) && !level && setting.windows(2).any(|p| p[1] == p[0])
 }
 
-/// Directions are usable where each occurs this often.
-pub(super) const MIN_EACH_WAY: usize = 3;
+/// Fewer readings than this say nothing of a direction, of a series, of either side of a step or of
+/// a limit.
+pub(super) const MIN_REPEATS: usize = 3;
 
 /// Given directions, or those of the sequence where time, cycles or strokes attest it.
 pub(super) fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) -> Option<Vec<f64>> {
     let found = match all(rows, |r| r.direction) {
         Some(given) => given,
         None if rows.iter().all(|r| r.t_s.is_some()) => {
-            let mut out = vec![0.0; rows.len()];
-            for k in 1..rows.len() {
-                out[k] = match setting[k].cmp(&setting[k - 1]) {
-                    Ordering::Equal => out[k - 1],
-                    Ordering::Greater => 1.0,
-                    Ordering::Less => -1.0,
-                };
-            }
-            let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
-            out.iter()
-                .map(|d| if *d == 0.0 { first } else { *d })
-                .collect()
+            let step = |p: &[usize]| p[1] as f64 - p[0] as f64;
+            let moves = || setting.windows(2).map(step).filter(|d| *d != 0.0);
+            let mut way = moves().next().map_or(1.0, f64::signum);
+            let first = way;
+            let ways = setting.windows(2).map(|p| {
+                if p[1] != p[0] {
+                    way = step(p).signum();
+                }
+                way
+            });
+            std::iter::once(first).chain(ways).collect()
         }
         None if sorted_with_repetitions(setting) => return None,
         None if rows.iter().all(|r| r.cycle.is_some()) => ways_of_cycles(rows, setting),
@@ -70,24 +70,19 @@ fn to_and_fro(setting: &[usize]) -> bool {
 /// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn
 /// is read once on either way.
 pub(crate) fn ways(setting: &[usize]) -> Vec<f64> {
-    let step = |k: usize| {
-        setting
-            .get(k + 1)
-            .map_or(0.0, |next| *next as f64 - setting[k] as f64)
-    };
+    let way = |a: usize, b: usize| f64::from(i8::from(b > a) - i8::from(b < a));
     let mut out = vec![0.0; setting.len()];
+    let mut ahead = 0.0;
     for k in (0..setting.len()).rev() {
-        let before = if k > 0 { step(k - 1) } else { 0.0 };
-        let ahead = if step(k) != 0.0 {
-            step(k).signum()
-        } else {
-            out.get(k + 1).copied().unwrap_or(0.0)
-        };
-        out[k] = if before != 0.0 {
-            before.signum()
-        } else {
-            ahead
-        };
+        let [before, after] = [k.saturating_sub(1), k + 1].map(|j| setting.get(j));
+        let own = setting[k];
+        let next = after.map_or(0.0, |next| way(own, *next));
+        let came = before.map_or(0.0, |last| way(*last, own));
+        ahead = [came, next, ahead]
+            .into_iter()
+            .find(|w| *w != 0.0)
+            .unwrap_or_default();
+        out[k] = ahead;
     }
     out
 }
@@ -98,39 +93,24 @@ pub(super) fn groups(rows: &[ScalarRow]) -> Vec<u32> {
         return vec![0; rows.len()];
     };
     let run = |c: u32| {
-        let [lo, hi] = range(
-            rows.iter()
-                .zip(&cycles)
-                .filter(|(_, k)| **k == c)
-                .map(|(r, _)| r.x),
-        );
+        let own = rows.iter().filter(|r| r.cycle == Some(c));
+        let [lo, hi] = range(own.map(|r| r.x));
         hi > lo
     };
-    let mut distinct = cycles.clone();
-    distinct.sort_unstable();
-    distinct.dedup();
-    if distinct.len() > 1 && distinct.iter().all(|c| run(*c)) {
+    let distinct: BTreeSet<u32> = cycles.iter().copied().collect();
+    if distinct.len() > 1 && distinct.into_iter().all(run) {
         cycles
     } else {
         vec![0; rows.len()]
     }
 }
 
-/// Fewer readings than this do not tell a series's zero.
-const MIN_OF_SERIES: usize = 3;
-
 /// Series of `rows` that each have readings enough for a zero of their own; none where one has not.
 pub(super) fn series(rows: &[ScalarRow]) -> Vec<u32> {
     let groups = groups(rows);
-    let mut distinct = groups.clone();
-    distinct.sort_unstable();
-    distinct.dedup();
-    let enough = distinct
-        .iter()
-        .all(|s| groups.iter().filter(|g| *g == s).count() >= MIN_OF_SERIES);
-    if enough && distinct.len() > 1 {
-        distinct
-    } else {
-        Vec::new()
-    }
+    let distinct: BTreeSet<u32> = groups.iter().copied().collect();
+    let size = |s: &u32| groups.iter().filter(|g| *g == s).count();
+    let few = distinct.len() < 2 || distinct.iter().any(|s| size(s) < MIN_REPEATS);
+    let series = distinct.into_iter().filter(|_| !few);
+    series.collect()
 }

@@ -3,11 +3,9 @@
 
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::{ScalarSystem, relative_sd_at};
+use crate::MeasurementModel;
 use crate::levels::{REMARK, SPREAD};
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::spread::{Spread, heteroscedasticity_test};
-use crate::method::signature::nuisance_basis;
+use crate::method::{Hypothesis, Spread, heteroscedasticity_test, nuisance_basis};
 
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 4999;
@@ -51,6 +49,7 @@ pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> O
         seed,
     )?;
     // The law holds for readings that do not count, too.
+    // Relative to the mean on the law's own scale: the geometric mean spread is one.
     let scale = spread.law.scale(frame);
     let centre = kept.iter().map(|&i| scale[i]).sum::<f64>() / kept.len() as f64;
     spread.relative_sd = relative_sd_at(frame, spread.law, spread.exponent, centre);

@@ -2,11 +2,8 @@
 
 use super::effects::PERIODIC;
 use super::system::ScalarSystem;
-use crate::effect::EffectTerm;
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::fit;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::covariance;
+use crate::method::{Hypothesis, covariance, fit};
+use crate::{EffectTerm, MeasurementModel};
 use wcal_core::order_statistics::median;
 
 /// Cycles over the whole range, fitted to each half of the readings.
@@ -52,6 +49,7 @@ pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarit
         Some((fitted.terms[place].values[0], error))
     };
     let ((a, sa), (b, sb)) = (half(false)?, half(true)?);
+    // The halves share no reading: their errors add in squares.
     let z = (b - a).abs() / sa.hypot(sb).max(1e-300);
     Some(Stationarity {
         cycles: [a, b],

@@ -1,7 +1,8 @@
 //! What the unit of the stimulus and the read-out's range say: a full turn, absolute zero, and
 //! where a count starts again.
 
-use super::row::{ScalarRow, range};
+use super::row::ScalarRow;
+use crate::models::range;
 use std::f64::consts::TAU;
 
 /// A full turn in a unit of angle.
@@ -57,31 +58,22 @@ pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
         let mut before = levels.first()?[0].1;
         let (mut means, mut passed) = (Vec::new(), Vec::new());
         for level in &levels {
-            let counts: Vec<f64> = level
-                .iter()
-                .map(|(_, y)| ((before - y) / modulus).round())
-                .collect();
-            let whole = level
-                .iter()
-                .zip(&counts)
-                .map(|((_, y), k)| y + modulus * k)
-                .sum::<f64>();
-            before = whole / level.len() as f64;
+            let count = |y: f64| ((before - y) / modulus).round();
+            passed.push(range(level.iter().map(|(_, y)| count(*y))));
+            let whole = level.iter().map(|(_, y)| y + modulus * count(*y));
+            before = whole.sum::<f64>() / level.len() as f64;
             means.push(before);
-            passed.push(range(counts.into_iter()));
         }
         let steps: Vec<f64> = means.windows(2).map(|m| m[1] - m[0]).collect();
+        // With whole ranges taken off, a count has one slope throughout.
         let typical = steps.iter().sum::<f64>().abs() / steps.len().max(1) as f64;
         // All of one count's range is used, and what remains of every step is a step of the slope.
         let fits = high - low < modulus
             && high - low + SAME_SLOPE * typical > modulus
             && steps.iter().all(|d| d.abs() < SAME_SLOPE * typical);
         let mixed = |p: &[f64; 2]| p[0] < p[1];
-        let within = levels
-            .iter()
-            .zip(&passed)
-            .filter(|(_, p)| mixed(p))
-            .map(|(level, _)| level[0].0);
+        let within = levels.iter().zip(&passed).filter(|(_, p)| mixed(p));
+        let within = within.map(|(level, _)| level[0].0);
         let between = passed.windows(2).zip(levels.windows(2));
         let between = between.filter(|(p, _)| p[0] != p[1] && !p.iter().any(mixed));
         let between = between.map(|(_, level)| 0.5 * (level[0][0].0 + level[1][0].0));
@@ -100,12 +92,10 @@ pub(super) fn times_wrapped(rows: &[ScalarRow], wraps: &[f64]) -> Vec<f64> {
         let before = wraps.iter().filter(|place| r.x > **place).count() as f64;
         // The nearest reading on one side is in the same round.
         let same = |after: bool| {
-            let near =
-                |a: &&ScalarRow, b: &&ScalarRow| (a.x - r.x).abs().total_cmp(&(b.x - r.x).abs());
+            let off = |o: &ScalarRow| (o.x - r.x).abs();
             let beyond = rows.iter().filter(|o| o.x != r.x && (o.x > r.x) == after);
-            beyond
-                .min_by(near)
-                .map(|o| (2.0 * (r.y - o.y).abs() < high - low) == after)
+            let nearest = beyond.min_by(|a, b| off(a).total_cmp(&off(b)))?;
+            Some((2.0 * (r.y - nearest.y).abs() < high - low) == after)
         };
         let after = || same(true).or_else(|| same(false)).unwrap_or(false);
         before + f64::from(u8::from(wraps.contains(&r.x) && after()))

@@ -10,9 +10,7 @@ use super::scalar_effect::ScalarEffect;
 use super::stimulus_scale::times_wrapped;
 use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::{DesignTest, MeasurementModel, design_of, finite};
-use crate::method::hypothesis::{Hypothesis, NotIdentified};
-use crate::method::noise::NoiseInputs;
-use crate::method::noise::spread::{Spread, SpreadLaw, relative_sd};
+use crate::method::{Hypothesis, NoiseInputs, NotIdentified, Spread, SpreadLaw, relative_sd};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -21,30 +19,27 @@ use wcal_core::repeats::decimal_step;
 
 /// Why a session does not give what a law needs; none where it does.
 fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
+    use LawRequirement::{BothDirections, Clock, Covariate, Order, Slope, Temperature, Time};
     let (met, why) = match need {
-        LawRequirement::Slope => (
+        Slope => (
             frame.sloped(),
             "the declared model is constant: it does not follow the stimulus",
         ),
-        LawRequirement::Time if frame.time.is_none() => (false, "the session has no time stamps"),
-        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order
-            if frame.swept_once() =>
-        {
-            (false, SWEPT_ONCE)
-        }
-        LawRequirement::Clock | LawRequirement::Order => (
+        Time if frame.time.is_none() => (false, "the session has no time stamps"),
+        Time | Clock | Order if frame.swept_once() => (false, SWEPT_ONCE),
+        Clock | Order => (
             frame.ordered,
             "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
         ),
-        LawRequirement::BothDirections => (
+        BothDirections => (
             frame.direction.is_some(),
             "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
         ),
-        LawRequirement::Temperature => (
+        Temperature => (
             frame.temperature.is_some(),
             "the session has no temperature column, or it is constant",
         ),
-        LawRequirement::Covariate => (
+        Covariate => (
             frame.covariates.iter().any(Option::is_some),
             "the table has no further covariate that varies",
         ),
@@ -112,7 +107,7 @@ fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
     let Some(sd) = all(rows, |r| r.x_sd) else {
         return Vec::new();
     };
-    let typical = median(sd.iter().copied().filter(|sd| *sd > 0.0)).unwrap_or(0.0);
+    let typical = median(sd.iter().copied().filter(|sd| *sd > 0.0)).unwrap_or_default();
     let alike = sd.iter().all(|v| *v == sd[0]);
     let variance = |sd: &f64| (sd / typical).powi(2).clamp(STATED[0], STATED[1]);
     if alike || typical <= 0.0 {
@@ -189,7 +184,7 @@ impl ScalarSystem {
             unreliability: 0.0,
             ..self.frame.scaling.clone()
         };
-        let frame = Frame::of_new_rows(rows, &as_read, self.frame.declared);
+        let frame = Frame::new(rows, &as_read, self.frame.declared, true);
         let mut all = Self::new(frame, &self.names.covariates).with_offset(self.offset);
         // What stands at a limit measures nothing there, either.
         let measures = |r: &ScalarRow| {
@@ -197,35 +192,22 @@ impl ScalarSystem {
                 .iter()
                 .all(|l| l.value != read_out(r, self.frame.declared))
         };
-        all.sealed = all
-            .frame
-            .rows
-            .iter()
-            .map(|r| origins.contains(&r.origin) && measures(r))
-            .collect();
-        all = all.of_session(
-            self.names.clone(),
-            self.points.to_vec(),
-            self.limits.clone(),
-        );
-        match &self.spread {
-            Some(s) => {
-                let scale = s.law.scale(&self.frame);
-                let centre = scale.iter().sum::<f64>() / scale.len() as f64;
-                let relative_sd = relative_sd_at(&all.frame, s.law, s.exponent, centre);
-                all.with_spread(Spread {
-                    relative_sd,
-                    ..s.clone()
-                })
-            }
-            None => all,
-        }
+        let sealed = |r: &ScalarRow| origins.contains(&r.origin) && measures(r);
+        all.sealed = all.frame.rows.iter().map(sealed).collect();
+        (all.names, all.points) = (self.names.clone(), self.points.clone());
+        all.limits = self.limits.clone();
+        let Some(s) = &self.spread else { return all };
+        let relative_sd = relative_sd_at(&all.frame, s.law, s.exponent, s.law.centre(&self.frame));
+        all.with_spread(Spread {
+            relative_sd,
+            ..s.clone()
+        })
     }
 
     /// Step of a coarse read-out; 0 where it is fine.
     pub(super) fn step(&self) -> f64 {
         let steps = self.noise_inputs().step;
-        steps.first().copied().flatten().unwrap_or(0.0)
+        steps.first().copied().flatten().unwrap_or_default()
     }
 
     /// The same rows seen from another far point.
@@ -267,13 +249,11 @@ impl MeasurementModel for ScalarSystem {
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let frame = &self.frame;
         let mut u = finite(frame.u.clone())?;
-        let law = |t: &EffectTerm| self.catalogue[t.effect].law(t.law);
         let active = || {
             terms.iter().map(|t| {
-                (
-                    &self.effects[t.effect],
-                    Values::new(law(t), t.law, &t.values),
-                )
+                let effect = &self.effects[t.effect];
+                let law = effect.effect.law(t.law);
+                (effect, Values::new(law, t.law, &t.values))
             })
         };
         for (effect, values) in active() {
@@ -285,28 +265,17 @@ impl MeasurementModel for ScalarSystem {
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
-                let read = frame
-                    .read_u
-                    .iter()
-                    .zip(&frame.u)
-                    .zip(&u)
-                    .map(|((read, level), u)| read + (u - level));
-                let read: Vec<f64> = read.collect();
-                (0..=degree)
-                    .map(|k| read.iter().map(|v| v.powi(k as i32)).collect())
-                    .collect()
+                let read = |i: usize| frame.read_u[i] + (u[i] - frame.u[i]);
+                let power = |k: usize| (0..u.len()).map(|i| read(i).powi(k as i32)).collect();
+                (0..=degree).map(power).collect()
             }
             // measured - commanded = constant + (x_eff - x): the second part has no free
             // coefficient. Seen from a far point it rides on the constant's column, with a
             // coefficient of one to within error / offset = 1e-5.
             Declared::Axis => {
                 let um = 1e3 * frame.scaling.half / self.offset;
-                vec![
-                    u.iter()
-                        .zip(&frame.u)
-                        .map(|(e, c)| 1.0 + um * (e - c))
-                        .collect(),
-                ]
+                let moved = u.iter().zip(&frame.u);
+                vec![moved.map(|(e, c)| 1.0 + um * (e - c)).collect()]
             }
         };
         for (effect, values) in active() {
@@ -319,6 +288,7 @@ impl MeasurementModel for ScalarSystem {
         let Declared::Polynomial(declared) = self.frame.declared else {
             return Vec::new();
         };
+        // More powers than places can carry would follow single readings.
         let further = self.frame.levels().saturating_sub(declared + 1) / READINGS_A_POWER;
         let power = |k: usize| self.frame.u.iter().map(|u| u.powi(k as i32)).collect();
         let powers = (declared + 1..=declared + further.min(MAX_POWERS)).map(power);
@@ -382,40 +352,26 @@ impl MeasurementModel for ScalarSystem {
         } else {
             "stimulus"
         };
-        let mut out = vec![(
-            stimulus.to_owned(),
-            frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>(),
-        )];
+        let column = |f: &dyn Fn(&ScalarRow) -> f64| frame.rows.iter().map(f).collect::<Vec<f64>>();
+        let mut out = vec![(stimulus.to_owned(), column(&|r| r.x))];
+        let mut add = |name: &str, values: Vec<f64>| out.push((name.to_owned(), values));
         let clock = !frame.swept_once();
         if frame.ordered && clock {
-            out.push((
-                "order".to_owned(),
-                (0..frame.rows.len()).map(|k| k as f64).collect(),
-            ));
+            add("order", (0..frame.rows.len()).map(|k| k as f64).collect());
         }
         if frame.time.is_some() && clock {
-            out.push((
-                "t_s".to_owned(),
-                frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect(),
-            ));
+            add("t_s", column(&|r| r.t_s.unwrap_or_default()));
         }
         if frame.temperature.is_some() {
-            let column = frame
-                .rows
-                .iter()
-                .map(|r| r.temperature_degc.unwrap_or(0.0))
-                .collect();
-            out.push(("temperature_degc".to_owned(), column));
+            let degc = column(&|r| r.temperature_degc.unwrap_or_default());
+            add("temperature_degc", degc);
         }
         if let Some(direction) = &frame.direction {
-            out.push(("direction".to_owned(), direction.clone()));
+            add("direction", direction.clone());
         }
         for (k, name) in self.names.covariates.iter().enumerate() {
             if frame.covariates.get(k).is_some_and(Option::is_some) {
-                out.push((
-                    name.clone(),
-                    frame.rows.iter().map(|r| r.covariates[k]).collect(),
-                ));
+                add(name, column(&|r| r.covariates[k]));
             }
         }
         // The first of drivers that say the same is named: a column that counts the readings says
@@ -432,15 +388,12 @@ impl MeasurementModel for ScalarSystem {
         let values: Vec<f64> = frame.rows.iter().map(|r| r.y).collect();
         // The order of the rows stands in for a clock where nothing speaks against it; a break
         // between sweeps shows in the time constant.
-        let timed = frame.rows.iter().all(|r| r.t_s.is_some());
-        let clock = if timed {
-            Some(frame.rows.iter().filter_map(|r| r.t_s).collect())
-        } else {
-            frame.ordered.then(|| (0..n).map(|k| k as f64).collect())
-        };
+        let times = all(&frame.rows, |r| r.t_s);
+        let counts_readings = times.is_none();
+        let order = || frame.ordered.then(|| (0..n).map(|k| k as f64).collect());
         NoiseInputs {
-            clock: clock.map(Arc::new),
-            counts_readings: !timed,
+            clock: times.or_else(order).map(Arc::new),
+            counts_readings,
             known: self.weights.clone(),
             averaged: stated_variances(&frame.rows),
             step: vec![decimal_step(&values)],

@@ -4,29 +4,19 @@
 use super::effects::ERROR_TABLE;
 use super::frame::Declared;
 use super::system::ScalarSystem;
-use crate::effect::EffectTerm;
 use crate::levels::{CATALOGUE, REPLICATES};
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::{Fit, Status, fit};
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::{covariance, t95};
-use crate::method::min_p::{f_test, strongest};
-use crate::method::noise_estimator::noise_for_predictions;
-use crate::method::omnibus::{OmnibusTest, omnibus_test};
-use crate::method::options::Options;
-use crate::method::signature::Signature;
+use crate::method::{
+    Fit, Hypothesis, OmnibusTest, Options, Signature, Status, covariance, f_test, fit,
+    noise_for_predictions, omnibus_test, strongest, t95,
+};
 use crate::verify::Explained;
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::DVector;
 use wcal_core::verify_document::EffectParameter;
 
 /// Index of the table in the catalogue.
 fn index(system: &ScalarSystem) -> Option<usize> {
     system.catalogue().iter().position(|e| e.id == ERROR_TABLE)
-}
-
-/// An explanation that holds the table.
-pub(crate) fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
-    h.fit.terms.iter().any(|t| Some(t.effect) == index(system))
 }
 
 /// Takes the table in place of an explanation that repeats contradict.
@@ -81,30 +71,23 @@ fn table(
         law,
         values: Vec::new(),
     };
-    let reversal = system
-        .catalogue()
-        .iter()
-        .position(|e| e.id == "backlash")
-        .and_then(|e| {
-            let (law, _) = system.catalogue()[e].law_named("reversal")?;
-            Some(EffectTerm {
-                effect: e,
-                law,
-                values: Vec::new(),
-            })
-        });
+    let mut catalogue = system.catalogue().iter().enumerate();
+    let reversal = catalogue.find_map(|(effect, e)| {
+        let (law, _) = e.law_named("reversal")?;
+        Some(EffectTerm { effect, ..of(law) })
+    });
     let common = reversal.map(|r| vec![of(0), r]);
     let richer = common.into_iter().chain([vec![of(1)]]);
     let mut all = vec![refitted(system, &[of(0)], base)?];
     all.extend(richer.filter_map(|terms| refitted(system, &terms, base)));
-    let is_better = |plain: &Hypothesis, rich: &Hypothesis| improves_on_laws(&plain.fit, &rich.fit);
-    let mut kept = all[0].clone();
-    for rich in &all[1..] {
-        if is_better(&kept, rich) {
-            kept = rich.clone();
+    let kept = all.iter().skip(1).fold(&all[0], |kept, rich| {
+        if improves_on_laws(&kept.fit, &rich.fit) {
+            rich
+        } else {
+            kept
         }
-    }
-    is_better(base, &kept).then_some((kept, all))
+    });
+    improves_on_laws(&base.fit, &kept.fit).then(|| (kept.clone(), all.clone()))
 }
 
 /// What the table leaves may follow the clock or another column: effects that the omnibus test asks
@@ -147,10 +130,8 @@ fn improves_on_laws(plain: &Fit, rich: &Fit) -> bool {
 
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.
 pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
-    let Some(effect) = index(system) else {
-        return Vec::new();
-    };
-    let Some(at) = fit.terms.iter().position(|t| t.effect == effect) else {
+    let is_table = |t: &EffectTerm| Some(t.effect) == index(system);
+    let Some(at) = fit.terms.iter().position(is_table) else {
         return Vec::new();
     };
     let first = fit.slots(system.catalogue())[at].columns.start;
@@ -163,29 +144,26 @@ pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
     } else {
         &[("", false)]
     };
-    let mut out = Vec::new();
-    for (k, place) in places.iter().enumerate() {
-        for (way, falling) in ways {
-            let mut g = DVector::zeros(c.nrows());
-            g[0] = 1.0;
-            if k > 0 {
-                g[first + k - 1] = 1.0;
-            }
-            if *falling {
-                g[first + places.len() - 1 + k] = 1.0;
-            }
-            let value = (0..coefficients.len())
-                .map(|j| g[j] * coefficients[j])
-                .sum::<f64>()
-                - system.offset;
-            let half = t * g.dot(&(&c * &g)).max(0.0).sqrt();
-            out.push(EffectParameter {
-                name: format!("deviation at {place}{way}"),
-                value,
-                unit: system.names.response.clone(),
-                interval95: [value - half, value + half],
-            });
+    let all = places.iter().enumerate();
+    let all = all.flat_map(|(k, place)| ways.iter().map(move |way| (k, place, way)));
+    let of = |(k, place, (way, falling)): (usize, &f64, &(&str, bool))| {
+        // Deviation = constant + that of the place (+ reversal value): g' C g is its variance.
+        let mut g = DVector::zeros(c.nrows());
+        g[0] = 1.0;
+        if k > 0 {
+            g[first + k - 1] = 1.0;
         }
-    }
-    out
+        if *falling {
+            g[first + places.len() - 1 + k] = 1.0;
+        }
+        let value = g.rows(0, coefficients.len()).dot(&coefficients) - system.offset;
+        let half = t * g.dot(&(&c * &g)).max(0.0).sqrt();
+        EffectParameter {
+            name: format!("deviation at {place}{way}"),
+            value,
+            unit: system.names.response.clone(),
+            interval95: [value - half, value + half],
+        }
+    };
+    all.map(of).collect()
 }

@@ -4,13 +4,9 @@
 use super::frame::Declared;
 use super::model::ScalarModel;
 use super::system::ScalarSystem;
-use crate::effect::EffectTerm;
 use crate::levels::{NEGLIGIBLE, USUAL};
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Fit;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::linear::Basis;
-use crate::method::min_p::f_test;
+use crate::method::{Basis, Fit, Hypothesis, f_test};
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::DVector;
 
 /// The response does not depend on the stimulus: F test of every term of the stimulus at once,
@@ -34,6 +30,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
     let left = fit.residual.column(0).clone_owned();
     let reading =
         (0..fit.design.ncols()).fold(left, |sum, j| sum + column(j) * fit.coefficients[(j, 0)]);
+    // Squares left where no term of the stimulus is fitted.
     let constant = beside.project_off(&reading).norm_squared();
     let extra = of_stimulus.len() + fit.tangents.len();
     let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra)?;

@@ -9,10 +9,8 @@ use super::range_limit::range_limits;
 use super::spread_trend::heteroscedasticity_note;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
-use crate::error::VerifyError;
-use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::spread::Spread;
-use crate::method::search_result::RankedHypothesis;
+use crate::VerifyError;
+use crate::method::{LackOfFit, RankedHypothesis, Spread};
 use crate::verify::{Verification, Verified, VerifyRequest, verify};
 use wcal_core::Sealed;
 use wcal_core::observation::{TransducerData, TransducerRow};
@@ -76,29 +74,20 @@ pub fn verify_scalar(
     let limits = range_limits(&points, declared);
     points.retain(|r| !limits.iter().any(|l| l.origins.contains(&r.origin)));
     let rows = thin(points.clone());
-    let scaling = Scaling {
-        count: points.len(),
-        ..Scaling::of(&rows)
-    }
-    .with_unreliability(&rows, declared);
-    let scaling = match declared {
-        Declared::Polynomial(_) => scaling.of_transducer(&rows, &data.stimulus_unit),
-        Declared::Axis => scaling.with_places(&rows),
-    };
+    let scaling = Scaling::of_session(&rows, declared, &data.stimulus_unit, points.len());
     let names = Names {
         stimulus: data.stimulus_unit.clone(),
         response: data.response_unit.clone(),
         deviation: data.deviation,
         covariates: data.covariates.clone(),
     };
-    let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
-        .of_session(names, points, limits);
-    Ok(
-        match verify(model, declared.sealed(sealed), &[], request)? {
-            Verified::Done(v) => for_report(session, *v, request),
-            Verified::Refused(why) => refused(session, data, request.search.seed, &why),
-        },
-    )
+    let frame = Frame::new(rows, &scaling, declared, false);
+    let model = ScalarSystem::new(frame, &names.covariates).of_session(names, points, limits);
+    let verified = verify(model, declared.sealed(sealed), &[], request)?;
+    Ok(match verified {
+        Verified::Done(v) => for_report(session, *v, request),
+        Verified::Refused(why) => refused(session, data, request.search.seed, &why),
+    })
 }
 
 /// What a report shows of a verification.

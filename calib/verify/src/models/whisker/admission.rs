@@ -1,14 +1,11 @@
 //! Which whisker readings can be used at all.
 
-use super::sensitivity;
+use super::sensitivity::{self, MIN_LOADED};
 use super::system::WhiskerSystem;
 use crate::scalar::admission::clock_fault;
 use crate::verify::sealed_in_fit::sealed_in_fit;
 use wcal_core::Sealed;
 use wcal_core::observation::{Role, WhiskerRow};
-
-/// Fewest loaded readings that carry K, the zero and a residual.
-const MIN_LOADED: usize = 9;
 
 /// Why the readings of a session cannot be used; `sealed` are those of its holdout.
 pub(super) fn refusal(system: &WhiskerSystem, sealed: &Sealed<WhiskerRow>) -> Option<String> {

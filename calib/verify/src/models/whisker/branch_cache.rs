@@ -1,7 +1,7 @@
 //! Branches of equilibria, continued from first touch and kept: their neighbours are solved in a
 //! few steps from them.
 
-use crate::whisker::rod_parameters::RodParameters;
+use super::rod_parameters::RodParameters;
 use std::sync::{Arc, Mutex};
 use wcal_rod::Anchor;
 
@@ -12,17 +12,17 @@ const KEPT: usize = 12;
 const NEAR: f64 = 2.0;
 
 /// Equilibria of one wire along one line.
-pub(crate) struct Branch {
+pub(super) struct Branch {
     pub(super) rod_parameters: RodParameters,
     /// By the share of the way from first touch to the line's end, ascending.
     pub(super) nodes: Vec<(f64, Anchor)>,
 }
 
 /// Walked wires of every line.
-pub(crate) struct BranchCache(Vec<Mutex<Vec<Arc<Branch>>>>);
+pub(super) struct BranchCache(Vec<Mutex<Vec<Arc<Branch>>>>);
 
 impl BranchCache {
-    pub(crate) fn new(lines: usize) -> Self {
+    pub(super) fn new(lines: usize) -> Self {
         Self((0..lines).map(|_| Mutex::new(Vec::new())).collect())
     }
 
@@ -39,21 +39,16 @@ impl BranchCache {
 
     pub(super) fn nearest(&self, l: usize, rod_parameters: &RodParameters) -> Option<Arc<Branch>> {
         let kept = self.0[l].lock().ok()?;
-        let (distance, nearest) = kept
-            .iter()
-            .map(|w| (rod_parameters.distance(&w.rod_parameters), w))
-            .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        (distance <= NEAR).then(|| nearest.clone())
+        let near = |w: &&Arc<Branch>| rod_parameters.distance(&w.rod_parameters);
+        let nearest = kept.iter().min_by(|a, b| near(a).total_cmp(&near(b)))?;
+        (near(&nearest) <= NEAR).then(|| nearest.clone())
     }
 }
 
 impl Branch {
     pub(super) fn node(&self, share: f64) -> Option<&Anchor> {
-        let after = self.nodes.partition_point(|n| n.0 < share);
-        let beside = after.saturating_sub(1)..(after + 1).min(self.nodes.len());
-        let near = self.nodes[beside]
-            .iter()
-            .min_by(|a, b| (a.0 - share).abs().total_cmp(&(b.0 - share).abs()));
-        near.map(|n| &n.1)
+        let off = |n: &(f64, Anchor)| (n.0 - share).abs();
+        let nearest = self.nodes.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        nearest.map(|n| &n.1)
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
     };
     add(
         "contact_arclength_mm",
-        column(&|r| arclength_mm(r).unwrap_or(0.0)),
+        column(&|r| arclength_mm(r).unwrap_or_default()),
     );
     out
 }
@@ -76,6 +76,7 @@ fn rates(readings: &[Reading], [side, before]: [usize; 2]) -> Vec<f64> {
             (i + side).saturating_sub(before).min(last),
         );
         let (a, b) = (&readings[a], &readings[b]);
+        // Central difference: the own noise of the reading in the middle cancels.
         let dt_s = b.t_s - a.t_s;
         if dt_s > 0.0 {
             (b.temperature_loo_degc - a.temperature_loo_degc) / dt_s

@@ -1,28 +1,14 @@
 //! The noise floor, what a loaded reading at a repeated pose can reach.
 
+use super::path::Reading;
+use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::lack_of_fit::{LackOfFit, Part, Split};
-use crate::method::noise::Noise;
-use crate::whisker::path::Reading;
+use crate::MeasurementModel;
+use crate::method::{Hypothesis, LackOfFit, Noise, Part, Split};
+use crate::verify::FloorStatement;
 use nalgebra::{DMatrix, RowDVector};
 use std::collections::BTreeMap;
-
-/// Floor of the wavelengths.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Floor {
-    /// Standard deviation of a loaded reading at a repeated pose, pm.
-    pub sd_pm: f64,
-    /// The same of readings that were averaged over far fewer samples (in motion), pm; none where
-    /// all are averaged alike.
-    pub moving_pm: Option<f64>,
-    /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves
-    /// between neighbouring poses).
-    pub source: &'static str,
-    /// Degrees of freedom of the rest readings' repetitions.
-    pub rest_dof: f64,
-}
+use wcal_core::verify_document::NoiseFloor;
 
 /// Fewer degrees of freedom than this do not make a floor.
 const MIN_DOF: f64 = 10.0;
@@ -79,6 +65,7 @@ fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
         .map(|w| (w[1] - w[0]).max(exact))
         .collect();
     gaps.sort_by(f64::total_cmp);
+    // Of sorted gaps the largest ratio parts the scatter within a pose from the way to the next.
     let jump = (1..gaps.len())
         .filter(|&k| gaps[k - 1] <= NEAR_SHARE * range && gaps[k] > GAP_RATIO * gaps[k - 1])
         .max_by(|&a, &b| (gaps[a] / gaps[a - 1]).total_cmp(&(gaps[b] / gaps[b - 1])));
@@ -114,16 +101,16 @@ fn by_pose(
 
 /// Sum of squares and degrees of freedom within poses, over all channels.
 fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
-    let (mut ss, mut dof) = (0.0, 0.0);
+    let mut part = Part { ss: 0.0, dof: 0.0 };
     for settings in poses {
         let mean = DMatrix::from_rows(settings).row_mean();
-        ss += settings
+        part.dof += ((settings.len() - 1) * mean.len()) as f64;
+        part.ss += settings
             .iter()
             .map(|m| (m - &mean).norm_squared())
             .sum::<f64>();
-        dof += (settings.len() - 1) as f64 * mean.len() as f64;
     }
-    Part { ss, dof }
+    part
 }
 
 /// What `h` leaves of loaded poses against how well a pose that is set again reproduces; none where
@@ -140,6 +127,7 @@ pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> 
     let poses = by_pose(system, h, &h.fit.raw_residual, false);
     let within = within(&poses);
     let total: f64 = poses.iter().flatten().map(RowDVector::norm_squared).sum();
+    // Pythagoras: the squares between poses are those of all less those within.
     let between = Part {
         ss: total - within.ss,
         dof: (poses.len() * h.fit.raw_residual.ncols()) as f64,
@@ -149,61 +137,69 @@ pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> 
         .flatten()
 }
 
-/// The floor under the noise of the accepted model. `left`: something remains that the model does
-/// not explain, so its residuals are no noise and only replicates tell the floor.
+/// The floor under the noise of the accepted model, what a loaded reading at a repeated pose can
+/// reach. `left`: something remains that the model does not explain, so its residuals are no noise
+/// and only replicates tell the floor.
 pub fn noise_floor(
     system: &WhiskerSystem,
     h: &Hypothesis,
     noise: &Noise,
     left: bool,
-) -> Option<Floor> {
+) -> FloorStatement {
     let inputs = system.noise_inputs();
     let readings = &system.path.readings;
     let residual = &h.fit.raw_residual * system.channels_pm();
     let replicates = within(&by_pose(system, h, &residual, false));
-    let rest_dof = within(&by_pose(system, h, &residual, true)).dof;
+    let rest_repeats = within(&by_pose(system, h, &residual, true)).dof > 0.0;
     let sd = noise.reading_sd(&inputs);
     // From the engine's channels, whose noise is alike and independent, to the gratings'.
     let rms = |typical: bool| {
         let of = (0..sd.len()).filter(|&i| !readings[i].rest && inputs.typical(i) == typical);
         let squares: Vec<f64> = of.map(|i| sd[i] * sd[i]).collect();
-        (squares.len() >= 2).then(|| {
-            system.noise_factor() * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
-        })
+        let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+        (squares.len() >= 2).then(|| system.noise_factor() * mean.sqrt())
     };
-    let model = rms(true).filter(|m| m.is_finite())?;
-    let replicated = replicates.dof >= MIN_DOF;
-    Some(Floor {
-        sd_pm: if left && replicated {
-            (replicates.ss / replicates.dof).sqrt()
-        } else {
-            model
-        },
-        moving_pm: rms(false),
-        source: if replicated {
-            "replicates"
-        } else {
-            "difference"
-        },
-        rest_dof,
-    })
-}
-
-impl Floor {
-    /// What a reader must know of it; none where loaded poses were repeated.
-    pub fn remark(&self) -> Option<String> {
-        if self.source == "replicates" {
-            return None;
-        }
-        let only_rest = if self.rest_dof > 0.0 {
+    let model = rms(true).filter(|m| m.is_finite());
+    let replicated = replicates.dof >= MIN_DOF && model.is_some();
+    let wavelength_pm = model.map(|model| match left && replicated {
+        true => (replicates.ss / replicates.dof).sqrt(),
+        false => model,
+    });
+    let sd = wavelength_pm.unwrap_or_else(|| noise.repeat.value * system.noise_factor());
+    let sensitivity = PhysicalModel::new(system, h, sd).sensitivity();
+    // Geometric mean of the two gains: pm a N mm.
+    let gain = sensitivity.determinant().abs().sqrt();
+    let source = match model {
+        None => "none",
+        Some(_) if replicated => "replicates",
+        Some(_) => "difference",
+    };
+    let (mut reason, mut note) = (String::new(), None);
+    if !replicated {
+        reason = " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.".to_owned();
+        let only_rest = if rest_repeats {
             "Only rest readings repeat"
         } else {
             "No reading repeats"
         };
-        Some(format!(
+        note = model.map(|_| format!(
             "{only_rest}: how well a loaded pose reproduces is not known from them. The floor is what the model leaves between neighbouring \
              poses; to know it, set at least five loaded poses again (move away and back) in two or more approaches."
-        ))
+        ));
+    }
+    FloorStatement {
+        floor: NoiseFloor {
+            wavelength_pm,
+            moving_wavelength_pm: model.and_then(|_| rms(false)),
+            moment_nmm: wavelength_pm.filter(|_| gain > 0.0).map(|sd| sd / gain),
+            contact_mm: system.pictures().map(|p| p.contact_floor_mm()),
+            source: source.to_owned(),
+            ..NoiseFloor::default()
+        },
+        reason,
+        note,
+        sd,
+        dof: None,
     }
 }
 

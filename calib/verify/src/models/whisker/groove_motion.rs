@@ -11,15 +11,15 @@
 //! F is triangular with the values of the wire's effects first, so that only the first columns need
 //! another wire. The remainder is the reading's own noise, `K^-1 s^2 K^-T`.
 
-use super::physical::PhysicalModel;
+use super::path::{Reading, WhiskerPath};
+use super::physical::{CalibratedReading, PhysicalModel, covariance_root};
 use super::rod_parameters::RodParameters;
-use super::rod_tables::rod_of;
-use super::system::{AIR_KG_M3, WhiskerSystem, effective_poses};
-use super::whisker_effect::{ActiveEffect, Observers};
-use crate::whisker::path::WhiskerPath;
-use nalgebra::{DMatrix, Matrix2, Vector3};
+use super::rod_tables::{AIR_KG_M3, rod_of};
+use super::system::{WhiskerSystem, effective_poses};
+use super::whisker_effect::Observers;
+use nalgebra::{Matrix2, Vector3};
 use wcal_core::WhiskerSpec;
-use wcal_core::stream::MomentSpread;
+use wcal_core::stream::MomentStream;
 use wcal_gpr::{MapArtefact, MapPredictor};
 use wcal_rod::Rod;
 
@@ -85,125 +85,71 @@ pub struct GrooveMotion {
     pub correlated: Option<[f64; 2]>,
 }
 
-/// Moments of a reading through a calibration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CalibratedReading {
-    /// Base moments, N mm.
-    pub moment_nmm: [f64; 2],
-    /// Covariance of the reading's own noise, (N mm)^2.
-    pub noise_nmm2: Matrix2<f64>,
-    /// Inside the region that the calibration was fitted in.
-    pub valid: bool,
-    /// See [`ReadingWithMotion::shared_nmm`].
-    pub shared_nmm: Vec<[f64; 2]>,
-    /// See [`ReadingWithMotion::shared_displacement_mm`].
-    pub shared_displacement_mm: Vec<f64>,
-}
-
-/// Readings without a stage through a calibration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SensedReadings {
-    /// Wire.
-    pub wire: AcceptedWire,
-    /// See [`GrooveMotion::changed`].
-    pub changed: Vec<AcceptedWire>,
-    /// In the order of the path.
-    pub readings: Vec<CalibratedReading>,
-}
-
-/// Stage and wire under one set of values.
-struct Mechanics {
-    /// Stage positions of the nodes, mm.
-    xs_mm: Vec<f64>,
-    wire: AcceptedWire,
-}
-
 /// The rod with the given deviations.
 type RodOf<'a> = &'a dyn Fn(&RodParameters) -> Option<Rod>;
 
-fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Option<Mechanics> {
+impl AcceptedWire {
+    fn new(rod_of: RodOf<'_>, deviations: &RodParameters) -> Option<Self> {
+        Some(Self {
+            rod: rod_of(deviations)?,
+            friction: deviations.friction,
+            moving_share: deviations.moving_share,
+            offset_mm: Vector3::from(deviations.offset_mm),
+        })
+    }
+
+    /// The wire that `whisker` describes, in air, without accepted deviations; none where it cannot
+    /// be bent.
+    pub fn nominal(whisker: &WhiskerSpec) -> Option<Self> {
+        Self::new(
+            &|rod| rod_of(whisker, AIR_KG_M3, rod),
+            &RodParameters::default(),
+        )
+    }
+
+    /// The same with those of `model`, and by one standard deviation of each of the first common
+    /// unknowns.
+    pub fn accepted(whisker: &WhiskerSpec, model: &PhysicalModel) -> Option<(Self, Vec<Self>)> {
+        let rod_of: RodOf<'_> = &|rod| rod_of(whisker, AIR_KG_M3, rod);
+        let (path, (unknowns, mechanical)) = (WhiskerPath::default(), covariance_root(model));
+        let of = |model: &PhysicalModel| Some(mechanics(&path, rod_of, model)?.1);
+        let changed = unknowns.column_iter().take(mechanical);
+        let changed = changed.map(|by| of(&with_values(model, by.as_slice())));
+        Some((of(model)?, changed.collect::<Option<_>>()?))
+    }
+}
+
+/// Stage positions of the nodes, mm, and the wire, as the accepted effects have them.
+fn mechanics(
+    path: &WhiskerPath,
+    rod_of: RodOf<'_>,
+    model: &PhysicalModel,
+) -> Option<(Vec<f64>, AcceptedWire)> {
     let (xs_mm, rod) = effective_poses(
         path,
         &model.terms(),
         Observers::Cameras,
         model.stage_clock_s,
     );
-    let wire = AcceptedWire {
-        rod: rod_of(&rod)?,
-        friction: rod.friction,
-        moving_share: rod.moving_share,
-        offset_mm: Vector3::from(rod.offset_mm),
-    };
-    Some(Mechanics { xs_mm, wire })
-}
-
-/// The readings of a path, and the stage positions of its nodes.
-fn calibrate_readings(
-    path: &WhiskerPath,
-    rod_of: RodOf<'_>,
-    model: &PhysicalModel,
-) -> Option<(SensedReadings, Vec<f64>)> {
-    let inverse = model.sensitivity().try_inverse()?;
-    let Mechanics { xs_mm, wire } = mechanics(path, rod_of, model)?;
-    let inferred = model.infer(path, None);
-    let terms = model.terms();
-    let sensed = model.sensed(&terms, path, &inverse);
-    let noise_pm = vec![model.noise_sd_pm; sensed.len()];
-    let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
-    let (factor, mechanical) = covariance_root(model);
-    let others = factor
-        .column_iter()
-        .map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
-    let others = others.collect::<Option<Vec<Mechanics>>>()?;
-    // Of a typical reading; one that averages fewer samples has more.
-    let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
-    let variances = model.relative_variances(&path.readings);
-    let mut node_of = vec![0; path.readings.len()];
-    for (n, node) in path.nodes.iter().enumerate() {
-        if let Some(i) = node.reading {
-            node_of[i] = n;
-        }
-    }
-    let sensed = |i: usize| {
-        let (m, n) = (&inferred[i], node_of[i]);
-        let common = &gradients[i] * &factor;
-        CalibratedReading {
-            moment_nmm: m.moment_nmm,
-            noise_nmm2: noise_nmm2 * variances[i],
-            valid: m.valid,
-            shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
-            shared_displacement_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
-        }
-    };
-    let readings = (0..path.readings.len()).map(sensed).collect();
-    let changed = others
-        .into_iter()
-        .take(mechanical)
-        .map(|o| o.wire)
-        .collect();
-    Some((
-        SensedReadings {
-            wire,
-            changed,
-            readings,
-        },
-        xs_mm,
-    ))
+    Some((xs_mm, AcceptedWire::new(rod_of, &rod)?))
 }
 
 /// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the
 /// wire cannot be bent. Rows without a stage position would take theirs from the groove's place:
 /// the system must have none.
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
-    let (
-        SensedReadings {
-            wire,
-            changed,
-            readings: sensed,
-        },
-        xs_mm,
-    ) = calibrate_readings(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
-    let mut readings = readings(system, &xs_mm, &sensed);
+    let (path, rod_of) = (&system.path, |rod: &RodParameters| {
+        system.rod_tables.rod(rod)
+    });
+    let (xs_mm, wire) = mechanics(path, &rod_of, model)?;
+    let (unknowns, mechanical) = covariance_root(model);
+    let others = unknowns
+        .column_iter()
+        .map(|by| mechanics(path, &rod_of, &with_values(model, by.as_slice())));
+    let (others_mm, mut changed): (Vec<Vec<f64>>, Vec<AcceptedWire>) =
+        others.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    changed.truncate(mechanical);
+    let mut readings = readings(system, &xs_mm, &others_mm, model.calibrated(path)?);
     let correlated = model.correlated_noise.map(|c| {
         // Both parts as they were found together: their sum need not be the floor's.
         let variance_pm2 = c.sd_pm.powi(2) + c.own_sd_pm.powi(2);
@@ -222,120 +168,60 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
     })
 }
 
-/// Readings of a path without a stage, of a wire in air; as [`of_model`].
-pub fn of_readings(
-    path: &WhiskerPath,
-    whisker: &WhiskerSpec,
-    model: &PhysicalModel,
-) -> Option<SensedReadings> {
-    calibrate_readings(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
-}
-
-fn sensed_by_map(predictor: &MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
-    let p = predictor.predict(shift_pm);
-    let MomentSpread {
-        noise_nmm2,
-        shared_nmm,
-    } = p.spread();
-    let shared_displacement_mm = vec![0.0; shared_nmm.len()];
-    CalibratedReading {
-        moment_nmm: p.moment_nmm,
-        noise_nmm2,
-        valid: p.is_valid(),
-        shared_nmm,
-        shared_displacement_mm,
-    }
-}
-
-/// A wire without accepted deviations.
-fn nominal(rod: Rod) -> AcceptedWire {
-    AcceptedWire {
-        rod,
-        friction: 0.0,
-        moving_share: 1.0,
-        offset_mm: Vector3::zeros(),
-    }
-}
-
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for
 /// each moment.
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
-    let sensed = system
-        .path
-        .readings
-        .iter()
-        .map(|r| sensed_by_map(&predictor, r.shift_pm));
-    let sensed: Vec<CalibratedReading> = sensed.collect();
-    let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
-    let readings = readings(system, &xs, &sensed);
+    let sensed = system.path.readings.iter().map(|r| {
+        let moments = predictor.moments(r.t_s, r.shift_pm, r.rise_degc);
+        (moments, predictor.spread())
+    });
+    let sensed = sensed.collect();
+    let rod_of = |rod: &RodParameters| system.rod_tables.rod(rod);
     Some(GrooveMotion {
-        wire,
+        wire: AcceptedWire::new(&rod_of, &RodParameters::default())?,
         changed: Vec::new(),
-        readings,
+        readings: readings(system, &xs, &[xs.clone(), xs.clone()], sensed),
         correlated: None,
     })
 }
 
-/// Readings without a stage by their compensated shifts (pm); as [`of_map`].
-pub fn of_shifts(
-    shifts_pm: impl Iterator<Item = [f64; 2]>,
-    whisker: &WhiskerSpec,
-    map: &MapArtefact,
-) -> Option<SensedReadings> {
-    let predictor = MapPredictor::new(map).ok()?;
-    Some(SensedReadings {
-        wire: nominal(rod_of(whisker, AIR_KG_M3, &RodParameters::default())?),
-        changed: Vec::new(),
-        readings: shifts_pm.map(|s| sensed_by_map(&predictor, s)).collect(),
-    })
-}
-
-/// Readings on trajectories; `xs_mm` are the nodes' stage positions.
+/// Readings on trajectories; `xs_mm` are the nodes' stage positions, `others_mm` those by one
+/// standard deviation of each common unknown.
 fn readings(
     system: &WhiskerSystem,
     xs_mm: &[f64],
-    sensed: &[CalibratedReading],
+    others_mm: &[Vec<f64>],
+    sensed: Vec<CalibratedReading>,
 ) -> Vec<ReadingWithMotion> {
     let path = &system.path;
-    let mut stage_mm = vec![0.0; path.readings.len()];
-    for (node, x) in path.nodes.iter().zip(xs_mm) {
-        if let Some(i) = node.reading {
-            stage_mm[i] = *x;
-        }
-    }
-    let mut out: Vec<ReadingWithMotion> = Vec::with_capacity(path.readings.len());
     let (mut contact_segment, mut last) = (0, None);
-    for (i, r) in path.readings.iter().enumerate() {
+    let of = |(reading, ((r, (moments, spread)), n)): (
+        usize,
+        ((&Reading, CalibratedReading), usize),
+    )| {
         let here = (r.line, r.seating);
         contact_segment += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
-        let Some(line) = r.line else { continue };
-        let CalibratedReading {
-            moment_nmm,
-            noise_nmm2,
-            valid,
-            shared_nmm,
-            shared_displacement_mm,
-        } = sensed[i].clone();
-        out.push(ReadingWithMotion {
-            reading: i,
-            line,
+        Some(ReadingWithMotion {
+            reading,
+            line: r.line?,
             t_s: r.t_s,
-            moment_nmm,
-            valid,
-            noise_nmm2,
-            shared_nmm,
-            shared_displacement_mm,
-            stage_mm: stage_mm[i],
-            added_mm: stage_mm[i] - r.x_mm,
+            moment_nmm: moments.moment_nmm,
+            valid: moments.valid,
+            noise_nmm2: spread.noise_nmm2,
+            shared_nmm: spread.shared_nmm,
+            shared_displacement_mm: others_mm.iter().map(|o| o[n] - xs_mm[n]).collect(),
+            stage_mm: xs_mm[n],
+            added_mm: xs_mm[n] - r.x_mm,
             velocity_mm_s: r.velocity_mm_s,
             rest: r.rest,
             contact_segment,
-        });
-    }
-    out
+        })
+    };
+    let all = path.readings.iter().zip(sensed).zip(path.reading_nodes());
+    all.enumerate().filter_map(of).collect()
 }
 
 /// The model whose values are off by what stands behind the coefficients in `by`; they stay in
@@ -353,58 +239,12 @@ fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
     moved
 }
 
-/// Whether an effect changes the wire: rod or friction.
-fn is_mechanical(effect: &ActiveEffect) -> bool {
-    let mut mechanics = RodParameters::default();
-    (effect.effect.rod)(&effect.values(), &mut mechanics);
-    RodParameters {
-        offset_mm: [0.0; 3],
-        ..mechanics
-    } != RodParameters::default()
-}
-
-/// F with cov(theta) = F F', and how many of its first columns change the wire.
-pub(super) fn covariance_root(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
-    const LEAST: f64 = 1e-12;
-    let size = model.covariance.len();
-    // Values of the wire's effects first.
-    let mut order: Vec<usize> = Vec::with_capacity(size);
-    let mut slot = 2 * model.coefficients.len();
-    for (effect, term) in model.effects.iter().zip(model.terms()) {
-        let slots = slot..slot + effect.values.len();
-        slot = slots.end;
-        if is_mechanical(&term) {
-            order.extend(slots);
-        }
-    }
-    let mechanical = order.len();
-    order.extend(
-        (0..size)
-            .filter(|k| !order[..mechanical].contains(k))
-            .collect::<Vec<_>>(),
-    );
-    // In units of the standard deviations: what is exact or not identified has none.
-    let sd = |k: usize| model.covariance[k][k].max(0.0).sqrt();
-    let unit = |i: usize, j: usize| model.covariance[i][j] / (sd(i) * sd(j)).max(f64::MIN_POSITIVE);
-    let eigen = DMatrix::from_fn(size, size, |i, j| unit(order[i], order[j])).symmetric_eigen();
-    let root = DMatrix::from_fn(size, size, |i, j| {
-        let value = eigen.eigenvalues[j];
-        eigen.eigenvectors[(i, j)] * if value > LEAST { value.sqrt() } else { 0.0 }
-    });
-    let triangle = root.transpose().qr().r().transpose();
-    let mut factor = DMatrix::zeros(size, size);
-    for (i, &at) in order.iter().enumerate() {
-        (0..size).for_each(|j| factor[(at, j)] = triangle[(i, j)] * sd(at));
-    }
-    (factor, mechanical)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::whisker::path::{ReadoutOrigin, bare_row};
     use crate::whisker::physical::AcceptedEffect;
-    use wcal_core::observation::{MomentAxes, Trajectory};
+    use wcal_core::observation::Trajectory;
     use wcal_core::{FbgSpec, WhiskerRow};
 
     fn model(effects: Vec<AcceptedEffect>) -> PhysicalModel {
@@ -460,19 +300,6 @@ mod tests {
                 .map(|j| f[(last, j)].abs())
                 .fold(0.0, f64::max);
             assert_eq!(left < 1e-15, wires == 1, "{left}");
-            // Through the readout they are what `sd_nmm` states beside the noise.
-            let row = [1.0, 0.4, -0.2];
-            let inverse = model.sensitivity().try_inverse().unwrap();
-            let mut sum = inverse * inverse.transpose() * 0.25;
-            let gradient = model.of_coefficients(&inverse, &row);
-            for u in (&gradient * &f).column_iter() {
-                sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
-            }
-            let sd = model.sd_nmm(&inverse, &gradient, 0.5);
-            assert!(
-                (sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12
-                    && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12
-            );
         }
     }
 
@@ -492,15 +319,7 @@ mod tests {
             origin_mm: Vector3::new(30.0, 0.0, 0.0),
             direction: Vector3::z(),
         };
-        let rows: Vec<&WhiskerRow> = rows.iter().collect();
-        WhiskerPath::new(
-            &rows,
-            &[line],
-            &MomentAxes::default(),
-            &FbgSpec::default(),
-            None,
-            None,
-        )
+        WhiskerPath::new(&rows, &[line], &FbgSpec::default(), None)
     }
 
     #[test]
@@ -517,7 +336,7 @@ mod tests {
                 },
             )
             .unwrap()
-            .xs_mm
+            .0
         };
         let screw = || effect("stage-backlash", "play-centred", vec![0.04]);
         let lag = || effect("time-lag", "delay", vec![0.1]);

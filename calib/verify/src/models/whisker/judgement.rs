@@ -2,10 +2,10 @@
 
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
-use crate::effect::EffectTerm;
+use crate::EffectTerm;
 use crate::levels::NORMAL_95;
-use crate::verify::HeldOut;
-use crate::verify::session_model::Quantity;
+use crate::verify::{HeldOut, Quantity};
+use wcal_core::stream::{MomentStream, StreamMoments};
 use wcal_gpr::{MapArtefact, MapPredictor};
 
 /// Only moments are judged: a map has no other prediction.
@@ -14,32 +14,31 @@ pub const QUANTITIES: [Quantity; 1] = [Quantity {
     unit: "N mm",
 }];
 
-fn judged_reading(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> HeldOut {
-    let error = [0, 1].map(|c| inferred[c] - pose[c]);
-    let inside95 = (0..2)
-        .map(|c| error[c].abs() <= NORMAL_95 * sd[c])
-        .collect();
-    HeldOut {
-        group,
-        errors: vec![error.to_vec()],
-        stated_sd: vec![sd.to_vec()],
-        inside95,
-    }
-}
-
-/// Readings to be judged: all, or those that were sealed.
-fn scored_readings(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
-    let [_, scored] = system.held_out();
+/// Moments that a calibration gives at the readings, or at those that were sealed, against `base`,
+/// those of the poses, N mm.
+fn judged(
+    system: &WhiskerSystem,
+    inferred: &[StreamMoments],
+    base: &[[f64; 2]],
+    only_sealed: bool,
+) -> Vec<HeldOut> {
     let readings = &system.path.readings;
-    (0..readings.len())
-        .filter(|&i| {
-            if only_sealed {
-                scored[i]
-            } else {
-                !readings[i].rest
-            }
-        })
-        .collect()
+    let of = |i: usize| {
+        let (sd, moment) = (inferred[i].sd_nmm, inferred[i].moment_nmm);
+        let error = [0, 1].map(|c| moment[c] - base[i][c]);
+        let inside = |c: usize| error[c].abs() <= NORMAL_95 * sd[c];
+        HeldOut {
+            group: readings[i].group,
+            errors: vec![error.to_vec()],
+            stated_sd: vec![sd.to_vec()],
+            inside95: vec![inside(0), inside(1)],
+        }
+    };
+    let judged = |i: &usize| match only_sealed {
+        true => system.scored[*i],
+        false => !readings[*i].rest,
+    };
+    (0..readings.len()).filter(judged).map(of).collect()
 }
 
 /// Through sensitivity and accepted effects; those that act on the pose act on the moments that it
@@ -50,28 +49,9 @@ pub fn of_model(
     only_sealed: bool,
 ) -> Option<Vec<HeldOut>> {
     let terms: Vec<EffectTerm> = model.terms().into_iter().map(|a| a.term).collect();
-    let (sensed, base) = system.moments(&terms)?;
-    let memory: Vec<[f64; 2]> = base
-        .iter()
-        .zip(&sensed)
-        .map(|(b, f)| [b[0] - f[0], b[1] - f[1]])
-        .collect();
+    let (memory, base) = system.memory(&terms)?;
     let inferred = model.infer(&system.path, Some(&memory));
-    let of = |i: usize| {
-        let m = &inferred[i];
-        judged_reading(
-            system.path.readings[i].group,
-            m.moment_nmm,
-            m.sd_nmm,
-            base[i],
-        )
-    };
-    Some(
-        scored_readings(system, only_sealed)
-            .into_iter()
-            .map(of)
-            .collect(),
-    )
+    Some(judged(system, &inferred, &base, only_sealed))
 }
 
 /// Through a map of moments; none where it or the rod cannot be used.
@@ -82,19 +62,9 @@ pub fn of_map(
 ) -> Option<Vec<HeldOut>> {
     let predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
-    let mut of = |i: usize| {
-        let p = predictor.predict(system.path.readings[i].shift_pm);
-        judged_reading(
-            system.path.readings[i].group,
-            p.moment_nmm,
-            p.sd_nmm,
-            base[i],
-        )
-    };
-    Some(
-        scored_readings(system, only_sealed)
-            .into_iter()
-            .map(&mut of)
-            .collect(),
-    )
+    let readings = system.path.readings.iter();
+    let inferred: Vec<StreamMoments> = readings
+        .map(|r| predictor.moments(r.t_s, r.shift_pm, r.rise_degc))
+        .collect();
+    Some(judged(system, &inferred, &base, only_sealed))
 }

@@ -6,13 +6,13 @@ use std::hash::Hash;
 use std::sync::{Arc, Mutex};
 
 /// At most `most` results.
-pub(crate) struct Kept<K, V> {
+pub(super) struct Kept<K, V> {
     most: usize,
     by_key: Mutex<HashMap<K, Arc<V>>>,
 }
 
 impl<K: Eq + Hash, V> Kept<K, V> {
-    pub(crate) fn at_most(most: usize) -> Self {
+    pub(super) fn at_most(most: usize) -> Self {
         Self {
             most,
             by_key: Mutex::default(),
@@ -20,7 +20,7 @@ impl<K: Eq + Hash, V> Kept<K, V> {
     }
 
     /// The result for `key`, made where it is not kept; none where it cannot be made.
-    pub(crate) fn get(&self, key: K, make: impl FnOnce() -> Option<V>) -> Option<Arc<V>> {
+    pub(super) fn get(&self, key: K, make: impl FnOnce() -> Option<V>) -> Option<Arc<V>> {
         if let Some(found) = self.by_key.lock().ok()?.get(&key) {
             return Some(found.clone());
         }

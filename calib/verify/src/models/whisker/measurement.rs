@@ -3,32 +3,30 @@
 use super::admission;
 use super::floor::{lack_of_fit, noise_floor};
 use super::next::{self, RIVALS};
+use super::path::Reading;
 use super::physical::PhysicalModel;
-use super::pictures::Pictures;
 use super::predictions::{Predictions, by_labels, predict};
 use super::seatings::spread_of_zeros;
 use super::stage_clock;
 use super::system::WhiskerSystem;
 use super::twin_check::{check_labels, labelled_moments};
-use crate::error::VerifyError;
 use crate::levels::{GENERIC, NORMAL_95};
-use crate::measurement_model::MeasurementModel;
-use crate::method::distributions::chi_squared_tail;
-use crate::method::fit::{Fit, Weights};
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::{self};
-use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::Noise;
-use crate::method::noise_estimator::noise_for_predictions;
-use crate::method::search_result::SearchResult;
-use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, SessionText, Witness};
+use crate::method::inference;
+use crate::method::{
+    Fit, Hypothesis, LackOfFit, Noise, SearchResult, Weights, chi_squared_tail,
+    noise_for_predictions,
+};
+use crate::verify::{
+    FloorStatement, Folds, HeldOut, Origin, Quantity, SessionModel, SessionText, Witness,
+};
+use crate::{EffectTerm, MeasurementModel, VerifyError};
 use nalgebra::Vector2;
+use std::collections::BTreeSet;
+use wcal_core::Sealed;
 use wcal_core::observation::WhiskerRow;
 use wcal_core::verify_document::{
-    EffectParameter, NextMeasurement, NoiseFloor, NoisePart, TwinFault, WitnessTest,
+    EffectParameter, NextMeasurement, NoisePart, TwinFault, WitnessTest,
 };
-use wcal_core::{ResidualRecord, Sealed};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
@@ -63,10 +61,10 @@ const QUANTITIES: [Quantity; 3] = [
 /// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the
 /// system that was fitted.
 fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
-    let Some(own) = before.pictures().map(Pictures::independent_variance_share) else {
+    if before.pictures.is_none() {
         return system;
-    };
-    let chi = reduced_chi(fit, before.picture_scale());
+    }
+    let (own, chi) = (before.own_share(), reduced_chi(fit, before.picture_scale));
     let sd = fit.readings_variance().sqrt();
     // Worse than stated, by whatever: everything counts less. Better: only what scatters can be,
     // and one variance holds for all values.
@@ -81,19 +79,9 @@ fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -
     }
 }
 
-/// Whether an effect delays the readings behind the stage.
-fn is_lag(system: &WhiskerSystem, effect: usize) -> bool {
-    system.catalogue()[effect].id == "time-lag"
-}
-
 /// Scatter of the pictures about a fit over what counts of their errors.
 fn reduced_chi(fit: &Fit, scale: f64) -> f64 {
     (fit.auxiliary_residual.norm_squared() / (fit.witness_count.max(1) as f64)).sqrt() / scale
-}
-
-/// Ratio of two positive numbers, the larger by the smaller.
-fn ratio(a: f64, b: f64) -> f64 {
-    (a / b).max(b / a)
 }
 
 impl SessionText for WhiskerSystem {
@@ -154,7 +142,7 @@ impl SessionModel for WhiskerSystem {
         let system = self.whitened(&base.fit);
         let set_s = stage_clock::estimate_alignment(&system, &base, false);
         let system = system.with_stage_clock(set_s);
-        if system.pictures().is_none() {
+        if system.pictures.is_none() {
             return Some(system);
         }
         let base = declared(&system)?;
@@ -166,20 +154,15 @@ impl SessionModel for WhiskerSystem {
     fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
-        let own = |s: &Self| {
-            s.pictures()
-                .map_or(1.0, Pictures::independent_variance_share)
-        };
-        let lagged = fit.terms.iter().any(|t| is_lag(self, t.effect));
+        let is_lag = |t: &EffectTerm| self.catalogue[t.effect].id == "time-lag";
+        let lagged = fit.terms.iter().any(is_lag);
         let set_s = stage_clock::estimate_alignment(&again, accepted, lagged);
         let again = again.with_stage_clock(set_s);
-        let moved = (set_s - self.stage_clock_s()).abs() > CLOCK_CHANGED_S;
-        let changes = [
-            again.whitening_change(self),
-            ratio(again.picture_scale(), self.picture_scale()),
-            ratio(own(&again), own(self)),
-        ];
-        (moved || changes.iter().any(|c| *c > WHITENING_CHANGED)).then_some(again)
+        let moved = (set_s - self.stage_clock_s).abs() > CLOCK_CHANGED_S;
+        let parts = |s: &Self| [s.whitening.determinant(), s.picture_scale, s.own_share()];
+        let mut changes = parts(&again).into_iter().zip(parts(self));
+        let changed = changes.any(|(a, b)| (a / b).max(b / a) > WHITENING_CHANGED);
+        (moved || changed).then_some(again)
     }
 
     fn without(&self, refuted: &[String]) -> Self {
@@ -191,33 +174,7 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {
-        let floor = noise_floor(self, h, noise, left);
-        let sd = floor.map_or_else(|| noise.repeat.value * self.noise_factor(), |f| f.sd_pm);
-        let gain = PhysicalModel::new(self, h, sd)
-            .sensitivity()
-            .determinant()
-            .abs()
-            .sqrt();
-        let replicated = floor.is_some_and(|f| f.source == "replicates");
-        let provisional = " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.";
-        FloorStatement {
-            floor: NoiseFloor {
-                wavelength_pm: floor.map(|f| f.sd_pm),
-                moving_wavelength_pm: floor.and_then(|f| f.moving_pm),
-                moment_nmm: floor.filter(|_| gain > 0.0).map(|f| f.sd_pm / gain),
-                contact_mm: self.pictures().map(|p| p.contact_floor_mm()),
-                source: floor.map_or("none", |f| f.source).to_owned(),
-                ..NoiseFloor::default()
-            },
-            reason: if replicated {
-                String::new()
-            } else {
-                provisional.to_owned()
-            },
-            note: floor.and_then(|f| f.remark()),
-            sd,
-            dof: None,
-        }
+        noise_floor(self, h, noise, left)
     }
 
     fn next_measurement(
@@ -236,30 +193,23 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn with_holdout(&self, unsealed: &[WhiskerRow]) -> Result<Self, VerifyError> {
-        let rows: Vec<&WhiskerRow> = self.data.rows.iter().chain(unsealed).collect();
-        Ok(Self::new(&self.data, &rows)?.with_whitening_of(self))
+        Ok(Self::new(&self.data, unsealed)?.with_whitening_of(self))
     }
 
     fn sealed(&self) -> &[bool] {
-        self.held_out()[0]
+        &self.sealed
     }
 
     fn scored(&self) -> &[bool] {
-        self.held_out()[1]
+        &self.scored
     }
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Predictions> {
-        let typical = reading_sd.iter().sum::<f64>() / reading_sd.len().max(1) as f64;
-        predict(
-            self,
-            h,
-            &PhysicalModel::new(self, h, typical * self.noise_factor()),
-            reading_sd,
-        )
+        predict(self, h, reading_sd)
     }
 
     fn quantities(&self) -> &'static [Quantity] {
-        if self.pictures().is_some() {
+        if self.pictures.is_some() {
             &QUANTITIES
         } else {
             &QUANTITIES[..2]
@@ -267,46 +217,32 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
-        let (r, p) = (&self.path.readings[reading], &predictions.readings[reading]);
+        let (r, p) = (&self.path.readings[reading], &predictions[reading]);
         let moment = Vector2::from(p.moment_nmm) - Vector2::from(p.pose_moment_nmm);
         // Two errors of one reading: in the sensor's unit from the pose, in moments from the
         // wavelengths.
         let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm);
         let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
+        let of = |v: Vector2<f64>| v.as_slice().to_vec();
+        let mut errors = vec![of(wavelength), of(moment)];
+        let mut stated_sd = vec![p.shift_sd_pm.to_vec(), p.moment_sd_nmm.to_vec()];
+        if self.pictures.is_some() {
+            errors.push(p.contact_error_mm.into_iter().collect());
+            stated_sd.push(p.contact_error_mm.iter().map(|_| f64::NAN).collect());
+        }
         HeldOut {
             group: r.group,
-            errors: [wavelength, moment]
-                .map(|e| e.iter().copied().collect::<Vec<f64>>())
-                .into_iter()
-                .chain(
-                    self.pictures()
-                        .map(|_| p.contact_error_mm.into_iter().collect()),
-                )
-                .collect(),
-            stated_sd: [p.shift_sd_pm, p.moment_sd_nmm]
-                .map(|sd| sd.to_vec())
-                .into_iter()
-                .chain(
-                    self.pictures()
-                        .map(|_| vec![f64::NAN; usize::from(p.contact_error_mm.is_some())]),
-                )
-                .collect(),
+            errors,
+            stated_sd,
             inside95: vec![inside(0), inside(1)],
         }
     }
 
     fn folds(&self, _accepted: &Hypothesis) -> Folds {
         let readings = &self.path.readings;
-        let mut groups: Vec<u32> = readings
-            .iter()
-            .filter(|r| !r.rest)
-            .map(|r| r.group)
-            .collect();
-        groups.sort_unstable();
-        groups.dedup();
-        let fold = |r: &crate::whisker::path::Reading| {
-            (!r.rest).then(|| groups.partition_point(|g| *g < r.group))
-        };
+        let loaded = readings.iter().filter(|r| !r.rest);
+        let groups: BTreeSet<u32> = loaded.map(|r| r.group).collect();
+        let fold = |r: &Reading| (!r.rest).then(|| groups.range(..r.group).count());
         Folds {
             split: "loto",
             words: "leave-one-trajectory-out".to_owned(),
@@ -333,29 +269,19 @@ impl SessionModel for WhiskerSystem {
         by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
     }
 
-    fn records(
+    fn channels(
         &self,
         before: &Predictions,
         after: &Predictions,
-        at: &Record,
-    ) -> Vec<ResidualRecord> {
-        let (i, row) = (at.reading, self.row(at.reading));
-        let of_channel = |c: usize| ResidualRecord {
-            source: row.source.clone(),
-            line: row.line,
-            point: row.point,
-            role: format!("{:?}", row.role).to_lowercase(),
-            group: self.path.readings[i].group,
-            channel: format!("fbg_{}", c + 1),
-            unit: "pm".to_owned(),
-            measured: self.path.readings[i].shift_pm[c],
-            predicted_before: before.readings[i].shift_pm[c],
-            predicted_after: after.readings[i].shift_pm[c],
-            noise_sd: at.noise_sd,
-            rejected: at.rejected.clone(),
-            covariates: at.covariates.clone(),
+        reading: usize,
+    ) -> Vec<(String, [f64; 3])> {
+        let [before, after] = [before, after].map(|p| p[reading].shift_pm);
+        let measured = self.path.readings[reading].shift_pm;
+        let channel = |c: usize| {
+            let name = format!("fbg_{}", c + 1);
+            (name, [measured[c], before[c], after[c]])
         };
-        (0..2).map(of_channel).collect()
+        (0..2).map(channel).collect()
     }
 
     fn seating_repeatability(&self, accepted: &Hypothesis) -> Option<NoisePart> {
@@ -376,12 +302,11 @@ impl Witness<WhiskerSystem> for PicturePairs {
         let Some(pictures) = system.pictures() else {
             return Ok(None);
         };
-        let chi =
-            pictures.independent_variance_share() * reduced_chi(&h.fit, system.picture_scale());
+        let chi = system.own_share() * reduced_chi(&h.fit, system.picture_scale);
         let dof = h.fit.witness_count as f64;
         let sentence = format!(
             "Pictures: {} pairs count beside the wavelengths; they scatter about the model {chi:.2} times as far as the shapes state.",
-            pictures.len()
+            pictures.count()
         );
         Ok(chi_squared_tail(chi * chi * dof, dof).map(|p| WitnessTest {
             witness: "pictures".to_owned(),
@@ -411,7 +336,7 @@ fn picture_note(
     let wavelengths =
         (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
     let pictures = (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())
-        / system.picture_scale().powi(2);
+        / system.picture_scale.powi(2);
     let share = pictures.max(0.0) / (wavelengths.max(0.0) + pictures.max(0.0)).max(1e-300);
     let by = match share {
         s if s >= DECIDES => "pictures",
@@ -429,8 +354,8 @@ fn note_pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
         return Vec::new();
     };
     let none = "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
-    let none = system.pictures().is_none().then_some(none);
-    let further = system.pictures().map_or(&[][..], Pictures::left_out);
+    let none = system.pictures.is_none().then_some(none);
+    let further = system.pictures().map_or(&[][..], |p| &p.left_out);
     let each = shapes.left_out.iter().chain(further);
     none.into_iter()
         .chain(each.map(|p| format!("Pair {} does not count: {}.", p.name, p.why)))
@@ -465,7 +390,7 @@ fn note_unsteady(system: &WhiskerSystem) -> Option<String> {
 
 /// By how much the stage's clock was set.
 fn note_clock(system: &WhiskerSystem) -> Option<String> {
-    let set_s = system.stage_clock_s();
+    let set_s = system.stage_clock_s;
     (set_s != 0.0).then(|| {
         format!(
             "The stage's clock is set by {:.2} ms against the interrogator's, within the {:.1} ms that stamps of its answers leave open.",

@@ -31,7 +31,6 @@ pub mod system;
 pub mod tables;
 pub mod temperature;
 pub mod twin_check;
-mod uncertainty;
 pub mod verify;
 mod whisker_effect;
 
@@ -41,4 +40,3 @@ pub use pictures::Pictures;
 pub use stream::PhysicalStream;
 pub use system::{Moments, WhiskerSystem};
 pub use verify::{Verified, WhiskerVerification, verify_whisker};
-pub use whisker_effect::Memory;

@@ -1,11 +1,9 @@
 //! Next measurement: the one that would decide between surviving explanations.
 
 use super::system::WhiskerSystem;
-use crate::effect::{EffectTerm, LawRequirement};
-use crate::measurement_model::MeasurementModel;
-use crate::method::ambiguity::power;
-use crate::method::fit::{Fit, linear};
-use crate::method::hypothesis::Hypothesis;
+use crate::effect::LawRequirement;
+use crate::method::{Fit, Hypothesis, linear, power};
+use crate::{EffectTerm, MeasurementModel};
 use nalgebra::DMatrix;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};
@@ -21,9 +19,8 @@ const REPEATS: f64 = 4.0;
 #[derive(Debug, Clone)]
 struct Proposal {
     pose: NextPose,
+    /// The reading, after the deepest pose where the way goes back.
     rows: Vec<WhiskerRow>,
-    /// Which of `rows` is the reading.
-    reading: usize,
 }
 
 fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem) -> WhiskerRow {
@@ -50,14 +47,8 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
     let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else {
         return Vec::new();
     };
-    let start = system
-        .path
-        .readings
-        .iter()
-        .map(|r| r.t_s)
-        .reduce(f64::max)
-        .unwrap_or(0.0)
-        + 30.0;
+    let times = system.path.readings.iter().map(|r| r.t_s);
+    let start = times.reduce(f64::max).unwrap_or_default() + 30.0;
     let mut out = Vec::new();
     for (l, trajectory) in system.data.trajectories.iter().enumerate() {
         let reach = system.path.reach_mm[l];
@@ -97,11 +88,7 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
                 }
                 t += 5.0 + dwell_s;
                 rows.push(row(template, &pose, t, system));
-                out.push(Proposal {
-                    pose,
-                    reading: rows.len() - 1,
-                    rows,
-                });
+                out.push(Proposal { pose, rows });
             }
         }
     }
@@ -114,14 +101,10 @@ fn design_at(
     proposal: &Proposal,
     terms: &[EffectTerm],
 ) -> Option<DMatrix<f64>> {
-    let rows: Vec<&WhiskerRow> = system.data.rows.iter().chain(&proposal.rows).collect();
-    let extended = system.with_rows(&rows);
+    let extended = system.with_rows(&proposal.rows)?;
     let design = extended.design(terms)?;
-    let index = extended
-        .path
-        .rows
-        .iter()
-        .position(|&r| r == system.data.rows.len() + proposal.reading)?;
+    let mut order = extended.path.rows.iter();
+    let index = order.position(|&r| r + 1 == extended.path.rows.len())?;
     Some(design.rows(index, 1).into_owned())
 }
 
@@ -135,52 +118,25 @@ fn separation(
     new: &[(DMatrix<f64>, DMatrix<f64>)],
     variance: f64,
 ) -> f64 {
-    let n = b.design.nrows();
+    let (n, q, channels) = (b.design.nrows(), b.design.ncols(), b.residual.ncols());
     let total = n + new.len() + 1;
     let weight = REPEATS.sqrt();
     let at_rest = weight * (new.len() as f64).sqrt();
-    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64, rest: f64| -> Vec<f64> {
-        column
-            .iter()
-            .copied()
-            .chain((0..new.len()).map(|k| weight * extra(k)))
-            .chain([at_rest * rest])
-            .collect()
-    };
-    // At rest only the constant reads.
-    let rest = |j: usize| f64::from(u8::from(j == 0));
-    let own = |j: usize| {
-        extend(
-            b.design.column(j).clone_owned().as_slice(),
-            &|k| new[k].1[j],
-            rest(j),
-        )
-    };
-    let mut columns = vec![extend(&vec![0.0; n], &|_| 1.0, 1.0)];
-    columns.extend((0..b.design.ncols()).map(own));
-    let gap = |c: usize| {
-        extend(
-            present.column(c).clone_owned().as_slice(),
-            &|k| new[k].0[c],
-            0.0,
-        )
-    };
-    let difference: Vec<Vec<f64>> = (0..b.residual.ncols()).map(gap).collect();
-    let matrix =
-        |columns: &[Vec<f64>]| DMatrix::from_fn(total, columns.len(), |i, j| columns[j][i]);
+    // The later session's zero, then the rival's columns; at rest only the constants read.
+    let columns = DMatrix::from_fn(total, 1 + q, |i, j| match (i.checked_sub(n), j) {
+        (None, 0) => 0.0,
+        (None, _) => b.design[(i, j - 1)],
+        (Some(k), _) if k == new.len() => at_rest * f64::from(u8::from(j < 2)),
+        (Some(_), 0) => weight,
+        (Some(k), _) => weight * new[k].1[j - 1],
+    });
+    let difference = DMatrix::from_fn(total, channels, |i, c| match i.checked_sub(n) {
+        None => present[(i, c)],
+        Some(k) => new.get(k).map_or(0.0, |(gap, _)| weight * gap[c]),
+    });
     // Every column is free in each channel.
-    (linear(&matrix(&columns), &matrix(&difference))
-        .1
-        .norm_squared()
-        + seen)
-        / variance
-}
-
-/// A proposal and, for each rival, the gap between the best explanation's prediction and the
-/// rival's and the rival's design there.
-struct Evaluated {
-    proposal: usize,
-    against: Vec<(DMatrix<f64>, DMatrix<f64>)>,
+    let left = linear(&columns, &difference).1;
+    (left.norm_squared() + seen) / variance
 }
 
 /// The poses that separate the best explanation from `rivals`, and the power expected from them:
@@ -191,6 +147,7 @@ pub fn next_measurement(
     rivals: &[&Hypothesis],
     separates: Vec<String>,
 ) -> Option<NextMeasurement> {
+    // A rival that is refitted takes up what it can: what it cannot, over the variance, is the noncentrality.
     let variance = best.fit.variance();
     // The present readings separate each pair by what their predictions differ.
     let present: Vec<DMatrix<f64>> = rivals
@@ -201,32 +158,24 @@ pub fn next_measurement(
         .iter()
         .map(|r| (&r.fit.auxiliary_residual - &best.fit.auxiliary_residual).norm_squared())
         .collect();
-    let candidates = proposals(system);
-    let evaluated: Vec<Evaluated> = candidates
-        .iter()
-        .enumerate()
-        .filter_map(|(proposal, p)| {
-            let expected = design_at(system, p, &best.fit.terms)? * &best.fit.coefficients;
-            let against = rivals
-                .iter()
-                .map(|r| {
-                    let design = design_at(system, p, &r.fit.terms)?;
-                    Some((&expected - &design * &r.fit.coefficients, design))
-                })
-                .collect::<Option<Vec<_>>>()?;
-            Some(Evaluated { proposal, against })
-        })
-        .collect();
+    let evaluate = |proposal: Proposal| {
+        let expected = design_at(system, &proposal, &best.fit.terms)? * &best.fit.coefficients;
+        let against = rivals.iter().map(|r| {
+            let design = design_at(system, &proposal, &r.fit.terms)?;
+            Some((&expected - &design * &r.fit.coefficients, design))
+        });
+        let against = against.collect::<Option<Vec<_>>>()?;
+        Some((proposal.pose, against))
+    };
+    // Each pose with, for each rival, the gap between the best explanation's prediction and the
+    // rival's and the rival's design there.
+    let evaluated: Vec<_> = proposals(system).into_iter().filter_map(evaluate).collect();
     let separations = |poses: &[usize]| -> Vec<f64> {
-        (0..rivals.len())
-            .map(|r| {
-                let new: Vec<_> = poses
-                    .iter()
-                    .map(|&k| evaluated[k].against[r].clone())
-                    .collect();
-                separation(&rivals[r].fit, &present[r], seen[r], &new, variance)
-            })
-            .collect()
+        let of = |r: usize| {
+            let new: Vec<_> = poses.iter().map(|&k| evaluated[k].1[r].clone()).collect();
+            separation(&rivals[r].fit, &present[r], seen[r], &new, variance)
+        };
+        (0..rivals.len()).map(of).collect()
     };
     let decides = |each: &[f64]| (1.0 - each.iter().map(|v| 1.0 - power(*v)).sum::<f64>()).max(0.0);
     let mut chosen: Vec<usize> = Vec::new();
@@ -247,10 +196,7 @@ pub fn next_measurement(
             break;
         }
     }
-    let poses: Vec<NextPose> = chosen
-        .iter()
-        .map(|&k| candidates[evaluated[k].proposal].pose.clone())
-        .collect();
+    let poses: Vec<NextPose> = chosen.iter().map(|&k| evaluated[k].0.clone()).collect();
     let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
         let slow = |t: &EffectTerm| {
@@ -260,11 +206,8 @@ pub fn next_measurement(
             };
             effect.needs().iter().any(by_clock) && !effect.has_memory
         };
-        let needed = if rivals
-            .iter()
-            .chain([&best])
-            .any(|h| h.fit.terms.iter().any(slow))
-        {
+        let mut terms = rivals.iter().chain([&best]).flat_map(|h| &h.fit.terms);
+        let needed = if terms.any(slow) {
             "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \
              reading every minute; then `wcal verify --add` that session"
         } else {

@@ -1,8 +1,8 @@
 //! What the noise of a whisker session can depend on: its clock, which poses were held, load and
 //! depth, and how its values were written.
 
-use crate::method::noise::NoiseInputs;
-use crate::whisker::path::{Reading, WhiskerPath, averaged_readings};
+use super::path::{Reading, WhiskerPath, averaged_readings};
+use crate::method::NoiseInputs;
 use std::sync::Arc;
 use wcal_core::observation::WhiskerData;
 use wcal_core::order_statistics::median;
@@ -28,6 +28,7 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
         });
     }
     let load = r.iter().map(|r| f64::from(u8::from(!r.rest))).collect();
+    // As a share of the line: readings of short and long lines are compared.
     let depth = |r: &Reading| match r.line {
         Some(l) if !r.rest && path.reach_mm[l] > 0.0 => r.x_mm / path.reach_mm[l],
         _ => 0.0,
@@ -45,7 +46,7 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
             ("depth".to_owned(), r.iter().map(depth).collect()),
         ],
         known: known(r),
-        averaged: averaged_readings(r),
+        averaged: averaged_readings(r).unwrap_or_default(),
         step: [0, 1].map(|c| step_pm(data, c)).to_vec(),
     }
 }
@@ -69,7 +70,7 @@ fn known(readings: &[Reading]) -> Vec<f64> {
         .iter()
         .map(|r| r.sample_sd_pm[0].hypot(r.sample_sd_pm[1]))
         .collect();
-    let limit = FEW_SAMPLES * median(own.iter().copied()).unwrap_or(0.0);
+    let limit = FEW_SAMPLES * median(own.iter().copied()).unwrap_or_default();
     let of = |(s, r): (&f64, &Reading)| {
         let weight = if limit > 0.0 && *s > limit {
             limit / s

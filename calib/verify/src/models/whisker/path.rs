@@ -1,10 +1,10 @@
 //! The session as it really ran: readings in time order, with the moves and dwells between them.
 
-use crate::whisker::temperature::RandomWalkModel;
-use nalgebra::Vector3;
+use super::temperature::RandomWalkModel;
+use crate::models::range;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerData, WhiskerRow};
+use wcal_core::observation::{FbgSpec, Role, Trajectory, WhiskerData, WhiskerRow};
 use wcal_core::order_statistics::median;
 use wcal_rod::Line;
 
@@ -44,8 +44,6 @@ pub struct Reading {
     pub averaged: Option<f64>,
     /// Trajectory identifier (0 at rest without one).
     pub group: u32,
-    /// Replicate number.
-    pub replicate: u32,
     /// Belongs to the sealed table.
     pub holdout: bool,
     /// Seating of the whisker: 0 in the first session.
@@ -72,6 +70,13 @@ pub struct Node {
     pub reading: Option<usize>,
 }
 
+impl Node {
+    /// The line on which the groove may touch the wire.
+    pub(crate) fn loaded_line(&self) -> Option<usize> {
+        self.line.filter(|_| !self.rest)
+    }
+}
+
 /// Which optional columns the session has; what is absent limits what can be traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Columns {
@@ -83,8 +88,6 @@ pub struct Columns {
     pub both_directions: bool,
     /// At least two speeds while moving, or moving and settled.
     pub speeds: bool,
-    /// Direction of gravity.
-    pub gravity: bool,
 }
 
 /// A whisker session on its path.
@@ -102,13 +105,17 @@ pub struct WhiskerPath {
     pub reach_mm: Vec<f64>,
     /// Smallest stage position on each line, mm.
     pub start_mm: Vec<f64>,
-    /// Moment components.
-    pub moments: MomentAxes,
     /// Columns present.
     pub columns: Columns,
 }
 
 impl WhiskerPath {
+    /// Node of each reading, in their order.
+    pub(super) fn reading_nodes(&self) -> impl Iterator<Item = usize> {
+        let is_reading = move |k: &usize| self.nodes[*k].reading.is_some();
+        (0..self.nodes.len()).filter(is_reading)
+    }
+
     /// One column a seating after the first, 1 at its readings: the zero of each seating is its
     /// own.
     pub(crate) fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
@@ -126,7 +133,7 @@ impl WhiskerPath {
 pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<f64>> {
     let mut out = vec![Vec::new(); lines];
     for (node, &x) in nodes.iter().zip(xs_mm) {
-        if let Some(l) = node.line.filter(|_| !node.rest) {
+        if let Some(l) = node.loaded_line() {
             out[l].push(x);
         }
     }
@@ -160,7 +167,7 @@ impl ReadoutOrigin {
     pub fn of(data: &WhiskerData) -> Self {
         let mean = |of: &dyn Fn(&WhiskerRow) -> Option<f64>| {
             let sum: Option<f64> = data.rows.iter().map(of).sum();
-            sum.unwrap_or(0.0) / data.rows.len().max(1) as f64
+            sum.unwrap_or_default() / data.rows.len().max(1) as f64
         };
         Self {
             t_s: mean(&|r| r.t_s),
@@ -176,22 +183,13 @@ const AVERAGED_ALIKE: f64 = 1.5;
 type Averaged = (Option<f64>, bool, bool);
 
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded
-/// reading; empty where all are alike or a number is missing.
-fn averaging_variance(readings: &[Averaged]) -> Vec<f64> {
-    let Some(typical) = typical(readings) else {
-        return Vec::new();
-    };
-    let variance = |r: &Averaged| r.0.map(|n| typical / n);
-    let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
-        return Vec::new();
-    };
-    let least = variances.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = variances.iter().copied().fold(0.0, f64::max);
-    if most > AVERAGED_ALIKE * least {
-        variances
-    } else {
-        Vec::new()
-    }
+/// reading; none where all are alike or a number is missing.
+fn averaging_variance(readings: &[Averaged]) -> Option<Vec<f64>> {
+    let typical = typical(readings)?;
+    let variances = readings.iter().map(|r| Some(typical / r.0?));
+    let variances: Vec<f64> = variances.collect::<Option<_>>()?;
+    let [least, most] = range(variances.iter().copied());
+    (most > AVERAGED_ALIKE * least).then_some(variances)
 }
 
 /// Samples of a typical settled loaded reading; of a loaded one where none settled.
@@ -204,7 +202,7 @@ fn typical(readings: &[Averaged]) -> Option<f64> {
 }
 
 /// [`averaging_variance`] of readings on a path.
-pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
+pub(crate) fn averaged_readings(readings: &[Reading]) -> Option<Vec<f64>> {
     let of = |r: &Reading| (r.averaged, !r.rest, r.dwell_s > 0.0);
     averaging_variance(&readings.iter().map(of).collect::<Vec<_>>())
 }
@@ -236,30 +234,25 @@ const UNLIKE: f64 = 10.8;
 /// not scatter. All gratings of a row are averaged alike, and no moment moves the reference: where
 /// the rows do not say how many samples they average, its noise shows how much less a moving row
 /// is.
-pub(crate) fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
+pub(crate) fn temperature_walk(rows: &[WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let walk = |moving_variance: Option<f64>| {
-        let sizes: Vec<Averaged> = rows
+        let averaged = |r: &WhiskerRow| averaged(r, moving_variance);
+        let sizes = rows
             .iter()
-            .map(|r| {
-                (
-                    averaged(r, moving_variance),
-                    r.role != Role::Rest,
-                    settled(r),
-                )
-            })
-            .collect();
-        let variances = or_equal(averaging_variance(&sizes), rows.len());
-        let mut read: Vec<(f64, f64, f64)> = rows
+            .map(|r| (averaged(r), r.role != Role::Rest, settled(r)));
+        let sizes: Vec<Averaged> = sizes.collect();
+        let variances = averaging_variance(&sizes).unwrap_or_else(|| vec![1.0; rows.len()]);
+        let read = rows
             .iter()
             .zip(variances)
-            .map(|(r, variance)| Some((r.t_s?, temperature_of(r, fbg)?, variance)))
-            .collect::<Option<_>>()?;
-        read.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let column = |f: fn(&(f64, f64, f64)) -> f64| read.iter().map(f).collect::<Vec<f64>>();
-        let found = RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))?;
+            .map(|(r, variance)| Some([r.t_s?, temperature_of(r, fbg)?, variance]));
+        let mut read: Vec<[f64; 3]> = read.collect::<Option<_>>()?;
+        read.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let [t_s, degc, variances] =
+            [0, 1, 2].map(|c| read.iter().map(|r| r[c]).collect::<Vec<f64>>());
         Some(RandomWalkModel {
             moving_variance,
-            ..found
+            ..RandomWalkModel::of(&t_s, &degc, &variances)?
         })
     };
     let alike = walk(None)?;
@@ -268,19 +261,12 @@ pub(crate) fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<Ra
         return Some(alike);
     }
     let unlike = MOVING_VARIANCES.iter().filter_map(|v| walk(Some(*v)));
+    // Twice the log likelihood decides whether moving rows are unlike.
     let best = unlike.min_by(|a, b| a.misfit.total_cmp(&b.misfit));
     Some(
         best.filter(|b| b.misfit < alike.misfit - UNLIKE)
             .unwrap_or(alike),
     )
-}
-
-fn or_equal(variances: Vec<f64>, n: usize) -> Vec<f64> {
-    if variances.is_empty() {
-        vec![1.0; n]
-    } else {
-        variances
-    }
 }
 
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
@@ -295,23 +281,17 @@ impl WhiskerPath {
     /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the
     /// temperature is freed of its noise.
     pub fn new(
-        rows: &[&WhiskerRow],
+        rows: &[WhiskerRow],
         trajectories: &[Trajectory],
-        moments: &MomentAxes,
         fbg: &FbgSpec,
-        gravity: Option<Vector3<f64>>,
         walk: Option<&RandomWalkModel>,
     ) -> Self {
         let time = !rows.is_empty() && rows.iter().all(|r| r.t_s.is_some());
         let temperature = !rows.is_empty() && rows.iter().all(|r| temperature_of(r, fbg).is_some());
         let mut order: Vec<usize> = (0..rows.len()).collect();
         if time {
-            order.sort_by(|&a, &b| {
-                rows[a]
-                    .t_s
-                    .unwrap_or(0.0)
-                    .total_cmp(&rows[b].t_s.unwrap_or(0.0))
-            });
+            let t_s = |k: usize| rows[k].t_s.unwrap_or_default();
+            order.sort_by(|&a, &b| t_s(a).total_cmp(&t_s(b)));
         }
         let line_of =
             |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
@@ -319,29 +299,32 @@ impl WhiskerPath {
             .iter()
             .enumerate()
             .map(|(k, &i)| {
-                let r = rows[i];
+                let r = &rows[i];
                 let line = line_of(r.trajectory);
-                let direction = r.direction.unwrap_or(0.0);
+                let direction = r.direction.unwrap_or_default();
                 let root = f64::from(r.samples.unwrap_or(1).max(1)).sqrt();
-                let sd = r.shift_sd_pm.unwrap_or([0.0; 2]);
+                let (sd, degc) = (r.shift_sd_pm.unwrap_or_default(), temperature_of(r, fbg));
                 Reading {
                     line,
                     x_mm: stage_position(r, line.map(|l| &trajectories[l])),
                     rest: r.role == Role::Rest,
                     direction,
-                    velocity_mm_s: r.speed_mm_s.unwrap_or(0.0)
+                    velocity_mm_s: r.speed_mm_s.unwrap_or_default()
                         * if direction < 0.0 { -1.0 } else { 1.0 },
-                    t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
-                    dwell_s: r.dwell_s.unwrap_or(0.0),
-                    stays_s: r.average_s.unwrap_or(0.0) / 2.0,
-                    rise_degc: temperature_of(r, fbg).unwrap_or(0.0),
-                    temperature_loo_degc: temperature_of(r, fbg).unwrap_or(0.0),
+                    t_s: if time {
+                        r.t_s.unwrap_or_default()
+                    } else {
+                        k as f64
+                    },
+                    dwell_s: r.dwell_s.unwrap_or_default(),
+                    stays_s: r.average_s.unwrap_or_default() / 2.0,
+                    rise_degc: degc.unwrap_or_default(),
+                    temperature_loo_degc: degc.unwrap_or_default(),
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
                     samples: r.samples,
                     averaged: averaged(r, walk.and_then(|w| w.moving_variance)),
                     group: r.trajectory.unwrap_or(0),
-                    replicate: r.replicate.unwrap_or(0),
                     holdout: r.sealed,
                     seating: r.seating,
                     unsteady: false,
@@ -351,11 +334,10 @@ impl WhiskerPath {
         if let Some(walk) = walk.filter(|_| temperature && time) {
             let (t_s, read): (Vec<f64>, Vec<f64>) =
                 readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
-            let variances = or_equal(averaged_readings(&readings), readings.len());
-            for (r, level) in readings
-                .iter_mut()
-                .zip(walk.smooth(&t_s, &read, &variances))
-            {
+            let alike = || vec![1.0; readings.len()];
+            let variances = averaged_readings(&readings).unwrap_or_else(alike);
+            let levels = walk.smooth(&t_s, &read, &variances);
+            for (r, level) in readings.iter_mut().zip(levels) {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
         }
@@ -369,7 +351,6 @@ impl WhiskerPath {
             both_directions: loaded().any(|r| r.direction < 0.0)
                 && loaded().any(|r| r.direction > 0.0),
             speeds: loaded().any(|r| r.velocity_mm_s != 0.0),
-            gravity: gravity.is_some(),
         };
         let lines: Vec<Line> = trajectories
             .iter()
@@ -378,15 +359,14 @@ impl WhiskerPath {
                 direction: t.direction,
             })
             .collect();
-        let extent = |l: usize, f: fn(f64, f64) -> f64| {
-            readings
-                .iter()
-                .filter(|r| r.line == Some(l))
-                .map(|r| r.x_mm)
-                .fold(0.0, f)
+        let extent = |l: usize| {
+            let on = readings.iter().filter(|r| r.line == Some(l));
+            range(on.map(|r| r.x_mm).chain([0.0]))
         };
-        let reach_mm = (0..lines.len()).map(|l| extent(l, f64::max)).collect();
-        let start_mm = (0..lines.len()).map(|l| extent(l, f64::min)).collect();
+        let ends = (0..lines.len())
+            .map(extent)
+            .map(|[start, reach]| (start, reach));
+        let (start_mm, reach_mm) = ends.unzip();
         let nodes = nodes_of(&readings, time);
         Self {
             readings,
@@ -395,7 +375,6 @@ impl WhiskerPath {
             lines,
             reach_mm,
             start_mm,
-            moments: moments.clone(),
             columns,
         }
     }
@@ -416,13 +395,10 @@ const ONE_MOTION: [f64; 2] = [0.3, 2.0];
 /// Whether two neighbours were read in one motion: passes one after the other have the way back and
 /// the dwells between them.
 fn one_motion(a: &Reading, b: &Reading) -> bool {
-    let same =
-        a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
-    let fastest = if a.velocity_mm_s.abs() > b.velocity_mm_s.abs() {
-        a.velocity_mm_s
-    } else {
-        b.velocity_mm_s
-    };
+    let [va, vb] = [a, b].map(|r| r.velocity_mm_s);
+    let same = a.line == b.line && a.seating == b.seating && va * vb > 0.0;
+    let fastest = if va.abs() > vb.abs() { va } else { vb };
+    // Passes one after the other lie far apart in time beside the way between them.
     let ratio = (b.x_mm - a.x_mm) / ((b.t_s - a.t_s) * fastest);
     same && (ONE_MOTION[0]..=ONE_MOTION[1]).contains(&ratio)
 }
@@ -431,29 +407,20 @@ fn one_motion(a: &Reading, b: &Reading) -> bool {
 /// stage its position is interpolated at one speed, which is wrong on a ramp and where an answer
 /// came late.
 fn exclude_ramps(readings: &mut [Reading]) {
-    let (mut off, mut on_the_fly) = (Vec::new(), 0_usize);
-    let mut start = 0;
-    while start < readings.len() {
-        let more = readings[start..]
-            .windows(2)
-            .take_while(|w| one_motion(&w[0], &w[1]))
-            .count();
-        let stroke = start..start + 1 + more;
-        start = stroke.end;
+    let (mut off, mut on_the_fly, mut start) = (Vec::new(), 0, 0);
+    for stroke in readings.chunk_by(one_motion) {
+        let first = start;
+        start += stroke.len();
         if stroke.len() < MIN_STROKE {
             continue;
         }
         on_the_fly += stroke.len();
-        let mut speeds: Vec<f64> = stroke
-            .clone()
-            .map(|i| readings[i].velocity_mm_s.abs())
-            .collect();
+        let mut speeds: Vec<f64> = stroke.iter().map(|r| r.velocity_mm_s.abs()).collect();
         speeds.sort_by(f64::total_cmp);
         // Ramps and late answers make a stage seem slow: its speed is the upper quartile.
         let top = speeds[3 * (speeds.len() - 1) / 4];
-        off.extend(
-            stroke.filter(|&i| (readings[i].velocity_mm_s.abs() / top - 1.0).abs() > STEADY),
-        );
+        let unsteady = |r: &Reading| (r.velocity_mm_s.abs() / top - 1.0).abs() > STEADY;
+        off.extend((first..start).filter(|i| unsteady(&stroke[i - first])));
     }
     if off.len() as f64 <= MAX_UNSTEADY * on_the_fly as f64 {
         off.into_iter().for_each(|i| readings[i].unsteady = true);
@@ -463,29 +430,20 @@ fn exclude_ramps(readings: &mut [Reading]) {
 /// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady
 /// one's place is interpolated.
 fn places(readings: &[Reading]) -> Vec<f64> {
-    // Number of the motion that each reading belongs to.
-    let mut motions = vec![0; readings.len()];
-    for i in 1..readings.len() {
-        motions[i] = motions[i - 1] + usize::from(!one_motion(&readings[i - 1], &readings[i]));
-    }
-    let of = |i: usize| {
-        let r = &readings[i];
-        let steady = |k: &usize| !readings[*k].unsteady;
-        let before = (0..i)
-            .rev()
-            .take_while(|&k| motions[k] == motions[i])
-            .find(steady);
-        let after = (i + 1..readings.len())
-            .take_while(|&k| motions[k] == motions[i])
-            .find(steady);
-        match (before.map(|k| &readings[k]), after.map(|k| &readings[k])) {
+    let place = |motion: &[Reading], i: usize| {
+        let r = &motion[i];
+        let before = motion[..i].iter().rfind(|r| !r.unsteady);
+        let after = motion[i + 1..].iter().find(|r| !r.unsteady);
+        match (before, after) {
             (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
                 a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
             }
             _ => r.x_mm,
         }
     };
-    (0..readings.len()).map(of).collect()
+    let of =
+        |motion: &[Reading]| -> Vec<f64> { (0..motion.len()).map(|i| place(motion, i)).collect() };
+    readings.chunk_by(one_motion).flat_map(of).collect()
 }
 
 /// A settled reading lies in a dwell: its arrival is a node, and so is the end of its averaging
@@ -495,17 +453,14 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let places_mm = places(readings);
     for (i, r) in readings.iter().enumerate() {
         // Between seatings the whisker was free.
-        if let Some(last) = i
-            .checked_sub(1)
-            .map(|k| &readings[k])
-            .filter(|l| l.seating != r.seating)
-        {
+        if i > 0 && readings[i - 1].seating != r.seating {
             let free = |t_s: f64| Node {
                 t_s,
                 rest: true,
                 ..Node::default()
             };
-            nodes.extend([free(last.t_s + 1e-3), free(r.t_s - r.dwell_s - 1e-3)]);
+            let arrived_s = r.t_s - r.dwell_s;
+            nodes.extend([free(readings[i - 1].t_s + 1e-3), free(arrived_s - 1e-3)]);
         }
         let still = |t_s| Node {
             t_s,
@@ -593,7 +548,6 @@ mod tests {
                 }
             };
             let rows: Vec<WhiskerRow> = (0..800).map(&mut row).collect();
-            let rows: Vec<&WhiskerRow> = rows.iter().collect();
             temperature_walk(&rows, &fbg).unwrap().moving_variance
         };
         (0..20).map(of).collect()
@@ -629,7 +583,6 @@ mod tests {
             samples: Some(10),
             averaged: Some(10.0),
             group: 1,
-            replicate: 0,
             holdout: false,
             seating: 0,
             unsteady: false,

@@ -1,24 +1,26 @@
 //! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and
-//! its inverse.
+//! its inverse (`stream`).
 //!
 //! Readout of a reading: `y = B' c(m, v)`, with
 //! `c = [1, m1, m2, zeros of seatings, effect columns]`, coefficients `B` and the effects'
-//! nonlinear values `v`; the inverse is `m = f(y; B, v)`, its uncertainty in `uncertainty`.
+//! nonlinear values `v`.
 
+use super::effects::whisker_catalogue;
+use super::path::{Reading, ReadoutOrigin, WhiskerPath, typical_samples};
+use super::rod_parameters::RodParameters;
 use super::system::WhiskerSystem;
 use super::whisker_effect::ActiveEffect;
-use crate::effect::{EffectTerm, LawRequirement};
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::covariance;
-use crate::method::noise::Noise;
+use crate::MeasurementModel;
+use crate::effect::LawRequirement;
+use crate::method::{Hypothesis, Noise, covariance};
+use crate::models::{root, rows};
 use crate::scalar::ModelError;
-use crate::scalar::model::square;
-use crate::whisker::path::{Reading, ReadoutOrigin, WhiskerPath, typical_samples};
-use nalgebra::{DMatrix, Matrix2, Vector2};
+use crate::scalar::model::{require, square, term_named};
+use nalgebra::{DMatrix, Matrix2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::FbgSpec;
+use wcal_core::stream::{MomentSpread, StreamMoments};
 use wcal_core::verify_document::EffectParameter;
 
 /// An accepted effect with its fitted values.
@@ -98,22 +100,14 @@ fn one() -> u32 {
     1
 }
 
-/// Moments from wavelengths.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Inferred {
-    /// Base moments, N mm.
-    pub moment_nmm: [f64; 2],
-    /// Standard deviations, N mm.
-    pub sd_nmm: [f64; 2],
-    /// Inside the region that the calibration was fitted in.
-    pub valid: bool,
-}
+/// Moments of a reading through a calibration, and what their spread is made of.
+pub type CalibratedReading = (StreamMoments, MomentSpread);
 
 /// More samples than any reading averages, and a clock that is farther off than any stage's, s.
 const MAX_SAMPLES: f64 = 1e9;
 const MAX_STAGE_CLOCK_S: f64 = 10.0;
 /// Share of the largest fitted moment that is still valid.
-pub(super) const VALID_SHARE: f64 = 1.1;
+const VALID_SHARE: f64 = 1.1;
 
 impl PhysicalModel {
     /// The model of an explanation.
@@ -146,17 +140,14 @@ impl PhysicalModel {
         });
         Self {
             coefficients: coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
-            covariance: covariance
-                .row_iter()
-                .map(|r| r.iter().copied().collect())
-                .collect(),
+            covariance: rows(&covariance),
             noise_sd_pm,
             correlated_noise: None,
             averaging: None,
-            stage_clock_s: system.stage_clock_s(),
+            stage_clock_s: system.stage_clock_s,
             readout_origin: system.origin,
             effects,
-            seatings: system.seatings(),
+            seatings: system.seatings,
             fbg: system.data.fbg.clone(),
             largest_moment_nmm: largest,
         }
@@ -187,15 +178,15 @@ impl PhysicalModel {
         }
     }
 
-    /// Variances of a path's readings beside 1 of a typical reading of the calibration's own
-    /// session.
-    pub(crate) fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
+    /// Standard deviation of each reading's noise, pm.
+    pub(super) fn noise_of(&self, readings: &[Reading]) -> Vec<f64> {
         // Noise of samples falls with their number; what they share does not.
-        let of = |r: &Reading| match (self.averaging, r.samples) {
+        let variance = |r: &Reading| match (self.averaging, r.samples) {
             (Some(a), Some(n)) => (a.common + a.samples / f64::from(n.max(1))) / (a.common + 1.0),
             _ => 1.0,
         };
-        readings.iter().map(of).collect()
+        let sd_pm = |r: &Reading| self.noise_sd_pm * variance(r).sqrt();
+        readings.iter().map(sd_pm).collect()
     }
 
     /// Sensitivity K, pm/(N mm): rows are channels.
@@ -209,126 +200,60 @@ impl PhysicalModel {
     /// # Errors
     /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
     pub fn check(&self) -> Result<(), ModelError> {
-        let catalogue = crate::whisker::effects::whisker_catalogue();
         let (mut columns, mut values) = (3, 0);
-        for a in &self.effects {
-            let unknown = || ModelError::UnknownEffect {
-                effect: a.id.clone(),
-                law: a.law.clone(),
-            };
-            let effect = catalogue
-                .iter()
-                .find(|e| e.effect.id == a.id)
-                .ok_or_else(unknown)?;
-            let (_, law) = effect.effect.law_named(&a.law).ok_or_else(unknown)?;
-            if a.values.len() != law.parameters.len() {
-                let what = format!("values of {} ({})", a.id, a.law);
-                return Err(ModelError::shape(
-                    what,
-                    law.parameters.len(),
-                    a.values.len(),
-                ));
-            }
-            columns += law.linear.len();
-            values += a.values.len();
+        for term in self.named_terms() {
+            let ActiveEffect { effect, term } = term?;
+            columns += effect.effect.law(term.law).linear.len();
+            values += term.values.len();
         }
         // Each seating after the first has its own column: reject a mounting count inconsistent
         // with the coefficients.
         let count = self.coefficients.len();
         let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
-        if seatings.is_none() {
-            return Err(ModelError::shape(
-                "coefficients",
-                format!("at least {columns} rows"),
-                count,
-            ));
-        }
-        if seatings != usize::try_from(self.seatings.max(1)).ok() {
-            let expected = format!("{}, as the coefficients have it", seatings.unwrap_or(0));
-            return Err(ModelError::shape("seatings", expected, self.seatings));
-        }
+        let least = format!("at least {columns} rows");
+        require(seatings.is_some(), "coefficients", least, count)?;
+        let expected = format!("{}, as the coefficients have it", seatings.unwrap_or(0));
+        let stated = usize::try_from(self.seatings.max(1)).ok();
+        require(seatings == stated, "seatings", expected, self.seatings)?;
         square(&self.covariance, 2 * count, 2 * count + values)?;
-        if self.sensitivity().try_inverse().is_none() {
-            return Err(ModelError::shape(
-                "coefficients",
-                "a sensitivity that can be inverted",
-                "a singular one",
-            ));
+        let invertible = self.sensitivity().try_inverse().is_some();
+        let expected = "a sensitivity that can be inverted";
+        require(invertible, "coefficients", expected, "a singular one")?;
+        let sd_pm = self.noise_sd_pm;
+        require(!(sd_pm < 0.0), "noise_sd_pm", "0 or more", sd_pm)?;
+        if let Some(a) = &self.averaging {
+            let known = a.samples >= 1.0 && a.samples <= MAX_SAMPLES && a.common >= 0.0;
+            let expected = "1 to 1e9 samples, a variance of 0 or more";
+            let found = format!("{:?}", (a.samples, a.common));
+            require(known, "averaging", expected, found)?;
         }
-        if self.noise_sd_pm < 0.0 {
-            return Err(ModelError::shape(
-                "noise_sd_pm",
-                "0 or more",
-                self.noise_sd_pm,
-            ));
-        }
-        let known = |a: &Averaging| a.samples >= 1.0 && a.samples <= MAX_SAMPLES && a.common >= 0.0;
-        if let Some(a) = self.averaging.filter(|a| !known(a)) {
-            let (expected, found) = (
-                "1 to 1e9 samples, a variance of 0 or more",
-                (a.samples, a.common),
-            );
-            return Err(ModelError::shape(
-                "averaging",
-                expected,
-                format!("{found:?}"),
-            ));
-        }
-        if !(self.stage_clock_s.abs() <= MAX_STAGE_CLOCK_S) {
-            return Err(ModelError::shape(
-                "stage_clock_s",
-                "at most 10 s",
-                self.stage_clock_s,
-            ));
-        }
-        let sound =
-            |c: &CorrelatedReadings| c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
-        if let Some(c) = self.correlated_noise.filter(|c| !sound(c)) {
+        let near = self.stage_clock_s.abs() <= MAX_STAGE_CLOCK_S;
+        require(near, "stage_clock_s", "at most 10 s", self.stage_clock_s)?;
+        if let Some(c) = &self.correlated_noise {
+            let sound = c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
+            let expected = "positive deviations and a positive time";
             let found = format!(
                 "{} and {} pm, {} s",
                 c.sd_pm, c.own_sd_pm, c.time_constant_s
             );
-            return Err(ModelError::shape(
-                "correlated_noise",
-                "positive deviations and a positive time",
-                found,
-            ));
+            require(sound, "correlated_noise", expected, found)?;
         }
         Ok(())
     }
 
-    /// The accepted effects with their values by name.
+    /// The accepted effects with their values by name, those of this version's catalogue.
     pub(super) fn terms(&self) -> Vec<ActiveEffect> {
-        self.terms_moved(None)
+        self.named_terms().flatten().collect()
     }
 
-    /// [`Self::terms`] with one value (its place in the covariance) moved by some amount.
-    pub(super) fn terms_moved(&self, moved: Option<(usize, f64)>) -> Vec<ActiveEffect> {
-        let mut place = 2 * self.coefficients.len();
-        let catalogue = crate::whisker::effects::whisker_catalogue();
-        self.effects
-            .iter()
-            .filter_map(|a| {
-                let index = catalogue.iter().position(|e| e.effect.id == a.id)?;
-                let (law, _) = catalogue[index].effect.law_named(&a.law)?;
-                let mut values = a.values.clone();
-                if let Some(v) =
-                    moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by)))
-                {
-                    *v.0 += v.1;
-                }
-                place += a.values.len();
-                let term = EffectTerm {
-                    effect: index,
-                    law,
-                    values,
-                };
-                Some(ActiveEffect {
-                    effect: &catalogue[index],
-                    term,
-                })
-            })
-            .collect()
+    fn named_terms(&self) -> impl Iterator<Item = Result<ActiveEffect, ModelError>> {
+        let catalogue = whisker_catalogue();
+        self.effects.iter().map(move |a| -> Result<_, ModelError> {
+            let effects = catalogue.iter().map(|e| &e.effect);
+            let term = term_named(effects, &a.id, &a.law, &a.values)?;
+            let effect = &catalogue[term.effect];
+            Ok(ActiveEffect { effect, term })
+        })
     }
 
     /// The first accepted effect that needs a column which `path` lacks to infer moments, and that
@@ -348,201 +273,44 @@ impl PhysicalModel {
             .find_map(|(a, t)| Some((a.id.as_str(), t.law().needs.iter().find_map(lacks)?)))
     }
 
-    /// Predicted shifts at `sensed` moments, readings x channels, pm.
-    fn readout(
-        &self,
-        terms: &[ActiveEffect],
-        path: &WhiskerPath,
-        sensed: &[[f64; 2]],
-    ) -> DMatrix<f64> {
-        let columns = self.columns(terms, path, sensed);
-        DMatrix::from_fn(sensed.len(), 2, |i, c| {
-            columns
-                .iter()
-                .zip(&self.coefficients)
-                .map(|(col, b)| col[i] * b[c])
-                .sum()
-        })
-    }
-
-    /// Columns of the readout at `sensed` moments, one value a reading each.
-    pub(super) fn columns(
-        &self,
-        terms: &[ActiveEffect],
-        path: &WhiskerPath,
-        sensed: &[[f64; 2]],
-    ) -> Vec<Vec<f64>> {
-        path.readout_columns(self.seatings, terms, &self.readout_origin, sensed)
-    }
-
-    /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take
-    /// from each reading's moment where the poses are known (base less sensed, N mm); without it
-    /// the effects run over the readings' own history.
-    ///
-    /// Memory is a small correction, so plain fixed-point iteration undoes it.
-    pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
-        let noise_pm = |variance: f64| self.noise_sd_pm * variance.sqrt();
-        let noise_pm: Vec<f64> = self
-            .relative_variances(&path.readings)
-            .into_iter()
-            .map(noise_pm)
-            .collect();
-        self.infer_under(path, memory, &noise_pm)
-    }
-
-    /// The same where the noise of each reading is known, pm.
-    pub(crate) fn infer_under(
-        &self,
-        path: &WhiskerPath,
-        memory: Option<&[[f64; 2]]>,
-        noise_sd_pm: &[f64],
-    ) -> Vec<Inferred> {
-        let terms = self.terms();
-        let n = path.readings.len();
-        let Some(inverse) = self.sensitivity().try_inverse() else {
-            return vec![
-                Inferred {
-                    moment_nmm: [f64::NAN; 2],
-                    sd_nmm: [f64::NAN; 2],
-                    valid: false
-                };
-                n
-            ];
-        };
-        let sensed = self.sensed(&terms, path, &inverse);
-        let (gradients, visible) = self.gradients(&terms, path, &sensed, &inverse, noise_sd_pm);
-        let sds: Vec<[f64; 2]> = gradients
-            .iter()
-            .zip(noise_sd_pm)
-            .map(|(g, s)| self.sd_nmm(&inverse, g, *s))
-            .collect();
-        let base = match memory {
-            Some(m) => sensed
-                .iter()
-                .zip(m)
-                .map(|(f, d)| [f[0] + d[0], f[1] + d[1]])
-                .collect(),
-            None => undo_memory(&terms, path, &sensed, &visible),
-        };
-        sds.iter()
-            .zip(base)
-            .map(|(sd, m)| Inferred {
-                moment_nmm: m,
-                sd_nmm: *sd,
-                valid: m[0].hypot(m[1]) <= VALID_SHARE * self.largest_moment_nmm,
-            })
-            .collect()
-    }
-
-    /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls:
-    /// where a bent readout never gives the shift, the moment at its fold, the closest one, comes
-    /// out. The slope is taken by differences because effects add columns.
-    pub(super) fn sensed(
-        &self,
-        terms: &[ActiveEffect],
-        path: &WhiskerPath,
-        inverse: &Matrix2<f64>,
-    ) -> Vec<[f64; 2]> {
-        const STEP_NMM: f64 = 1e-5;
-        // A longer step would leave the branch of a quadratic readout that starts at rest.
-        const MAX_STEP_NMM: f64 = 0.5;
-        let n = path.readings.len();
-        let mut sensed = vec![[0.0; 2]; n];
-        let mut from = vec![Vector2::zeros(); n];
-        let mut steps: Vec<Vector2<f64>> = vec![Vector2::zeros(); n];
-        let mut misfit = vec![f64::INFINITY; n];
-        for _ in 0..80 {
-            let here = self.readout(terms, path, &sensed);
-            let moved = |c: usize| {
-                let shifted: Vec<[f64; 2]> = sensed
-                    .iter()
-                    .map(|m| {
-                        let mut m = *m;
-                        m[c] += STEP_NMM;
-                        m
-                    })
-                    .collect();
-                (self.readout(terms, path, &shifted) - &here) / STEP_NMM
-            };
-            let slopes = [moved(0), moved(1)];
-            let mut change: f64 = 0.0;
-            for (i, m) in sensed.iter_mut().enumerate() {
-                let shift = path.readings[i].shift_pm;
-                let left = Vector2::new(shift[0] - here[(i, 0)], shift[1] - here[(i, 1)]);
-                if left.norm() > misfit[i] {
-                    steps[i] *= 0.5;
-                } else {
-                    from[i] = Vector2::from(*m);
-                    misfit[i] = left.norm();
-                    let slope = Matrix2::from_fn(|c, j| slopes[j][(i, c)]);
-                    steps[i] = slope.try_inverse().unwrap_or(*inverse) * left;
-                    let size = steps[i].norm();
-                    if size > MAX_STEP_NMM {
-                        steps[i] *= MAX_STEP_NMM / size;
-                    }
-                }
-                *m = (from[i] + steps[i]).into();
-                change = change.max(steps[i].norm());
-            }
-            if change < 1e-12 {
-                break;
-            }
-        }
-        sensed
+    /// Inside the region that the calibration was fitted in.
+    pub(super) fn is_valid(&self, moment_nmm: [f64; 2]) -> bool {
+        moment_nmm[0].hypot(moment_nmm[1]) <= VALID_SHARE * self.largest_moment_nmm
     }
 }
 
-/// Whether nothing is sensed beyond noise.
-pub(super) fn is_below_noise(sensed: &[f64; 2], sd: &[f64; 2]) -> bool {
-    sensed[0].hypot(sensed[1]) < 3.0 * sd[0].hypot(sd[1])
+/// Whether an effect changes the wire: rod or friction.
+fn is_mechanical(effect: &ActiveEffect) -> bool {
+    let mut mechanics = RodParameters::default();
+    (effect.effect.rod)(&effect.values(), &mut mechanics);
+    RodParameters {
+        offset_mm: [0.0; 3],
+        ..mechanics
+    } != RodParameters::default()
 }
 
-/// Finds base moments whose memory gives the sensed ones, by fixed point over the whole history.
-///
-/// Where nothing is sensed beyond noise, a dead zone hides the moment: the reading keeps what it
-/// shows.
-pub(super) fn undo_memory(
-    terms: &[ActiveEffect],
-    path: &WhiskerPath,
-    sensed: &[[f64; 2]],
-    sds: &[[f64; 2]],
-) -> Vec<[f64; 2]> {
-    let mut base = sensed.to_vec();
-    // A node without a reading is the arrival at the reading that follows it.
-    let source: Vec<usize> = {
-        let mut next = sensed.len().saturating_sub(1);
-        let mut map: Vec<usize> = path
-            .nodes
-            .iter()
-            .rev()
-            .map(|n| {
-                next = n.reading.unwrap_or(next);
-                next
-            })
-            .collect();
-        map.reverse();
-        map
-    };
-    for _ in 0..40 {
-        let mut at_nodes: Vec<[f64; 2]> = source.iter().map(|&i| base[i]).collect();
-        for a in terms {
-            a.sensor(path, &mut at_nodes);
-        }
-        let mut change: f64 = 0.0;
-        for (node, m) in path.nodes.iter().zip(&at_nodes) {
-            let Some(i) = node.reading else { continue };
-            if is_below_noise(&sensed[i], &sds[i]) {
-                continue;
-            }
-            for c in 0..2 {
-                let step = sensed[i][c] - m[c];
-                base[i][c] += step;
-                change = change.max(step.abs());
-            }
-        }
-        if change < 1e-10 {
-            break;
+/// F with cov(theta) = F F', and how many of its first columns change the wire.
+pub(super) fn covariance_root(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
+    let size = model.covariance.len();
+    // Values of the wire's effects first.
+    let mut order: Vec<usize> = Vec::with_capacity(size);
+    let mut slot = 2 * model.coefficients.len();
+    for (effect, term) in model.effects.iter().zip(model.terms()) {
+        let slots = slot..slot + effect.values.len();
+        slot = slots.end;
+        if is_mechanical(&term) {
+            order.extend(slots);
         }
     }
-    base
+    let mechanical = order.len();
+    let others: Vec<usize> = (0..size).filter(|k| !order.contains(k)).collect();
+    order.extend(others);
+    // QR of F' makes F triangular: its first columns alone move the first values.
+    let ordered = root(&model.covariance).select_rows(&order);
+    let triangle = ordered.transpose().qr().r().transpose();
+    let mut factor = DMatrix::zeros(size, size);
+    for (i, &at) in order.iter().enumerate() {
+        factor.set_row(at, &triangle.row(i));
+    }
+    (factor, mechanical)
 }

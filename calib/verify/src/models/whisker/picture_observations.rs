@@ -1,6 +1,7 @@
 //! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all
 //! pairs share (`pictures`).
 
+use crate::models::root;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::sync::Arc;
 use wcal_core::observation::SessionShapes;
@@ -177,6 +178,7 @@ pub(super) fn observe(
         None => {
             let position = position_covariance(groove, &tangent);
             // The foot point on the wire moves with the groove along it.
+            // Symmetric root of the covariance: a shift of one standard deviation along each axis.
             let root = position.symmetric_eigen();
             let root = root.eigenvectors
                 * Matrix3::from_diagonal(&root.eigenvalues.map(|v| v.max(0.0).sqrt()))
@@ -246,6 +248,7 @@ fn position_covariance(groove: &GrooveDocument, tangent: &Vector3<f64>) -> Matri
     }
     let along = groove.contact_arclength_sd_mm.max(FLOOR_MM).powi(2);
     let total: f64 = groove.sd_mm.iter().map(|s| s * s).sum();
+    // What the three deviations have beyond the one along the wire is shared by two axes.
     let across = (0.5 * (total - along)).max(0.04 * along).max(floor);
     let projector = tangent * tangent.transpose();
     (Matrix3::identity() - projector) * across + projector * along
@@ -266,6 +269,7 @@ fn stated(
     own.view_mut((0, 3), (3, 1)).copy_from(&with_foot);
     own.view_mut((3, 0), (1, 3))
         .copy_from(&with_foot.transpose());
+    // The foot point moves with the groove along the wire and with the wire across it.
     own[(3, 3)] = (along + across).max(groove.contact_arclength_sd_mm.powi(2));
     own
 }
@@ -340,28 +344,9 @@ pub(super) fn with_tolerances(shapes: &SessionShapes) -> Vec<Vec<f64>> {
 /// are taken as known. The common shifts stand behind the parameters.
 pub(super) fn root_of(covariance: &[Vec<f64>]) -> DMatrix<f64> {
     let n = covariance.len();
-    if n == 0 {
-        return DMatrix::identity(COMMON, COMMON);
+    let mut all = DMatrix::identity(n + COMMON, n + COMMON);
+    if n > 0 {
+        all.view_mut((0, 0), (n, n)).copy_from(&root(covariance));
     }
-    // In units of the standard deviations: pixels and radians differ by orders of magnitude.
-    let sd: Vec<f64> = (0..n).map(|i| covariance[i][i].max(0.0).sqrt()).collect();
-    let correlation = DMatrix::from_fn(n, n, |i, j| {
-        let scale = sd[i] * sd[j];
-        if scale > 0.0 {
-            0.5 * (covariance[i][j] + covariance[j][i]) / scale
-        } else {
-            0.0
-        }
-    });
-    let parts = correlation.symmetric_eigen();
-    let kept: Vec<usize> = (0..n).filter(|&k| parts.eigenvalues[k] > 1e-9).collect();
-    DMatrix::from_fn(n + COMMON, kept.len() + COMMON, |i, k| {
-        match (i < n, kept.get(k)) {
-            (true, Some(&part)) => {
-                sd[i] * parts.eigenvectors[(i, part)] * parts.eigenvalues[part].sqrt()
-            }
-            (false, None) if i - n == k - kept.len() => 1.0,
-            _ => 0.0,
-        }
-    })
+    all
 }

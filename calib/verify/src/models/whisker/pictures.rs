@@ -27,7 +27,6 @@ pub use super::picture_observations::Derivatives;
 use super::picture_observations::{Pair, observe, root_of, values, with_tolerances};
 pub use super::picture_observations::{PairChange, PairObservation};
 use nalgebra::{DMatrix, DVector};
-use std::collections::HashMap;
 use std::sync::Arc;
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 
@@ -37,15 +36,16 @@ const KEPT_MASKS: usize = 32;
 /// Every pair that counts beside the wavelengths.
 pub struct Pictures {
     pairs: Vec<Pair>,
-    readings: Arc<Vec<usize>>,
+    /// Reading of each value.
+    pub(super) readings: Arc<Vec<usize>>,
     /// Whitened derivatives by the independent shared errors, values x errors.
     shared: DMatrix<f64>,
     /// Share of the stated own errors that counts.
-    independent_variance_share: f64,
+    pub(super) independent_variance_share: f64,
     /// `M` by the readings that count.
     roots: Kept<Vec<bool>, DMatrix<f64>>,
     /// Pairs that have a row and no place here, and why.
-    left_out: Vec<PairLeftOut>,
+    pub left_out: Vec<PairLeftOut>,
 }
 
 impl Pictures {
@@ -56,28 +56,17 @@ impl Pictures {
         shapes: Option<&SessionShapes>,
     ) -> Option<Self> {
         let shapes = shapes?;
-        let of_node: HashMap<usize, usize> = path
-            .nodes
-            .iter()
-            .enumerate()
-            .filter_map(|(k, n)| Some((n.reading?, k)))
-            .collect();
         let factor = root_of(&with_tolerances(shapes));
         let (mut pairs, mut readings, mut shared) = (Vec::new(), Vec::new(), Vec::new());
         let mut left_out = Vec::new();
-        for (reading, &row) in path.rows.iter().enumerate() {
-            let r = &path.readings[reading];
+        for (reading, (&row, node)) in path.rows.iter().zip(path.reading_nodes()).enumerate() {
             let Some(document) = &rows[row].pair else {
                 continue;
             };
-            let loaded = of_node
-                .get(&reading)
-                .filter(|_| r.line.is_some() && !r.rest);
-            let found = loaded
-                .zip(document.groove.as_ref())
-                .and_then(|(&node, groove)| {
-                    observe(document, groove, reading, node, readings.len(), shapes)
-                });
+            let loaded = path.nodes[node].loaded_line().and(document.groove.as_ref());
+            let found = loaded.and_then(|groove| {
+                observe(document, groove, reading, node, readings.len(), shapes)
+            });
             let Some((mut pair, columns)) = found else {
                 let why = "its errors or its reading say nothing of a contact".to_owned();
                 left_out.push(PairLeftOut {
@@ -94,11 +83,7 @@ impl Pictures {
         }
         let count = pairs.len();
         for (k, pair) in pairs.iter_mut().enumerate() {
-            pair.seen.place = if count > 1 {
-                k as f64 / (count - 1) as f64
-            } else {
-                0.0
-            };
+            pair.seen.place = k as f64 / (count - 1).max(1) as f64;
         }
         let mut all = DMatrix::zeros(readings.len(), factor.ncols());
         for (pair, own) in pairs.iter().zip(&shared) {
@@ -133,24 +118,9 @@ impl Pictures {
         }
     }
 
-    /// Share of the stated own errors that counts.
-    pub(crate) fn independent_variance_share(&self) -> f64 {
-        self.independent_variance_share
-    }
-
-    /// Pairs that have a row and no place here, and why.
-    pub fn left_out(&self) -> &[PairLeftOut] {
-        &self.left_out
-    }
-
     /// Pairs.
-    pub fn len(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.pairs.len()
-    }
-
-    /// No pair.
-    pub fn is_empty(&self) -> bool {
-        self.pairs.is_empty()
     }
 
     /// Distance of the contact from where it is seen that the stated covariances give, root mean
@@ -160,13 +130,8 @@ impl Pictures {
             .sqrt()
     }
 
-    /// Reading of each value.
-    pub fn readings(&self) -> Arc<Vec<usize>> {
-        self.readings.clone()
-    }
-
     /// Node on the path of each pair.
-    pub fn nodes(&self) -> Vec<usize> {
+    pub(super) fn nodes(&self) -> Vec<usize> {
         self.pairs.iter().map(|p| p.node).collect()
     }
 

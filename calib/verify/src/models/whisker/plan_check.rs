@@ -11,11 +11,11 @@
 //! (`c > 0.995`), whatever the noise.
 
 use super::system::WhiskerSystem;
-use crate::error::VerifyError;
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::{Weights, fit};
-use crate::method::inference::CLASS_COSINE;
-use crate::method::signature::{Signature, nuisance_basis, signatures_of_catalogue};
+use crate::method::{
+    CLASS_COSINE, Signature, Weights, fit, nuisance_basis, signatures_of_catalogue,
+};
+use crate::{MeasurementModel, VerifyError};
+use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::WhiskerData;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::plan_check_document::{Addition, PlanCheck, PlannedEffect};
@@ -33,16 +33,11 @@ pub fn plan_check(data: &WhiskerData) -> Result<PlanCheck, VerifyError> {
     let mut additions = Vec::new();
     for (what, more) in extended(data) {
         let with = planned(&more)?;
-        let testable: Vec<String> = with
-            .iter()
-            .zip(&effects)
-            .filter(|(w, e)| w.status == "testable" && e.status != "testable")
-            .map(|(w, _)| w.id.clone())
-            .collect();
-        let separates = pairs(&effects)
-            .into_iter()
-            .filter(|p| !pairs(&with).contains(p))
-            .collect::<Vec<_>>();
+        let both = with.iter().zip(&effects);
+        let new = both.filter(|(w, e)| w.status == "testable" && e.status != "testable");
+        let testable: Vec<String> = new.map(|(w, _)| w.id.clone()).collect();
+        let separates: Vec<[String; 2]> =
+            pairs(&effects).difference(&pairs(&with)).cloned().collect();
         if !testable.is_empty() || !separates.is_empty() {
             additions.push(Addition {
                 what,
@@ -56,24 +51,17 @@ pub fn plan_check(data: &WhiskerData) -> Result<PlanCheck, VerifyError> {
 }
 
 /// Pairs that cannot be distinguished, each once.
-fn pairs(effects: &[PlannedEffect]) -> Vec<[String; 2]> {
-    let of = |e: &PlannedEffect| {
-        e.never_apart
-            .iter()
-            .map(|o| [e.id.clone(), o.clone()])
-            .collect::<Vec<_>>()
-    };
-    let mut out: Vec<[String; 2]> = effects.iter().flat_map(of).collect();
-    out.iter_mut().for_each(|p| p.sort());
-    out.sort();
-    out.dedup();
-    out
+fn pairs(effects: &[PlannedEffect]) -> BTreeSet<[String; 2]> {
+    let all = effects
+        .iter()
+        .flat_map(|e| e.never_apart.iter().map(move |o| [&e.id, o]));
+    let sorted = all.map(|[a, b]| [a.min(b).clone(), a.max(b).clone()]);
+    sorted.collect()
 }
 
 fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, VerifyError> {
     let no_solution = || VerifyError::NoEquilibrium("the plan's trajectories".to_owned());
-    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    let bare = WhiskerSystem::new(data, &rows)?;
+    let bare = WhiskerSystem::new(data, &[])?;
     let (sensed, _) = bare.moments(&[]).ok_or_else(no_solution)?;
     // Readings of a typical sensor at the planned poses.
     let mut made = data.clone();
@@ -81,12 +69,12 @@ fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, VerifyError> {
         let k = TYPICAL_PM_PER_NMM;
         made.rows[row].shift_pm = [0, 1].map(|c| k[c][0] * m[0] + k[c][1] * m[1]);
     }
-    let rows: Vec<&WhiskerRow> = made.rows.iter().collect();
-    let system = WhiskerSystem::new(&made, &rows)?;
+    let system = WhiskerSystem::new(&made, &[])?;
     let weights = Weights::equal(system.path.readings.len());
     let base = fit(&system, &[], &weights, 1).ok_or_else(no_solution)?;
     let signatures = signatures_of_catalogue(&system, &base, &weights, &nuisance_basis(&base));
-    Ok((0..system.catalogue().len())
+    let effects = 0..system.catalogue.len();
+    Ok(effects
         .map(|e| of_effect(&system, &signatures, e))
         .collect())
 }
@@ -103,50 +91,38 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
     if let Some(why) = system.not_observable(effect) {
         return entry("not-observable", why);
     }
-    if candidate
-        .laws
-        .iter()
-        .all(|l| l.parameters.is_empty() && l.linear.is_empty())
-    {
-        return entry(
-            "testable",
-            "single readings far outside the noise are flagged".to_owned(),
-        );
+    if candidate.is_outlier_process {
+        let why = "single readings far outside the noise are flagged";
+        return entry("testable", why.to_owned());
     }
     let of = |e: usize| -> Vec<&Signature> {
         signatures.iter().filter(|a| a.term.effect == e).collect()
     };
     let own = of(effect);
     if own.is_empty() {
-        return entry(
-            "absorbed",
-            "not identifiable: fully absorbed by sensitivity K and zero offset".to_owned(),
-        );
+        let why = "not identifiable: fully absorbed by sensitivity K and zero offset";
+        return entry("absorbed", why.to_owned());
     }
     let left = own.iter().map(|a| a.share_left).fold(0.0, f64::max);
-    let mut out = entry(
-        "testable",
-        format!(
-            "{:.0} % of its signature is independent of sensitivity K and zero offset",
-            100.0 * left
-        ),
-    );
+    let percent = 100.0 * left;
+    let why = "of its signature is independent of sensitivity K and zero offset";
+    let mut out = entry("testable", format!("{percent:.0} % {why}"));
     for other in (0..system.catalogue().len()).filter(|&o| o != effect) {
         let theirs = of(other);
         if theirs.is_empty() {
             continue;
         }
-        let best = |a: &Signature| {
+        // Shapes that some shape of the other one imitates.
+        let imitated = |a: &&&Signature| {
             theirs
                 .iter()
-                .map(|b| signature_overlap(a, b))
-                .fold(0.0, f64::max)
+                .any(|b| signature_overlap(a, b) > CLASS_COSINE)
         };
-        let each: Vec<f64> = own.iter().map(|a| best(a)).collect();
+        let alike = own.iter().filter(imitated).count();
         let id = system.catalogue()[other].id.to_owned();
-        if each.iter().all(|c| *c > CLASS_COSINE) {
+        if alike == own.len() {
             out.never_apart.push(id);
-        } else if each.iter().any(|c| *c > CLASS_COSINE) {
+        } else if alike > 0 {
             out.sometimes_alike.push(id);
         }
     }
@@ -155,6 +131,7 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
 
 /// How much of what `a` does `b` can imitate.
 fn signature_overlap(a: &Signature, b: &Signature) -> f64 {
+    // |A' B|^2: squared cosines between the two spans, summed.
     let shared: f64 = a
         .directions
         .iter()
@@ -165,49 +142,27 @@ fn signature_overlap(a: &Signature, b: &Signature) -> f64 {
 
 /// The plan with one more column or kind of pose each.
 fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
-    let deepest = |trajectory: Option<u32>| {
-        let of = data
-            .rows
-            .iter()
-            .filter(|r| r.role != Role::Rest && r.trajectory == trajectory);
-        of.max_by(|a, b| {
-            a.stage_mm
-                .unwrap_or(0.0)
-                .total_cmp(&b.stage_mm.unwrap_or(0.0))
-        })
-    };
-    let trajectories: Vec<Option<u32>> = {
-        let mut all: Vec<Option<u32>> = data
-            .rows
-            .iter()
-            .map(|r| r.trajectory)
-            .filter(Option::is_some)
-            .collect();
-        all.sort_unstable();
-        all.dedup();
-        all
-    };
-    let end_s = data
-        .rows
-        .iter()
-        .filter_map(|r| r.t_s)
-        .reduce(f64::max)
-        .unwrap_or(0.0);
+    let depth = |r: &WhiskerRow| r.stage_mm.unwrap_or_default();
+    let mut deepest: BTreeMap<u32, &WhiskerRow> = BTreeMap::new();
+    for row in data.rows.iter().filter(|r| r.role != Role::Rest) {
+        let Some(id) = row.trajectory else { continue };
+        let known = deepest.entry(id).or_insert(row);
+        if depth(row) >= depth(known) {
+            *known = row;
+        }
+    }
+    let times = data.rows.iter().filter_map(|r| r.t_s);
+    let end_s = times.reduce(f64::max).unwrap_or_default();
     // Rows made from the deepest pose of each trajectory, a minute apart.
     let with = |changes: &[&dyn Fn(&mut WhiskerRow)]| {
         let mut more = data.clone();
-        for (k, row) in trajectories.iter().filter_map(|t| deepest(*t)).enumerate() {
+        for (k, (id, row)) in deepest.iter().enumerate() {
             for (j, change) in changes.iter().enumerate() {
-                let mut row = row.clone();
+                let mut row = (*row).clone();
                 row.t_s = Some(end_s + 60.0 * (1 + k * changes.len() + j) as f64);
                 change(&mut row);
-                let line = data
-                    .trajectories
-                    .iter()
-                    .find(|t| Some(t.id) == row.trajectory);
-                row.groove_mm = line
-                    .zip(row.stage_mm)
-                    .map(|(l, x)| l.origin_mm + l.direction * x);
+                let line = data.trajectory(*id).zip(row.stage_mm);
+                row.groove_mm = line.map(|(l, x)| l.origin_mm + l.direction * x);
                 more.rows.push(row);
             }
         }

@@ -2,11 +2,8 @@
 
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
-use crate::effect::EffectTerm;
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Weights;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::prediction_sd;
+use crate::MeasurementModel;
+use crate::method::{Hypothesis, Weights, prediction_sd};
 use nalgebra::{DMatrix, Matrix2, Vector2};
 
 /// One reading under one model.
@@ -27,37 +24,19 @@ pub struct Predicted {
     pub contact_error_mm: Option<f64>,
 }
 
-/// Every reading under one model, and the sensitivity that turns shifts into moments.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Predictions {
-    /// Readings in the order of the path.
-    pub readings: Vec<Predicted>,
-    /// K, pm/(N mm): rows are channels.
-    pub sensitivity: Matrix2<f64>,
-}
+/// Every reading under one model, in the order of the path.
+pub type Predictions = Vec<Predicted>;
 
 /// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the
 /// noise of each in the engine's channels; none where the model has no solution.
-pub fn predict(
-    system: &WhiskerSystem,
-    h: &Hypothesis,
-    model: &PhysicalModel,
-    noise_sd: &[f64],
-) -> Option<Predictions> {
-    let noise_sd_pm: Vec<f64> = noise_sd
-        .iter()
-        .map(|sd| sd * system.noise_factor())
-        .collect();
+pub fn predict(system: &WhiskerSystem, h: &Hypothesis, noise_sd: &[f64]) -> Option<Predictions> {
+    let factor = system.noise_factor();
+    let noise_sd_pm: Vec<f64> = noise_sd.iter().map(|sd| sd * factor).collect();
     let shift_sd_pm = prediction_sd(system, h, noise_sd)?;
-    let terms: &[EffectTerm] = &h.fit.terms;
-    let design: DMatrix<f64> = system.design(terms)?;
-    let shifts = design * &h.fit.coefficients * system.channels_pm();
-    let (sensed, base) = system.moments(terms)?;
-    let memory: Vec<[f64; 2]> = base
-        .iter()
-        .zip(&sensed)
-        .map(|(b, f)| [b[0] - f[0], b[1] - f[1]])
-        .collect();
+    let terms = &h.fit.terms;
+    let shifts = system.design(terms)? * &h.fit.coefficients * system.channels_pm();
+    let (memory, base) = system.memory(terms)?;
+    let model = PhysicalModel::new(system, h, 0.0);
     let inferred = model.infer_under(&system.path, Some(&memory), &noise_sd_pm);
     let mut contact = vec![None; base.len()];
     if let Some(pictures) = system.pictures() {
@@ -65,22 +44,15 @@ pub fn predict(
             contact[i] = Some((shown.groove_mm - predicted.groove_mm).norm());
         }
     }
-    let readings = inferred
-        .iter()
-        .zip(&base)
-        .enumerate()
-        .map(|(i, (m, b))| Predicted {
-            moment_nmm: m.moment_nmm,
-            moment_sd_nmm: m.sd_nmm,
-            shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
-            shift_sd_pm: [shift_sd_pm[(i, 0)], shift_sd_pm[(i, 1)]],
-            pose_moment_nmm: *b,
-            contact_error_mm: contact[i],
-        });
-    Some(Predictions {
-        readings: readings.collect(),
-        sensitivity: model.sensitivity(),
-    })
+    let of = |i: usize| Predicted {
+        moment_nmm: inferred[i].moment_nmm,
+        moment_sd_nmm: inferred[i].sd_nmm,
+        shift_pm: [0, 1].map(|c| shifts[(i, c)]),
+        shift_sd_pm: [0, 1].map(|c| shift_sd_pm[(i, c)]),
+        pose_moment_nmm: base[i],
+        contact_error_mm: contact[i],
+    };
+    Some((0..base.len()).map(of).collect())
 }
 
 /// Linear map on outside labels, fitted on the weighted readings.
@@ -97,6 +69,7 @@ pub(crate) fn by_labels(
     });
     let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
     let residual = &y - &w * &b;
+    // Three coefficients a channel; the noise of the shifts goes through the inverse of K.
     let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);
     let k = Matrix2::from_fn(|c, j| b[(j + 1, c)]);
     let inverse = k.try_inverse()?;
@@ -108,14 +81,11 @@ pub(crate) fn by_labels(
         Predicted {
             moment_nmm: [m[0], m[1]],
             moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
-            shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+            shift_pm: [0, 1].map(|c| shifts[(i, c)]),
             shift_sd_pm: [variance.sqrt(); 2],
             pose_moment_nmm: moments[i],
             contact_error_mm: None,
         }
     };
-    Some(Predictions {
-        readings: (0..n).map(of).collect(),
-        sensitivity: k,
-    })
+    Some((0..n).map(of).collect())
 }

@@ -1,17 +1,24 @@
 //! The readings of a whisker session, and the pictures beside them, as the statistics see them.
 
 use super::covariates::covariates;
+use super::path::{ReadoutOrigin, WhiskerPath};
 use super::pictures::{PairObservation, Pictures};
 use super::stage_clock::CLOCK_SD_S;
-use super::system::{WhiskerSystem, dynamic};
+use super::system::{WhiskerSystem, dynamic, effective_poses};
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
-use crate::measurement_model::{MeasurementModel, design_of};
-use crate::method::noise::{NoiseInputs, Weights};
-use crate::whisker::path::{ReadoutOrigin, WhiskerPath};
+use crate::measurement_model::{MeasurementModel, design_of, finite};
+use crate::method::{NoiseInputs, Weights};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
-use wcal_rod::interpolated_point;
+use wcal_rod::{Equilibrium, interpolated_point};
+
+/// A node with the equilibrium there, and the pair that was taken: its reading, arc lengths of its
+/// stations and what it shows.
+type Expected<'a> = (
+    (usize, Option<Equilibrium>),
+    (usize, &'a [f64], &'a PairObservation),
+);
 
 impl WhiskerPath {
     /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments,
@@ -43,42 +50,33 @@ impl WhiskerSystem {
             return Some(Vec::new());
         };
         let active = self.active(terms);
-        let (xs, rod_parameters) = self.effective_poses(&active, Observers::Gratings);
+        let (xs, rod_parameters) =
+            effective_poses(&self.path, &active, Observers::Gratings, self.stage_clock_s);
         let nodes = pictures.nodes();
         let held = self
             .rod_tables
             .contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
         let rod = self.rod_tables.rod(&rod_parameters)?;
-        let mut seen = Vec::with_capacity(nodes.len());
-        for ((node, e), (_, stations_mm, shown)) in nodes.iter().zip(held).zip(pictures.each()) {
-            let l = self.path.nodes[*node].line?;
-            let groove_mm = self.rod_tables.line(l, &rod_parameters).point(xs[*node]);
-            seen.push(match e {
-                Some(e) => PairObservation {
-                    groove_mm,
-                    arclength_mm: e.arclength_mm,
-                    tangent: e.tangent,
-                    stations_mm: {
-                        let nodes = rod.loaded_shape(&e);
-                        stations_mm
-                            .iter()
-                            .map(|s| interpolated_point(&nodes, *s))
-                            .collect()
-                    },
-                    ..shown.clone()
-                },
+        let pair = |((node, e), (_, stations_mm, shown)): Expected<'_>| {
+            let l = self.path.nodes[node].line?;
+            let groove_mm = self.rod_tables.line(l, &rod_parameters).point(xs[node]);
+            let loaded = e.map(|e| rod.loaded_shape(&e));
+            let station = |s: &f64| match &loaded {
+                Some(nodes) => interpolated_point(nodes, *s),
                 // Before first touch the wire is where it rests.
-                None => PairObservation {
-                    groove_mm,
-                    arclength_mm: self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm,
-                    stations_mm: stations_mm
-                        .iter()
-                        .map(|s| rod.shape.rest_point(*s))
-                        .collect(),
-                    ..shown.clone()
-                },
-            });
-        }
+                None => rod.shape.rest_point(*s),
+            };
+            let untouched = || self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm;
+            Some(PairObservation {
+                groove_mm,
+                arclength_mm: e.map_or_else(untouched, |e| e.arclength_mm),
+                tangent: e.map_or(shown.tangent, |e| e.tangent),
+                stations_mm: stations_mm.iter().map(station).collect(),
+                ..shown.clone()
+            })
+        };
+        let all = nodes.into_iter().zip(held).zip(pictures.each());
+        let mut seen: Vec<PairObservation> = all.map(pair).collect::<Option<_>>()?;
         for a in &active {
             (a.effect.pictures)(&a.values(), &mut seen);
         }
@@ -103,9 +101,11 @@ impl WhiskerSystem {
         self
     }
 
-    /// What a stated standard deviation of the pictures weighs, in the engine's channels.
-    pub(crate) fn picture_scale(&self) -> f64 {
-        self.picture_scale
+    /// Share of the own errors that the pictures state which counts.
+    pub(super) fn own_share(&self) -> f64 {
+        self.pictures
+            .as_ref()
+            .map_or(1.0, |p| p.independent_variance_share)
     }
 }
 
@@ -134,13 +134,14 @@ impl MeasurementModel for WhiskerSystem {
         };
         let seen = self.predict_pictures(terms)?;
         let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
-        w.iter().all(|v| v.is_finite()).then_some(w)
+        finite(w.as_slice())?;
+        Some(w)
     }
 
     fn auxiliary_readings(&self) -> Arc<Vec<usize>> {
         self.pictures
             .as_ref()
-            .map_or_else(Arc::default, |p| p.readings())
+            .map_or_else(Arc::default, |p| p.readings.clone())
     }
 
     fn auxiliary_variance(&self) -> f64 {

@@ -42,61 +42,51 @@ impl Default for RodParameters {
 }
 
 impl RodParameters {
-    /// Rough distance of two wires, 1 where a step from one to the other is worth trying.
-    pub(crate) fn distance(&self, other: &Self) -> f64 {
-        let softening = |m: &Self| match m.softening {
-            None => (0.0, 1.0, 0.0_f64),
+    /// What makes another wire or root, each with the size of a change from which a continuation
+    /// from the other wire begins to fail; law and onset of the softening last.
+    fn numbers(&self) -> [(f64, f64); 12] {
+        let [x, y, z] = self.offset_mm.map(|mm| (mm, 0.5));
+        let [about_y, about_z] = self.compliance_rad_per_nmm.map(|c| (c, 5e-3));
+        let (share, onset_per_m, law) = match self.softening {
+            None => (0.0, 1.0, 0.0),
             Some(Softening::Bilinear { onset_per_m, ratio }) => (1.0 - ratio, onset_per_m, 1.0),
             Some(Softening::Section {
                 onset_per_m,
                 hardening,
             }) => (1.0 - hardening, onset_per_m, 2.0),
         };
-        let ((a, a_onset, a_law), (b, b_onset, b_law)) = (softening(self), softening(other));
-        // Each change in the size from which a continuation from the other wire begins to fail.
-        let mut sum: f64 = ((a - b) / 0.2).powi(2) + ((self.taper - other.taper) / 0.2).powi(2);
-        if a > 0.0 && b > 0.0 {
-            sum += ((a_onset - b_onset) / 10.0).powi(2) + (a_law - b_law).powi(2);
-        }
-        for k in 0..3 {
-            sum += ((self.offset_mm[k] - other.offset_mm[k]) / 0.5).powi(2);
-        }
-        sum += (self.straight_change_mm - other.straight_change_mm).powi(2);
-        sum += (self.arc_radius_change_mm - other.arc_radius_change_mm).powi(2);
-        for k in 0..2 {
-            sum +=
-                ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
-        }
-        sum.sqrt()
-            + if self.weight == other.weight {
-                0.0
-            } else {
-                f64::INFINITY
-            }
+        [
+            x,
+            y,
+            z,
+            about_y,
+            about_z,
+            (share, 0.2),
+            (self.taper, 0.2),
+            (self.straight_change_mm, 1.0),
+            (self.arc_radius_change_mm, 1.0),
+            // From a wire of another weight no continuation is tried.
+            (self.weight, f64::MIN_POSITIVE),
+            (onset_per_m, 10.0),
+            (law, 1.0),
+        ]
     }
 
-    pub(crate) fn key(&self) -> Vec<u64> {
-        let mut key: Vec<u64> = self.offset_mm.iter().map(|v| v.to_bits()).collect();
-        key.extend(self.compliance_rad_per_nmm.iter().map(|v| v.to_bits()));
-        match self.softening {
-            None => key.push(0),
-            Some(Softening::Bilinear { onset_per_m, ratio }) => {
-                key.extend([1, onset_per_m.to_bits(), ratio.to_bits()]);
-            }
-            Some(Softening::Section {
-                onset_per_m,
-                hardening,
-            }) => {
-                key.extend([2, onset_per_m.to_bits(), hardening.to_bits()]);
-            }
-        }
-        let further = [
-            self.taper,
-            self.weight,
-            self.straight_change_mm,
-            self.arc_radius_change_mm,
-        ];
-        key.extend(further.map(f64::to_bits));
-        key
+    /// Rough distance of two wires, 1 where a step from one to the other is worth trying.
+    pub(super) fn distance(&self, other: &Self) -> f64 {
+        // Without softening it has no law.
+        let counted = if self.softening.is_some() && other.softening.is_some() {
+            12
+        } else {
+            10
+        };
+        let both = self.numbers().into_iter().zip(other.numbers());
+        let square = |((a, size), (b, _)): ((f64, f64), (f64, f64))| ((a - b) / size).powi(2);
+        both.take(counted).map(square).sum::<f64>().sqrt()
+    }
+
+    /// Numbers of which equal ones are equal wires; friction acts on their tables.
+    pub(super) fn key(&self) -> Vec<u64> {
+        self.numbers().map(|(value, _)| value.to_bits()).to_vec()
     }
 }

@@ -1,16 +1,15 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip
 //! branches.
 
-use crate::whisker::branch_cache::BranchCache;
-use crate::whisker::kept::Kept;
-use crate::whisker::path::{Node, positions};
-use crate::whisker::rod_parameters::RodParameters;
-use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipRow, SlipTable};
+use super::branch_cache::BranchCache;
+use super::kept::Kept;
+use super::path::{Node, WhiskerPath, positions};
+use super::rod_parameters::RodParameters;
+use super::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipRow, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
-use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
+use std::sync::Arc;
+use wcal_core::observation::{MomentAxes, RestShape, WhiskerData, WhiskerSpec};
 use wcal_rod::{Equilibrium, Guess, Line, Outcome, Rod, Tangential, Touch};
 
 type Key = Vec<u64>;
@@ -19,15 +18,15 @@ type Key = Vec<u64>;
 pub struct RodTables {
     spec: WhiskerSpec,
     fluid_kg_m3: f64,
-    pub(crate) lines: Vec<Line>,
+    pub(super) lines: Vec<Line>,
     start_mm: Vec<f64>,
     reach_mm: Vec<f64>,
-    pub(crate) axes: MomentAxes,
+    pub(super) axes: MomentAxes,
     /// So few readings that each is solved for by itself.
     sparse: bool,
-    pub(crate) points: Kept<Key, Vec<Option<Equilibrium>>>,
-    touches: Mutex<HashMap<(usize, [u64; 5]), Touch>>,
-    pub(crate) branches: BranchCache,
+    pub(super) points: Kept<Key, Vec<Option<Equilibrium>>>,
+    touches: Kept<(usize, [u64; 5]), Touch>,
+    pub(super) branches: BranchCache,
     tables: Kept<Key, Vec<LineTable>>,
     slips: Kept<Key, Vec<Option<SlipTable>>>,
 }
@@ -35,6 +34,8 @@ pub struct RodTables {
 /// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod,
 /// tests/acceptance/order.rs).
 const MESH_MM: f64 = 4.0;
+/// Density of air, kg/m^3.
+pub(super) const AIR_KG_M3: f64 = 1.2;
 /// Grid of the tables, mm: interpolation is right to 1e-4 of the moment there (tests).
 const GRID_MM: f64 = 0.8;
 /// Room past the last reading for effects that shift the stage, mm.
@@ -44,7 +45,7 @@ const MARGIN_MM: f64 = 0.6;
 /// twenty.
 const SPARSE_POSITIONS: usize = 6;
 
-fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
+fn is_sparse(path: &WhiskerPath) -> bool {
     let xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
     let wanted = positions(&path.nodes, &xs, path.lines.len());
     let used = wanted.iter().filter(|w| !w.is_empty()).count();
@@ -67,7 +68,7 @@ fn wire_of(spec: &WhiskerSpec, rod_parameters: &RodParameters) -> WhiskerSpec {
 }
 
 /// A wire with the given deviations in a medium.
-pub(crate) fn rod_of(
+pub(super) fn rod_of(
     spec: &WhiskerSpec,
     fluid_kg_m3: f64,
     rod_parameters: &RodParameters,
@@ -93,22 +94,21 @@ impl RodTables {
     ///
     /// # Errors
     /// Where the rest shape cannot be used.
-    pub fn new(
-        spec: &WhiskerSpec,
-        fluid_kg_m3: f64,
-        path: &crate::whisker::path::WhiskerPath,
-    ) -> Result<Self, wcal_rod::RodError> {
-        Rod::new(spec, MESH_MM)?;
+    pub fn new(data: &WhiskerData, path: &WhiskerPath) -> Result<Self, wcal_rod::RodError> {
+        Rod::new(&data.whisker, MESH_MM)?;
         Ok(Self {
-            spec: spec.clone(),
-            fluid_kg_m3,
+            spec: data.whisker.clone(),
+            fluid_kg_m3: match data.medium.as_str() {
+                "water" => 998.2,
+                _ => AIR_KG_M3,
+            },
             lines: path.lines.clone(),
             start_mm: path.start_mm.clone(),
             reach_mm: path.reach_mm.clone(),
-            axes: path.moments.clone(),
+            axes: data.moments.clone(),
             sparse: is_sparse(path),
             points: Kept::at_most(256),
-            touches: Mutex::new(HashMap::new()),
+            touches: Kept::at_most(4096),
             branches: BranchCache::new(path.lines.len()),
             tables: Kept::at_most(65),
             slips: Kept::at_most(9),
@@ -116,11 +116,11 @@ impl RodTables {
     }
 
     /// The rod with the given deviations.
-    pub(crate) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
+    pub(super) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
         rod_of(&self.spec, self.fluid_kg_m3, rod_parameters)
     }
 
-    pub(crate) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {
+    pub(super) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {
         Line {
             origin_mm: self.lines[l].origin_mm + Vector3::from(rod_parameters.offset_mm),
             direction: self.lines[l].direction,
@@ -128,7 +128,7 @@ impl RodTables {
     }
 
     /// Where line `l` ends: its last reading and some room, mm.
-    pub(crate) fn end_mm(&self, l: usize) -> f64 {
+    pub(super) fn end_mm(&self, l: usize) -> f64 {
         self.reach_mm[l] + MARGIN_MM
     }
 
@@ -137,11 +137,8 @@ impl RodTables {
         self.tables.get(rod_parameters.key(), || {
             let rod = self.rod(rod_parameters)?;
             let lines = (0..self.lines.len()).into_par_iter();
-            Some(
-                lines
-                    .map(|l| self.tabulate(&rod, l, rod_parameters))
-                    .collect(),
-            )
+            let table = |l| self.tabulate(&rod, l, rod_parameters);
+            Some(lines.map(table).collect())
         })
     }
 
@@ -156,6 +153,7 @@ impl RodTables {
             };
         }
         let touch = self.touch(rod, l, rod_parameters);
+        // As fine as the grid asks for: few nodes interpolate badly, many cost rod solutions.
         let count = ((self.reach_mm[l] - touch.x_mm) / GRID_MM)
             .ceil()
             .clamp(14.0, 40.0) as usize;
@@ -165,56 +163,29 @@ impl RodTables {
             .collect();
         let equilibria = self
             .warm_start(rod, l, rod_parameters, touch.x_mm, &xs)
-            .unwrap_or_else(|| self.followed(rod, l, rod_parameters, &xs));
-        let mut table = LineTable {
+            .unwrap_or_else(|| self.followed(rod, l, rod_parameters, touch.x_mm, &xs));
+        // The weight of the free wire bends it before any contact: that is part of the zero.
+        let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
+        let node = |e: &Equilibrium| {
+            let m = self.axes.components_nmm(&e.moment_nmm);
+            ([m[0] - at_rest[0], m[1] - at_rest[1]], e.arclength_mm)
+        };
+        let (mut moments_nmm, mut arclength_mm): (Vec<_>, Vec<_>) =
+            equilibria.iter().map(node).unzip();
+        let nodes = equilibria.len().max(4);
+        moments_nmm.resize(nodes, [0.0; 2]);
+        arclength_mm.resize(nodes, touch.arclength_mm);
+        LineTable {
             touch_mm: touch.x_mm,
             step_mm,
-            moments_nmm: Vec::with_capacity(count + 1),
-            arclength_mm: Vec::with_capacity(count + 1),
-            end_mm: if equilibria.len() > count {
-                xs[count]
-            } else {
-                xs[equilibria.len().saturating_sub(1)]
-            },
-        };
-        let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
-        for e in &equilibria {
-            let m = self.axes.components_nmm(&e.moment_nmm);
-            table
-                .moments_nmm
-                .push([m[0] - at_rest[0], m[1] - at_rest[1]]);
-            table.arclength_mm.push(e.arclength_mm);
+            moments_nmm,
+            arclength_mm,
+            end_mm: xs[equilibria.len().saturating_sub(1)],
         }
-        while table.moments_nmm.len() < 4 {
-            table.moments_nmm.push([0.0; 2]);
-            table.arclength_mm.push(touch.arclength_mm);
-        }
-        table
-    }
-
-    /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where
-    /// it goes all the way.
-    fn followed(
-        &self,
-        rod: &Rod,
-        l: usize,
-        rod_parameters: &RodParameters,
-        xs: &[f64],
-    ) -> Vec<Equilibrium> {
-        let outcomes = rod.follow(&self.line(l, rod_parameters), xs);
-        let found: Vec<(f64, Equilibrium)> = xs
-            .iter()
-            .zip(&outcomes)
-            .map_while(|(x, o)| Some((*x, *o.equilibrium()?)))
-            .collect();
-        if found.len() == xs.len() {
-            self.store_branch(rod, l, rod_parameters, xs[0], &found);
-        }
-        found.into_iter().map(|f| f.1).collect()
     }
 
     /// First touch; it depends on the groove's offset and the wire at rest alone.
-    pub(crate) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
+    pub(super) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
         let find = || {
             rod.first_touch(
                 &self.line(l, rod_parameters),
@@ -222,31 +193,23 @@ impl RodTables {
                 self.reach_mm[l],
             )
         };
-        let Ok(mut kept) = self.touches.lock() else {
-            return find();
-        };
-        if kept.len() > 4096 {
-            kept.clear();
-        }
-        let [x, y, z] = rod_parameters.offset_mm;
-        let [straight, radius] = [
-            rod_parameters.straight_change_mm,
-            rod_parameters.arc_radius_change_mm,
-        ];
-        *kept
-            .entry((l, [x, y, z, straight, radius].map(f64::to_bits)))
-            .or_insert_with(find)
+        let RodParameters {
+            offset_mm: [x, y, z],
+            straight_change_mm,
+            arc_radius_change_mm,
+            ..
+        } = *rod_parameters;
+        let key = [x, y, z, straight_change_mm, arc_radius_change_mm].map(f64::to_bits);
+        let kept = self.touches.get((l, key), || Some(find()));
+        kept.map_or_else(find, |touch| *touch)
     }
 
     fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {
         self.slips.get(rod_parameters.key(), || {
             let (rod, tables) = (self.rod(rod_parameters)?, self.tables(rod_parameters)?);
             let lines = tables.par_iter().enumerate();
-            Some(
-                lines
-                    .map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t))
-                    .collect(),
-            )
+            let slip = |(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t);
+            Some(lines.map(slip).collect())
         })
     }
 
@@ -262,6 +225,7 @@ impl RodTables {
             return None;
         }
         let line = self.line(l, rod_parameters);
+        // The table of friction carries a small difference only: a coarser grid is enough.
         let count = table.moments_nmm.len().clamp(8, 24);
         let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
         let ratios: Vec<f64> = (0..=2 * RATIO_STEPS)
@@ -349,7 +313,7 @@ impl RodTables {
             return self.solved_moments(nodes, xs_mm, rod_parameters);
         }
         let tables = self.tables(rod_parameters)?;
-        let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
+        let at = |(node, x): (&Node, &f64)| match node.loaded_line() {
             Some(l) => tables[l].moment(*x),
             None => Some([0.0; 2]),
         };
@@ -387,7 +351,7 @@ impl RodTables {
     }
 
     /// Equilibria at the nodes `wanted`, friction included; none where the wire is free there.
-    pub(crate) fn contacts(
+    pub(super) fn contacts(
         &self,
         nodes: &[Node],
         xs_mm: &[f64],
@@ -449,46 +413,40 @@ fn stick_slip(
     xs_mm: &[f64],
     rod_parameters: &RodParameters,
 ) -> Option<Vec<Option<FrictionContact>>> {
-    let mut contact: Option<(usize, f64, f64)> = None;
-    let mut out = Vec::with_capacity(nodes.len());
-    for (node, &x) in nodes.iter().zip(xs_mm) {
-        let Some(l) = node.line.filter(|_| !node.rest) else {
-            contact = None;
-            out.push(None);
-            continue;
+    // Line, arc length and stage position of the contact before.
+    let mut before: Option<(usize, f64, f64)> = None;
+    let of = |(node, &x): (&Node, &f64)| {
+        let last = before.take();
+        let Some(l) = node.loaded_line() else {
+            return Some(None);
         };
         let slip = slips[l].as_ref()?;
         if x <= slip.touch_mm {
-            contact = None;
-            out.push(None);
-            continue;
+            return Some(None);
         }
-        let (mut s, from) = match contact {
+        let (mut s, from) = match last {
             Some((line, s, from)) if line == l => (s, from),
             _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
         };
-        let friction = rod_parameters.friction
-            * if node.moving {
-                rod_parameters.moving_share
-            } else {
-                1.0
-            };
+        let moving_share = if node.moving {
+            rod_parameters.moving_share
+        } else {
+            1.0
+        };
+        let friction = rod_parameters.friction * moving_share;
         // Small steps: the play is taken up along the way, not at its end.
         let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
         for k in 1..=pieces {
-            slip.advance(
-                from + (x - from) * k as f64 / pieces as f64,
-                friction,
-                &mut s,
-            );
+            let at = from + (x - from) * k as f64 / pieces as f64;
+            slip.advance(at, friction, &mut s);
         }
-        contact = Some((l, s, x));
-        out.push(Some(FrictionContact {
+        before = Some((l, s, x));
+        Some(Some(FrictionContact {
             arclength_mm: s,
             ratio: slip.ratio_at(x, s, friction),
-        }));
-    }
-    Some(out)
+        }))
+    };
+    nodes.iter().zip(xs_mm).map(of).collect()
 }
 
 /// Substep of the groove for the stick-slip play, mm.

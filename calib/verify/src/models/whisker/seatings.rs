@@ -1,12 +1,10 @@
 //! Several seatings of one sensor: what differs between them beyond the zero.
 
 use super::system::WhiskerSystem;
+use crate::MeasurementModel;
 use crate::levels::REMARK;
-use crate::measurement_model::MeasurementModel;
-use crate::method::distributions::sd_interval95;
-use crate::method::fit::{Fit, linear};
-use crate::method::min_p::f_test;
-use nalgebra::DMatrix;
+use crate::method::{Fit, f_test, linear, sd_interval95};
+use nalgebra::{DMatrix, DVector};
 use wcal_core::verify_document::NoisePart;
 
 /// Variation between seatings.
@@ -28,7 +26,7 @@ pub struct SeatingVariation {
 /// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be
 /// fitted.
 pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVariation> {
-    let count = system.seatings();
+    let count = system.seatings;
     let later = count as usize - 1;
     if later == 0 || fit.design.ncols() < 3 + later {
         return None;
@@ -37,24 +35,20 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
     let fitted_pm = &fit.coefficients * &pm;
     // Columns: constant, two moments, then the zeros of the later seatings (System::design).
     let zero_sd_pm = [0, 1].map(|c| {
-        let zeros: Vec<f64> = (0..=later)
-            .map(|k| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] })
-            .collect();
-        let mean = zeros.iter().sum::<f64>() / zeros.len() as f64;
-        (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / later as f64).sqrt()
+        let zero = |k: usize, _| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] };
+        let zeros = DVector::from_fn(later + 1, zero);
+        zeros.add_scalar(-zeros.mean()).norm() / (later as f64).sqrt()
     });
     let (n, q) = (fit.design.nrows(), fit.design.ncols());
+    // Each later seating gets changes of both columns of K; F tests whether they lower the misfit.
     let own = 2 * later;
     let extended = DMatrix::from_fn(n, q + own, |i, j| {
         if j < q {
             fit.design[(i, j)]
         } else {
             let (k, m) = (1 + (j - q) / 2, 1 + (j - q) % 2);
-            if system.path.readings[i].seating as usize == k {
-                fit.design[(i, m)]
-            } else {
-                0.0
-            }
+            let own = system.path.readings[i].seating as usize == k;
+            f64::from(u8::from(own)) * fit.design[(i, m)]
         }
     });
     let fitted = &fit.design * &fit.coefficients;

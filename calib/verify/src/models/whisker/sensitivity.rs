@@ -11,16 +11,15 @@
 
 use super::system::WhiskerSystem;
 use super::twin_check::label_nmm;
-use crate::error::VerifyError;
+use crate::VerifyError;
 use crate::levels::NEGLIGIBLE;
-use crate::method::distributions::chi_squared_tail;
-use crate::method::linear::Basis;
+use crate::method::{Basis, chi_squared_tail};
 use nalgebra::{DMatrix, DVector};
-use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+use wcal_core::observation::{Role, WhiskerData};
 use wcal_core::order_statistics::{mad_sd, median};
 
-/// Fewest loaded readings from which a response can be determined.
-const MIN_LOADED: usize = 9;
+/// Fewest loaded readings that carry K, the zero and a residual.
+pub(super) const MIN_LOADED: usize = 9;
 /// A value farther than this many robust deviations from the median is clipped: a gross reading is
 /// no reason to miss a response.
 const CLIP: f64 = 8.0;
@@ -37,8 +36,7 @@ pub fn lost_sensitivity(data: &WhiskerData) -> Result<Option<String>, VerifyErro
     if loaded < MIN_LOADED {
         return Ok(None);
     }
-    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    Ok(of_system(&WhiskerSystem::new(data, &rows)?))
+    Ok(of_system(&WhiskerSystem::new(data, &[])?))
 }
 
 /// The same of a session whose model is there.
@@ -61,26 +59,20 @@ fn labels(system: &WhiskerSystem) -> Option<Vec<[f64; 2]>> {
         .collect()
 }
 
-/// Shift of a grating as it was read, pm.
-fn raw(system: &WhiskerSystem, reading: usize, grating: usize) -> f64 {
-    system.row(reading).shift_pm[grating]
+/// The gratings that are such.
+fn names(such: impl Fn(usize) -> bool) -> Vec<String> {
+    let such = (0..2).filter(|&g| such(g));
+    such.map(|g| format!("fbg_{}", g + 1)).collect()
 }
 
 /// Gratings that read the same at every load.
 fn constant(system: &WhiskerSystem) -> Option<String> {
-    let loaded: Vec<usize> = (0..system.path.readings.len())
-        .filter(|&i| !system.path.readings[i].rest)
-        .collect();
+    let readings = &system.path.readings;
+    let loaded = (0..readings.len()).filter(|&i| !readings[i].rest);
+    // Shifts as they were read, pm.
+    let loaded: Vec<[f64; 2]> = loaded.map(|i| system.row(i).shift_pm).collect();
     let first = *loaded.first()?;
-    let still = |g: usize| {
-        loaded
-            .iter()
-            .all(|&i| raw(system, i, g) == raw(system, first, g))
-    };
-    let named: Vec<String> = (0..2)
-        .filter(|&g| still(g))
-        .map(|g| format!("fbg_{}", g + 1))
-        .collect();
+    let named = names(|g| loaded.iter().all(|shift_pm| shift_pm[g] == first[g]));
     if named.is_empty() || loaded.len() < MIN_LOADED {
         return None;
     }
@@ -103,42 +95,32 @@ fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String
             (i as f64 / n as f64).powi(power)
         }));
     }
-    for column in system.path.seating_columns(system.seatings()) {
+    for column in system.path.seating_columns(system.seatings) {
         course.push(&DVector::from_vec(column));
     }
     if system.path.columns.temperature {
-        course.push(&DVector::from_iterator(
-            n,
-            system.path.readings.iter().map(|r| r.rise_degc),
-        ));
+        let degc = system.path.readings.iter().map(|r| r.rise_degc);
+        course.push(&DVector::from_iterator(n, degc));
     }
     let off = |values: Vec<f64>| course.project_off(&DVector::from_vec(values));
-    let y: Vec<DVector<f64>> = (0..2)
-        .map(|g| {
-            off(clip(
-                system.path.readings.iter().map(|r| r.shift_pm[g]).collect(),
-            ))
-        })
-        .collect();
-    let load: Vec<DVector<f64>> = (0..2)
-        .map(|k| off(moments.iter().map(|m| m[k]).collect()))
-        .collect();
+    let readings = &system.path.readings;
+    let y = [0, 1].map(|g| off(clip(readings.iter().map(|r| r.shift_pm[g]).collect())));
+    let load = [0, 1].map(|k| off(moments.iter().map(|m| m[k]).collect()));
     let load = directions(&load);
     if load.is_empty() {
         return None;
     }
+    // What is projected off costs its degrees of freedom.
     let dof = n as f64 - course.rank() as f64;
-    let dead: Vec<String> = (0..2)
-        .filter(|&g| response_p(&y[g..=g], &load, 0, dof).is_some_and(|p| p > NEGLIGIBLE))
-        .map(|g| format!("fbg_{}", g + 1))
-        .collect();
+    let none = |p: Option<f64>| p.is_some_and(|p| p > NEGLIGIBLE);
+    let dead = names(|g| none(response_p(&y[g..=g], &load, 0, dof)));
     if !dead.is_empty() {
         let names = dead.join(" and ");
         return Some(format!(
             "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
         ));
     }
-    (load.len() == 2 && response_p(&y, &load, 1, dof).is_some_and(|p| p > NEGLIGIBLE)).then(|| {
+    (load.len() == 2 && none(response_p(&y, &load, 1, dof))).then(|| {
         "The gratings have rank 1: both follow the same direction of the load, so they cannot determine two moments.".to_owned()
     })
 }
@@ -180,14 +162,11 @@ fn directions(columns: &[DVector<f64>]) -> Vec<DVector<f64>> {
 }
 
 fn clip(values: Vec<f64>) -> Vec<f64> {
-    let centre = median(values.iter().copied()).unwrap_or(0.0);
-    let reach = CLIP * mad_sd(values.iter().copied(), centre).unwrap_or(0.0);
-    if reach > 0.0 {
-        values
-            .into_iter()
-            .map(|v| v.clamp(centre - reach, centre + reach))
-            .collect()
-    } else {
-        values
+    let centre = median(values.iter().copied()).unwrap_or_default();
+    let reach = CLIP * mad_sd(values.iter().copied(), centre).unwrap_or_default();
+    if !(reach > 0.0) {
+        return values;
     }
+    let clipped = |v: f64| v.clamp(centre - reach, centre + reach);
+    values.into_iter().map(clipped).collect()
 }

@@ -1,10 +1,9 @@
 //! Few readings on a line: the rod is solved at each of them instead of on a table's grid.
 
-use crate::whisker::branch_cache::Branch;
-use crate::whisker::path::Node;
-use crate::whisker::path::positions;
-use crate::whisker::rod_parameters::RodParameters;
-use crate::whisker::rod_tables::RodTables;
+use super::branch_cache::Branch;
+use super::path::{Node, positions};
+use super::rod_parameters::RodParameters;
+use super::rod_tables::RodTables;
 use rayon::prelude::*;
 use std::sync::Arc;
 use wcal_rod::{Equilibrium, Rod};
@@ -15,7 +14,7 @@ const MAX_GAP_MM: f64 = 2.0;
 impl RodTables {
     /// Frictionless equilibria at the nodes, each solved for, none at a node where the wire is
     /// free; none where the branch ends before one of them.
-    pub(crate) fn solved_contacts(
+    pub(super) fn solved_contacts(
         &self,
         nodes: &[Node],
         xs_mm: &[f64],
@@ -23,10 +22,7 @@ impl RodTables {
     ) -> Option<Arc<Vec<Option<Equilibrium>>>> {
         let mut key = rod_parameters.key();
         for (node, x) in nodes.iter().zip(xs_mm) {
-            let line = node
-                .line
-                .filter(|_| !node.rest)
-                .map_or(u64::MAX, |l| l as u64);
+            let line = node.loaded_line().map_or(u64::MAX, |l| l as u64);
             key.extend([x.to_bits(), line]);
         }
         self.points.get(key, || {
@@ -36,7 +32,7 @@ impl RodTables {
             let solved: Vec<Vec<Option<Equilibrium>>> = lines
                 .map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs))
                 .collect::<Option<_>>()?;
-            let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
+            let at = |(node, x): (&Node, &f64)| match node.loaded_line() {
                 Some(l) => Some(solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?]),
                 None => Some(None),
             };
@@ -46,7 +42,7 @@ impl RodTables {
 
     /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before
     /// one of them.
-    pub(crate) fn solved_moments(
+    pub(super) fn solved_moments(
         &self,
         nodes: &[Node],
         xs_mm: &[f64],
@@ -71,14 +67,12 @@ impl RodTables {
         }
         let touch_mm = self.touch(rod, l, rod_parameters).x_mm;
         let free = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
-        let mut out = vec![None; free];
         let held = &xs[free..];
-        let equilibria = match self.warm_start(rod, l, rod_parameters, touch_mm, held) {
-            Some(near) => near,
-            None => self.walk(rod, l, rod_parameters, touch_mm, held)?,
-        };
-        out.extend(equilibria.into_iter().map(Some));
-        Some(out)
+        let equilibria = self
+            .warm_start(rod, l, rod_parameters, touch_mm, held)
+            .or_else(|| self.walk(rod, l, rod_parameters, touch_mm, held))?;
+        let held = equilibria.into_iter().map(Some);
+        Some(std::iter::repeat_n(None, free).chain(held).collect())
     }
 
     /// Equilibria at `xs` by following the branch from first touch; kept for neighbours.
@@ -94,35 +88,52 @@ impl RodTables {
         let mut from = touch_mm;
         for &x in xs {
             let pieces = ((x - from) / MAX_GAP_MM).ceil().max(1.0) as usize;
-            stops.extend((1..=pieces).map(|k| {
-                if k == pieces {
-                    x
-                } else {
-                    from + (x - from) * k as f64 / pieces as f64
-                }
-            }));
+            let between = |k: usize| from + (x - from) * k as f64 / pieces as f64;
+            stops.extend((1..pieces).map(between));
+            stops.push(x);
             from = x;
         }
-        let outcomes = rod.follow(&self.line(l, rod_parameters), &stops);
-        let followed: Vec<(f64, Equilibrium)> = stops
-            .iter()
-            .zip(&outcomes)
-            .map(|(x, o)| Some((*x, *o.equilibrium()?)))
-            .collect::<Option<_>>()?;
-        self.store_branch(rod, l, rod_parameters, touch_mm, &followed);
-        let wanted = |x: &f64| xs.binary_search_by(|w| w.total_cmp(x)).is_ok();
-        Some(
+        let followed = self.followed(rod, l, rod_parameters, touch_mm, &stops);
+        let wanted = |(e, x): (Equilibrium, &f64)| xs.contains(x).then_some(e);
+        (followed.len() == stops.len()).then(|| {
             followed
                 .into_iter()
-                .filter(|f| wanted(&f.0))
-                .map(|f| f.1)
-                .collect(),
-        )
+                .zip(&stops)
+                .filter_map(wanted)
+                .collect()
+        })
+    }
+
+    /// Equilibria at `xs_mm` from first touch on, as far as the branch goes; kept for neighbours
+    /// where it goes all the way.
+    pub(super) fn followed(
+        &self,
+        rod: &Rod,
+        l: usize,
+        rod_parameters: &RodParameters,
+        touch_mm: f64,
+        xs_mm: &[f64],
+    ) -> Vec<Equilibrium> {
+        let outcomes = rod.follow(&self.line(l, rod_parameters), xs_mm);
+        let found = outcomes.iter().map_while(|o| o.equilibrium().copied());
+        let found: Vec<Equilibrium> = found.collect();
+        let way_mm = self.end_mm(l) - touch_mm;
+        let node = |(x, e): (&f64, &Equilibrium)| Some(((x - touch_mm) / way_mm, rod.anchor(e)?));
+        let nodes: Option<Vec<_>> = xs_mm.iter().zip(&found).map(node).collect();
+        if let Some(nodes) = nodes.filter(|n| !n.is_empty() && n.len() == xs_mm.len()) {
+            let rod_parameters = *rod_parameters;
+            let branch = Branch {
+                rod_parameters,
+                nodes,
+            };
+            self.branches.keep(l, branch);
+        }
+        found
     }
 
     /// Equilibria at `xs_mm` in small steps from the nearest wire whose branch is known; none where
     /// that is not near enough.
-    pub(crate) fn warm_start(
+    pub(super) fn warm_start(
         &self,
         rod: &Rod,
         l: usize,
@@ -138,36 +149,12 @@ impl RodTables {
             .map(|x| rod.solve_near(&line.point(*x), branch.node((x - touch_mm) / way_mm)?))
             .collect()
     }
-
-    /// Keeps the equilibria of a wire that was followed from first touch.
-    pub(crate) fn store_branch(
-        &self,
-        rod: &Rod,
-        l: usize,
-        rod_parameters: &RodParameters,
-        touch_mm: f64,
-        followed: &[(f64, Equilibrium)],
-    ) {
-        let way_mm = self.end_mm(l) - touch_mm;
-        let node = |(x, e): &(f64, Equilibrium)| Some(((x - touch_mm) / way_mm, rod.anchor(e)?));
-        let nodes: Option<Vec<_>> = followed.iter().map(node).collect();
-        if let Some(nodes) = nodes.filter(|n| !n.is_empty()) {
-            self.branches.keep(
-                l,
-                Branch {
-                    rod_parameters: *rod_parameters,
-                    nodes,
-                },
-            );
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::whisker::WhiskerSystem;
-    use wcal_core::observation::WhiskerRow;
 
     #[test]
     fn neighbours_and_walks_from_first_touch_agree() {
@@ -177,8 +164,7 @@ mod tests {
         let wcal_core::SessionData::Whisker(data) = session.data else {
             panic!("kind")
         };
-        let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-        let system = WhiskerSystem::new(&data, &rows).unwrap();
+        let system = WhiskerSystem::new(&data, &[]).unwrap();
         let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
         for rod_parameters in [
             RodParameters::default(),
@@ -198,7 +184,7 @@ mod tests {
                 .unwrap();
             let rod = system.rod_tables.rod(&rod_parameters).unwrap();
             for (i, (node, point)) in system.path.nodes.iter().zip(by_points.iter()).enumerate() {
-                let Some(l) = node.line.filter(|_| !node.rest) else {
+                let Some(l) = node.loaded_line() else {
                     continue;
                 };
                 let followed = rod.follow(&system.rod_tables.line(l, &rod_parameters), &[xs[i]]);

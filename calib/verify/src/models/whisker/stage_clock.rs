@@ -7,12 +7,9 @@
 //! leaves open is in the interval of a time lag.
 
 use super::system::WhiskerSystem;
+use crate::MeasurementModel;
 use crate::levels::{NEGLIGIBLE, z};
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Fit;
-use crate::method::hypothesis::Hypothesis;
-use crate::method::linear::stack_with;
-use crate::method::signature::nuisance_basis;
+use crate::method::{Fit, Hypothesis, nuisance_basis, stack_with};
 
 /// Alignments beyond this are no matter of stamps, s: the answer's characters and what a unit takes
 /// for them.
@@ -27,7 +24,7 @@ const STEP_S: f64 = 1e-3;
 /// nothing more is known or it is no alignment. `lagged`: the explanation has a time lag, which
 /// takes up any alignment.
 pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
-    let before_s = system.stage_clock_s();
+    let before_s = system.stage_clock_s;
     if lagged || !system.is_read_in_motion() {
         return if lagged { 0.0 } else { before_s };
     }
@@ -47,7 +44,8 @@ pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged:
 fn residual_alignment(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
     let moved = system
         .clone()
-        .with_stage_clock(system.stage_clock_s() + STEP_S);
+        .with_stage_clock(system.stage_clock_s + STEP_S);
+    // One Gauss-Newton step along the clock: tangent, off what the fit takes up, then least squares.
     let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
     let mut tangent = stack_with(&h.weights.apply(&change), &fit.auxiliary_residual);
     tangent

@@ -18,6 +18,16 @@ pub(crate) struct MotionSegment {
     pub dt_s: f64,
 }
 
+impl MotionSegment {
+    fn new(from_mm: f64, to_mm: f64, dt_s: f64) -> Self {
+        Self {
+            from_mm,
+            to_mm,
+            dt_s,
+        }
+    }
+}
+
 /// A way that is longer or shorter by this share than the speeds allow is another one.
 const FITS: f64 = 0.1;
 
@@ -33,34 +43,20 @@ pub(super) fn motion_between(
         return None;
     }
     let (dt_s, way_mm) = (b.t_s - a.t_s, b.x_mm - a.x_mm);
-    let straight = |dt_s: f64| {
-        vec![MotionSegment {
-            from_mm: xs_mm[k],
-            to_mm: xs_mm[k + 1],
-            dt_s,
-        }]
-    };
+    let (from_mm, to_mm) = (xs_mm[k], xs_mm[k + 1]);
+    let straight = |dt_s: f64| vec![MotionSegment::new(from_mm, to_mm, dt_s)];
     if dt_s <= 0.0 {
         return (way_mm == 0.0).then(|| straight(0.0));
     }
     let (v0, v1) = (speed(path, k), speed(path, k + 1));
     if !a.moving && !b.moving {
         // A settled reading without a dwell has stood for a while; an arrival ends its move.
-        let (move_s, mm) = (
-            if b.reading.is_some() && way_mm != 0.0 {
-                0.5 * dt_s
-            } else {
-                dt_s
-            },
-            xs_mm[k + 1],
-        );
-        let held = MotionSegment {
-            from_mm: mm,
-            to_mm: mm,
-            dt_s: dt_s - move_s,
-        };
-        return Some(straight(move_s).into_iter().chain([held]).collect());
+        let settled = b.reading.is_some() && way_mm != 0.0;
+        let move_s = if settled { 0.5 * dt_s } else { dt_s };
+        let held = MotionSegment::new(to_mm, to_mm, dt_s - move_s);
+        return Some(vec![MotionSegment::new(from_mm, to_mm, move_s), held]);
     }
+    // Speeds that are nearly alike have no corner between them.
     let change = v1 - v0;
     let at_mean = (way_mm - 0.5 * (v0 + v1) * dt_s).abs() <= FITS * (v0.abs() + v1.abs()) * dt_s;
     if change.abs() * dt_s < FITS * way_mm.abs()
@@ -68,6 +64,7 @@ pub(super) fn motion_between(
     {
         return at_mean.then(|| straight(dt_s));
     }
+    // x1 - x0 = v0 a + v1 (dt - a), solved for a.
     let first_s = (v1 * dt_s - way_mm) / change;
     if !(-FITS * dt_s..=(1.0 + FITS) * dt_s).contains(&first_s) {
         return motion_with_reversal(path, xs_mm, k);
@@ -79,18 +76,10 @@ pub(super) fn motion_between(
     } else {
         (v0 * first_s / way_mm).clamp(0.0, 1.0)
     };
-    let corner_mm = xs_mm[k] + (xs_mm[k + 1] - xs_mm[k]) * share;
+    let corner_mm = from_mm + (to_mm - from_mm) * share;
     Some(vec![
-        MotionSegment {
-            from_mm: xs_mm[k],
-            to_mm: corner_mm,
-            dt_s: first_s,
-        },
-        MotionSegment {
-            from_mm: corner_mm,
-            to_mm: xs_mm[k + 1],
-            dt_s: dt_s - first_s,
-        },
+        MotionSegment::new(from_mm, corner_mm, first_s),
+        MotionSegment::new(corner_mm, to_mm, dt_s - first_s),
     ])
 }
 
@@ -102,37 +91,27 @@ fn motion_with_reversal(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<V
         return None;
     }
     // The first reading of a stroke may be on its ramp: the next one has its speed.
-    let own = |node: &Node| node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
     let next = path
         .nodes
         .get(k + 2)
-        .filter(|n| n.line == b.line && own(n) * own(b) > 0.0)
-        .map_or(0.0, own);
+        .filter(|n| n.line == b.line && velocity(path, n) * velocity(path, b) > 0.0)
+        .map_or(0.0, |n| velocity(path, n));
     let (from_mm, to_mm, dt_s) = (xs_mm[k], xs_mm[k + 1], b.t_s - a.t_s);
-    let move_s = (b.x_mm - a.x_mm).abs() / own(b).abs().max(next.abs());
-    let stood = MotionSegment {
-        from_mm: to_mm,
-        to_mm,
-        dt_s: dt_s - move_s,
-    };
-    (stood.dt_s >= 0.0).then(|| {
-        vec![
-            MotionSegment {
-                from_mm,
-                to_mm,
-                dt_s: move_s,
-            },
-            stood,
-        ]
-    })
+    let move_s = (b.x_mm - a.x_mm).abs() / velocity(path, b).abs().max(next.abs());
+    let stood = MotionSegment::new(to_mm, to_mm, dt_s - move_s);
+    (stood.dt_s >= 0.0).then(|| vec![MotionSegment::new(from_mm, to_mm, move_s), stood])
+}
+
+/// Signed speed of the reading at a node, mm/s.
+pub(crate) fn velocity(path: &WhiskerPath, node: &Node) -> f64 {
+    node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s)
 }
 
 /// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose
 /// positions are read better than speeds are.
 fn speed(path: &WhiskerPath, k: usize) -> f64 {
-    let own = |node: &Node| node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
     let node = &path.nodes[k];
-    let v = own(node);
+    let v = velocity(path, node);
     if v == 0.0 {
         return 0.0;
     }
@@ -141,7 +120,7 @@ fn speed(path: &WhiskerPath, k: usize) -> f64 {
         .flatten()
         .filter_map(|j| path.nodes.get(j));
     let slopes = neighbours
-        .filter(|n| n.line == node.line && own(n) * v > 0.0 && n.t_s != node.t_s)
+        .filter(|n| n.line == node.line && velocity(path, n) * v > 0.0 && n.t_s != node.t_s)
         .map(|n| (n.x_mm - node.x_mm) / (n.t_s - node.t_s));
     // A reading on a ramp has its own speed: the neighbour's is another.
     slopes

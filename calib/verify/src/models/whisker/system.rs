@@ -1,16 +1,17 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at
 //! every stage.
 
+use super::effects::whisker_catalogue;
+use super::path::{Node, ReadoutOrigin, WhiskerPath, averaged_readings, temperature_walk};
 use super::pictures::Pictures;
+use super::rod_parameters::RodParameters;
+use super::rod_tables::RodTables;
+use super::stage_motion::velocity;
+use super::temperature::RandomWalkModel;
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
 use crate::measurement_model::finite;
-use crate::method::fit::Fit;
-use crate::whisker::effects::whisker_catalogue;
-use crate::whisker::path::{Node, ReadoutOrigin, WhiskerPath, averaged_readings, temperature_walk};
-use crate::whisker::rod_parameters::RodParameters;
-use crate::whisker::rod_tables::RodTables;
-use crate::whisker::temperature::RandomWalkModel;
+use crate::method::Fit;
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use std::sync::Arc;
 use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
@@ -31,31 +32,19 @@ pub struct WhiskerSystem {
     pub(super) measured: DMatrix<f64>,
     pub(super) groups: Vec<u32>,
     rows: Arc<Vec<WhiskerRow>>,
-    sealed: Vec<bool>,
-    scored: Vec<bool>,
+    /// Readings whose rows were sealed.
+    pub sealed: Vec<bool>,
+    /// Those of them that count in the held-out error.
+    pub(super) scored: Vec<bool>,
     pub(super) seatings: u32,
     pub(super) origin: ReadoutOrigin,
     walk: Option<RandomWalkModel>,
     pub(super) whitening: Matrix2<f64>,
     pub(super) pictures: Option<Arc<Pictures>>,
     pub(super) picture_scale: f64,
-    stage_clock_s: f64,
+    /// By how much the stage's clock is set, s.
+    pub(super) stage_clock_s: f64,
     pub(super) refuted: Arc<[String]>,
-}
-
-/// Density of air, kg/m^3.
-pub(crate) const AIR_KG_M3: f64 = 1.2;
-
-/// Density of the medium, kg/m^3.
-fn fluid_kg_m3(medium: &str) -> f64 {
-    match medium {
-        "water" => 998.2,
-        _ => AIR_KG_M3,
-    }
-}
-
-fn cloned_rows(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
-    Arc::new(rows.iter().map(|r| (*r).clone()).collect())
 }
 
 /// The readings in the channels of a mixture, which is never singular: a unit matrix with one
@@ -77,10 +66,7 @@ pub(super) fn effective_poses(
     unseen: Observers,
     stage_clock_s: f64,
 ) -> (Vec<f64>, RodParameters) {
-    let stamped = |n: &Node| {
-        let v = n.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
-        n.x_mm + v * stage_clock_s
-    };
+    let stamped = |n: &Node| n.x_mm + velocity(path, n) * stage_clock_s;
     let mut xs: Vec<f64> = path.nodes.iter().map(stamped).collect();
     let mut rod_parameters = RodParameters::default();
     // In the order of the catalogue, which is that of the signal: the reading lags behind a groove
@@ -98,41 +84,31 @@ pub(super) fn effective_poses(
 }
 
 impl WhiskerSystem {
-    /// System of the given rows (points, or points and sealed rows for prediction).
+    /// System of a session, the rows that were unsealed behind those of its table.
     ///
     /// # Errors
     /// Where the rest shape cannot be used.
-    pub fn new(data: &WhiskerData, rows: &[&WhiskerRow]) -> Result<Self, wcal_rod::RodError> {
+    pub fn new(data: &WhiskerData, unsealed: &[WhiskerRow]) -> Result<Self, wcal_rod::RodError> {
         // The sealed rows have no part in it, not even by their temperature.
-        let walk = temperature_walk(&data.rows.iter().collect::<Vec<_>>(), &data.fbg);
-        let path = Self::path(data, rows, walk);
-        let rod_tables = RodTables::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
-        let rows = cloned_rows(rows);
-        let pictures = Pictures::new(&rows, &path, data.shapes.as_ref()).map(Arc::new);
-        let blank = Self::assemble(
-            data,
-            path,
-            rows,
-            walk,
-            Arc::new(rod_tables),
-            Matrix2::identity(),
-        );
-        Ok(Self { pictures, ..blank })
+        let walk = temperature_walk(&data.rows, &data.fbg);
+        let system = Self::assemble(data, unsealed, walk, None)?;
+        let pictures = Pictures::new(&system.rows, &system.path, data.shapes.as_ref());
+        Ok(Self {
+            pictures: pictures.map(Arc::new),
+            ..system
+        })
     }
 
-    /// The same rod with other rows, none deeper than those that it was made for, and without
+    /// The same rod with further rows, none deeper than those that it was made for, and without
     /// pictures.
-    pub(crate) fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
-        Self::assemble(
-            &self.data,
-            Self::path(&self.data, rows, self.walk),
-            cloned_rows(rows),
-            self.walk,
-            self.rod_tables.clone(),
-            self.whitening,
+    pub(super) fn with_rows(&self, further: &[WhiskerRow]) -> Option<Self> {
+        let rod_tables = Some(self.rod_tables.clone());
+        let system = Self::assemble(&self.data, further, self.walk, rod_tables).ok()?;
+        Some(
+            system
+                .with_whitening_of(self)
+                .without_effects(&self.refuted),
         )
-        .with_stage_clock(self.stage_clock_s)
-        .without_effects(&self.refuted)
     }
 
     /// The same system without effects that another measurement of the instrument refutes, by
@@ -144,62 +120,42 @@ impl WhiskerSystem {
         }
     }
 
-    fn path(
-        data: &WhiskerData,
-        rows: &[&WhiskerRow],
-        walk: Option<RandomWalkModel>,
-    ) -> WhiskerPath {
-        let gravity = data.whisker.gravity_direction;
-        WhiskerPath::new(
-            rows,
-            &data.trajectories,
-            &data.moments,
-            &data.fbg,
-            gravity,
-            walk.as_ref(),
-        )
-    }
-
     fn assemble(
         data: &WhiskerData,
-        path: WhiskerPath,
-        rows: Arc<Vec<WhiskerRow>>,
+        further: &[WhiskerRow],
         walk: Option<RandomWalkModel>,
-        rod_tables: Arc<RodTables>,
-        whitening: Matrix2<f64>,
-    ) -> Self {
-        Self {
+        rod_tables: Option<Arc<RodTables>>,
+    ) -> Result<Self, wcal_rod::RodError> {
+        let rows = [&data.rows[..], further].concat();
+        let path = WhiskerPath::new(&rows, &data.trajectories, &data.fbg, walk.as_ref());
+        let rod_tables = match rod_tables {
+            Some(known) => known,
+            None => Arc::new(RodTables::new(data, &path)?),
+        };
+        let whitening = Matrix2::identity();
+        let effects = whisker_catalogue().iter().map(|e| e.effect.clone());
+        let (sealed, readings) = (|row: &usize| *row >= data.rows.len(), &path.readings);
+        Ok(Self {
             pictures: None,
             picture_scale: 1.0,
             stage_clock_s: 0.0,
             refuted: Arc::default(),
             measured: measured_in(&path, &whitening),
             whitening,
-            groups: path.readings.iter().map(|r| r.group).collect(),
+            groups: readings.iter().map(|r| r.group).collect(),
             // Unsealed rows stand behind those of the points table.
-            sealed: path
-                .rows
-                .iter()
-                .map(|row| *row >= data.rows.len())
-                .collect(),
+            sealed: path.rows.iter().map(sealed).collect(),
             // Where the groove stood on a ramp is not known well enough to be scored.
-            scored: path
-                .readings
-                .iter()
-                .map(|r| r.holdout && !r.unsteady)
-                .collect(),
-            rows,
+            scored: readings.iter().map(|r| r.holdout && !r.unsteady).collect(),
+            rows: Arc::new(rows),
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
             origin: ReadoutOrigin::of(data),
             data: data.clone(),
             walk,
             path,
             rod_tables,
-            catalogue: whisker_catalogue()
-                .iter()
-                .map(|e| e.effect.clone())
-                .collect(),
-        }
+            catalogue: effects.collect(),
+        })
     }
 
     /// The effects of `terms` with their values by name.
@@ -216,58 +172,45 @@ impl WhiskerSystem {
 
     /// Why the session does not give what a law needs; none where it does.
     pub(super) fn missing_requirement(&self, need: LawRequirement) -> Option<&'static str> {
+        use LawRequirement::*;
         let has = &self.path.columns;
-        let moving = |p: &Arc<Pictures>| {
-            p.each()
-                .any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0)
-        };
+        let moving = |i: usize| self.path.readings[i].velocity_mm_s != 0.0;
         let (met, why) = match need {
-            LawRequirement::Time | LawRequirement::Clock => {
-                (has.time, "the session has no time stamps")
-            }
-            LawRequirement::Temperature => (has.temperature, "the session has no temperature"),
-            LawRequirement::Motion => (has.speeds, "no reading was taken while the stage moved"),
-            LawRequirement::Weight if !has.gravity => {
+            Time | Clock => (has.time, "the session has no time stamps"),
+            Temperature => (has.temperature, "the session has no temperature"),
+            Motion => (has.speeds, "no reading was taken while the stage moved"),
+            Weight if self.data.whisker.gravity_direction.is_none() => {
                 (false, "the session does not give the direction of gravity")
             }
-            LawRequirement::Weight => (
+            Weight => (
                 self.data.whisker.density_kg_m3.is_some(),
                 "the session does not give the density of the wire",
             ),
-            LawRequirement::BothDirections => (
+            BothDirections => (
                 has.both_directions,
                 "the session has no readings of both directions",
             ),
-            LawRequirement::Pictures => (
+            Pictures => (
                 self.pictures.is_some(),
                 "the session has no pictures (shapes.json) that can be used",
             ),
-            LawRequirement::StraightArc => (
+            StraightArc => (
                 matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. }),
                 "the session declares the wire's points, not a straight part and an arc",
             ),
-            LawRequirement::MovingPictures => (
-                self.pictures.as_ref().is_some_and(moving),
+            MovingPictures => (
+                self.pictures
+                    .iter()
+                    .any(|p| p.each().any(|(i, ..)| moving(i))),
                 "no pair of pictures was taken while the stage moved",
             ),
-            LawRequirement::RestReadings => (
+            RestReadings => (
                 self.path.readings.iter().any(|r| r.rest),
                 "no reading was taken at rest",
             ),
-            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => {
-                return None;
-            }
+            Order | Slope | Covariate => return None,
         };
         (!met).then_some(why)
-    }
-
-    /// See [`effective_poses`].
-    pub(super) fn effective_poses(
-        &self,
-        active: &[ActiveEffect],
-        unseen: Observers,
-    ) -> (Vec<f64>, RodParameters) {
-        effective_poses(&self.path, active, unseen, self.stage_clock_s)
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
@@ -277,7 +220,8 @@ impl WhiskerSystem {
         terms
             .iter()
             .try_for_each(|t| finite(&t.values).map(|_| ()))?;
-        let (xs, rod_parameters) = self.effective_poses(&active, Observers::Cameras);
+        let (xs, rod_parameters) =
+            effective_poses(path, &active, Observers::Cameras, self.stage_clock_s);
         let base = self
             .rod_tables
             .moments(&path.nodes, &finite(xs)?, &rod_parameters)?;
@@ -286,15 +230,18 @@ impl WhiskerSystem {
             finite(sensed.as_flattened())?;
             a.sensor(path, &mut sensed);
         }
-        let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {
-            path.nodes
-                .iter()
-                .zip(all)
-                .filter(|(n, _)| n.reading.is_some())
-                .map(|(_, m)| *m)
-                .collect()
+        let pick = |all: Moments| {
+            let nodes = path.nodes.iter().zip(all);
+            nodes.filter_map(|(n, m)| n.reading.map(|_| m)).collect()
         };
-        Some((pick(&sensed), pick(&base)))
+        Some((pick(sensed), pick(base)))
+    }
+
+    /// What memory takes from the moment of each reading, base less sensed, and the base moments, N mm.
+    pub(super) fn memory(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
+        let (sensed, base) = self.moments(terms)?;
+        let taken = |(b, f): (&[f64; 2], [f64; 2])| [b[0] - f[0], b[1] - f[1]];
+        Some((base.iter().zip(sensed).map(taken).collect(), base))
     }
 
     /// The same readings in channels whose noise is uncorrelated and of one variance, as far as
@@ -325,14 +272,9 @@ impl WhiskerSystem {
         self
     }
 
-    /// By how much the stage's clock is set, s.
-    pub(crate) fn stage_clock_s(&self) -> f64 {
-        self.stage_clock_s
-    }
-
     /// Readings were recorded while the stage moved, each the average of a short window.
     pub(super) fn is_read_in_motion(&self) -> bool {
-        self.path.columns.speeds && !averaged_readings(&self.path.readings).is_empty()
+        self.path.columns.speeds && averaged_readings(&self.path.readings).is_some()
     }
 
     /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none
@@ -352,8 +294,10 @@ impl WhiskerSystem {
         );
         let along = k.try_normalize(0.0)?;
         let across = Vector2::new(-along[1], along[0]);
+        // Across k_T only the gratings' own noise is left; half of the degrees of freedom lie there.
         let own = (&fit.residual * across).norm_squared() / (0.5 * fit.readings_dof()).max(1.0);
-        let shared = k.norm_squared() * self.walk?.noise_sd().powi(2);
+        let shared = k.norm_squared() * self.walk?.noise_sd.powi(2);
+        // cov = s^2 I + k k' s_T^2 has the root s (I + (stretch - 1) along along').
         let stretch = (1.0 + shared / own).sqrt();
         stretch
             .is_finite()
@@ -362,34 +306,14 @@ impl WhiskerSystem {
 
     /// The same readings in the channels of `other`, its pictures weighed alike.
     pub(crate) fn with_whitening_of(self, other: &Self) -> Self {
-        let share = other
-            .pictures
-            .as_ref()
-            .map_or(1.0, |p| p.independent_variance_share());
         self.in_channels(other.whitening)
             .with_picture_scale(other.picture_scale)
-            .with_own_share(share)
+            .with_own_share(other.own_share())
             .with_stage_clock(other.stage_clock_s)
-    }
-
-    /// Difference of two systems' mixtures of channels: largest ratio of their shared noise.
-    pub(crate) fn whitening_change(&self, other: &Self) -> f64 {
-        let (a, b) = (self.whitening.determinant(), other.whitening.determinant());
-        (a / b).max(b / a)
-    }
-
-    /// Seatings in the points table.
-    pub fn seatings(&self) -> u32 {
-        self.seatings
     }
 
     /// The row of a reading.
     pub fn row(&self, reading: usize) -> &WhiskerRow {
         &self.rows[self.path.rows[reading]]
-    }
-
-    /// Readings whose rows were sealed, and those of them that count in the held-out error.
-    pub fn held_out(&self) -> [&[bool]; 2] {
-        [&self.sealed, &self.scored]
     }
 }

@@ -40,10 +40,9 @@ impl LineTable {
         if x_mm > self.end_mm + 1e-9 {
             return None;
         }
-        let (j, w) = bracket(
-            (x_mm - self.touch_mm) / self.step_mm,
-            self.moments_nmm.len(),
-        );
+        // Cubic between the four nearest nodes: the error falls with the fourth power of the grid.
+        let x = (x_mm - self.touch_mm) / self.step_mm;
+        let (j, w) = bracket(x, self.moments_nmm.len());
         Some([0, 1].map(|c| (0..4).map(|k| w[k] * self.moments_nmm[j + k][c]).sum()))
     }
 
@@ -57,18 +56,18 @@ impl LineTable {
 
 /// Slip branches of one line: tables over (stage position, tangential over normal force).
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct SlipTable {
-    pub(crate) touch_mm: f64,
-    pub(crate) step_mm: f64,
+pub(super) struct SlipTable {
+    pub(super) touch_mm: f64,
+    pub(super) step_mm: f64,
     /// Ratios, ascending, symmetric about 0.
-    pub(crate) ratios: Vec<f64>,
+    pub(super) ratios: Vec<f64>,
     /// By stage position.
-    pub(crate) rows: Vec<SlipRow>,
+    pub(super) rows: Vec<SlipRow>,
 }
 
 /// Slip branches at one stage position, by ratio.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct SlipRow {
+pub(super) struct SlipRow {
     /// Arc length, mm.
     pub arclength_mm: Vec<f64>,
     /// Moments, N mm.
@@ -80,7 +79,7 @@ pub(crate) struct SlipRow {
 
 impl SlipRow {
     /// At first touch: no load at one place.
-    pub(crate) fn untouched(arclength_mm: f64, width: usize) -> Self {
+    pub(super) fn untouched(arclength_mm: f64, width: usize) -> Self {
         Self {
             arclength_mm: vec![arclength_mm; width],
             moments_nmm: vec![[0.0; 2]; width],
@@ -91,8 +90,8 @@ impl SlipRow {
 
 /// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with
 /// room to fit.
-pub(crate) const MAX_RATIO: f64 = 0.72;
-pub(crate) const RATIO_STEPS: usize = 4;
+pub(super) const MAX_RATIO: f64 = 0.72;
+pub(super) const RATIO_STEPS: usize = 4;
 
 impl SlipTable {
     fn at(&self, x_mm: f64, pick: impl Fn(usize, usize) -> f64, ratio: f64) -> f64 {
@@ -102,25 +101,20 @@ impl SlipTable {
         let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
         // Tensor product of four-point Lagrange weights: cubic in the stage's position and in the
         // ratio.
-        let mut sum = 0.0;
-        for (a, wa) in w.iter().enumerate() {
-            for (b, vb) in v.iter().enumerate() {
-                sum += pick(j + a, k + b) * (wa * vb);
-            }
-        }
-        sum
+        let nodes = (0..4).flat_map(|a| (0..4).map(move |b| (a, b)));
+        nodes.map(|(a, b)| pick(j + a, k + b) * (w[a] * v[b])).sum()
     }
 
-    pub(crate) fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
+    pub(super) fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
         self.at(x_mm, |i, k| self.rows[i].arclength_mm[k], ratio)
     }
 
-    pub(crate) fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
+    pub(super) fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
         [0, 1].map(|c| self.at(x_mm, |i, k| self.rows[i].moments_nmm[k][c], ratio))
     }
 
     /// Whether there is an equilibrium with this ratio: at both neighbours in the table.
-    pub(crate) fn has_equilibrium(&self, x_mm: f64, ratio: f64) -> bool {
+    pub(super) fn has_equilibrium(&self, x_mm: f64, ratio: f64) -> bool {
         let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
         let row = |x: f64| &self.rows[(x as usize).min(self.rows.len() - 1)];
         [row(x.floor()), row(x.ceil())]
@@ -130,7 +124,8 @@ impl SlipTable {
 
     /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is
     /// monotone in the ratio.
-    pub(crate) fn ratio_at(&self, x_mm: f64, s_mm: f64, limit: f64) -> f64 {
+    pub(super) fn ratio_at(&self, x_mm: f64, s_mm: f64, limit: f64) -> f64 {
+        // Which way the arc length goes with the ratio depends on the side of the groove.
         let rising = self.arclength(x_mm, limit) >= self.arclength(x_mm, -limit);
         let (mut lo, mut hi) = (-limit, limit);
         for _ in 0..40 {
@@ -146,11 +141,12 @@ impl SlipTable {
 
     /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along
     /// it.
-    pub(crate) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
+    pub(super) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
         let (a, b) = (
             self.arclength(x_mm, -friction),
             self.arclength(x_mm, friction),
         );
+        // Coulomb: inside the cone the contact stays, at its edge it slips with it.
         *contact_mm = contact_mm.clamp(a.min(b), a.max(b));
     }
 }

@@ -15,7 +15,7 @@ const MIN_READINGS: usize = 12;
 /// Growth of the walk's variance, 1/s, in units of the noise's, and the noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RandomWalkModel {
-    pub(super) ratio_per_s: f64,
+    ratio_per_s: f64,
     /// Standard deviation of the noise.
     pub(super) noise_sd: f64,
     /// -2 log likelihood.
@@ -43,11 +43,44 @@ struct Filtered {
     /// -2 log likelihood with the noise's variance concentrated out; infinite where nothing
     /// scatters.
     misfit: f64,
-    pub(super) noise_sd: f64,
+    noise_sd: f64,
 }
 
 fn steps_s(t_s: &[f64]) -> Vec<f64> {
     t_s.windows(2).map(|w| (w[1] - w[0]).max(0.0)).collect()
+}
+
+/// Local level model along the readings.
+fn filter(ratio_per_s: f64, t_s: &[f64], values: &[f64], variances: &[f64]) -> Filtered {
+    let mut level = values[0];
+    let mut variance = variances[0];
+    let (mut levels, mut before) = (vec![(level, variance)], vec![f64::INFINITY]);
+    let (mut squares, mut logs) = (0.0, 0.0);
+    for ((step_s, value), own) in steps_s(t_s).iter().zip(&values[1..]).zip(&variances[1..]) {
+        // Prediction: a random walk stays where it is, and its variance grows with time.
+        variance += ratio_per_s * step_s;
+        before.push(variance);
+        // Update by the Kalman gain, variance over variance of the innovation.
+        let (surprise, spread) = (value - level, variance + own);
+        squares += surprise * surprise / spread;
+        logs += spread.ln();
+        level += surprise * variance / spread;
+        variance *= own / spread;
+        levels.push((level, variance));
+    }
+    let count = levels.len() as f64 - 1.0;
+    // The likelihood at the best variance of the noise: n ln(sum e^2 / s / n) + sum ln s.
+    let misfit = if squares > 0.0 {
+        count * (squares / count).ln() + logs
+    } else {
+        f64::INFINITY
+    };
+    Filtered {
+        levels,
+        before,
+        misfit,
+        noise_sd: (squares / count).sqrt(),
+    }
 }
 
 impl RandomWalkModel {
@@ -61,19 +94,14 @@ impl RandomWalkModel {
         // From a level that stays to readings without noise of their own, four places a decade.
         let ratios = (-16..=16).map(|k| 10f64.powf(f64::from(k) / 4.0) / typical);
         let tried = ratios.map(|ratio_per_s| {
-            let walk = Self {
-                ratio_per_s,
-                noise_sd: 0.0,
-                misfit: f64::INFINITY,
-                moving_variance: None,
-            };
             let Filtered {
                 noise_sd, misfit, ..
-            } = walk.filter(t_s, values, variances);
+            } = filter(ratio_per_s, t_s, values, variances);
             Self {
+                ratio_per_s,
                 noise_sd,
                 misfit,
-                ..walk
+                moving_variance: None,
             }
         });
         tried
@@ -81,46 +109,13 @@ impl RandomWalkModel {
             .min_by(|a, b| a.misfit.total_cmp(&b.misfit))
     }
 
-    /// Standard deviation of a typical reading's noise, in the readings' unit.
-    pub fn noise_sd(&self) -> f64 {
-        self.noise_sd
-    }
-
-    fn filter(&self, t_s: &[f64], values: &[f64], variances: &[f64]) -> Filtered {
-        let mut level = values[0];
-        let mut variance = variances[0];
-        let (mut levels, mut before) = (vec![(level, variance)], vec![f64::INFINITY]);
-        let (mut squares, mut logs) = (0.0, 0.0);
-        for ((step_s, value), own) in steps_s(t_s).iter().zip(&values[1..]).zip(&variances[1..]) {
-            variance += self.ratio_per_s * step_s;
-            before.push(variance);
-            let (surprise, spread) = (value - level, variance + own);
-            squares += surprise * surprise / spread;
-            logs += spread.ln();
-            level += surprise * variance / spread;
-            variance *= own / spread;
-            levels.push((level, variance));
-        }
-        let count = levels.len() as f64 - 1.0;
-        let misfit = if squares > 0.0 {
-            count * (squares / count).ln() + logs
-        } else {
-            f64::INFINITY
-        };
-        Filtered {
-            levels,
-            before,
-            misfit,
-            noise_sd: (squares / count).sqrt(),
-        }
-    }
-
     /// Levels at the readings.
     pub fn smooth(&self, t_s: &[f64], values: &[f64], variances: &[f64]) -> Vec<Level> {
         if values.is_empty() {
             return Vec::new();
         }
-        let Filtered { levels, before, .. } = self.filter(t_s, values, variances);
+        let Filtered { levels, before, .. } = filter(self.ratio_per_s, t_s, values, variances);
+        // Fixed-interval smoother (Rauch, Tung & Striebel 1965): back from the last reading.
         let mut smoothed = levels.clone();
         for k in (0..smoothed.len() - 1).rev() {
             let (level, variance) = levels[k];
@@ -131,21 +126,17 @@ impl RandomWalkModel {
                 variance + share * share * (next_variance - before[k + 1]),
             );
         }
-        // The level's variance over the reading's is the weight of the reading in its own level.
-        let of = |(((level, variance), value), own): (((&f64, &f64), &f64), &f64)| {
-            let weight = variance / own;
+        let of = |(k, (by_all, variance)): (usize, (f64, f64))| {
+            // The level's variance over the reading's is the weight of the reading in its own level.
+            let weight = variance / variances[k];
             let by_others = if weight < 1.0 {
-                (level - weight * value) / (1.0 - weight)
+                (by_all - weight * values[k]) / (1.0 - weight)
             } else {
-                *level
+                by_all
             };
-            Level {
-                by_all: *level,
-                by_others,
-            }
+            Level { by_all, by_others }
         };
-        let levels = smoothed.iter().map(|(level, variance)| (level, variance));
-        levels.zip(values).zip(variances).map(of).collect()
+        smoothed.into_iter().enumerate().map(of).collect()
     }
 }
 
@@ -192,7 +183,7 @@ mod tests {
                 readings[k] = truth[k] + 10.0 * (readings[k] - truth[k]);
             }
             let walk = RandomWalkModel::of(&t, &readings, &variances).unwrap();
-            sds.push(walk.noise_sd());
+            sds.push(walk.noise_sd);
             let level = |v: &[f64]| -> Vec<f64> {
                 RandomWalkModel::of(&t, &readings, v)
                     .unwrap()

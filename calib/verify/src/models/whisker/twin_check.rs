@@ -13,10 +13,11 @@
 //! l = c conj(m),  arg c = arg sum m l         mirrored; arg c = 90 deg: axes exchanged, 0 or 180 deg: one axis reversed
 //! ```
 
-use crate::error::VerifyError;
-use crate::whisker::WhiskerSystem;
-use crate::whisker::path::WhiskerPath;
-use crate::whisker::rod_tables::RodTables;
+use super::path::{Reading, WhiskerPath};
+use super::rod_parameters::RodParameters;
+use super::rod_tables::RodTables;
+use super::system::WhiskerSystem;
+use crate::VerifyError;
 use nalgebra::{Complex, DMatrix, DVector};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::order_statistics::{mad_sd, median};
@@ -66,35 +67,29 @@ const MIRRORED: f64 = 1.02;
 
 /// Checks every label of the session.
 pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
-    let Some(tables) = rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default())
-    else {
+    let Some(tables) = rod_tables.tables(&RodParameters::default()) else {
         return LabelReport::default();
     };
-    let mut checks: Vec<LabelCheck> = Vec::new();
-    for (reading, &row) in path.readings.iter().zip(&path.rows) {
-        let Some(source) = data.rows.get(row) else {
-            continue;
-        };
-        let Some(label) = data.twin.iter().find(|t| t.point == source.point) else {
-            continue;
-        };
-        let rod = match reading.line {
-            Some(l) if !reading.rest => tables[l].moment(reading.x_mm),
-            _ => Some([0.0; 2]),
-        };
-        checks.push(LabelCheck {
-            point: source.point,
+    let check = |(reading, &row): (&Reading, &usize)| {
+        let point = data.rows.get(row)?.point;
+        Some(LabelCheck {
+            point,
             trajectory: reading.group,
             stage_mm: reading.x_mm,
-            label_nmm: label.moment_nmm,
-            rod_nmm: rod,
+            label_nmm: label(data, point)?,
+            rod_nmm: match reading.line {
+                Some(l) if !reading.rest => tables[l].moment(reading.x_mm),
+                _ => Some([0.0; 2]),
+            },
             deviation: 0.0,
             fault: None,
-        });
-    }
-    let loaded: Vec<usize> = (0..checks.len())
-        .filter(|&i| checks[i].rod_nmm.is_some_and(|m| m[0].hypot(m[1]) > 1e-6))
-        .collect();
+        })
+    };
+    let all = path.readings.iter().zip(&path.rows);
+    let mut checks: Vec<LabelCheck> = all.filter_map(check).collect();
+    let is_loaded = |c: &LabelCheck| c.rod_nmm.is_some_and(|m| size(m) > 1e-6);
+    let loaded = (0..checks.len()).filter(|&i| is_loaded(&checks[i]));
+    let loaded: Vec<usize> = loaded.collect();
     if loaded.len() < 8 {
         return LabelReport {
             checks,
@@ -102,77 +97,56 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
         };
     }
     deviations(&mut checks, &loaded);
-    // Over good labels; 1 where both agree.
-    let ratios = loaded
-        .iter()
-        .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION)
-        .filter_map(|&i| {
-            checks[i]
-                .rod_nmm
-                .map(|m| size(checks[i].label_nmm) / size(m))
-        });
-    let median_ratio = median(ratios).unwrap_or(1.0);
-    let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&median_ratio);
-    let axes = other_axes(&checks, &loaded);
-    for &i in &loaded {
-        let Some(rod) = checks[i].rod_nmm else {
-            continue;
-        };
-        let label = checks[i].label_nmm;
-        checks[i].fault = if checks[i].deviation > BRANCH_DEVIATION {
+    // Rod and label of the good labels.
+    let good = loaded.iter().map(|&i| &checks[i]);
+    let good = good.filter(|c| c.deviation < BRANCH_DEVIATION);
+    let good: Vec<_> = good
+        .filter_map(|c| Some((c.rod_nmm?, c.label_nmm)))
+        .collect();
+    let ratios = good.iter().map(|(rod, label)| size(*label) / size(*rod));
+    let ratio = median(ratios).unwrap_or(1.0);
+    let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&ratio);
+    let axes = other_axes(&good);
+    for c in &mut checks {
+        let share = c.rod_nmm.map(|rod| size(c.label_nmm) / size(rod));
+        c.fault = match share {
+            None => Some("branch"),
+            Some(_) if !is_loaded(c) => None,
             // A wire that left the groove carries almost nothing; one on another branch carries a
             // moment of another direction.
-            Some(if size(label) < 0.1 * size(rod) {
-                "contact-lost"
-            } else {
-                "branch"
-            })
-        } else if let Some((kind, _)) = &axes {
-            Some(*kind)
-        } else if unit {
-            Some("unit")
-        } else if (size(label) / size(rod) - 1.0).abs() > SMOOTH_SHARE {
-            Some("discretisation")
-        } else {
-            None
+            Some(share) if c.deviation > BRANCH_DEVIATION && share < 0.1 => Some("contact-lost"),
+            _ if c.deviation > BRANCH_DEVIATION => Some("branch"),
+            _ if axes.is_some() => axes.as_ref().map(|(kind, _)| *kind),
+            _ if unit => Some("unit"),
+            Some(share) => ((share - 1.0).abs() > SMOOTH_SHARE).then_some("discretisation"),
         };
     }
-    for c in checks.iter_mut().filter(|c| c.rod_nmm.is_none()) {
-        c.fault = Some("branch");
-    }
-    let faults = collect(
-        &checks,
-        median_ratio,
-        axes.as_ref().map_or("", |(_, detail)| detail),
-    );
+    let axes = axes.map_or(String::new(), |(_, detail)| detail);
+    let faults = collect(&checks, ratio, &axes);
     LabelReport { checks, faults }
 }
 
 /// Fault and detail where the labels are the rod's moments about other axes.
-fn other_axes(checks: &[LabelCheck], loaded: &[usize]) -> Option<(&'static str, String)> {
-    let good = loaded
-        .iter()
-        .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION);
+fn other_axes(good: &[([f64; 2], [f64; 2])]) -> Option<(&'static str, String)> {
     let (mut turned, mut mirrored) = (Complex::<f64>::ZERO, Complex::<f64>::ZERO);
-    for &i in good {
-        let complex = |m: [f64; 2]| Complex::new(m[0], m[1]);
-        let (rod, label) = (complex(checks[i].rod_nmm?), complex(checks[i].label_nmm));
+    for &(rod, label) in good {
+        let [rod, label] = [rod, label].map(|m| Complex::new(m[0], m[1]));
         turned += rod.conj() * label;
         mirrored += rod * label;
     }
     if mirrored.norm() > MIRRORED * turned.norm() {
         let angle = mirrored.arg().to_degrees();
+        let turned = format!("mirrored and turned by {angle:.0} deg");
         let what = match angle {
-            a if (a - 90.0).abs() < TURNED_DEG => "with the two axes exchanged".to_owned(),
-            a if a.abs() < TURNED_DEG => "with the second axis reversed".to_owned(),
-            a if a.abs() > 180.0 - TURNED_DEG => "with the first axis reversed".to_owned(),
-            a => format!("mirrored and turned by {a:.0} deg"),
+            a if (a - 90.0).abs() < TURNED_DEG => "with the two axes exchanged",
+            a if a.abs() < TURNED_DEG => "with the second axis reversed",
+            a if a.abs() > 180.0 - TURNED_DEG => "with the first axis reversed",
+            _ => turned.as_str(),
         };
-        return Some((
-            "axes",
-            format!("the labels are the rod's moments {what}: [moments] axes"),
-        ));
+        let detail = format!("the labels are the rod's moments {what}: [moments] axes");
+        return Some(("axes", detail));
     }
+    // Half a turn is the reaction's sign; less is another axis.
     let angle = turned.arg().to_degrees();
     match angle.abs() {
         a if a > 180.0 - TURNED_DEG => Some((
@@ -199,15 +173,10 @@ fn size(m: [f64; 2]) -> f64 {
 fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
     let rows = loaded.len();
     let design = DMatrix::from_fn(rows, 4, |r, j| {
-        let m = checks[loaded[r]].rod_nmm.unwrap_or([0.0; 2]);
-        match j {
-            0 => m[0],
-            1 => m[1],
-            2 => m[0] * size(m),
-            _ => m[1] * size(m),
-        }
+        let m = checks[loaded[r]].rod_nmm.unwrap_or_default();
+        m[j % 2] * if j < 2 { 1.0 } else { size(m) }
     });
-    let mut squared = vec![0.0; rows];
+    let mut squared = DVector::<f64>::zeros(rows);
     for c in 0..2 {
         let y = DVector::from_fn(rows, |r, _| checks[loaded[r]].label_nmm[c]);
         let mut weights = DVector::from_element(rows, 1.0);
@@ -221,17 +190,12 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
             };
             residual = &y - &design * b;
             // Labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
-            scale = mad_sd(residual.iter().copied(), 0.0)
-                .unwrap_or(0.0)
-                .max(2e-3);
-            for r in 0..rows {
-                // Cauchy weights (square roots): far labels lose all pull.
-                weights[r] = (1.0 / (1.0 + (residual[r] / (2.0 * scale)).powi(2))).sqrt();
-            }
+            let spread = mad_sd(residual.iter().copied(), 0.0);
+            scale = spread.unwrap_or_default().max(2e-3);
+            // Cauchy weights (square roots): far labels lose all pull.
+            weights = residual.map(|r| (1.0 + (r / (2.0 * scale)).powi(2)).sqrt().recip());
         }
-        for r in 0..rows {
-            squared[r] += (residual[r] / scale).powi(2);
-        }
+        squared += (residual / scale).map(|r| r * r);
     }
     for (r, &i) in loaded.iter().enumerate() {
         checks[i].deviation = squared[r].sqrt();
@@ -265,32 +229,24 @@ pub fn label_faults(data: &WhiskerData) -> Result<Vec<TwinFault>, VerifyError> {
     if data.twin.is_empty() {
         return Ok(Vec::new());
     }
-    let system = WhiskerSystem::new(data, &data.rows.iter().collect::<Vec<_>>())?;
+    let system = WhiskerSystem::new(data, &[])?;
     Ok(check_labels(data, &system.path, &system.rod_tables).faults)
 }
 
 /// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends
 /// the wire there.
 pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
-    let label = data
-        .twin
-        .iter()
-        .find(|t| t.point == row.point)
-        .map(|t| t.moment_nmm);
-    label.or((row.role == Role::Rest).then_some([0.0; 2]))
+    label(data, row.point).or((row.role == Role::Rest).then_some([0.0; 2]))
+}
+
+fn label(data: &WhiskerData, point: i64) -> Option<[f64; 2]> {
+    let label = data.twin.iter().find(|t| t.point == point)?;
+    Some(label.moment_nmm)
 }
 
 /// Moments at the readings of `path` with the outside labels as they are: none where a reading has
 /// no label.
-pub(crate) fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
-    path.rows
-        .iter()
-        .map(|&row| {
-            let point = data.rows.get(row)?.point;
-            data.twin
-                .iter()
-                .find(|t| t.point == point)
-                .map(|t| t.moment_nmm)
-        })
-        .collect()
+pub(super) fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
+    let of = |&row: &usize| label(data, data.rows.get(row)?.point);
+    path.rows.iter().map(of).collect()
 }

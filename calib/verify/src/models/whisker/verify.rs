@@ -5,7 +5,7 @@ use super::measurement::PicturePairs;
 use super::rod_parameters::RodParameters;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
-use crate::error::VerifyError;
+use crate::VerifyError;
 use crate::verify::{Assessment, Decision, Verified as Loop, VerifyRequest, Witness, verify};
 use wcal_core::observation::{WhiskerData, WhiskerRow};
 use wcal_core::verify_document::VerifyDocument;
@@ -53,8 +53,7 @@ pub fn verify_whisker(
         document.inputs = inputs.to_vec();
         Ok(Verified::Refused(Box::new(document)))
     };
-    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    let model = WhiskerSystem::new(data, &rows)?;
+    let model = WhiskerSystem::new(data, &[])?;
     let witnesses: Vec<&dyn Witness<WhiskerSystem>> = witnesses
         .iter()
         .copied()

@@ -6,13 +6,32 @@ use super::picture_observations::PairObservation;
 use super::rod_parameters::RodParameters;
 use crate::effect::{Effect, EffectModel, EffectTerm, Values};
 
-/// A sensor whose answer depends on what came before.
-pub trait Memory: Send {
-    /// What is sensed of a moment (N mm) `dt_s` after the one before, none at the first; nothing is
-    /// remembered.
-    fn sensed(&self, dt_s: Option<f64>, moment_nmm: [f64; 2]) -> [f64; 2];
-    /// Remembers that moment.
-    fn accept(&mut self, dt_s: Option<f64>, moment_nmm: [f64; 2]);
+/// What a sensor remembers: the moment before, N mm, and the states of its elements.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SensorMemory {
+    before: [f64; 2],
+    states: Vec<[f64; 2]>,
+}
+
+impl SensorMemory {
+    /// What is sensed of `moment_nmm` by elements side by side, each with its weight, and a time
+    /// constant or width: the moment and, weighted, the state of each. `next`: that state from the
+    /// last one, the moment before and the width.
+    pub(crate) fn sensed(
+        &mut self,
+        elements: Vec<(f64, f64)>,
+        moment_nmm: [f64; 2],
+        next: impl Fn([f64; 2], [f64; 2], f64) -> [f64; 2],
+    ) -> [f64; 2] {
+        self.states.resize(elements.len(), [0.0; 2]);
+        let mut sensed = moment_nmm;
+        for (state, (weight, width)) in self.states.iter_mut().zip(elements) {
+            *state = next(*state, self.before, width);
+            sensed = [0, 1].map(|c| sensed[c] + weight * state[c]);
+        }
+        self.before = moment_nmm;
+        sensed
+    }
 }
 
 /// Who sees a change of the poses.
@@ -26,8 +45,9 @@ pub(crate) enum Observers {
     Cameras,
 }
 
-/// Begins a sensor's memory under the effect's values.
-type BeginMemory = fn(&Values) -> Box<dyn Memory>;
+/// What is sensed of a moment (N mm) some time (s) after the one before, none at the first, which is
+/// remembered.
+type Sensor = fn(&Values, &mut SensorMemory, Option<f64>, [f64; 2]) -> [f64; 2];
 /// Columns of the readout from the sensed moments of a path's readings.
 type ReadoutColumns = fn(&Values, &WhiskerPath, &ReadoutOrigin, &[[f64; 2]]) -> Vec<Vec<f64>>;
 
@@ -41,9 +61,8 @@ pub(crate) struct WhiskerEffect {
     pub pose: fn(&Values, &WhiskerPath, &mut [f64]),
     /// Changes the mechanics of wire, root and groove.
     pub rod: fn(&Values, &mut RodParameters),
-    /// What the gratings sense of moments that come one after the other; none where they sense them
-    /// as they are.
-    pub memory: Option<BeginMemory>,
+    /// What the gratings sense of moments that come one after the other.
+    pub sensor: Sensor,
     /// Changes what pairs of pictures show: faults of the cameras' setup.
     pub pictures: fn(&Values, &mut [PairObservation]),
     /// Readout columns (one value a reading) whose coefficients are free in each channel, from the
@@ -66,7 +85,7 @@ impl From<Effect> for WhiskerEffect {
             observers: Observers::Both,
             pose: |_, _, _| {},
             rod: |_, _| {},
-            memory: None,
+            sensor: |_, _, _, moment_nmm| moment_nmm,
             pictures: |_, _| {},
             columns: |_, _, _, _| Vec::new(),
         }
@@ -92,23 +111,22 @@ impl ActiveEffect {
         Values::new(self.law(), self.term.law, &self.term.values)
     }
 
-    /// What the gratings sense of moments, where the effect makes that depend on those before.
-    pub(crate) fn memory(&self) -> Option<Box<dyn Memory>> {
-        self.effect.memory.map(|memory| memory(&self.values()))
-    }
-
     /// Changes the moments that the gratings sense at every node, N mm.
     pub(crate) fn sensor(&self, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let Some(mut memory) = self.memory() else {
-            return;
-        };
-        let mut last_s = None;
+        let (mut memory, mut last_s) = (SensorMemory::default(), None);
         for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
-            let dt_s = last_s.map(|last| node.t_s - last);
-            last_s = Some(node.t_s);
-            let sensed = memory.sensed(dt_s, *m);
-            memory.accept(dt_s, *m);
-            *m = sensed;
+            let dt_s = last_s.replace(node.t_s).map(|last: f64| node.t_s - last);
+            *m = self.sensed(&mut memory, dt_s, *m);
         }
+    }
+
+    /// What is sensed of one moment, N mm.
+    pub(crate) fn sensed(
+        &self,
+        memory: &mut SensorMemory,
+        dt_s: Option<f64>,
+        moment_nmm: [f64; 2],
+    ) -> [f64; 2] {
+        (self.effect.sensor)(&self.values(), memory, dt_s, moment_nmm)
     }
 }

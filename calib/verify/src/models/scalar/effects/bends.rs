@@ -1,7 +1,8 @@
 //! Bends: laws of the stimulus alone. They compete for one shape, so each is judged beside the
 //! others (`scalar::bends`).
 
-use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
+use crate::effect::LawRequirement::Slope;
+use crate::effect::{Effect, EffectModel, Values, law};
 use crate::scalar::frame::Frame;
 use crate::scalar::scalar_effect::ScalarEffect;
 
@@ -69,10 +70,7 @@ pub(crate) fn nonlinearity_cubic() -> ScalarEffect {
         ..ScalarEffect::new(
             "nonlinearity-cubic",
             "Cubic nonlinearity: the response has a term in the cube of the stimulus.",
-            vec![
-                cube("power-3"),
-                cube(ABOUT_ZERO).needing(&[LawRequirement::Slope]),
-            ],
+            vec![cube("power-3"), cube(ABOUT_ZERO).needing(&[Slope])],
         )
     }
 }
@@ -86,15 +84,15 @@ pub(crate) fn polynomial(declared: usize) -> ScalarEffect {
         "", "", "", "degree-3", "degree-4", "degree-5", "degree-6", "degree-7", "degree-8",
         "degree-9",
     ];
-    let to = |k: usize| {
-        (declared + 1..=k).fold(law(NAMES[k]), |l, _| l.column("coefficient", "response"))
-    };
+    let to =
+        |k: usize| law(NAMES[k]).columns(k.saturating_sub(declared), "coefficient", "response");
     ScalarEffect {
         bend: true,
         not_observable: |frame| {
             (frame.levels() < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} stimuli"))
         },
         columns: |values, frame| {
+            // The powers above the declared ones, named by the highest.
             let degree: i32 = values.law().rsplit('-').next()?.parse().ok()?;
             let lacking = values.linear() as i32;
             Some(
@@ -145,7 +143,7 @@ fn hinges(share: &'static str, range: [f64; 2]) -> Vec<EffectModel> {
     const LOWER: &[f64] = &[-0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4];
     let knee = |name, places, grid| {
         let changed = law(name)
-            .needing(&[LawRequirement::Slope])
+            .needing(&[Slope])
             .amplitude(share, "1", range, 0.2);
         changed.shape("knee", "stimulus", places, grid)
     };
@@ -192,7 +190,7 @@ pub(crate) fn knee() -> ScalarEffect {
 /// A slope that is merely smaller there is a knee.
 pub(crate) fn dead_zone() -> ScalarEffect {
     let about_zero = law("about-zero")
-        .needing(&[LawRequirement::Slope])
+        .needing(&[Slope])
         .amplitude("slope_lost", "1", [0.8, 1.0], 0.2)
         .shape(
             "half_width",

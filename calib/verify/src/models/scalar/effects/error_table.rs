@@ -6,7 +6,8 @@
 //! error(x) = sum_k h_k(x) (a_k + b_k [falling])        h_k: 1 at place k, 0 at its neighbours, straight between
 //! ```
 
-use crate::effect::{Effect, LawRequirement, law};
+use crate::effect::LawRequirement::BothDirections;
+use crate::effect::{Effect, law};
 use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Identifier of the table of errors by place.
@@ -17,10 +18,9 @@ pub(crate) fn error_table(places: &[f64]) -> ScalarEffect {
     // At least two, so that the catalogue can be listed without a session.
     let count = places.len().max(2);
     // The first place's deviation is the declared constant.
-    let deviations =
-        |name| (1..count).fold(law(name), |table, _| table.column("deviation", "response"));
-    let both = deviations("by-place-and-direction").needing(&[LawRequirement::BothDirections]);
-    let both = (0..count).fold(both, |table, _| table.column("reversal_value", "response"));
+    let deviations = |name| law(name).columns(count - 1, "deviation", "response");
+    let both = deviations("by-place-and-direction").needing(&[BothDirections]);
+    let both = both.columns(count, "reversal_value", "response");
     ScalarEffect {
         not_observable: |frame| {
             let none = frame.scaling.places.is_empty();
@@ -69,6 +69,7 @@ pub(crate) fn error_table(places: &[f64]) -> ScalarEffect {
 
 /// Value at `u` of the function that is 1 at place `k`.
 fn hat(places: &[f64], k: usize, u: f64) -> f64 {
+    // Hat functions: linear interpolation between the places of a table.
     let side = |other: Option<usize>| match other.and_then(|j| places.get(j)) {
         // Beyond the last place the error is the last one's.
         None => 1.0,

@@ -1,9 +1,11 @@
 //! Operators with memory over the sequence of readings.
 
+use crate::models::relaxation::{approach, relax};
+
 /// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in
 /// equilibrium.
 pub(crate) fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
-    relaxed_from(u.first().copied().unwrap_or(0.0), u, time, tau)
+    relaxed_from(u.first().copied().unwrap_or_default(), u, time, tau)
 }
 
 /// The same from another state at the first reading.
@@ -14,14 +16,7 @@ pub(crate) fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec
     }
     for k in 1..u.len() {
         let x = (time[k] - time[k - 1]) / tau;
-        let decay = (-x).exp();
-        let mean = if x > 1e-9 {
-            (1.0 - decay) / x
-        } else {
-            1.0 - 0.5 * x
-        };
-        // Weights of the old state, the old and the new input.
-        out[k] = decay * out[k - 1] + (mean - decay) * u[k - 1] + (1.0 - mean) * u[k];
+        out[k] = relax(out[k - 1], [u[k - 1], u[k]], x);
     }
     out
 }
@@ -52,6 +47,7 @@ pub(crate) fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
         return 0.0;
     };
     let x = ((time[largest] - time[largest - 1]) / tau).clamp(1e-6, 50.0);
+    // Moments of e^{m x}, m uniform from 0 to 1.
     let mean = x.exp_m1() / x;
     let variance = (2.0 * x).exp_m1() / (2.0 * x) - mean * mean;
     variance.max(0.0).sqrt() / mean
@@ -60,9 +56,10 @@ pub(crate) fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
 /// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward
 /// the other end it is taken up at first.
 pub(crate) fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
-    let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
+    let mut held = u.first().copied().unwrap_or_default() + begun * width;
     u.iter()
         .map(|&x| {
+            // Play operator: the output is held inside a band of the input.
             held = held.clamp(x, x + width);
             held
         })
@@ -72,13 +69,13 @@ pub(crate) fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
 /// Bouc-Wen state with n = 1 (Wen 1976): tends to the sign of the motion over the distance `width`.
 pub(crate) fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
     let mut state = 0.0;
-    let mut before = u.first().copied().unwrap_or(0.0);
+    let mut before = u.first().copied().unwrap_or_default();
     u.iter()
         .map(|&x| {
             let step = x - before;
             before = x;
             let target = if step == 0.0 { state } else { step.signum() };
-            state = target + (state - target) * (-step.abs() / width).exp();
+            state = approach(state, target, step.abs() / width);
             state
         })
         .collect()

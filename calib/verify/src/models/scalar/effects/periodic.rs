@@ -1,8 +1,10 @@
 //! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
 
-use crate::effect::{Effect, LawRequirement, law};
+use crate::effect::LawRequirement::{Order, Time};
+use crate::effect::{Effect, law};
 use crate::scalar::frame::{Frame, correlation};
-use crate::scalar::scalar_effect::ScalarEffect;
+use crate::scalar::scalar_effect::{ScalarEffect, steps_above};
+use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
 
 /// Identifier of the periodic effect.
@@ -10,15 +12,7 @@ pub(crate) const PERIODIC: &str = "periodic";
 
 /// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the
 /// best between them.
-const GRID: [f64; 197] = {
-    let mut grid = [0.0; 197];
-    let mut k = 0;
-    while k < 197 {
-        grid[k] = 2.25 + 0.5 * k as f64;
-        k += 1;
-    }
-    grid
-};
+const GRID: [f64; 197] = steps_above(1.75, 0.5);
 
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
 const MIN_CYCLES: f64 = 2.0;
@@ -53,6 +47,7 @@ pub(crate) fn periodic() -> ScalarEffect {
             if let Some(period) = of_a_turn(values.law(), frame) {
                 return period.map(|period| waves(frame.rows.iter().map(|r| TAU * r.x / period)));
             }
+            // A free phase is a free sine and cosine of one frequency.
             let (place, places) = variable(values.law(), frame)?;
             // Above half a cycle from place to place a frequency is another one's alias.
             let cycles = values.of("period");
@@ -61,8 +56,15 @@ pub(crate) fn periodic() -> ScalarEffect {
                 return None;
             }
             let phase: Vec<f64> = place.iter().map(|p| TAU * cycles * p).collect();
-            let locked =
-                || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
+            let locked = || {
+                let design = DMatrix::from_fn(phase.len(), 3, |i, j| match j {
+                    0 => 1.0,
+                    1 => phase[i].sin(),
+                    _ => phase[i].cos(),
+                });
+                is_locked(&design, &DVector::from_column_slice(&frame.u))
+                    || locked_to_strokes(frame, &phase)
+            };
             if values.law() != "over-stimulus" && !frame.new_rows && locked() {
                 return None;
             }
@@ -77,8 +79,8 @@ pub(crate) fn periodic() -> ScalarEffect {
                 "The residual repeats with a fixed period.",
                 vec![
                     wave("over-stimulus", "period:stimulus"),
-                    wave("over-time", "period:time").needing(&[LawRequirement::Time]),
-                    wave("over-order", "period:order").needing(&[LawRequirement::Order]),
+                    wave("over-time", "period:time").needing(&[Time]),
+                    wave("over-order", "period:order").needing(&[Order]),
                     of_turn("once-a-turn"),
                     of_turn("twice-a-turn"),
                 ],
@@ -108,20 +110,11 @@ fn waves(phase: impl Iterator<Item = f64> + Clone) -> Vec<Vec<f64>> {
 /// is a function of the stimulus.
 const LOCKED: f64 = 0.95;
 
-/// Share of the variance of `u` that a sine and a cosine of `phase` explain.
-fn share_explained(u: &[f64], phase: &[f64]) -> f64 {
-    let design = nalgebra::DMatrix::from_fn(u.len(), 3, |i, j| match j {
-        0 => 1.0,
-        1 => phase[i].sin(),
-        _ => phase[i].cos(),
-    });
-    let y = nalgebra::DVector::from_row_slice(u);
-    let mean = y.mean();
-    let total: f64 = y.iter().map(|v| (v - mean).powi(2)).sum();
-    match design.clone().svd(true, true).solve(&y, 1e-9) {
-        Ok(b) if total > 0.0 => 1.0 - (y - design * b).norm_squared() / total,
-        _ => 0.0,
-    }
+/// Whether the columns of a design explain the share [`LOCKED`] of the variance of `y`.
+fn is_locked(design: &DMatrix<f64>, y: &DVector<f64>) -> bool {
+    let left = design.clone().svd(true, true).solve(y, 1e-9);
+    let total = y.add_scalar(-y.mean()).norm_squared();
+    left.is_ok_and(|b| (y - design * b).norm_squared() < (1.0 - LOCKED) * total)
 }
 
 /// Strokes from which on a wave that follows stimulus and direction counts as the strokes' own.
@@ -136,11 +129,12 @@ fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
     let Some(direction) = frame.direction.as_ref() else {
         return false;
     };
+    // Few strokes repeat nothing.
     let strokes = 1 + direction.windows(2).filter(|d| d[0] * d[1] < 0.0).count();
     if strokes < MIN_STROKES {
         return false;
     }
-    let design = nalgebra::DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
+    let design = DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
         let power = frame.u[i].powi(j as i32 / 2);
         if j % 2 == 0 {
             power
@@ -148,15 +142,9 @@ fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
             power * direction[i]
         }
     });
-    let svd = design.clone().svd(true, true);
-    [f64::sin as fn(f64) -> f64, f64::cos]
-        .into_iter()
-        .all(|wave| {
-            let y = nalgebra::DVector::from_iterator(phase.len(), phase.iter().map(|p| wave(*p)));
-            let total = y.map(|v| v - y.mean()).norm_squared();
-            svd.solve(&y, 1e-9)
-                .is_ok_and(|b| (&y - &design * b).norm_squared() < (1.0 - LOCKED) * total)
-        })
+    let waves = waves(phase.iter().copied());
+    let mut waves = waves.into_iter().map(DVector::from_vec);
+    waves.all(|wave| is_locked(&design, &wave))
 }
 
 /// Two covariates that run together this closely are one.

@@ -1,8 +1,10 @@
 //! Effects that add columns to the response, and those of its noise.
 
-use crate::effect::{Effect, LawRequirement, law};
-use crate::method::noise::spread::MIN_READINGS;
-use crate::scalar::scalar_effect::ScalarEffect;
+use crate::effect::LawRequirement::{Clock, Covariate, Temperature};
+use crate::effect::{Effect, law};
+use crate::method::MIN_READINGS;
+use crate::scalar::scalar_effect::{ScalarEffect, steps_above};
+use crate::scalar::sequence::MIN_REPEATS;
 
 /// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
 pub(crate) const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
@@ -10,7 +12,7 @@ pub(crate) const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
 pub(crate) fn drift() -> ScalarEffect {
     let linear = law("linear")
-        .needing(&[LawRequirement::Clock])
+        .needing(&[Clock])
         .column("rate", "response/duration");
     ScalarEffect {
         columns: |_, frame| Some(vec![frame.clock().to_vec()]),
@@ -21,7 +23,7 @@ pub(crate) fn drift() -> ScalarEffect {
 /// Temperature moves the zero, the sensitivity (OIML R 60), or both: where the lines of all
 /// temperatures meet need not be the stimulus zero (a pH electrode's isopotential point).
 pub(crate) fn temperature() -> ScalarEffect {
-    let warm = |name| law(name).needing(&[LawRequirement::Temperature]);
+    let warm = |name| law(name).needing(&[Temperature]);
     let (zero, slope) = (
         ("zero_shift", "response/degc"),
         ("slope_shift", "response/half-range/degc"),
@@ -29,6 +31,7 @@ pub(crate) fn temperature() -> ScalarEffect {
     ScalarEffect {
         columns: |values, frame| {
             let rise = frame.temperature.as_ref()?;
+            // dS (T - T0) (u - u0): nothing changes at stimulus zero.
             let sensitivity = || {
                 rise.iter()
                     .zip(&frame.u)
@@ -55,32 +58,17 @@ pub(crate) fn temperature() -> ScalarEffect {
     }
 }
 
-/// Places of a step: every hundredth of what it runs over, from `low` on.
-const fn places(low: f64, span: f64) -> [f64; 99] {
-    let mut grid = [0.0; 99];
-    let mut k = 0;
-    while k < 99 {
-        grid[k] = low + span * 0.01 * (k as f64 + 1.0);
-        k += 1;
-    }
-    grid
-}
-const OF_SESSION: [f64; 99] = places(0.0, 1.0);
-const OF_STIMULUS: [f64; 99] = places(-1.0, 2.0);
-
-/// A shift of fewer readings than this at either end is not a step but a matter of single readings.
-const MIN_EACH_SIDE: usize = 3;
+/// Places of a step: every hundredth of what it runs over.
+const OF_SESSION: [f64; 99] = steps_above(0.0, 0.01);
+const OF_STIMULUS: [f64; 99] = steps_above(-1.0, 0.02);
 
 /// Step: from some reading, or from some stimulus on, every response is shifted; a change point in
 /// time, in the order of the readings where the table has no times, or along the stimulus (another
 /// range of the read-out, a weight that was exchanged).
 pub(crate) fn step() -> ScalarEffect {
-    let once = law("once").needing(&[LawRequirement::Clock]).shape(
-        "place",
-        "clock",
-        [0.0, 1.0],
-        &OF_SESSION,
-    );
+    let once = law("once")
+        .needing(&[Clock])
+        .shape("place", "clock", [0.0, 1.0], &OF_SESSION);
     let along = law("over-stimulus").shape("place", "stimulus", [-1.0, 1.0], &OF_STIMULUS);
     ScalarEffect {
         waves_of_stimulus: &["over-stimulus"],
@@ -94,7 +82,8 @@ pub(crate) fn step() -> ScalarEffect {
             let over = if along { &frame.u } else { frame.clock() };
             let column: Vec<f64> = over.iter().map(|o| f64::from(u8::from(*o >= place))).collect();
             let after = column.iter().filter(|v| **v > 0.0).count();
-            let few = after < MIN_EACH_SIDE || column.len() - after < MIN_EACH_SIDE;
+            // A shift of few readings at either end is a matter of single readings.
+            let few = after.min(column.len() - after) < MIN_REPEATS;
             (!few || frame.new_rows).then_some(vec![column])
         },
         ..Effect {
@@ -140,7 +129,7 @@ pub(crate) fn heteroscedastic_noise() -> ScalarEffect {
 /// table's `count`; the names stand in the session.
 pub(crate) fn cross_axis(count: usize) -> ScalarEffect {
     let one = law("covariate")
-        .needing(&[LawRequirement::Covariate])
+        .needing(&[Covariate])
         .column("slope", "response/covariate");
     ScalarEffect {
         columns: |values, frame| Some(vec![frame.covariates.get(values.index())?.clone()?]),

@@ -56,8 +56,7 @@ pub(crate) fn logarithmic_scale() -> ScalarEffect {
             &[500.0, 1e3, 2e3, 3e3, 3.5e3, 4e3, 5e3, 7e3, 1e4],
         )
         .column("size", "response");
-    let powers =
-        |name, count: usize| (0..count).fold(law(name), |l, _| l.column("coefficient", "response"));
+    let powers = |name, count| law(name).columns(count, "coefficient", "response");
     ScalarEffect {
         bend: true,
         not_observable: |frame| {
@@ -82,6 +81,7 @@ pub(crate) fn logarithmic_scale() -> ScalarEffect {
                 "logarithm" | "logarithm-cubic" if known || straighter(frame, false) => {
                     let log = logarithms(&frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>());
                     let log = if known { Some(frame.rows.iter().map(|r| r.x.abs().ln()).collect()) } else { log }?;
+                    // About the middle the powers of the logarithm are hardly correlated.
                     let middle = (frame.scaling.mid.abs()).ln();
                     let power = |k: i32| log.iter().map(|l| (l - middle).powi(k)).collect::<Vec<f64>>();
                     Some((1..=values.linear() as i32).map(power).collect())

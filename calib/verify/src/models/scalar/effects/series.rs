@@ -11,7 +11,7 @@ pub(crate) const ZERO_BY_SERIES: &str = "zero-by-series";
 /// contrasts, so that the constant is the mean zero. Nothing is known of the zero of another
 /// series.
 pub(crate) fn zero_by_series(count: usize) -> ScalarEffect {
-    let shifts = (1..count.max(2)).fold(law("one-each"), |l, _| l.column("zero_shift", "response"));
+    let shifts = law("one-each").columns(count.max(2) - 1, "zero_shift", "response");
     ScalarEffect {
         not_observable: |frame| {
             let none = "the table has no series of their own (column cycle or replicate)";

@@ -3,7 +3,8 @@
 use super::memory::{
     bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from, spread_of_jumps,
 };
-use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
+use crate::effect::LawRequirement::{BothDirections, Slope, Time};
+use crate::effect::{Effect, EffectModel, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
 
@@ -46,7 +47,7 @@ pub(crate) fn scale(sloped: bool) -> ScalarEffect {
 /// recovery) back: one Prony term driven by the stimulus, or the settling of an earlier load.
 pub(crate) fn creep() -> ScalarEffect {
     let prony = law("prony")
-        .needing(&[LawRequirement::Time])
+        .needing(&[Time])
         .amplitude("creep_fraction", "1", [-0.5, 0.5], 0.02)
         .shape(
             "time_constant",
@@ -55,7 +56,7 @@ pub(crate) fn creep() -> ScalarEffect {
             &[0.003, 0.01, 0.03, 0.1, 0.3, 1.0],
         );
     let settling = law("settling")
-        .needing(&[LawRequirement::Time])
+        .needing(&[Time])
         .shape(
             "time_constant",
             "duration",
@@ -86,6 +87,7 @@ pub(crate) fn creep() -> ScalarEffect {
             } else {
                 relaxed(u, time, constant)
             };
+            // u + a r(u): the share a of the response follows late.
             let fraction = values.of("creep_fraction");
             for (v, r) in u.iter_mut().zip(slow) {
                 *v += fraction * r;
@@ -148,7 +150,7 @@ fn begun(values: &Values<'_>) -> f64 {
 /// closed loop: (1 - u^2) d (h + s u)        u: stimulus in half ranges, d: +1 rising, -1 falling, h: half the loop at the middle
 /// ```
 pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
-    let both = |name| law(name).needing(&[LawRequirement::BothDirections]);
+    let both = |name| law(name).needing(&[BothDirections]);
     let gradual = both("bouc-wen")
         .amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01)
         .shape("width", "half-range", [0.005, 2.0], &[0.02, 0.1, 0.3, 1.0]);
@@ -179,6 +181,7 @@ pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
             if !frame.sloped() {
                 return false;
             }
+            // u + h z: the loop is as wide as the state swings.
             let state = bouc_wen(u, values.of("width"));
             let half_loop = values.of("half_loop");
             for (v, s) in u.iter_mut().zip(state) {
@@ -229,11 +232,11 @@ pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
 /// axis an offset by direction is backlash, too (reversal value B of ISO 230-2).
 pub(crate) fn backlash(declared: Declared) -> ScalarEffect {
     let taken_up = |name| {
-        let both = law(name).needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
+        let both = law(name).needing(&[Slope, BothDirections]);
         both.amplitude("backlash", "half-range", [0.0, 0.5], 0.01)
     };
     let reversal = law("reversal")
-        .needing(&[LawRequirement::BothDirections])
+        .needing(&[BothDirections])
         .column("reversal_value", "response");
     let mut laws = ["play", "play-from-rest", "play-turned"]
         .map(taken_up)
@@ -244,6 +247,7 @@ pub(crate) fn backlash(declared: Declared) -> ScalarEffect {
     ScalarEffect {
         warp: |values, _, u| {
             if values.law() != "reversal" {
+                // The response follows what the play lets through.
                 let held = play(u, values.of("backlash"), begun(values));
                 u.copy_from_slice(&held);
             }
@@ -288,7 +292,7 @@ const FROM_ANY_STATE: &str = "-from-any-state";
 /// ```
 pub(crate) fn lag() -> ScalarEffect {
     let late = |name, value| {
-        let timed = law(name).needing(&[LawRequirement::Slope, LawRequirement::Time]);
+        let timed = law(name).needing(&[Slope, Time]);
         timed.amplitude(value, "duration", [0.0, 0.1], 2e-3)
     };
     let first_order = late("first-order", "time_constant");

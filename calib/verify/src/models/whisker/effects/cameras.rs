@@ -1,6 +1,8 @@
 //! Faults of the cameras' setup: effects on what pairs of pictures show.
 
-use crate::effect::{EffectModel, LawRequirement, law};
+use crate::effect::LawRequirement::{MovingPictures, Pictures};
+use crate::effect::{EffectModel, law};
+use crate::whisker::stage_motion::velocity;
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 use nalgebra::Vector3;
 
@@ -20,9 +22,7 @@ pub(crate) fn camera_pose() -> WhiskerEffect {
     );
     WhiskerEffect {
         pictures: |values, seen| {
-            let vector = |names: [&str; 3]| Vector3::from(names.map(|name| values.of(name)));
-            let shift = vector(["shift_x_mm", "shift_y_mm", "shift_z_mm"]);
-            let turn = vector(["turn_x_rad", "turn_y_rad", "turn_z_rad"]);
+            let [shift, turn] = [0, 3].map(|k| Vector3::from_column_slice(&values.all()[k..k + 3]));
             let from = if values.law() == "during-the-session" {
                 values.of("from_share")
             } else {
@@ -46,22 +46,19 @@ pub(crate) fn camera_pose() -> WhiskerEffect {
 
 /// The law with its six amplitudes.
 fn rigid(name: &'static str) -> EffectModel {
-    let (shift, turn) = ([-5.0, 5.0], [-0.1, 0.1]);
+    let shifts = ["shift_x_mm", "shift_y_mm", "shift_z_mm"];
+    let turns = ["turn_x_rad", "turn_y_rad", "turn_z_rad"];
     law(name)
-        .needing(&[LawRequirement::Pictures])
-        .amplitude("shift_x_mm", "mm", shift, 0.1)
-        .amplitude("shift_y_mm", "mm", shift, 0.1)
-        .amplitude("shift_z_mm", "mm", shift, 0.1)
-        .amplitude("turn_x_rad", "rad", turn, 0.005)
-        .amplitude("turn_y_rad", "rad", turn, 0.005)
-        .amplitude("turn_z_rad", "rad", turn, 0.005)
+        .needing(&[Pictures])
+        .amplitudes(shifts, "mm", [-5.0, 5.0], 0.1)
+        .amplitudes(turns, "rad", [-0.1, 0.1], 0.005)
 }
 
 /// The calibration board is not as large as stated: a stereo pair has the scale of its board, and
 /// every length that the cameras measure is off by one factor (Hartley & Zisserman, Multiple View
 /// Geometry, ch. 10.2).
 pub(crate) fn board_scale() -> WhiskerEffect {
-    let one_factor = law("one-factor").needing(&[LawRequirement::Pictures]);
+    let one_factor = law("one-factor").needing(&[Pictures]);
     WhiskerEffect {
         pictures: |values, seen| {
             let scale = values.of("relative_scale");
@@ -88,20 +85,21 @@ pub(crate) fn board_scale() -> WhiskerEffect {
 /// The rig tag is glued askew: the tag says where along the wire the groove is, the wire's own
 /// pictures say where across.
 pub(crate) fn rig_tag() -> WhiskerEffect {
-    let rigid = law("rigid")
-        .needing(&[LawRequirement::Pictures])
-        .amplitude("offset_x_mm", "mm", [-5.0, 5.0], 0.2)
-        .amplitude("offset_y_mm", "mm", [-5.0, 5.0], 0.2)
-        .amplitude("offset_z_mm", "mm", [-5.0, 5.0], 0.2);
+    let rigid = law("rigid").needing(&[Pictures]);
+    let offsets = ["offset_x_mm", "offset_y_mm", "offset_z_mm"];
+    let rigid = rigid.amplitudes(offsets, "mm", [-5.0, 5.0], 0.2);
     WhiskerEffect {
         pictures: |values, seen| {
-            let offset = ["offset_x_mm", "offset_y_mm", "offset_z_mm"].map(|name| values.of(name));
+            let offset = values.all();
             for s in seen {
                 match s.derivatives.clone().rig_tag.as_ref() {
-                    Some(by) => by.iter().zip(offset).for_each(|(by, size)| s.add(by, size)),
+                    Some(by) => by
+                        .iter()
+                        .zip(offset)
+                        .for_each(|(by, size)| s.add(by, *size)),
                     // The foot of the tag's groove on the wire moves along it.
                     None => {
-                        let along = s.tangent.dot(&Vector3::from(offset));
+                        let along = s.tangent.dot(&Vector3::from_column_slice(offset));
                         s.groove_mm += s.tangent * along;
                         s.arclength_mm += along;
                     }
@@ -119,15 +117,13 @@ pub(crate) fn rig_tag() -> WhiskerEffect {
 /// The pictures' clock is off the stage's: a pair taken while the stage moves shows the groove at
 /// x + v tau.
 pub(crate) fn picture_clock() -> WhiskerEffect {
-    let offset = law("offset").needing(&[LawRequirement::Pictures, LawRequirement::MovingPictures]);
+    let offset = law("offset").needing(&[Pictures, MovingPictures]);
     WhiskerEffect {
         observers: Observers::Cameras,
         pose: |values, path, xs_mm| {
             let clock_s = values.of("clock_s");
-            for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {
-                if let Some(i) = node.reading {
-                    *x += path.readings[i].velocity_mm_s * clock_s;
-                }
+            for (node, x) in path.nodes.iter().zip(xs_mm) {
+                *x += velocity(path, node) * clock_s;
             }
         },
         ..WhiskerEffect::new(

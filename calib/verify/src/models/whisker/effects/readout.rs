@@ -1,6 +1,7 @@
 //! Effects that add columns to the readout, and single readings.
 
-use crate::effect::{Effect, LawRequirement, law};
+use crate::effect::LawRequirement::{RestReadings, Temperature, Time};
+use crate::effect::{Effect, law};
 use crate::whisker::whisker_effect::WhiskerEffect;
 
 /// Five times what is usual at most (4 % of full scale), which leaves room for its standard
@@ -10,7 +11,7 @@ const MAX_SHARE: f64 = 0.2;
 /// Rest of the temperature compensation, dk (T - T0) in each channel: difference of the temperature
 /// coefficients, tens of pm/K where bonded to polymer.
 pub(crate) fn temperature_mismatch() -> WhiskerEffect {
-    let linear = law("linear").needing(&[LawRequirement::Temperature]);
+    let linear = law("linear").needing(&[Temperature]);
     WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and
         // would pull the coefficient.
@@ -32,7 +33,7 @@ pub(crate) fn temperature_mismatch() -> WhiskerEffect {
 
 /// Drift of the zero, linear in time: relaxation of bonds and packaging, interrogator drift.
 pub(crate) fn zero_drift() -> WhiskerEffect {
-    let linear = law("linear").needing(&[LawRequirement::Time]);
+    let linear = law("linear").needing(&[Time]);
     WhiskerEffect {
         columns: |_, path, origin, _| {
             vec![
@@ -56,7 +57,7 @@ pub(crate) fn zero_drift() -> WhiskerEffect {
 /// A rest reading that was taken on another day, after a remount or before the wire was seated says
 /// nothing of the zero that the loaded readings have: packaging and bond settle at first load.
 pub(crate) fn rest_zero() -> WhiskerEffect {
-    let step = law("step").needing(&[LawRequirement::RestReadings]);
+    let step = law("step").needing(&[RestReadings]);
     WhiskerEffect {
         columns: |_, path, _, _| {
             vec![

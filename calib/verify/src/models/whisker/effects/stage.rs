@@ -1,9 +1,10 @@
 //! Effects on the position of the stage.
 
-use super::bond::relax;
-use crate::effect::{LawRequirement, law};
+use crate::effect::LawRequirement::Motion;
+use crate::effect::law;
+use crate::models::relaxation::relax;
 use crate::whisker::path::WhiskerPath;
-use crate::whisker::stage_motion::{MotionSegment, motion_between};
+use crate::whisker::stage_motion::{MotionSegment, motion_between, velocity};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 
 /// Lost motion: after a reversal the groove stays until the play is taken up. X-LSM100A states < 12
@@ -27,6 +28,7 @@ pub(crate) fn stage_backlash() -> WhiskerEffect {
                     line = node.line;
                     held = *x;
                 }
+                // Play operator: the groove follows once the play is taken up.
                 held = held.clamp(*x, *x + play);
                 *x = held + shift;
             }
@@ -60,8 +62,7 @@ pub(crate) fn stage_scale() -> WhiskerEffect {
 /// turn (device notes).
 pub(crate) fn stage_periodic() -> WhiskerEffect {
     let screw = law("screw")
-        .amplitude("sine_mm", "mm", [-0.1, 0.1], 0.005)
-        .amplitude("cosine_mm", "mm", [-0.1, 0.1], 0.005)
+        .amplitudes(["sine_mm", "cosine_mm"], "mm", [-0.1, 0.1], 0.005)
         .shape("pitch_mm", "mm", [0.25, 1.3], &[0.6096, 0.3048, 1.2192]);
     WhiskerEffect {
         pose: |values, _, xs_mm| {
@@ -90,7 +91,7 @@ pub(crate) fn stage_periodic() -> WhiskerEffect {
 pub(crate) fn time_lag() -> WhiskerEffect {
     let lag = |name| {
         law(name)
-            .needing(&[LawRequirement::Motion])
+            .needing(&[Motion])
             .amplitude("lag_s", "s", [0.0, 1.0], 0.02)
     };
     WhiskerEffect {
@@ -100,6 +101,7 @@ pub(crate) fn time_lag() -> WhiskerEffect {
             if lag_s <= 0.0 {
                 return;
             }
+            // A filter remembers the whole way, a transport delay one moment of it.
             let late: Vec<f64> = match values.law() {
                 "first-order" => low_passed(path, xs_mm, lag_s),
                 _ => (0..xs_mm.len())
@@ -118,11 +120,7 @@ pub(crate) fn time_lag() -> WhiskerEffect {
 
 /// Position at node `k` in steady motion, mm.
 fn steady(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
-    xs_mm[k]
-        - path.nodes[k]
-            .reading
-            .map_or(0.0, |i| path.readings[i].velocity_mm_s)
-            * lag_s
+    xs_mm[k] - velocity(path, &path.nodes[k]) * lag_s
 }
 
 /// Position `lag_s` before node `k`, mm, along the way back as far as it is known.
@@ -164,7 +162,7 @@ fn low_passed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64) -> Vec<f64> {
         out.push(match last {
             Some((d, pieces)) => pieces
                 .iter()
-                .fold(d, |d, p| relax(d, p.from_mm, p.to_mm, p.dt_s, lag_s)),
+                .fold(d, |d, p| relax(d, [p.from_mm, p.to_mm], p.dt_s / lag_s)),
             None => steady(path, xs_mm, lag_s, k),
         });
     }

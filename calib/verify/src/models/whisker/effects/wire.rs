@@ -1,6 +1,7 @@
 //! Effects on the mechanics of wire, root and groove.
 
-use crate::effect::{LawRequirement, law};
+use crate::effect::LawRequirement::{Pictures, StraightArc, Weight};
+use crate::effect::law;
 use crate::whisker::whisker_effect::WhiskerEffect;
 use wcal_rod::Softening;
 
@@ -28,10 +29,8 @@ pub(crate) fn groove_friction() -> WhiskerEffect {
 /// Constant offset of the groove in the rig frame (three components; one along the wire is weak):
 /// mounting tolerance of the rig.
 pub(crate) fn contact_offset() -> WhiskerEffect {
-    let rigid = law("rigid")
-        .amplitude("offset_x_mm", "mm", [-2.0, 2.0], 0.1)
-        .amplitude("offset_y_mm", "mm", [-2.0, 2.0], 0.1)
-        .amplitude("offset_z_mm", "mm", [-2.0, 2.0], 0.1);
+    let offsets = ["offset_x_mm", "offset_y_mm", "offset_z_mm"];
+    let rigid = law("rigid").amplitudes(offsets, "mm", [-2.0, 2.0], 0.1);
     WhiskerEffect {
         rod: |values, rod| {
             for (offset, by) in rod.offset_mm.iter_mut().zip(values.all()) {
@@ -88,6 +87,7 @@ pub(crate) fn superelastic_softening() -> WhiskerEffect {
             if share <= 0.0 {
                 return;
             }
+            // Past the onset the tangent modulus is this share of the elastic one.
             let (left, onset_per_m) = (1.0 - share, values.of("onset_per_m"));
             rod.softening = Some(if values.law() == "section-plateau" {
                 Softening::Section {
@@ -131,7 +131,7 @@ pub(crate) fn wire_taper() -> WhiskerEffect {
 
 /// Weight less buoyancy of the wire: int r x (rho_w - rho_f) A g ds, about 0.008 N mm.
 pub(crate) fn gravity() -> WhiskerEffect {
-    let weight = law("weight").needing(&[LawRequirement::Weight]);
+    let weight = law("weight").needing(&[Weight]);
     WhiskerEffect {
         rod: |values, rod| rod.weight += values.of("weight_share"),
         ..WhiskerEffect::new(
@@ -146,9 +146,13 @@ pub(crate) fn gravity() -> WhiskerEffect {
 /// narrower (bending tolerance). The free tail in the pictures shows it with no load.
 pub(crate) fn rest_shape() -> WhiskerEffect {
     let bent = law("straight-and-arc")
-        .needing(&[LawRequirement::Pictures, LawRequirement::StraightArc])
-        .amplitude("straight_change_mm", "mm", [-6.0, 6.0], 0.5)
-        .amplitude("arc_radius_change_mm", "mm", [-6.0, 6.0], 0.5);
+        .needing(&[Pictures, StraightArc])
+        .amplitudes(
+            ["straight_change_mm", "arc_radius_change_mm"],
+            "mm",
+            [-6.0, 6.0],
+            0.5,
+        );
     WhiskerEffect {
         rod: |values, rod| {
             rod.straight_change_mm += values.of("straight_change_mm");

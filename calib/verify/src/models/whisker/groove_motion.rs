@@ -171,7 +171,7 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for
 /// each moment.
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
-    let predictor = MapPredictor::new(map).ok()?;
+    let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
     let sensed = system.path.readings.iter().map(|r| {
         let moments = predictor.moments(r.t_s, r.shift_pm, r.rise_degc);

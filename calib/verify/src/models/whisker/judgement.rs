@@ -60,7 +60,7 @@ pub fn of_map(
     map: &MapArtefact,
     only_sealed: bool,
 ) -> Option<Vec<HeldOut>> {
-    let predictor = MapPredictor::new(map).ok()?;
+    let mut predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
     let readings = system.path.readings.iter();
     let inferred: Vec<StreamMoments> = readings

@@ -57,37 +57,52 @@ pub(crate) fn sweep_rows(
 pub(crate) struct SweepZero {
     /// Number of those readings.
     pub free: usize,
+    pub moment_nmm: Vector2<f64>,
     /// Variance of a reading in each moment, (N mm)^2.
     pub variance_nmm2: f64,
+    /// Mean of what the calibration's readings share.
+    pub shared_nmm: Vec<Vector2<f64>>,
+    /// Largest moment from it, N mm.
+    pub largest_nmm: f64,
 }
 
 impl SweepZero {
-    /// Takes it off the rows, of which so many of the first the free wire is clear of the object,
-    /// as the clock is said to be and with one that is off; a reading that is clear, but no longer
-    /// steady, counts as loaded. None where too few readings are free.
-    pub(crate) fn take(rows: &mut [SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
+    /// From rows and how many of the first the free wire is clear of the object, as the clock is
+    /// said to be and with one that is off; a reading that is clear, but no longer steady, counts
+    /// as loaded. None where too few readings are free.
+    pub(crate) fn new(rows: &[SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
         let moments: Vec<Vector2<f64>> = rows.iter().map(|r| r.moment_nmm).collect();
         let free = steady(&moments, 0.0).map_or(clear.min(MIN_FREE), |s| s.count.min(at_most));
         if free < MIN_FREE {
             return None;
         }
         // The free wire has no moment: what is read there is the zero, and its scatter the noise of
-        // a reading. What all readings share is off it already.
-        let mean = |of: &dyn Fn(&SweepRow) -> Vector2<f64>| {
-            rows[..free].iter().map(of).sum::<Vector2<f64>>() / free as f64
-        };
-        let zero = mean(&|r| r.moment_nmm);
+        // a reading.
+        let zero = moments[..free].iter().sum::<Vector2<f64>>() / free as f64;
+        let variance = moments[..free]
+            .iter()
+            .map(|m| (m - zero).norm_squared())
+            .sum::<f64>()
+            / (2.0 * (free - 1) as f64);
+        let largest_nmm = moments
+            .iter()
+            .map(|m| (m - zero).norm())
+            .fold(0.0, f64::max);
         let count = rows.iter().map(|r| r.shared_nmm.len()).min().unwrap_or(0);
-        let shared: Vec<_> = (0..count).map(|k| mean(&|r| r.shared_nmm[k])).collect();
-        for row in &mut *rows {
-            row.moment_nmm -= zero;
-            let both = row.shared_nmm.iter_mut().zip(&shared);
-            both.for_each(|(h, zero)| *h -= zero);
-        }
-        let squares = rows[..free].iter().map(|r| r.moment_nmm.norm_squared());
+        let shared = |k: usize| {
+            rows[..free]
+                .iter()
+                .map(|r| r.shared_nmm[k])
+                .sum::<Vector2<f64>>()
+                / free as f64
+        };
+        let shared_nmm = (0..count).map(shared).collect();
         Some(Self {
             free,
-            variance_nmm2: squares.sum::<f64>() / (2.0 * (free - 1) as f64),
+            moment_nmm: zero,
+            variance_nmm2: variance,
+            shared_nmm,
+            largest_nmm,
         })
     }
 }

@@ -106,6 +106,7 @@ pub struct SweepWitness {
 /// A loaded reading.
 struct Touch<'a> {
     row: &'a SweepRow,
+    moment_nmm: Vector2<f64>,
     /// Way of the base until then, mm.
     way_mm: f64,
     /// How much larger the moment's errors across it are than those of what is felt.
@@ -125,24 +126,35 @@ impl SweepWitness {
         (declared, axes): (&WhiskerSpec, &MomentAxes),
         poses: usize,
     ) -> Result<Self, TrackError> {
-        let missing = |key: &str, expected: &str| {
-            TrackError::value(format!("{}: {key}", session.id), expected, "none")
+        let what = |key: &str| format!("{}: {key}", session.id);
+        let Some(object) = &session.object else {
+            return Err(TrackError::value(
+                what("files.object"),
+                "a mesh of the object",
+                "none",
+            ));
         };
-        let object = session.object.as_ref();
-        let object = object.ok_or_else(|| missing("files.object", "a mesh of the object"))?;
-        let place = session.world_from_object;
-        let world_from_object =
-            place.ok_or_else(|| missing("object.world_from_object", "the pose of the mesh"))?;
-        let frame = WireFrame::new(declared, axes)?;
+        let Some(world_from_object) = session.world_from_object else {
+            return Err(TrackError::value(
+                what("object.world_from_object"),
+                "the pose of the mesh",
+                "none",
+            ));
+        };
+        let frame = WireFrame::new(declared, axes)
+            .map_err(|e| TrackError::value(e.key, e.expected, e.found))?;
+        let whisker = frame.whisker(declared);
+        let (id, mesh) = (session.id.clone(), Mesh::read(object)?.outside()?);
+        let (poses, inverse) = (poses.max(1), OnceLock::new());
         Ok(Self {
-            id: session.id.clone(),
-            mesh: Mesh::read(object)?.outside()?,
+            id,
+            mesh,
             world_from_object,
-            whisker: frame.whisker(declared),
             frame,
-            poses: poses.max(1),
+            whisker,
+            poses,
             session,
-            inverse: OnceLock::new(),
+            inverse,
         })
     }
 
@@ -208,20 +220,24 @@ impl SweepWitness {
         whisker: &WhiskerSpec,
         chosen: Option<&[usize]>,
     ) -> Result<(Vec<usize>, Vec<Best>), TrackError> {
-        let mut rows = sweep_rows(&self.session, calibration, (whisker, &self.frame))?;
+        let rows = sweep_rows(&self.session, calibration, (whisker, &self.frame))?;
         let place = || self.session.points.display().to_string();
         let path = BasePath::new(&rows);
         let (clear, clear_mm) = self.clear(&rows, &path)?;
         // The sweep's own zero, and from when on the wire is loaded.
-        let Some(zero) = SweepZero::take(&mut rows, clear) else {
+        let Some(zero) = SweepZero::new(&rows, clear) else {
             let expected =
                 format!("readings before the wire comes within {clear_mm:.1} mm of the object");
-            let found = format!("{}: the sweep has no free readings, so no zero", clear[0]);
-            return Err(TrackError::value(place(), expected, found));
+            let free = clear[0];
+            return Err(TrackError::value(
+                place(),
+                expected,
+                format!("{free}: the sweep has no free readings, so no zero"),
+            ));
         };
-        let load = |k: usize| rows[k].moment_nmm.norm();
-        let largest = (0..rows.len()).map(load).fold(0.0, f64::max);
+        let largest = zero.largest_nmm;
         let loaded_nmm = (LOADED_SD * zero.variance_nmm2.sqrt()).max(LOADED_SHARE * largest);
+        let load = |k: usize| (rows[k].moment_nmm - zero.moment_nmm).norm();
         // A single loaded reading is an outlier.
         let high = |k: usize| k < rows.len() && load(k) > loaded_nmm;
         let loaded = |k: &usize| high(*k) && (high(*k + 1) || high(*k - 1));
@@ -235,12 +251,15 @@ impl SweepWitness {
         };
         let before = (zero.free..peak).rev().find(|k| leaps(*k, k + 1));
         let after = (peak + 1..rows.len()).find(|k| leaps(*k, k - 1));
-        let first = before.map_or(zero.free, |k| k + 1);
-        let end = after.unwrap_or(rows.len());
+        let (first, end) = (
+            before.map_or(zero.free, |k| k + 1),
+            after.unwrap_or(rows.len()),
+        );
+        let leap = |low: usize, high: usize| load(high) - load(low);
         // A dead zone hides as much at both ends; a wire that slips off leaps at one.
         let hidden_nmm = before
-            .map_or(0.0, |k| load(k + 1) - load(k))
-            .min(after.map_or(0.0, |k| load(k - 1) - load(k)));
+            .map_or(0.0, |k| leap(k, k + 1))
+            .min(after.map_or(0.0, |k| leap(k, k - 1)));
         let touching: Vec<usize> = (first..end).filter(loaded).collect();
         let every = touching.len().div_ceil(MAX_SAMPLES).max(1);
         let touching: Vec<usize> = touching.into_iter().step_by(every).collect();
@@ -252,7 +271,7 @@ impl SweepWitness {
         let inverse = self.inverse(largest)?;
         let touches: Vec<Touch> = touching
             .iter()
-            .map(|k| Touch::new(&rows, *k, hidden_nmm, inverse))
+            .map(|k| Touch::new(&rows, *k, (&zero, hidden_nmm), inverse))
             .collect();
         let scene = Scene {
             mesh: &self.mesh,
@@ -265,42 +284,61 @@ impl SweepWitness {
         // A pose of the calibration stands for its share of the moments' range: within it the
         // misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
-        let zero_nmm2 = zero.variance_nmm2 / zero.free as f64;
-        let covariance = |by: &[Vector2<f64>]| covariance(&touches, by, zero_nmm2, spacing_nmm);
-        let from = |clock: f64| {
-            let mut eta = Unknowns::zeros();
-            eta[0] = clock;
-            descend(&scene, &touches, &covariance, eta)
+        let zero_nmm2 = Matrix2::identity() * (zero.variance_nmm2 / zero.free as f64);
+        // What all readings share is off the zero already.
+        let off_zero = |t: &Touch| {
+            zero.shared_nmm
+                .iter()
+                .zip(&t.row.shared_nmm)
+                .map(|(z, h)| h - z)
+                .collect()
         };
-        let found: Vec<Best> = CLOCKS.into_iter().filter_map(from).collect();
+        let known: Vec<Vec<Vector2<f64>>> = touches.iter().map(off_zero).collect();
+        let covariance =
+            |by: &[Vector2<f64>]| covariance(&touches, by, &known, (zero_nmm2, spacing_nmm));
+        let found = minima(&scene, &touches, &covariance);
         if found.is_empty() {
             let expected =
                 format!("an object within {REACH_MM} mm of the wire at every loaded reading");
-            let found = "one that is farther away";
-            return Err(TrackError::value(place(), expected, found));
+            return Err(TrackError::value(
+                place(),
+                expected,
+                "one that is farther away",
+            ));
         }
         Ok((touching, found))
     }
 
     /// The table of the wire, for moments up to the largest of the first verdict with a margin.
     fn inverse(&self, largest_nmm: f64) -> Result<&StaticInverse, TrackError> {
-        let (max_nmm, inverse) = match self.inverse.get() {
-            Some(made) => made,
-            None => {
-                let grid = InverseGrid::coarse();
-                let max_nmm = grid.max_nmm.max(TABLE_REACH * largest_nmm + STEP_NMM);
-                let made = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
-                self.inverse.get_or_init(|| (max_nmm, made))
-            }
-        };
-        if *max_nmm >= largest_nmm {
-            return Ok(inverse);
+        if self
+            .inverse
+            .get()
+            .is_none_or(|(max, _)| *max < largest_nmm + STEP_NMM)
+        {
+            let grid = InverseGrid::coarse();
+            let max_nmm = grid.max_nmm.max(TABLE_REACH * largest_nmm + STEP_NMM);
+            let made = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
+            let _ = self.inverse.set((max_nmm, made));
         }
-        Err(TrackError::value(
-            format!("{}: moments", self.session.points.display()),
+        let (max, inverse) = self
+            .inverse
+            .get()
+            .ok_or_else(|| self.beyond(largest_nmm, 0.0))?;
+        if *max < largest_nmm {
+            Err(self.beyond(largest_nmm, *max))
+        } else {
+            Ok(inverse)
+        }
+    }
+
+    fn beyond(&self, largest_nmm: f64, max_nmm: f64) -> TrackError {
+        let what = format!("{}: moments", self.session.points.display());
+        TrackError::value(
+            what,
             format!("at most {max_nmm:.2} N mm"),
             format!("{largest_nmm:.2} N mm"),
-        ))
+        )
     }
 
     /// How many readings the free wire is clear of the object at first, as the clock is said to be
@@ -308,10 +346,8 @@ impl SweepWitness {
     fn clear(&self, rows: &[SweepRow], path: &BasePath) -> Result<([usize; 2], f64), TrackError> {
         let shape = Shape::new(&self.whisker.rest_shape, 0.5)?;
         let clear_mm = CLEAR_MM + 3.0 * self.session.unknown_sd[1] + 0.5 * self.whisker.diameter_mm;
-        let base_from_wire = self.frame.rotation().inverse();
-        let points: Vec<Vector3<f64>> = shape.nodes_mm.iter().map(|p| base_from_wire * p).collect();
+        let points: Vec<Vector3<f64>> = shape.nodes_mm.iter().map(|p| self.to_base(p)).collect();
         let first = |clock_s: f64| {
-            // The free wire's points, as the base stands then, against the mesh.
             let clear = |r: &&SweepRow| {
                 let to_object = self.world_from_object.inverse() * path.at(r.t_s + clock_s);
                 points.iter().all(|p| {
@@ -326,16 +362,27 @@ impl SweepWitness {
             clear_mm,
         ))
     }
+
+    /// A point of the wire's frame in that of the base.
+    fn to_base(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        self.frame.rotation().inverse() * p
+    }
 }
 
 impl<'a> Touch<'a> {
-    fn new(rows: &'a [SweepRow], k: usize, hidden_nmm: f64, inverse: &StaticInverse) -> Self {
-        let moment_nmm = rows[k].moment_nmm;
+    fn new(
+        rows: &'a [SweepRow],
+        k: usize,
+        (zero, hidden_nmm): (&SweepZero, f64),
+        inverse: &StaticInverse,
+    ) -> Self {
+        let moment_nmm = rows[k].moment_nmm - zero.moment_nmm;
         let curve = |more: Vector2<f64>| {
             let mut solutions = Vec::new();
             inverse.solutions((moment_nmm + more * STEP_NMM).into(), &mut solutions);
             solutions
         };
+        let curves = [Vector2::zeros(), Vector2::x(), Vector2::y()].map(curve);
         let place = |r: &SweepRow| r.world_from_base.translation.vector;
         let way_mm = rows[..=k]
             .windows(2)
@@ -344,11 +391,13 @@ impl<'a> Touch<'a> {
         // Of a moment m only m - h is felt, in the same direction: an error across is longer by m /
         // (m - h).
         let felt = 1.0 - hidden_nmm / moment_nmm.norm();
+        let larger = 1.0 / felt.max(1.0 / MOST_LARGER);
         Self {
             row: &rows[k],
+            moment_nmm,
             way_mm,
-            larger: 1.0 / felt.max(1.0 / MOST_LARGER),
-            curves: [Vector2::zeros(), Vector2::x(), Vector2::y()].map(curve),
+            larger,
+            curves,
         }
     }
 
@@ -376,6 +425,20 @@ struct Best {
     covariance: DMatrix<f64>,
 }
 
+/// Where the search ends from each clock; empty where the object is out of reach.
+fn minima(
+    scene: &Scene<'_>,
+    touches: &[Touch<'_>],
+    covariance: &dyn Fn(&[Vector2<f64>]) -> DMatrix<f64>,
+) -> Vec<Best> {
+    let from = |clock: f64| {
+        let mut eta = Unknowns::zeros();
+        eta[0] = clock;
+        descend(scene, touches, covariance, eta)
+    };
+    CLOCKS.into_iter().filter_map(from).collect()
+}
+
 /// Gauss-Newton; none where the object is out of reach.
 fn descend(
     scene: &Scene<'_>,
@@ -396,7 +459,6 @@ fn descend(
             .collect();
         let covariance = covariance(&by_moment);
         let mut by_unknown = DMatrix::zeros(gaps.len(), UNKNOWNS);
-        // Forward differences, in standard deviations of the unknowns.
         for k in 0..UNKNOWNS {
             let mut ahead = eta;
             ahead[k] += UNKNOWN_STEP;
@@ -445,41 +507,38 @@ fn offsets(gaps: &[Gap]) -> DVector<f64> {
 }
 
 impl Best {
-    /// Gaps less what the unknowns make of them, and their covariance with the unknowns' part.
-    fn marginal(&self) -> (DVector<f64>, DMatrix<f64>) {
-        (
-            offsets(&self.gaps) - &self.by_unknown * self.eta,
-            &self.covariance + &self.by_unknown * self.by_unknown.transpose(),
-        )
-    }
-
     /// -2 log likelihood of the moments along which the gaps change, up to a constant; none where
     /// it is not defined.
     fn deviance(&self) -> Option<f64> {
-        let (d, covariance) = self.marginal();
-        let factor = covariance.cholesky()?;
+        let d = offsets(&self.gaps) - &self.by_unknown * self.eta;
+        let factor =
+            (&self.covariance + &self.by_unknown * self.by_unknown.transpose()).cholesky()?;
         let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
         // A gap d is a moment d / |g|.
-        let slopes = self
+        let slopes: f64 = self
             .by_moment
             .iter()
-            .map(|g| g.norm().max(LEAST_SLOPE).ln());
-        Some(d.dot(&factor.solve(&d)) + log_determinant - 2.0 * slopes.sum::<f64>())
+            .map(|g| g.norm().max(LEAST_SLOPE).ln())
+            .sum();
+        Some(d.dot(&factor.solve(&d)) + log_determinant - 2.0 * slopes)
     }
 
     /// Sum of squares of the gaps under their covariance in the directions in which something known
     /// rules, their number, and the chance of as much; none without any.
     fn chi_squared(&self) -> Option<(f64, f64, f64)> {
-        let (d, covariance) = self.marginal();
+        let d = offsets(&self.gaps) - &self.by_unknown * self.eta;
         // Along eigenvectors of the covariance the gaps are independent: each square over its
         // eigenvalue is chi-squared.
-        let eigen = covariance.symmetric_eigen();
+        let eigen =
+            (&self.covariance + &self.by_unknown * self.by_unknown.transpose()).symmetric_eigen();
         let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
-        let square = |j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j];
-        let squares: Vec<f64> = ruled.map(square).collect();
+        let squares: Vec<f64> = ruled
+            .map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j])
+            .collect();
         let (statistic, dof) = (squares.iter().sum(), squares.len() as f64);
-        let chi2 = ChiSquared::new(dof).ok()?;
-        Some((statistic, dof, chi2.sf(statistic)))
+        ChiSquared::new(dof)
+            .ok()
+            .map(|chi2| (statistic, dof, chi2.sf(statistic)))
     }
 }
 
@@ -488,33 +547,32 @@ impl Best {
 fn covariance(
     touches: &[Touch<'_>],
     by_moment: &[Vector2<f64>],
-    zero_nmm2: f64,
-    spacing_nmm: f64,
+    shared_nmm: &[Vec<Vector2<f64>>],
+    (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
 ) -> DMatrix<f64> {
-    let across = |(t, by): (&Touch<'_>, &Vector2<f64>)| {
-        let along = t.row.moment_nmm.normalize();
+    let n = touches.len();
+    let across = |t: &Touch<'_>, by: &Vector2<f64>| {
+        let along = t.moment_nmm.normalize();
         along * along.dot(by) * (1.0 - t.larger) + by * t.larger
     };
-    let felt: Vec<Vector2<f64>> = touches.iter().zip(by_moment).map(across).collect();
-    let root = |(t, felt): (&Touch<'_>, &Vector2<f64>)| {
-        let root = t.row.noise_nmm2.cholesky();
-        root.map_or_else(Matrix2::zeros, |c| c.l()).transpose() * felt
-    };
-    let misfit: Vec<Vector2<f64>> = touches.iter().zip(&felt).map(root).collect();
-    let shared = |(t, by): (&Touch<'_>, &Vector2<f64>)| -> Vec<f64> {
-        t.row.shared_nmm.iter().map(|h| by.dot(h)).collect()
-    };
-    let shared: Vec<Vec<f64>> = touches.iter().zip(by_moment).map(shared).collect();
+    let felt: Vec<Vector2<f64>> = touches
+        .iter()
+        .zip(by_moment)
+        .map(|(t, by)| across(t, by))
+        .collect();
+    let root = |i: usize| root2(&touches[i].row.noise_nmm2).transpose() * felt[i];
+    let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
+    let shared: Vec<Vec<f64>> = (0..n)
+        .map(|i| shared_nmm[i].iter().map(|h| by_moment[i].dot(h)).collect())
+        .collect();
     let alike = |off: f64| (-0.5 * off * off).exp();
-    let n = touches.len();
     // Errors add: misfit alike for like moments, common unknowns, the zero, and each contact's own,
     // alike nearby.
     DMatrix::from_fn(n, n, |i, j| {
-        let [a, b] = [&touches[i], &touches[j]];
-        let off = (a.row.moment_nmm - b.row.moment_nmm).norm() / spacing_nmm.max(1e-9);
+        let off = (touches[i].moment_nmm - touches[j].moment_nmm).norm() / spacing_nmm.max(1e-9);
         let common: f64 = shared[i].iter().zip(&shared[j]).map(|(a, b)| a * b).sum();
-        let zero = felt[i].dot(&felt[j]) * zero_nmm2;
-        let nearby = alike((a.way_mm - b.way_mm) / CONTACT_WAY_MM);
+        let zero = felt[i].dot(&(zero_nmm2 * felt[j]));
+        let nearby = alike((touches[i].way_mm - touches[j].way_mm) / CONTACT_WAY_MM);
         let own = if i == j { CONTACT_OWN } else { 0.0 };
         alike(off) * misfit[i].dot(&misfit[j])
             + common
@@ -529,19 +587,25 @@ impl Witness<WhiskerSystem> for SweepWitness {
         model: &WhiskerSystem,
         h: &Hypothesis,
     ) -> Result<Option<WitnessTest>, VerifyError> {
-        let physical = |h: &Hypothesis| {
-            // Standard deviation of a reading about a fit.
-            let sd_pm = h.fit.readings_variance().sqrt() * model.noise_factor();
-            PhysicalModel::new(model, h, sd_pm)
-        };
+        let calibration = PhysicalModel::new(model, h, sd_pm_of(model, h));
         let declared = (!h.fit.terms.is_empty())
             .then(|| Hypothesis::fitted(model, &[], &h.weights, 0))
             .flatten();
-        let declared = declared.as_ref().map(physical);
+        let declared = declared.map(|h| PhysicalModel::new(model, &h, sd_pm_of(model, &h)));
         let declared = declared
             .as_ref()
             .map(|model| model as &dyn WhiskerCalibration);
-        let test = self.consistency_test(&physical(h), &model.data.whisker, declared);
+        let test = self.consistency_test(&calibration, &model.data.whisker, declared);
         test.map_err(|e| VerifyError::Witness(e.to_string()))
     }
+}
+
+/// Standard deviation of a reading about a fit, pm.
+fn sd_pm_of(model: &WhiskerSystem, h: &Hypothesis) -> f64 {
+    h.fit.readings_variance().sqrt() * model.noise_factor()
+}
+
+/// Root of a covariance; zero where it is none.
+fn root2(nmm2: &Matrix2<f64>) -> Matrix2<f64> {
+    nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l())
 }

@@ -13,7 +13,7 @@
 //! lies rho farther from the surface, and there normals turn evenly about edges.
 
 use crate::sweep_record::SweepRow;
-use nalgebra::{Isometry3, Point3, SVector, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
 use wcal_core::WireFrame;
 use wcal_mesh::Mesh;
 use wcal_network::InverseSolution;
@@ -55,7 +55,6 @@ impl BasePath {
             return path[0].1;
         };
         let u = (t_s - from.0) / (to.0 - from.0);
-        // Linear in place, along the geodesic in rotation.
         let turn = UnitQuaternion::from_scaled_axis(
             (from.1.rotation.inverse() * to.1.rotation).scaled_axis() * u,
         );
@@ -98,26 +97,31 @@ impl Scene<'_> {
         let (base, next) = (self.path.at(t_s), self.path.at(t_s + step_s));
         let scale = 1.0 + size * eta[7];
         let friction = FRICTION[0] + FRICTION[1] * eta[8];
-        let centre = Point3::from((self.mesh.low_mm + self.mesh.high_mm) / 2.0);
-        let middle = self.world_from_object * centre;
-        let moved = eta.fixed_rows::<3>(1) * place_mm;
-        let turn = eta.fixed_rows::<3>(4) * turn_deg.to_radians();
-        let turn = UnitQuaternion::from_scaled_axis(turn);
-        let base_from_wire = self.frame.rotation().inverse();
+        let middle = self.world_from_object
+            * nalgebra::Point3::from((self.mesh.low_mm + self.mesh.high_mm) / 2.0);
+        let moved = Vector3::new(eta[1], eta[2], eta[3]) * place_mm;
+        let turn = UnitQuaternion::from_scaled_axis(
+            Vector3::new(eta[4], eta[5], eta[6]) * turn_deg.to_radians(),
+        );
+        // From the world to the object as declared.
+        let back =
+            |p: &Vector3<f64>| turn.inverse() * (p - middle.coords - moved) / scale + middle.coords;
         // Gap and cost of a touched point with the direction of its force.
         let at = |point: &Vector3<f64>, force: &Vector3<f64>| -> Option<(f64, f64)> {
-            let axis = Point3::from(base_from_wire * (point + force * self.radius_mm));
-            let (place, later) = (base * axis, next * axis);
-            let n = base.rotation * (base_from_wire * force);
+            let axis = self.frame.rotation().inverse() * (point + force * self.radius_mm);
+            let (place, later) = (
+                base * nalgebra::Point3::from(axis),
+                next * nalgebra::Point3::from(axis),
+            );
+            let n = base.rotation * (self.frame.rotation().inverse() * force);
             let slide = (later - place) / step_s;
             // What of the wire's motion is along the surface, the friction opposes.
-            let along = slide - n * n.dot(&slide);
-            let along = along.try_normalize(1e-6).unwrap_or_default();
+            let along = (slide - n * n.dot(&slide))
+                .try_normalize(1e-6)
+                .unwrap_or_default();
             let normal = (n + along * friction).normalize();
-            let out = place + normal * (self.radius_mm + OUTSIDE_MM);
-            // From the world to the object as declared.
-            let back = middle + turn.inverse() * (out - middle - moved) / scale;
-            let seen = self.world_from_object.inverse() * back;
+            let out = place.coords + normal * (self.radius_mm + OUTSIDE_MM);
+            let seen = self.world_from_object.inverse() * nalgebra::Point3::from(back(&out));
             let near = self.mesh.closest_point(&seen.coords, REACH_MM)?;
             let d = near.distance_mm * scale - self.radius_mm - OUTSIDE_MM;
             let outward = turn * (self.world_from_object.rotation * near.normal);
@@ -133,7 +137,6 @@ impl Scene<'_> {
                 .filter_map(|k| Some((k, cost(k)?)))
                 .min_by(|a, b| a.1.total_cmp(&b.1))
         };
-        // The cost has several minima along the curve: a coarse search finds the least.
         let coarse = match near {
             Some(node) => node,
             None => least(&mut (0..curve.len()).step_by(STRIDE))?.0,
@@ -141,14 +144,22 @@ impl Scene<'_> {
         let (node, here) = least(&mut (coarse.saturating_sub(2 * STRIDE)..=coarse + 2 * STRIDE))?;
         // Between the nodes: the least of a parabola through the squares of three costs.
         let square = |k: Option<usize>| k.and_then(cost).map(|c| c * c);
-        let around = square(node.checked_sub(1)).zip(square(Some(node + 1)));
-        let least = |(a, b): (f64, f64)| {
-            let bend = a - 2.0 * here * here + b;
-            (bend > 1e-12).then(|| (0.5 * (a - b) / bend).clamp(-1.0, 1.0))
+        let part = match (square(node.checked_sub(1)), square(Some(node + 1))) {
+            (Some(a), Some(b)) => {
+                let bend = a - 2.0 * here * here + b;
+                if bend > 1e-12 {
+                    (0.5 * (a - b) / bend).clamp(-1.0, 1.0)
+                } else {
+                    0.0
+                }
+            }
+            _ => 0.0,
         };
-        let part = around.and_then(least).unwrap_or(0.0);
-        let next = (node + 1).min(curve.len() - 1);
-        let other = if part < 0.0 { node - 1 } else { next };
+        let other = if part < 0.0 {
+            node - 1
+        } else {
+            (node + 1).min(curve.len() - 1)
+        };
         let (a, b, u) = (&curve[node], &curve[other], part.abs());
         let force = a.normal.lerp(&b.normal, u).try_normalize(1e-9)?;
         let (d_mm, _) = at(&a.point_mm.lerp(&b.point_mm, u), &force)?;

@@ -250,10 +250,9 @@ pub(crate) fn temperature_walk(rows: &[WhiskerRow], fbg: &FbgSpec) -> Option<Ran
         read.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let [t_s, degc, variances] =
             [0, 1, 2].map(|c| read.iter().map(|r| r[c]).collect::<Vec<f64>>());
-        Some(RandomWalkModel {
-            moving_variance,
-            ..RandomWalkModel::of(&t_s, &degc, &variances)?
-        })
+        let mut walk = RandomWalkModel::of(&t_s, &degc, &variances)?;
+        walk.moving_variance = moving_variance;
+        Some(walk)
     };
     let alike = walk(None)?;
     let by_reference = fbg.needs_reference() && rows.iter().all(|r| r.reference_shift_pm.is_some());

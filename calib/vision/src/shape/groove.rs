@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
-//! corrected = g - C_t (A (C_t + C_w) A + t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
+//! corrected = g - C_t (C_t + A C_w A + big t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
 //! ```
 //! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s.
 //! Source: generalised least squares of two estimates with known covariances (Aitken 1936).
@@ -54,19 +54,12 @@ pub(crate) fn find_groove(
     let (mut point, mut tangent) = (shape.points[nearest], shape.tangents[nearest]);
     let (mut at, mut follow) = ((nearest, 0.0), Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
-    // Across a tangent, and the joint covariance there, of unit size along it.
-    let section = |t: &Vector3<f64>| {
-        let along = t * t.transpose();
-        let across = Matrix3::identity() - along;
-        (
-            across,
-            across * (tag_covariance + wire_covariance) * across + along,
-        )
-    };
+    let along = |t: &Vector3<f64>| t * t.transpose();
     // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has
     // no mark there.
     for _ in 0..3 {
-        let (across, joint) = section(&tangent);
+        let across = Matrix3::identity() - along(&tangent);
+        let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
         let offset = by_tag - point;
         // Correlation between along and across in the tag's error shifts the foot point.
         let weight = joint.try_inverse().unwrap_or_else(Matrix3::zeros);
@@ -77,7 +70,7 @@ pub(crate) fn find_groove(
         point = between(&shape.points, at);
         tangent = between(&shape.tangents, at).normalize();
     }
-    let (across, covariance) = section(&tangent);
+    let across = Matrix3::identity() - along(&tangent);
     let rest = fit.model.shape(&fit.model.rest()).points;
     let at_rest = rest[((arc / fit.model.step_mm) as usize).min(rest.len() - 1)];
     // The groove pushes the wire away from where it would rest.
@@ -85,7 +78,7 @@ pub(crate) fn find_groove(
     let width_mm = groove.width_along_wire_mm;
     let place = GroovePosition {
         away: across * (point - by_tag),
-        covariance,
+        covariance: across * (tag_covariance + wire_covariance) * across + along(&tangent),
         push: (moved.norm() > diameter_mm).then(|| moved.normalize()),
         turn: tangent_at(fit, &shape, arc + 0.5 * width_mm)
             - tangent_at(fit, &shape, arc - 0.5 * width_mm),

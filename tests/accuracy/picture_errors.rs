@@ -12,23 +12,20 @@ use crate::support::fixture;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, Normal, Uniform};
-use wcal_bench::cameras::{Appearance, Groove, RigGeometry, clean, default_pair, exposed};
-use wcal_bench::rod::Wire;
-use wcal_bench::table::{Path as GroovePath, equilibrium};
+use rand_distr::{Distribution, Normal};
+use wcal_bench::cameras::default_pair;
 use wcal_core::shapes_document::{ErrorColumn, PairDocument, ShapesDocument};
+use wcal_exam::stereo_statements::{PICTURE_PX as SIZE, PushedWire, write_pairs};
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;
 use wcal_vision::camera::OPENCV5;
-use wcal_vision::pairs::PairFiles;
+use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::rig::Rig;
 use wcal_vision::shape::folder::shapes_of_pairs;
 use wcal_vision::stereo::StereoCameras;
 
 type V3 = Vector3<f64>;
-
-const SIZE: [usize; 2] = [640, 480];
 
 /// The plant's cameras as a calibration from 12 board views with 0.05 px of noise a corner finds
 /// them.
@@ -97,80 +94,21 @@ fn calibrated(seed: u64) -> StereoCameras {
     }
 }
 
-/// What was drawn of a pose.
-struct Truth {
-    groove_mm: V3,
-    arclength_mm: f64,
-    line_mm: Vec<V3>,
-}
-
 /// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair
 /// that is rejected says why and is left out.
-fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
+fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<PushedWire>) {
     let place = tempfile::tempdir().unwrap();
-    let (rig, look, lenses) = (
-        RigGeometry::default(),
-        Appearance::default(),
-        default_pair(SIZE),
-    );
-    let wire = Wire::new(0.3, 60.0, 30.0, 20.0, 75.0, 28.2);
     let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
-    let unit = Uniform::new(0.0, 1.0).unwrap();
-    let (mut files, mut truths) = (Vec::new(), Vec::new());
-    for k in 0..count {
-        let arclength_mm = [18.0, 31.0, 45.0][(unit.sample(&mut rng) * 3.0) as usize];
-        let angle = [0.0, -60.0, 60.0_f64][(unit.sample(&mut rng) * 3.0) as usize].to_radians();
-        let (origin_mm, tangent) = wire.rest(arclength_mm);
-        // Across the wire, turned about it from "up".
-        let up = V3::y().cross(&tangent).normalize() * -1.0;
-        let direction = up * angle.cos() + V3::y() * angle.sin();
-        let depth_mm = 1.7 + 3.3 * unit.sample(&mut rng);
-        let path = GroovePath {
-            origin_mm,
-            direction,
-            arclength_mm,
-            offset_mm: V3::zeros(),
-        };
-        let at = path.at(depth_mm);
-        let found = equilibrium(&wire, &path, 0.4 * arclength_mm, depth_mm).unwrap();
-        let line_mm = wire.centre_line(Some((&at, &found)), 0.1);
-        let groove = Groove {
-            position_mm: at,
-            axis: found.tangent,
-            push: direction,
-        };
-        let view = rig.scene(line_mm.clone(), Some(&groove));
-        let side = |camera: usize| {
-            let grey = exposed(
-                &clean(&lenses[camera], &view, &look),
-                &look,
-                100 * seed + 2 * k as u64 + camera as u64,
-            );
-            let file = place.path().join(format!("{camera}-{k:02}.pgm"));
-            let head = format!("P5 {} {} 255\n", SIZE[0], SIZE[1]);
-            std::fs::write(&file, [head.as_bytes(), &grey].concat()).unwrap();
-            Some(file)
-        };
-        files.push(PairFiles {
-            name: format!("{k:02}"),
-            left: side(0),
-            right: side(1),
-            ..PairFiles::default()
-        });
-        truths.push(Truth {
-            groove_mm: at,
-            arclength_mm: found.arclength_mm,
-            line_mm,
-        });
-    }
-    let rig_file = fixture("stereo_bench/rig.toml");
-    let mut document = shapes_of_pairs(
-        &calibrated(seed),
-        &Rig::read(&rig_file).unwrap(),
-        &files,
-        &|_| {},
-    )
-    .document;
+    let mut wires: Vec<PushedWire> = (0..count)
+        .map(|_| PushedWire::draw(&mut rng).unwrap())
+        .collect();
+    let views: Vec<_> = wires.iter().map(PushedWire::scene).collect();
+    write_pairs(place.path(), &views, 100 * seed).unwrap();
+    let [left, right] = ["left", "right"]
+        .map(|side| list_pictures(&place.path().join(side).display().to_string()).unwrap());
+    let rig = Rig::read(&fixture("stereo_bench/rig.toml")).unwrap();
+    let files = pair_files(&left, &right).unwrap();
+    let mut document = shapes_of_pairs(&calibrated(seed), &rig, &files, &|_| {}).document;
     let good: Vec<bool> = document.pairs.iter().map(|p| p.status == "ok").collect();
     for pair in document.pairs.iter().filter(|p| p.status != "ok") {
         println!("folder {seed}: {} rejected: {}", pair.name, pair.why);
@@ -178,8 +116,8 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     let mut kept = good.iter();
     document.pairs.retain(|_| *kept.next().unwrap());
     let mut kept = good.iter();
-    truths.retain(|_| *kept.next().unwrap());
-    (document, truths)
+    wires.retain(|_| *kept.next().unwrap());
+    (document, wires)
 }
 
 fn four(c: &ErrorColumn) -> [f64; 4] {
@@ -195,7 +133,7 @@ fn four(c: &ErrorColumn) -> [f64; 4] {
 /// the shared parameters.
 fn stacked(
     document: &ShapesDocument,
-    truths: &[Truth],
+    truths: &[PushedWire],
 ) -> (DVector<f64>, DMatrix<f64>, DMatrix<f64>) {
     let n = 4 * truths.len();
     let mut errors = DVector::zeros(n);
@@ -235,15 +173,6 @@ fn chi2(errors: &DVector<f64>, mut sigma: DMatrix<f64>) -> f64 {
         sigma[(k, k)] += 5e-4_f64.powi(2);
     }
     errors.dot(&sigma.cholesky().unwrap().solve(errors))
-}
-
-fn distance(p: &V3, line: &[V3]) -> f64 {
-    let to = |w: &[V3]| {
-        let run = w[1] - w[0];
-        let share = ((p - w[0]).dot(&run) / run.norm_squared()).clamp(0.0, 1.0);
-        (p - w[0] - run * share).norm()
-    };
-    line.windows(2).map(to).fold(f64::INFINITY, f64::min)
 }
 
 /// Mean over folders, whose calibrations are independent, and its standard error.
@@ -297,7 +226,7 @@ fn judged(seed: u64, count: usize) -> [f64; 13] {
     for (pair, truth) in document.pairs.iter().zip(&truths) {
         same_as_stated(pair, &document);
         for (p, sd) in pair.centreline_mm.iter().zip(&pair.centreline_sd_mm) {
-            let d = distance(&V3::from(*p), &truth.line_mm);
+            let d = truth.distance_mm(&V3::from(*p));
             points += 1.0;
             found[6] += f64::from(u8::from(d <= 2.4477 * sd));
             found[7] += f64::from(u8::from(d <= 2.4477 * sd / 3.0));

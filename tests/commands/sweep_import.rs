@@ -196,7 +196,7 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         ]);
         assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
         assert!(
-            text(&run.stderr).contains("taken as metres"),
+            text(&run.stderr).contains("metres"),
             "{}",
             text(&run.stderr)
         );

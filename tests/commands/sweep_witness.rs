@@ -150,7 +150,7 @@ fn a_bottle_elsewhere_refutes_the_declared_model() {
     let run = import("111.76475,26.7875,-22.46,1,0,0,0", &sweep);
     assert!(run.status.success(), "{}", text(&run.stderr));
     assert!(
-        text(&run.stderr).contains("columns not imported: released_moment_1_nmm"),
+        text(&run.stderr).contains(": released_moment_1_nmm"),
         "{}",
         text(&run.stderr)
     );

@@ -83,9 +83,6 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     );
     // The same without any label.
     let (code, said) = run(false);
-    assert!(
-        code == Some(3) && said.contains("1 of 2 poses have no certain moment: 11"),
-        "{said}"
-    );
+    assert!(code == Some(3) && said.contains("1 of 2 poses"), "{said}");
     assert!(!said.contains("labels of the session,"), "{said}");
 }

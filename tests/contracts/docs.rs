@@ -5,7 +5,6 @@ use crate::support::{program, repository};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// Folders that a page's `path` in backticks may begin with.
 const ROOTS: [&str; 9] = [
@@ -60,6 +59,27 @@ fn parts(page: &str) -> (String, Vec<String>) {
     (prose, code)
 }
 
+/// The code of a page: its fenced blocks' lines, and what its text has in backticks.
+fn code(page: &str) -> impl Iterator<Item = String> {
+    let (prose, code) = parts(page);
+    let spans: Vec<String> = prose
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .map(str::to_owned)
+        .collect();
+    code.into_iter().chain(spans)
+}
+
+/// No page has anything wrong, and the control has all of this. The changelog tells of what went.
+#[track_caller]
+fn nothing_wrong(wrong: impl Fn(&str, &str) -> Vec<String>, control: &str, expected: &[&str]) {
+    for (name, page) in pages().iter().filter(|p| p.0 != "CHANGELOG.md") {
+        assert_eq!(wrong(name, page), Vec::<String>::new(), "{name}");
+    }
+    assert_eq!(wrong("README.md", control), expected, "negative control");
+}
+
 /// Anchors of a page's headings, as the book and GitHub make them.
 fn anchors(page: &str) -> BTreeSet<String> {
     let headings = page
@@ -107,15 +127,10 @@ fn dead_links(name: &str, page: &str) -> Vec<String> {
 
 #[test]
 fn no_link_is_dead() {
-    for (name, page) in pages() {
-        assert_eq!(dead_links(&name, &page), Vec::<String>::new(), "{name}");
-    }
+    let changes = fs::read_to_string(repository("CHANGELOG.md")).unwrap();
+    assert_eq!(dead_links("CHANGELOG.md", &changes), Vec::<String>::new());
     let bad = "[a](none.md) [b](README.md#nowhere) [c](README.md) [d](https://example.org/x)";
-    assert_eq!(
-        dead_links("README.md", bad),
-        ["none.md", "README.md#nowhere"],
-        "negative control"
-    );
+    nothing_wrong(dead_links, bad, &["none.md", "README.md#nowhere"]);
 }
 
 #[test]
@@ -163,11 +178,10 @@ fn commands() -> BTreeMap<String, String> {
 
 /// Commands and options in code that the program does not have.
 fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<String> {
-    let (prose, mut code) = parts(page);
-    code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));
     let mut unknown = Vec::new();
-    for line in code.iter().flat_map(|c| c.split([';', '|'])).map(str::trim) {
-        let Some(rest) = line.strip_prefix("wcal ") else {
+    let code: Vec<String> = code(page).collect();
+    for line in code.iter().flat_map(|c| c.split([';', '|'])) {
+        let Some(rest) = line.trim().strip_prefix("wcal ") else {
             continue;
         };
         let line = rest.split("    # ").next().unwrap();
@@ -199,59 +213,32 @@ fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<Stri
 fn every_command_and_option_that_a_page_names_is_there() {
     let commands = commands();
     assert!(commands.len() > 12, "{:?}", commands.keys());
-    // The changelog tells of what went.
-    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(
-            unknown_commands(&page, &commands),
-            Vec::<String>::new(),
-            "{name}"
-        );
-    }
     let bad = "`wcal verify S --out D` `wcal brew tea`\n```sh\nwcal verify S --sugar 2\n```\n";
-    assert_eq!(
-        unknown_commands(bad, &commands),
-        ["wcal verify --sugar", "wcal brew"],
-        "negative control"
-    );
+    let wrong = |_: &str, page: &str| unknown_commands(page, &commands);
+    nothing_wrong(wrong, bad, &["wcal verify --sugar", "wcal brew"]);
 }
 
 /// Files and folders of the repository in backticks that are not there.
 fn missing_files(page: &str) -> Vec<String> {
-    let (prose, code) = parts(page);
-    let spans = prose
-        .split('`')
-        .skip(1)
-        .step_by(2)
-        .map(str::to_owned)
-        .chain(code);
-    let words: Vec<String> = spans
-        .flat_map(|s| s.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
-        .collect();
+    let code: Vec<String> = code(page).collect();
     let of_ours =
-        |w: &&String| ROOTS.iter().any(|root| w.starts_with(root)) && !w.contains(['*', '<']);
-    let path = |w: &String| w.trim_end_matches([',', ';', ':', ')']).to_owned();
+        |w: &&str| ROOTS.iter().any(|root| w.starts_with(root)) && !w.contains(['*', '<']);
+    let words = code.iter().flat_map(|s| s.split_whitespace());
     words
-        .iter()
         .filter(of_ours)
-        .map(path)
+        .map(|w| w.trim_end_matches([',', ';', ':', ')']).to_owned())
         .filter(|p| !repository(p).exists())
         .collect()
 }
 
 #[test]
 fn every_file_that_a_page_names_is_there() {
-    let named = pages();
-    assert!(named["docs/src/method.md"].contains("`calib/"));
-    for (name, page) in &named {
-        // The changelog tells of what went, the lab notes of what was.
-        if name != "CHANGELOG.md" {
-            assert_eq!(missing_files(page), Vec::<String>::new(), "{name}");
-        }
-    }
-    assert_eq!(
-        missing_files("`calib/nowhere/lib.rs` and `calib/core`"),
-        ["calib/nowhere/lib.rs"],
-        "negative control"
+    assert!(pages()["docs/src/method.md"].contains("`calib/"));
+    let bad = "`calib/nowhere/lib.rs` and `calib/core`";
+    nothing_wrong(
+        |_, page| missing_files(page),
+        bad,
+        &["calib/nowhere/lib.rs"],
     );
 }
 
@@ -281,36 +268,15 @@ fn missing_sources(page: &str, files: &[String]) -> Vec<String> {
 #[test]
 fn every_source_file_that_a_page_names_by_its_last_part_is_there() {
     let files = files();
-    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(
-            missing_sources(&page, &files),
-            Vec::<String>::new(),
-            "{name}"
-        );
-    }
     let bad = "`method/fit.rs`, `nowhere/fit.rs`, `lost.rs` and `fit.rs:12`";
-    assert_eq!(
-        missing_sources(bad, &files),
-        ["nowhere/fit.rs", "lost.rs"],
-        "negative control"
-    );
+    let wrong = |_: &str, page: &str| missing_sources(page, &files);
+    nothing_wrong(wrong, bad, &["nowhere/fit.rs", "lost.rs"]);
 }
 
 /// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME`
 /// and so on, and the modules of a test: `--test NAME MODULE::`.
 fn targets() -> BTreeSet<String> {
-    let metadata = Command::new(env!("CARGO"))
-        .args([
-            "metadata",
-            "--no-deps",
-            "--offline",
-            "--format-version",
-            "1",
-        ])
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .output()
-        .unwrap();
-    let metadata: serde_json::Value = serde_json::from_slice(&metadata.stdout).unwrap();
+    let metadata = super::layering::metadata();
     let packages = metadata["packages"].as_array().unwrap().iter();
     let all = packages.flat_map(|p| p["targets"].as_array().unwrap());
     let mut names = BTreeSet::new();
@@ -337,10 +303,8 @@ fn targets() -> BTreeSet<String> {
 /// Targets of `cargo` and of the Makefile that a page names and that are not there. A name in
 /// capitals stands for any.
 fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<String>) -> Vec<String> {
-    let (prose, mut code) = parts(page);
-    code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));
     let mut missing = Vec::new();
-    for line in code {
+    for line in code(page) {
         let words: Vec<&str> = line.split_whitespace().collect();
         // Programs of ours have options of these names too.
         let of_cargo = words.contains(&"cargo") || line.starts_with("--");
@@ -381,25 +345,15 @@ fn every_target_that_a_page_names_is_there() {
         .filter(|l| !l.starts_with([' ', '\t', '#', '.']) && !l.contains('='))
         .filter_map(|l| Some(l.split_once(':')?.0.to_owned()))
         .collect();
-    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
-        assert_eq!(
-            missing_targets(&page, &targets, &make),
-            Vec::<String>::new(),
-            "{name}"
-        );
-    }
     let bad = "`cargo run --example brew_tea -- --draws 2`, `make tea`, `wcal verify --bench bench`\n```sh\ncargo test --test contracts docs:: --bench tea\ncargo test --test contracts tea::leaves\nmake docs\n```\n`--test NAME`";
-    let found = missing_targets(bad, &targets, &make);
-    assert_eq!(
-        found,
-        [
-            "--bench tea",
-            "--test contracts tea::",
-            "--example brew_tea",
-            "make tea"
-        ],
-        "negative control"
-    );
+    let wrong = |_: &str, page: &str| missing_targets(page, &targets, &make);
+    let expected = [
+        "--bench tea",
+        "--test contracts tea::",
+        "--example brew_tea",
+        "make tea",
+    ];
+    nothing_wrong(wrong, bad, &expected);
 }
 
 /// Keys of a TOML document, those of its tables too.

@@ -341,7 +341,7 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     assert_eq!(sweep["stage_stopped"], true);
     let cause = sweep["cause"]["text"].as_str().expect("text");
     assert!(
-        cause.contains("interrupted by Ctrl-C") && !cause.contains("expected"),
+        cause.contains("Ctrl-C") && !cause.contains("expected"),
         "{cause}"
     );
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
@@ -403,7 +403,7 @@ fn a_virtual_bench_that_falls_behind_its_clock_says_so() {
     let (code, said) = run("100000");
     assert_eq!(code, Some(3), "{said}");
     assert!(
-        said.contains("fell behind its clock") && said.contains("use a lower speed"),
+        said.contains("fell behind its clock") && said.contains("lower speed"),
         "{said}"
     );
     let (code, said) = run("1");

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use wcal_exam::orders::MIXES;
-use wcal_exam::statements::{Auditor, LAYOUTS, NOISES, pooled};
+use wcal_exam::statements::{Auditor, LAYOUTS, NOISES, StatementRow, pooled};
+use wcal_exam::stereo_statements::PAIRS;
 use wcal_exam::tracked_statements::TRACK_REGIMES;
 use wcal_exam::{
     Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise,
@@ -67,8 +68,9 @@ pub struct ExamArgs {
     ///
     /// `scalars`: `--draws` clean sessions of each noise and layout, and as many with an effect;
     /// `whiskers`: as many whiskers without and with an effect; `tracks`: as many records of each
-    /// regime; `all`.
-    #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks"],
+    /// regime; `stereo`: as many calibrated pairs of cameras, each with eight pairs of pictures;
+    /// `map`: as many whiskers, each with its map; `all`.
+    #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks", "stereo", "map"],
         conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
     pub statements: Option<String>,
     /// Only write the sessions and truth.json
@@ -150,27 +152,25 @@ fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
         widened: 1.0,
     };
     let asked = |name: &str| part == "all" || part == name;
-    let rows = if asked("scalars") {
-        auditor.audit(&NOISES, &LAYOUTS, o.draws, o.seed)?
-    } else {
-        Vec::new()
+    let of = |name: &str, rows: &dyn Fn() -> anyhow::Result<Vec<StatementRow>>| {
+        if asked(name) { rows() } else { Ok(Vec::new()) }
     };
-    let whiskers = if asked("whiskers") {
-        auditor.audit_whiskers(o.draws, o.seed)?
-    } else {
-        Vec::new()
-    };
-    let tracks = if asked("tracks") {
-        auditor.audit_tracks(&TRACK_REGIMES, o.draws, o.seed)?
-    } else {
-        Vec::new()
-    };
+    let (draws, seed) = (o.draws, o.seed);
+    let rows = of("scalars", &|| auditor.audit(&NOISES, &LAYOUTS, draws, seed))?;
+    let whiskers = of("whiskers", &|| auditor.audit_whiskers(draws, seed))?;
+    let tracks = of("tracks", &|| {
+        auditor.audit_tracks(&TRACK_REGIMES, draws, seed)
+    })?;
+    let stereo = of("stereo", &|| auditor.audit_stereo(draws, PAIRS, seed))?;
+    let maps = of("map", &|| auditor.audit_maps(draws, seed))?;
     println!("statement | noise | sweeps x readings | says | holds | of | 95 %");
     println!("---|---|---|---|---|---|---");
     for row in pooled(&rows)
         .iter()
         .chain(&whiskers)
         .chain(&tracks)
+        .chain(&stereo)
+        .chain(&maps)
         .chain(&rows)
     {
         let (k, n) = row.holds;
@@ -194,7 +194,7 @@ fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
     if let Some(path) = &o.json {
         write(
             path,
-            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows, "whiskers": whiskers, "tracks": tracks}),
+            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows, "whiskers": whiskers, "tracks": tracks, "stereo": stereo, "map": maps}),
         )?;
     }
     Ok(ExitCode::SUCCESS)

@@ -166,10 +166,7 @@ fn a_folder_takes_no_other_dataset() {
         seed: 2,
         ..own.clone()
     });
-    assert!(
-        error.contains("shard can-000000: made from another wire"),
-        "{error}"
-    );
+    assert!(error.contains("can-000000"), "{error}");
     // One of another format is compared with nothing: refused by name.
     own.make(folder.path(), |_, _| {}).unwrap();
     let recipe = folder.path().join("recipe.json");

@@ -279,10 +279,7 @@ fn columns_that_are_left_out_are_named() {
     };
     let (left, said) = import(&[]);
     assert_eq!(left, serde_json::json!(["humidity", "remark"]));
-    assert!(
-        said.contains("columns not imported: humidity, remark; --covariate COLUMN"),
-        "{said}"
-    );
+    assert!(said.contains("humidity, remark; --covariate"), "{said}");
     let (left, _) = import(&["--covariate", "humidity", "--holdout", "h.csv"]);
     assert_eq!(left, serde_json::json!(["remark", "more"]));
     let points = fs::read_to_string(place.path().join("new/points.csv")).unwrap();

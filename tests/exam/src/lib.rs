@@ -2,11 +2,13 @@
 //! put in.
 
 mod goal;
+mod map_statements;
 pub mod orders;
 mod pictures;
 mod run;
 mod score;
 pub mod statements;
+pub mod stereo_statements;
 mod summary;
 pub mod tracked_statements;
 mod whisker_statements;

@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::goal::clopper_pearson;
 use anyhow::Context;
+use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use serde_json::Value;
 use wcal_plant::scalar::{
@@ -357,6 +358,15 @@ impl Counted {
             ..self
         }
     }
+}
+
+/// 95 % quantile of chi2 with three degrees of freedom.
+const CHI2_95: f64 = 7.815;
+
+/// Whether the 95 % ellipsoid of a covariance holds an error.
+pub(crate) fn in_ellipsoid(off: &Vector3<f64>, covariance: Matrix3<f64>) -> bool {
+    let root = covariance.cholesky();
+    root.is_some_and(|c| off.dot(&c.solve(off)) <= CHI2_95)
 }
 
 /// One row a statement, noise and layout.

@@ -8,7 +8,7 @@
 //!
 //! Rows of a record share their errors: the interval of a share, which counts rows, is too narrow.
 
-use crate::statements::{Auditor, Counted, Labelled, StatementRow, tallied};
+use crate::statements::{Auditor, Counted, Labelled, StatementRow, in_ellipsoid, tallied};
 use anyhow::Context;
 use nalgebra::{Matrix3, Vector3};
 use rand::SeedableRng;
@@ -18,9 +18,6 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::Path;
 use wcal_plant::sweep::{SweepCase, SweepKind, SweepReading};
-
-/// 95 % quantile of chi2 with three degrees of freedom.
-const CHI2_95: f64 = 7.815;
 
 /// A friction that is stated as it is drawn.
 const STATED: ([f64; 2], bool) = ([0.15, 0.05], true);
@@ -237,9 +234,7 @@ impl Auditor {
         let [xx, yy, zz, xy, xz, yz] = names.map(number);
         let (xy, xz, yz) = (xy?, xz?, yz?);
         let covariance = Matrix3::new(xx?, xy, xz, xy, yy?, yz, xz, yz, zz?) * self.widened.powi(2);
-        let inside = covariance
-            .cholesky()
-            .is_some_and(|c| off.dot(&c.solve(&off)) <= CHI2_95);
+        let inside = in_ellipsoid(&off, covariance);
         let region = |text: &str| {
             let (span, _) = text.split_once('@')?;
             let (from, to) = span.split_once('-')?;

@@ -115,7 +115,7 @@ pub(crate) fn finished(run: &Output, rows: u64) {
     // At 20 times real time a busy computer makes scans late, or a clock seem to drift.
     let busy = |w: &Value| {
         let said = w.as_str().unwrap_or_default();
-        said.contains(" late") || said.contains("the device clock drifts by")
+        said.contains(" late") || said.contains("clock drifts")
     };
     assert!(warnings.iter().all(busy), "{sweep}");
     assert_eq!(
@@ -300,7 +300,7 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
     kill(&child, "-TERM");
     let (kind, said, stopped) = cause(&ended(child));
     assert!(
-        kind == "interrupted" && said.contains("interrupted by SIGTERM") && stopped,
+        kind == "interrupted" && said.contains("SIGTERM") && stopped,
         "{said}"
     );
     // Whatever started the tests may ignore SIGHUP: the sweep begins with the signal's default.
@@ -331,7 +331,7 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
     kill(&child, "-HUP");
     let (kind, said, stopped) = cause(&ended(child));
     assert!(
-        kind == "interrupted" && said.contains("interrupted by SIGHUP") && stopped,
+        kind == "interrupted" && said.contains("SIGHUP") && stopped,
         "{said}"
     );
     // A sweep that is to outlive its terminal.
@@ -375,17 +375,14 @@ fn a_signal_is_heard_while_a_device_hangs() {
     let run = ended(child);
     let said = text(&run.stderr);
     assert!(
-        run.status.code() == Some(1) && said.contains("interrupted by SIGTERM"),
+        run.status.code() == Some(1) && said.contains("SIGTERM"),
         "{said}"
     );
     assert!(!bench.session().exists(), "{said}");
     // Control: without a signal the wait ends by itself.
     let (child, _held) = begin();
     let said = text(&ended(child).stderr);
-    assert!(
-        said.contains("expected a reply within 3.0 s, found none [timeout]"),
-        "{said}"
-    );
+    assert!(said.contains("[timeout]"), "{said}");
 }
 
 #[test]
@@ -454,14 +451,8 @@ fn a_bench_that_is_not_there_says_what_to_do() {
     bench.served.end();
     let new = bench.folder.path().join("new").display().to_string();
     let said = refused(bench.short(&["--out", &new]));
-    assert!(
-        said.contains("nothing that listens at 127.0.0.1:"),
-        "{said}"
-    );
-    assert!(
-        said.contains("is `wcal virtual-bench` still running? its addresses are new at each start"),
-        "{said}"
-    );
+    assert!(said.contains("127.0.0.1:"), "{said}");
+    assert!(said.contains("`wcal virtual-bench`"), "{said}");
     assert!(!Path::new(&new).exists() && Path::new(&session).exists());
     // Without --bench the rig has a word where its port belongs.
     let mut plain = program();
@@ -474,10 +465,7 @@ fn a_bench_that_is_not_there_says_what_to_do() {
         .arg("--plan")
         .arg(bench.folder.path().join("short.toml"));
     let said = refused(plain);
-    assert!(
-        said.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench ADDRESSES.json`"),
-        "{said}"
-    );
+    assert!(said.contains("127.0.0.1:PORT: `--bench"), "{said}");
     let alone = |input: Stdio| {
         let mut command = program();
         command
@@ -491,10 +479,7 @@ fn a_bench_that_is_not_there_says_what_to_do() {
             .expect("wcal runs")
     };
     let closed = ended(alone(Stdio::null()));
-    assert!(
-        text(&closed.stderr).contains("virtual-bench: its input closed, so it ends"),
-        "{closed:?}"
-    );
+    assert!(text(&closed.stderr).contains("input closed"), "{closed:?}");
     // Control: with an input that stays open it runs on.
     let mut open = alone(Stdio::piped());
     std::thread::sleep(Duration::from_secs(2));
@@ -538,10 +523,7 @@ fn ctrl_c_ends_a_sweep_in_this_process_and_what_is_said_goes_on() {
     let run = ended(child);
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(130), "{said}");
-    assert!(
-        said.contains("go on with the same rig and plan, scenario, --home and --resume"),
-        "{said}"
-    );
+    assert!(said.contains("--home and --resume"), "{said}");
     let run = sweep("--resume").output().expect("wcal runs");
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let table = std::fs::read_to_string(session.join("points.csv")).expect("points.csv");

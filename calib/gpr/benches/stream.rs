@@ -28,7 +28,7 @@ fn stream(c: &mut Criterion) {
         };
         let fit = fit_map(&training, &options).expect("the measured set can be fitted");
         // One map a whisker: 16 predictors, as a stream of 16 whiskers would hold them.
-        let mut whiskers: Vec<MapPredictor> = (0..16)
+        let whiskers: Vec<MapPredictor> = (0..16)
             .map(|_| MapPredictor::new(&fit.artefact).expect("a sound artefact"))
             .collect();
         let shift = |i: usize| {

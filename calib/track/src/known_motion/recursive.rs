@@ -249,7 +249,7 @@ impl RecursivePosterior {
     }
 
     /// Where the wire is held at a reading that was taken, in space and along the wire.
-    pub(crate) fn place(&self, field: &MomentField, row: &MotionRow) -> EpisodeContact {
+    pub fn place(&self, field: &MomentField, row: &MotionRow) -> EpisodeContact {
         let path = ContactPath {
             field,
             rows: std::slice::from_ref(row),

@@ -305,7 +305,7 @@ impl Linearised for Normal {
             }
             let inverse = damped.cholesky()?.inverse();
             let cross = view.cross.rows(0, n);
-            let carried = &cross * inverse;
+            let carried = cross * inverse;
             schur -= &carried * cross.transpose();
             rhs -= carried * view.gradient;
             inverses.push(inverse);

@@ -21,17 +21,6 @@ pub(crate) use periodic::{PERIODIC, of_a_turn};
 pub(crate) use response::HETEROSCEDASTIC_NOISE;
 pub(crate) use series::ZERO_BY_SERIES;
 
-/// Equal steps above `low`.
-const fn steps_above<const N: usize>(low: f64, step: f64) -> [f64; N] {
-    let mut grid = [0.0; N];
-    let mut k = 0;
-    while k < N {
-        grid[k] = low + step * (k as f64 + 1.0);
-        k += 1;
-    }
-    grid
-}
-
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
 pub(crate) fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
     let declared = match frame.declared {

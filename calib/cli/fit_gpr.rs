@@ -165,7 +165,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let left_out = result.rest.as_ref().is_some_and(|r| r.left_out);
     let warned = !result.identifiability.warnings.is_empty();
-    Ok(crate::exit_code(
+    Ok(crate::printing::exit_code(
         !warned && unlabelled.is_empty() && faults.is_empty() && !left_out,
     ))
 }

@@ -232,7 +232,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         eprintln!("fit-whisker: SIMULATED: the shapes or moments are not measured");
     }
     eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
-    Ok(crate::exit_code(warnings.is_empty()))
+    Ok(crate::printing::exit_code(warnings.is_empty()))
 }
 
 /// The wire as the rig has it.

@@ -4,6 +4,7 @@ mod arguments;
 mod columns;
 mod description;
 mod imported;
+mod noticed;
 mod sweep;
 mod units;
 
@@ -13,7 +14,8 @@ pub(crate) use arguments::ImportArgs;
 use arguments::{Kind, layout, name_of};
 use columns::Plan;
 pub(crate) use imported::ImportDocument;
-use imported::{Noticed, RESULT, refuse_other_tables, say};
+use imported::{RESULT, refuse_other_tables, say};
+use noticed::Noticed;
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
 use wcal_session::{SessionError, TextTable, load, read_text_table};

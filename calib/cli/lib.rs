@@ -113,11 +113,6 @@ pub fn end(program: &str, result: Result<ExitCode>) -> ExitCode {
     })
 }
 
-/// The exit code of a result: 3 where something about it matters.
-fn exit_code(clean: bool) -> ExitCode {
-    ExitCode::from(if clean { 0 } else { 3 })
-}
-
 /// Runs a command.
 fn dispatch(asked: &Command) -> Result<ExitCode> {
     match asked {

@@ -6,6 +6,7 @@
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, Write};
+use std::process::ExitCode;
 use std::sync::OnceLock;
 
 /// The first error of a write that mattered.
@@ -54,6 +55,11 @@ macro_rules! println {
 macro_rules! eprintln {
     () => { $crate::printing::to_stderr(format_args!("\n")) };
     ($($text:tt)*) => { $crate::printing::to_stderr(format_args!("{}\n", format_args!($($text)*))) };
+}
+
+/// The exit code of a result: 3 where something about it matters.
+pub(crate) fn exit_code(clean: bool) -> ExitCode {
+    ExitCode::from(if clean { 0 } else { 3 })
 }
 
 #[cfg(test)]

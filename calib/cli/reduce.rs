@@ -95,7 +95,7 @@ pub(crate) fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
     for warning in &warnings {
         eprintln!("reduce: warning: {warning}");
     }
-    Ok(crate::exit_code(warnings.is_empty()))
+    Ok(crate::printing::exit_code(warnings.is_empty()))
 }
 
 /// One line for people on stderr, or a JSON document on stdout.

@@ -195,5 +195,5 @@ pub(crate) fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         println!("{text}");
     }
     let clean = document.rejected_views.is_empty() && document.warnings.is_empty() && !far;
-    Ok(crate::exit_code(clean))
+    Ok(crate::printing::exit_code(clean))
 }

@@ -49,5 +49,5 @@ pub(crate) fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         "expected at least one usable pair, found none; {} states each reason",
         place.display()
     );
-    Ok(crate::exit_code(clean))
+    Ok(crate::printing::exit_code(clean))
 }

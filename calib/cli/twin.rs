@@ -1,16 +1,17 @@
 //! `wcal twin`: the twin's base moments at a session's poses.
 
 mod mujoco;
+mod rows;
 
 use crate::output::{Overwrite, check_file, write_file};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use clap::{Args, ValueEnum};
-use nalgebra::Vector3;
+use rows::{Text, of_trajectory, row};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_core::{Role, WhiskerData, WhiskerRow};
+use wcal_core::{Role, WhiskerData};
 use wcal_mujoco::groove;
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
@@ -114,31 +115,7 @@ pub(crate) fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         let points = missing.join(", ");
         eprintln!("twin: warning: no certain equilibrium at points {points}");
     }
-    Ok(crate::exit_code(missing.is_empty()))
-}
-
-/// A row's text behind the point, and whether its moment is certain.
-type Text = Option<(String, bool)>;
-
-/// Rows of a trajectory with their stage positions, in order of travel.
-fn of_trajectory(data: &WhiskerData, id: u32) -> Vec<(usize, f64)> {
-    let of_it = |row: &WhiskerRow| row.role != Role::Rest && row.trajectory == Some(id);
-    let rows = data.rows.iter().enumerate().filter(|(_, row)| of_it(row));
-    rows.filter_map(|(k, row)| Some((k, row.stage_mm?)))
-        .collect()
-}
-
-/// The text of a reading with a moment: base axes, N mm; place of the contact, mm.
-fn row(
-    data: &WhiskerData,
-    moment: &Vector3<f64>,
-    at_mm: Option<f64>,
-    branch: &str,
-    settled: bool,
-) -> String {
-    let moment = data.moments.components_nmm(moment);
-    let at = at_mm.map_or_else(String::new, |s| format!("{s:.6}"));
-    format!("{:.9},{:.9},{at},{branch},{settled}", moment[0], moment[1])
+    Ok(crate::printing::exit_code(missing.is_empty()))
 }
 
 fn by_rod(data: &WhiskerData) -> anyhow::Result<Vec<Text>> {

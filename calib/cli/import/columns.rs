@@ -1,7 +1,7 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind};
-use super::imported::Noticed;
+use super::noticed::Noticed;
 use super::units;
 use crate::column_words::is_deviation;
 use anyhow::{Result, bail, ensure};
@@ -352,10 +352,6 @@ impl<'t> Plan<'t> {
         Ok((index, factor.map_or_else(of_unit, Ok)?))
     }
 }
-
-/// The option that takes a further column.
-pub(super) const WAY_IN: &str =
-    "; --covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
 
 /// Millimetres in the unit of a column of an axis' errors; none for another column.
 fn error_unit_mm(name: &str) -> Option<f64> {

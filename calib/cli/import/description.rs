@@ -2,7 +2,8 @@
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use super::columns::Plan;
-use super::imported::{Noticed, file_name};
+use super::imported::file_name;
+use super::noticed::Noticed;
 use crate::column_words::is_deviation;
 use crate::input::{read, read_text};
 use crate::simulated::is_simulated;

@@ -1,7 +1,6 @@
 //! The folder of an imported session: what may be replaced in it, and what is said of it.
 
 use super::arguments::ImportArgs;
-use super::columns::WAY_IN;
 use super::units::is_uncertainty;
 use crate::column_words::{option_of, quoted};
 use crate::output::{OutputFolder, ResultKind, first_line};
@@ -28,6 +27,10 @@ pub(super) const RESULT: ResultKind<'_> = ResultKind {
         &["points.csv", "holdout.csv", "rest_shape.csv", OBJECT],
     )
 };
+
+/// The option that takes a further column.
+const WAY_IN: &str =
+    "; --covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
 
 /// The tables that an imported session was made of, and its columns.
 fn made_of(folder: &Path) -> Option<String> {
@@ -81,32 +84,6 @@ pub(super) fn refuse_other_tables(
 pub(super) fn file_name(path: &str) -> String {
     let name = Path::new(path).file_name();
     name.map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned())
-}
-
-/// What was noticed while reading tables.
-#[derive(Default)]
-pub(super) struct Noticed {
-    /// How they were read.
-    pub(super) remarks: Vec<String>,
-    /// What is odd about them.
-    pub(super) warnings: Vec<String>,
-}
-
-impl Noticed {
-    /// Of the tables themselves.
-    pub(super) fn of(tables: &[TextTable]) -> Self {
-        let of_file = |texts: fn(&TextTable) -> &[String]| {
-            let said = |t: &TextTable| {
-                let said = texts(t).iter().map(|text| format!("{}: {text}", t.file));
-                said.collect::<Vec<_>>()
-            };
-            tables.iter().flat_map(said).collect()
-        };
-        Self {
-            remarks: of_file(|t| &t.remarks),
-            warnings: of_file(|t| &t.warnings),
-        }
-    }
 }
 
 /// Says what was imported, and what was odd about it; exit code 3 where the new session carries
@@ -171,7 +148,7 @@ pub(super) fn say(
     for warning in warnings {
         eprintln!("warning: {}", printable(warning));
     }
-    Ok(crate::exit_code(warnings.is_empty()))
+    Ok(crate::printing::exit_code(warnings.is_empty()))
 }
 
 /// A table that became a session.

@@ -3,7 +3,8 @@
 
 use super::arguments::{ImportArgs, layout};
 use super::description;
-use super::imported::{ImportDocument, Noticed, OBJECT, RESULT, refuse_other_tables, say};
+use super::imported::{ImportDocument, OBJECT, RESULT, refuse_other_tables, say};
+use super::noticed::Noticed;
 use crate::output::OutputFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};

@@ -1,7 +1,7 @@
 //! Units of the foreign table: those that stand in its names and below its header become the
 //! session's.
 
-use super::imported::Noticed;
+use super::noticed::Noticed;
 use crate::column_words::quoted;
 use anyhow::{Result, bail};
 use wcal_core::text::number;

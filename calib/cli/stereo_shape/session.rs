@@ -90,7 +90,7 @@ pub(super) fn run(
     if let Some((_, text)) = documents.first().filter(|_| args.json) {
         println!("{text}");
     }
-    Ok(crate::exit_code(clean))
+    Ok(crate::printing::exit_code(clean))
 }
 
 fn session_id(folder: &Path) -> Result<String> {

@@ -1,7 +1,7 @@
 //! MuJoCo's labels at a session's poses: other equilibria, and the error against the session's
 //! labels.
 
-use super::{Text, of_trajectory, row};
+use super::rows::{Text, of_trajectory, row};
 use crate::progress::Progress;
 use nalgebra::Vector3;
 use std::sync::atomic::{AtomicUsize, Ordering};

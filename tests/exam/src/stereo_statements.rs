@@ -1,7 +1,8 @@
 //! How often what `stereo-shape` states of pairs of pictures holds. SIMULATED.
 //!
 //! Cameras of the simulated bench look at a chessboard, which `stereo-calibrate` calibrates them by,
-//! and then at a wire that the groove pushes. The pictures' noise is read and shot noise.
+//! and then at a wire that the groove pushes. The pictures' noise is read and shot noise. What is
+//! stated allows for a clamp with play and for a board that is not quite its size: both are drawn.
 //!
 //! ```text
 //! in space     d' C^-1 d <= 7.815    d: stated less true place, C: stated covariance, errors that pairs share included
@@ -14,9 +15,10 @@
 
 use crate::statements::{Auditor, Counted, Labelled, StatementRow, in_ellipsoid, tallied};
 use anyhow::Context;
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_plant::cameras::{Appearance, Groove, RigGeometry, View, clean, default_pair, exposed};
@@ -37,6 +39,10 @@ const RIG: &str = include_str!("../../../fixtures/stereo_bench/rig.toml");
 /// 95 % of a normal number, in standard deviations.
 const CIRCLE_95: f64 = 2.4477;
 const NORMAL_95: f64 = 1.96;
+/// Standard deviations that docs/src/guide/pictures.md states: sides of the board's squares, and
+/// the wire's root in its clamp (mm, rad).
+const SQUARE_SD: f64 = 1e-4;
+const CLAMP_SD: [f64; 2] = [0.003, 1e-4];
 /// Step along the drawn wire, mm: the pictures cut its end square where a step is longer than the
 /// wire's half width.
 const STEP_MM: f64 = 0.2;
@@ -89,6 +95,15 @@ impl PushedWire {
             line_mm: wire.centre_line(Some((&groove_mm, &found)), STEP_MM),
             arcs_mm: wire.centre_line_arcs(found.arclength_mm, STEP_MM),
         })
+    }
+
+    /// The same with its root displaced and turned in the clamp.
+    fn moved(mut self, by: &Isometry3<f64>) -> Self {
+        let place = |p: V3| (by * nalgebra::Point3::from(p)).coords;
+        self.groove_mm = place(self.groove_mm);
+        (self.axis, self.push) = (by * self.axis, by * self.push);
+        self.line_mm.iter_mut().for_each(|p| *p = place(*p));
+        self
     }
 
     /// The rig with the wire in the groove.
@@ -242,15 +257,23 @@ impl Auditor {
             .map(|k| rig.board_view(first + k))
             .collect();
         write_pairs(&board, &boards, rng.next_u64() >> 8)?;
+        let normal = |sd: f64, rng: &mut ChaCha8Rng| -> V3 {
+            V3::from_fn(|_, _| sd * Distribution::<f64>::sample(&StandardNormal, rng))
+        };
+        // One mounting a folder: across the wire alone, since its root is where it leaves the clamp.
+        let mut across = |sd: f64| V3::new(0.0, 1.0, 1.0).component_mul(&normal(sd, &mut rng));
+        let clamp = Isometry3::new(across(CLAMP_SD[0]), across(CLAMP_SD[1]));
+        let square_mm = 6.0 * (1.0 + normal(SQUARE_SD, &mut rng).x);
         let wires: Vec<PushedWire> = (0..pairs)
-            .map(|_| PushedWire::draw(&mut rng))
-            .collect::<Result<_, _>>()?;
+            .map(|_| Ok(PushedWire::draw(&mut rng)?.moved(&clamp)))
+            .collect::<Result<_, WireError>>()?;
         let scenes: Vec<View> = wires.iter().map(PushedWire::scene).collect();
         write_pairs(&scene, &scenes, rng.next_u64() >> 8)?;
         std::fs::write(folder.join("truth.json"), serde_json::to_string(&wires)?)?;
         std::fs::write(folder.join("rig.toml"), RIG)?;
         let [cameras, shapes] = ["cameras", "shapes"].map(|name| folder.join(name));
-        let stated = [["--square-mm", "6"], ["--board", "9x6"]].concat();
+        let square_mm = square_mm.to_string();
+        let stated = [["--square-mm", &square_mm], ["--board", "9x6"]].concat();
         self.run_on_pairs("stereo-calibrate", &board, &cameras, &stated)?;
         let [file, rig] =
             ["cameras/stereo.json", "rig.toml"].map(|name| folder.join(name).display().to_string());

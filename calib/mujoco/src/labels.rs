@@ -64,13 +64,8 @@ pub struct PoseLabel {
     pub moment_nmm: Option<Vector3<f64>>,
     /// Arc length of the contact (mean by force), mm; none without contact.
     pub arclength_mm: Option<f64>,
-    /// Deepest overlap while settling, mm.
-    pub overlap_mm: f64,
     /// Fastest joint at the end, rad/s.
     pub fastest_rad_s: f64,
-    /// Change of the moment over the second half of the settling, N mm: what damping still holds
-    /// back.
-    pub creep_nmm: f64,
     /// Whether the wire touches and comes free from step to step.
     pub chatters: bool,
     /// Whether the wire came to rest.
@@ -256,21 +251,18 @@ impl GrooveEngine {
                 break;
             }
         }
-        let (early, late) = frames.split_at(frames.len() / 2);
-        let (Some(half), Some(frame)) = (early.last(), late.last()) else {
+        let late = &frames[frames.len() / 2..];
+        let [_, .., frame] = &frames[..] else {
             return Err(TwinError::Engine(
                 "expected two checks of a pose or more, found fewer".to_owned(),
             ));
         };
-        let (before, moment) = (self.moment(half)?, self.moment(frame)?);
         let [toggles, steps] = [|f: &Frame| f.toggles, |f: &Frame| f.steps]
             .map(|of| late.iter().map(of).sum::<u64>() as f64);
         Ok(PoseLabel {
-            moment_nmm: moment,
+            moment_nmm: self.moment(frame)?,
             arclength_mm: arclength_mm(frame),
-            overlap_mm: frames.iter().map(|f| f.deepest_m).fold(0.0, f64::max) * 1e3,
             fastest_rad_s: frame.fastest,
-            creep_nmm: before.zip(moment).map_or(f64::NAN, |(a, b)| (b - a).norm()),
             chatters: toggles > CHATTER * steps,
             settled: frame.fastest < REST_RAD_S && !frame.bad,
             elsewhere: None,

@@ -2,10 +2,11 @@
 //! pictures.
 //!
 //! ```text
-//! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
-//! corrected = g - C_t (C_t + A C_w A + big t t^T)^-1 A (g - p);     s moves by t . (corrected - p)
+//! g = T_base^-1 T_tag v + e_t,  cov C_t;     N^T (g - p(s)) = e_w,  cov N^T C_w N;     N^T [t N] = [0 I]
+//! corrected = g - C_t N (N^T (C_t + C_w) N)^-1 N^T (g - p);     s moves by t . (corrected - p)
 //! ```
-//! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s.
+//! v: vertex position in the rig tag's frame; p, t: point and tangent of the wire at arc length s;
+//! N: two directions across it.
 //! Source: generalised least squares of two estimates with known covariances (Aitken 1936).
 
 use crate::rig::RigGroove;
@@ -14,7 +15,7 @@ use crate::shape::curve_fit::{between, node};
 use crate::shape::joint::{PairUncertainty, node_covariance};
 use crate::shape::pair_fit::PairFit;
 use crate::tags::base_pose::RigPose;
-use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
+use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, Point3, Vector3};
 use wcal_core::shapes_document::GrooveDocument;
 
 /// Contact of a pair, with the quantities that its errors derive from.
@@ -25,7 +26,7 @@ pub(crate) struct GrooveFound {
     pub at: (usize, f64),
     /// Unit tangent there.
     pub tangent: Vector3<f64>,
-    /// `B = I - C_t W A`: derivative of the corrected position by the tag's.
+    /// `B = I - C_t N W N^T`: derivative of the corrected position by the tag's.
     pub follow: Matrix3<f64>,
 }
 
@@ -58,12 +59,13 @@ pub(crate) fn find_groove(
     // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has
     // no mark there.
     for _ in 0..3 {
-        let across = Matrix3::identity() - along(&tangent);
-        let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
+        let aside = tangent.cross(&Vector3::ith(tangent.iamin(), 1.0)).normalize();
+        let across = Matrix3x2::from_columns(&[aside, tangent.cross(&aside)]);
+        let joint = across.tr_mul(&((tag_covariance + wire_covariance) * across));
         let offset = by_tag - point;
         // Correlation between along and across in the tag's error shifts the foot point.
-        let weight = joint.try_inverse().unwrap_or_else(Matrix3::zeros);
-        follow = Matrix3::identity() - tag_covariance * weight * across;
+        let weight = joint.try_inverse().unwrap_or_else(Matrix2::zeros);
+        follow = Matrix3::identity() - tag_covariance * across * weight * across.transpose();
         arc += tangent.dot(&(follow * offset));
         arc = arc.clamp(0.0, fit.length_mm);
         at = node(arc, fit.model.step_mm, fit.model.nodes);

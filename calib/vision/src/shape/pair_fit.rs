@@ -183,8 +183,11 @@ fn refine(scene: &Scene<'_>, mut fit: PairFit, again: bool) -> Result<PairFit, S
             let sum = |of: fn(&Tip) -> f64| ends.iter().map(|e| of(e) * e.sd_mm.powi(-2)).sum();
             let weight: f64 = sum(|_| 1.0);
             fit.length_mm = sum(|e| e.arc_mm) / weight;
-            fit.length_sd_mm = weight.powf(-0.5);
             fit.length_shared_mm = sum(|e| e.shared_mm) / weight;
+            // Both pictures see the same form of the end: only the rest of their errors averages.
+            let own = |e: &Tip| (e.sd_mm.powi(2) - e.shared_mm.powi(2)) * e.sd_mm.powi(-2);
+            let own_mm = sum(own).sqrt() / weight;
+            fit.length_sd_mm = own_mm.hypot(fit.length_shared_mm);
         } else {
             // Seen up to the end of the searched length, and no wire end there: the wire is longer.
             if last > fit.length_mm - 1.0 && fit.length_mm + GROWTH_MM < REACH * nominal_mm {

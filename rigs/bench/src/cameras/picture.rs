@@ -323,11 +323,11 @@ fn sampled(
         let over = pieces
             .iter()
             .map(|piece| (piece.off(&p), piece))
-            .filter(|((_, along), q)| !(*along < 0.0 && q.ends[0] || *along > 1.0 && q.ends[1]))
-            .map(|((off, _), q)| (off.norm(), q))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((off, piece)) = over
-            && off < piece.half_px
+            .min_by(|a, b| a.0.0.norm().total_cmp(&b.0.0.norm()))
+            // Beyond an end that is cut square nothing is, however near the pieces before it are.
+            .filter(|((_, along), q)| !(*along < 0.0 && q.ends[0] || *along > 1.0 && q.ends[1]));
+        if let Some(((off, _), piece)) = over
+            && off.norm() < piece.half_px
             && piece.depth_mm < depth
         {
             shade = wire_shade(look, piece.across(&p).clamp(-1.0, 1.0));

@@ -172,6 +172,7 @@ pub fn read_unsealed(
         let wrong = |why| CalibrationError::content(path, format!("model.covariance: {why}"));
         covariance::check(&stated, stated.len()).map_err(wrong)?;
     }
+    // The model stays as it stands in the file: a newer one may have keys that are not known here.
     let raw: CalibrationFile<serde_json::Value> =
         serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
     let found = raw

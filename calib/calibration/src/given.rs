@@ -25,6 +25,7 @@ impl GivenCalibration {
     /// Where it cannot be read, or all readings were in its fit.
     pub fn read(path: &Path, session: &LoadedSession) -> Result<Self, CalibrationError> {
         let file = read_calibration(path)?;
+        // The content decides: a copy by another name holds the same readings.
         let fitted = |input: &&InputFile| {
             file.provenance
                 .inputs

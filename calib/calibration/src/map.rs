@@ -93,6 +93,7 @@ impl WhiskerCalibration for MapArtefact {
     }
 
     fn noise(&self) -> CalibrationNoise {
+        // The map's noise holds that of a reading: its variance comes off.
         let misfit = |o: &OutputMap, reading: f64| {
             (o.inflation.powi(2) * o.noise_sd_nmm().powi(2) - reading.powi(2))
                 .max(0.0)
@@ -121,6 +122,7 @@ impl WhiskerCalibration for MapArtefact {
         let mut predictor = MapPredictor::new(self)?;
         let table = load_table(table, &self.fbg)?;
         let rows = table.rows.iter().map(|row| {
+            // Shifts are compensated and a map has no memory: time and temperature do not matter.
             let shift_pm = row.compensated_pm(&self.fbg);
             let moments = predictor.moments(0.0, shift_pm, 0.0);
             SensedRow::new(row, (moments, predictor.spread()))
@@ -135,6 +137,7 @@ impl WhiskerCalibration for MapArtefact {
         &self,
         whisker: &WhiskerSpec,
     ) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
+        // A map says nothing of the mechanics: its wire is the nominal one.
         let nominal = AcceptedWire::nominal(whisker).ok_or_else(no_wire)?;
         Ok((nominal, Vec::new()))
     }

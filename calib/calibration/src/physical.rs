@@ -37,6 +37,7 @@ impl Calibration for PhysicalModel {
         } = history(self, table)?;
         let inferred = self.infer(&path, None);
         let mut csv = String::from(HEADER);
+        // Memory runs in order of time; the table keeps its own order.
         for i in in_order(&path) {
             let (point, m) = (rows[path.rows[i]].point, &inferred[i]);
             let ([a, b], outside) = (path.readings[i].shift_pm, u8::from(!m.valid));

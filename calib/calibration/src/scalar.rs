@@ -108,6 +108,7 @@ impl Calibration for ScalarModel {
         let further = self.covariates.iter();
         let covariates = further.map(|name| columns.numbers(name, needed));
         let covariates = covariates.collect::<Result<Vec<_>, _>>()?;
+        // The inverse searches the whole range: the stimulus that stands here is replaced there.
         let middle = 0.5 * (self.stimulus_range[0] + self.stimulus_range[1]);
         let rows: Vec<ScalarRow> = (0..table.rows.len())
             .map(|k| {
@@ -157,6 +158,7 @@ impl Calibration for ScalarModel {
         for (k, (row, p)) in rows.iter().zip(&predicted).enumerate() {
             let given = if inverse { row.y } else { row.x };
             csv += &format!("{},{given},{},{}", row.origin.2, p.value, p.half95);
+            // Errors are in um, positions in mm.
             if axis {
                 csv += &format!(",{}", row.x + 1e-3 * p.value);
             }

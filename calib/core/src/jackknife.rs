@@ -22,6 +22,7 @@ pub fn interval95(whole: f64, without: &[f64]) -> Option<[f64; 2]> {
         .filter(|_| without.len() > 1)?
         .inverse_cdf(0.975);
     let mean = without.iter().sum::<f64>() / n;
+    // Statistics that lack one unit share all others: hence (n - 1) / n of the sum of squares.
     let variance = (n - 1.0) / n * without.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
     let half = t * variance.sqrt();
     (whole.is_finite() && half.is_finite()).then_some([whole - half, whole + half])

@@ -54,6 +54,7 @@ where
 
     fn step(&self, damping: f64) -> Option<Self::Step> {
         let mut damped = self.matrix.clone();
+        // Marquardt's scaling: the damping does not depend on the units of the unknowns.
         for k in 0..damped.nrows() {
             damped[(k, k)] *= 1.0 + damping;
         }
@@ -202,6 +203,7 @@ pub fn minimise<X, L: Linearised>(
                 }
             }
             (step, _) => {
+                // A step may be too long, or its matrix near singular: more damping mends both.
                 lambda *= damping.grow;
                 if lambda > damping.max {
                     here.ending = if step.is_some() {

@@ -111,6 +111,7 @@ impl FbgSpec {
         if self.temperature_compensated {
             return shift_pm;
         }
+        // The reference grating bears no strain: what it shows is the temperature, which comes off.
         match (
             reference_shift_pm.and_then(|s| self.rise_degc(s)),
             self.temperature_pm_per_degc,

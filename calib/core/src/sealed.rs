@@ -276,6 +276,7 @@ impl<R> Sealed<R> {
             decision_sha256: &decision_sha256,
             rows: self.rows.len(),
         };
+        // Written down before the rows come out: a program that dies afterwards has looked, too.
         let number = ledger.0.as_ref().map_or(Ok(1), |record| record(&opening))?;
         Ok(Opened {
             rows: self.rows,

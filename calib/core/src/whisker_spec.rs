@@ -137,6 +137,7 @@ impl RestShape {
             } => (*straight_mm, *arc_radius_mm, *length_mm),
         };
         let count = (length_mm / step_mm).ceil().max(2.0) as usize;
+        // Past the straight part the tangent turns toward -z by the way over the radius.
         let at = |s: f64| {
             let (sine, cosine) = ((s - straight_mm).max(0.0) / radius_mm).sin_cos();
             Vector3::new(
@@ -174,6 +175,7 @@ fn distance_along(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
         let u = ((s - of_b[k - 1]) / (of_b[k] - of_b[k - 1]).max(1e-12)).clamp(0.0, 1.0);
         b[k - 1].lerp(&b[k], u)
     };
+    // Both from their roots: where a wire is mounted does not count.
     arclengths(a)
         .iter()
         .zip(a)

@@ -54,6 +54,7 @@ impl WireFrame {
             RestShape::Polyline(points) => root_and_bend(points),
         };
         let [a, b] = axes.axes.map(|a| a.normalize());
+        // |a x b| is the sine of the angle between the axes: of a small one they span no plane.
         let normal = a.cross(&b).try_normalize(MIN_SINE);
         let x = normal.map(|n| n * n.dot(&tangent).signum());
         let Some(x) = x.filter(|x| x.dot(&tangent) >= MIN_COSINE) else {

@@ -203,6 +203,7 @@ impl MapArtefact {
                 &format!("{} of {weights} numbers", count("alpha")),
                 out.alpha.len().to_string(),
             )?;
+            // Where readings coincide, C = K + nu I is positive definite by nu > 0 alone.
             let sizes = [out.nugget, out.variance_nmm2, out.inflation];
             let sound = finite(sizes) && sizes.iter().all(|v| *v >= 0.0) && out.nugget > 0.0;
             require(
@@ -227,6 +228,7 @@ impl MapArtefact {
                 &format!("finite coefficients in outputs[{m}]"),
                 "NaN or infinity".into(),
             )?;
+            // The thin plate is positive definite within a part of its radius alone.
             out.kernel
                 .check_radius(self.valid_region.diameter_pm() / scale)?;
         }

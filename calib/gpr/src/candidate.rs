@@ -81,6 +81,7 @@ impl MapKind {
         match self {
             Self::Affine | Self::Quadratic => (Kernel::None, None),
             Self::ThinPlate => (Kernel::ThinPlate { radius }, None),
+            // From the smallest safe radius on; a large one leaves an affine map and r^3.
             Self::ThinPlateConstant => (
                 Kernel::ThinPlate { radius },
                 Some(ShapeSearch {
@@ -253,6 +254,7 @@ pub(crate) fn fit_candidate(
         let y = &scaled.outputs[moment];
         let model = recipe(&scaled.inputs, y, None)?;
         let fit = Process::fit(model, &scaled.inputs, y)?;
+        // Readings of one pose share its error: left out alone, one would be told by the others.
         let loo = LeftOutSummary::new(fit.leave_out(&poses));
         let loto = (trajectories.len() >= 3).then(|| {
             leave_trajectories_out(recipe, &fit.model, scaled, y, training, &trajectories)
@@ -267,6 +269,7 @@ pub(crate) fn fit_candidate(
     let (fit_1, loo_1, loto_1, evidence_1) = one(0)?;
     let (fit_2, loo_2, loto_2, evidence_2) = one(1)?;
     let (loo, loto) = ([loo_1, loo_2], loto_1.zip(loto_2).map(<[_; 2]>::from));
+    // Readings of one trajectory share errors: whole ones left out judge the width of intervals.
     Ok(CandidateFit {
         name,
         fits: [fit_1, fit_2],

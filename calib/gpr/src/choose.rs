@@ -67,6 +67,7 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
         .collect();
     // Labels that a map reproduces exactly would divide by zero.
     let total = |s: &BTreeMap<usize, f64>| s.values().sum::<f64>().max(1e-24);
+    // The product of both moments' errors: the scale of neither decides.
     let score = |s: &[BTreeMap<usize, f64>; 2]| total(&s[0]).ln() + total(&s[1]).ln();
     let best = (0..candidates.len())
         .min_by(|a, b| score(&squares[*a]).total_cmp(&score(&squares[*b])))

@@ -64,6 +64,7 @@ pub struct MapFit {
 pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, MapError> {
     training.validate()?;
     let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm);
+    // The released map has constants for its scaling, whatever the readings.
     let (centre_pm, scale_pm, offset_nmm) = if options.released {
         (
             [released::SHIFT_OFFSET_PM; 2],

@@ -60,6 +60,7 @@ impl Factor {
     fn new(model: &ProcessModel, inputs: &[[f64; 2]]) -> Result<Self, MapError> {
         let readings = inputs.len();
         let h = model.trend.matrix(inputs);
+        // Without a kernel C = nu I, whose factor is sqrt(nu) I.
         let l = if model.kernel == Kernel::None {
             DMatrix::from_diagonal_element(readings, readings, model.nugget.sqrt())
         } else {
@@ -246,6 +247,7 @@ impl Process {
     /// is estimated, s2 are those of the rest.
     pub fn leave_out(&self, groups: &[Vec<usize>]) -> Vec<LeftOut> {
         let p = self.projection();
+        // s2 of all readings times their degrees of freedom is the sum of squares.
         let total = self.dof.map_or(0.0, |nu| nu * self.variance);
         let mut out = Vec::with_capacity(self.inputs.len());
         for group in groups {
@@ -255,6 +257,7 @@ impl Process {
             let Some(inverse) = Cholesky::new(block).map(|c| c.inverse()) else {
                 continue;
             };
+            // alpha is P y already (Dubrule 1983).
             let py = DVector::from_iterator(m, group.iter().map(|i| self.alpha[*i]));
             let error = &inverse * &py;
             // s2 of the rest: the group's own misfit comes off the sum of squares.

@@ -46,6 +46,7 @@ pub fn scale(
     training: &MapTraining,
     diameter_pm: f64,
 ) -> Result<crate::candidate::Scaled, MapError> {
+    // The stored map adds this offset to its mean.
     let mut moved = training.clone();
     moved
         .moments_nmm

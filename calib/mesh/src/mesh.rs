@@ -121,12 +121,14 @@ impl Mesh {
                 ));
             }
         }
+        // Only a closed and oriented surface has a volume, whose sign tells outside from inside.
         let mut notes = topology(&triangles);
         if notes.is_empty() && volume_mm3(&points, &triangles) < 0.0 {
             triangles.iter_mut().for_each(|t| t.swap(1, 2));
             notes.push("normals pointed inward: turned round".to_owned());
         }
         let places: Vec<Place> = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
+        // Oriented meshes have the pseudo-normals by which a point is told to be inside.
         let searchable = |triangles: Vec<[u32; 3]>| {
             TriMesh::with_flags(places.clone(), triangles, TriMeshFlags::ORIENTED)
                 .map_err(|e| refuse("a mesh that can be searched", e.to_string()))
@@ -299,6 +301,7 @@ impl Mesh {
         known: Option<[f64; 2]>,
     ) -> Option<ClosestPoint> {
         let [known_mm, way_mm] = known.unwrap_or([0.0, f64::INFINITY]);
+        // A distance changes by no more than the way from the known place (1-Lipschitz).
         if known_mm - way_mm > within_mm {
             return None;
         }
@@ -412,6 +415,7 @@ fn bounds(points: impl Iterator<Item = Vector3<f64>>) -> [Vector3<f64>; 2] {
 fn pieces(points: usize, triangles: &[[u32; 3]]) -> Vec<Vec<[u32; 3]>> {
     // Each corner's way to the one that stands for its piece.
     let mut parent: Vec<u32> = (0..points as u32).collect();
+    // Union-find with path halving (R. Tarjan, J. van Leeuwen, J. ACM 31 (1984) 245).
     fn root(parent: &mut [u32], mut k: u32) -> u32 {
         while parent[k as usize] != k {
             parent[k as usize] = parent[parent[k as usize] as usize];
@@ -436,6 +440,7 @@ fn pieces(points: usize, triangles: &[[u32; 3]]) -> Vec<Vec<[u32; 3]>> {
 /// Volume that a closed surface encloses, mm^3; negative where its normals point inward.
 fn volume_mm3(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
     let of = |t: &[u32; 3]| {
+        // Signed tetrahedra with the origin: what lies outside of the surface cancels.
         let [a, b, c] = t.map(|k| points[k as usize]);
         a.dot(&b.cross(&c)) / 6.0
     };
@@ -447,6 +452,7 @@ fn topology(triangles: &[[u32; 3]]) -> Vec<String> {
     // Triangles that run along an edge, and how many more of them up than down.
     let mut edges: HashMap<[u32; 2], (usize, i32)> = HashMap::new();
     for t in triangles {
+        // Two triangles that agree on the outside run along their edge in opposite directions.
         for [a, b] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
             let (count, up) = edges.entry([a.min(b), a.max(b)]).or_default();
             *count += 1;

@@ -73,6 +73,7 @@ pub fn statics(
         force_n: held.force_n.into(),
         steps: PUSH_STEPS,
     })?;
+    // MuJoCo gives m and N m, the rod mm and N mm.
     let point = point_on(&frame, link, along_mm);
     let moment = Vector3::from(frame.base_moment_nm.unwrap_or([f64::NAN; 3])) * 1e3;
     let rest = rod.shape.rest_point(held.arclength_mm);

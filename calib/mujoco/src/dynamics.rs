@@ -184,6 +184,7 @@ pub fn fit_dynamics(
         }
     }
     let shared = RefCell::new((bench, trials, None::<TwinError>));
+    // BOBYQA refines one valley, CRS2 looks for others; each starts from the best so far.
     for (stage, algorithm) in [("bobyqa", Algorithm::Bobyqa), ("crs2", Algorithm::Crs2Lm)] {
         let from = best_of(&shared.borrow().1).map_or(best, |k| shared.borrow().1[k].parameters);
         search(stage, algorithm, &from, evaluations, &shared, &progress)?;
@@ -249,6 +250,7 @@ fn sensitivity(bench: &mut TrialRig, at: &Parameters) -> Result<Sensitivity, Twi
     for (k, own) in changes.iter_mut().enumerate() {
         let mut x = at.array();
         x[k] = step(x[k], STEPS[k], most[k]);
+        // The impedance at touch is at most the full one.
         x[2] = x[2].min(x[3]);
         // A demand that a step breaks tells nothing of its size.
         let known = |d: f64| if d.is_finite() { d } else { 0.0 };

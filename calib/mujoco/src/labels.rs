@@ -219,6 +219,7 @@ impl GrooveEngine {
     }
 
     fn go(&mut self, place_mm: &Vector3<f64>, goes_on: bool) -> Result<Frame, TwinError> {
+        // The tip is turned by 90 degrees about x: its z is the world's -y, its y the world's z.
         let way = way_m(place_mm);
         self.control(vec![way.x, -way.y, way.z], Vec::new(), goes_on)
     }
@@ -251,6 +252,7 @@ impl GrooveEngine {
                 break;
             }
         }
+        // The groove's arrival shakes the wire: only the later half tells whether it chatters.
         let late = &frames[frames.len() / 2..];
         let [_, .., frame] = &frames[..] else {
             return Err(TwinError::Engine(
@@ -278,6 +280,7 @@ impl GrooveEngine {
         let moment = own.or_else(|| frame.sensor_nm.map(|t| -Vector3::from(t)));
         let moment = moment
             .ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
+        // From the released frame into the session's, and from N m to N mm.
         Ok(Some(self.turn.tr_mul(&moment) * 1e3))
     }
 }

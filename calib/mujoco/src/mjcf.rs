@@ -94,6 +94,7 @@ impl Touch {
             bend,
         } = self;
         let [middle, power] = bend;
+        // MuJoCo's condim: 6 with sliding, torsional and rolling friction, 1 without any.
         let kind = if *friction > 0.0 { 6 } else { 1 };
         format!(
             "condim=\"{kind}\" friction=\"{friction} {turn} {roll}\" solref=\"{time_s} 1\" solimp=\"{d0} {most} {} {middle} {power}\"",

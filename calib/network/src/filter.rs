@@ -211,6 +211,7 @@ impl<'a> BayesFilter<'a> {
         if !predicted {
             // First contact, or no transition explains the sample: the posterior is reset to the
             // prior.
+            // Only a wire that was free one sample ago bounds its deflection by the travel since.
             let loaded_before = !self.weights.is_empty() || self.before.is_empty();
             if !loaded_before {
                 // The wire at rest: the limit of small moments in the present direction.

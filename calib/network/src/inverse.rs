@@ -102,6 +102,7 @@ impl StaticInverse {
         });
         let rod = DiscreteRod::of_rod(rod, diameter_mm, grid.links)?;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
+        // Nodes count back from the tip, so that the last one lies there.
         let along = (0..=steps).map(|k| Node {
             arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64,
             tilt: 0.0,
@@ -116,6 +117,7 @@ impl StaticInverse {
             all.map(|s| s.0).collect()
         };
         let mut cells: Vec<Vec<TableEntry>> = nodes.par_iter().map(rays).collect();
+        // Tilts go on from the force that is square to the wire at its tip.
         let tilts = |d: usize| -> Vec<Vec<TableEntry>> {
             let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
             square
@@ -177,6 +179,7 @@ impl StaticInverse {
             moment_nmm[0].hypot(moment_nmm[1]),
             moment_nmm[1].atan2(moment_nmm[0]),
         );
+        // Moments larger than the table's take its edge.
         let along = (size / g.max_nmm * g.steps as f64).min(g.steps as f64 - 1e-9);
         let around = angle.rem_euclid(TAU) / TAU * g.directions as f64;
         let (m, d) = (along as usize, around as usize);
@@ -304,6 +307,7 @@ fn refine(
         ]
         .map(|n| &cells[n]);
         fine_cells.extend((0..cells[from].len()).map(|c| {
+            // A place between two nodes is reachable where both are.
             let there = four[1][c].1 && (u == 0.0 || four[2][c].1);
             let smooth = four[0][c].1 && four[3][c].1;
             let by = if smooth { by } else { [0.0, 1.0 - u, u, 0.0] };

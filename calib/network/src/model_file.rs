@@ -80,6 +80,7 @@ impl TrainedOn {
 
     /// Speeds of the base along its +z in training, mm/s: those of the sweeps, stretched in time.
     pub fn speed_mm_s(&self) -> [f64; 2] {
+        // A sweep that takes longer by a factor is slower by it.
         let ([low, high], [short, long]) = (self.filter.speed_mm_s, self.time_factor);
         [low / long, high / short]
     }

@@ -112,6 +112,7 @@ impl SegmentFinder {
             .next
             .replace(SegmentBoundary::Touch)
             .unwrap_or(SegmentBoundary::Recording);
+        // After a jump the wire is still held: the limit of an open segment counts.
         if probability < START_PROBABILITY && begins != SegmentBoundary::Jump {
             return None;
         }

@@ -166,6 +166,7 @@ pub struct TrackerStream<'a> {
 impl TrackerStream<'_> {
     /// The answer at a sample.
     pub fn push(&mut self, sample: &Sample) -> Prediction {
+        // No time is known before the first sample: the training's step stands for it.
         let dt_s = self.last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
         self.last_s = Some(sample.t_s);
         let token = self

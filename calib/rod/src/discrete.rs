@@ -97,6 +97,7 @@ impl DiscreteRod {
         } else {
             self.link_mm
         };
+        // The linear turn by the span over the onset's curvature is the relative moment y.
         let bend = linear.y.hypot(linear.z) / (span_mm * softening.onset_per_mm());
         let gain = if bend > 1.0 {
             softening.relative_curvature(bend).0 / bend

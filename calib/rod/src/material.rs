@@ -74,6 +74,7 @@ impl Softening {
             Self::Section { hardening, .. } => {
                 let q = 1.0 / x;
                 let root = (x * x - 1.0).sqrt();
+                // Integral of the plateau's law from x = 1 on, where the elastic energy is 1/2.
                 let flat = 2.0 / (3.0 * PI)
                     * (1.5 * x * x * q.asin() + (6.5 + q * q) * root - 6.0 * q.acos());
                 (1.0 - hardening) * flat + hardening * 0.5 * x * x
@@ -135,6 +136,7 @@ impl Section {
         if self.taper == 0.0 {
             return 1.0;
         }
+        // Diameter of the tip over that of the root, from the ratio of the stiffnesses.
         let end = (1.0 + self.taper).max(1e-3).powf(0.25);
         (1.0 + (end - 1.0) * fraction).powi(4)
     }

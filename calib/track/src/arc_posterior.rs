@@ -113,6 +113,7 @@ impl ArcDensity {
             .clamp(MIN_MM, CELL_MM)
             .max((to - from) / MAX_CELLS);
         let count = ((to - from) / width_mm).ceil().max(1.0) as usize;
+        // Cells count back from the upper end, so that the last one ends at the tip exactly.
         let at = |k: usize| to - width_mm * (count - k) as f64;
         let empty = |k: usize| Region::new(at(k), at(k + 1), 0.0);
         let mut cells: Vec<Region> = (0..count).map(empty).collect();
@@ -141,6 +142,7 @@ impl ArcDensity {
     pub fn mixture<'a>(parts: impl IntoIterator<Item = (f64, &'a Self)>) -> Self {
         let parts: Vec<(f64, &Self)> = parts.into_iter().collect();
         let cells = parts.iter().flat_map(|p| &p.1.0);
+        // Between the edges of all parts together every density is constant.
         let mut edges: Vec<f64> = cells.flat_map(|c| [c.from_mm, c.to_mm]).collect();
         edges.sort_by(f64::total_cmp);
         edges.dedup_by(|b, a| *b - *a < ROUNDING);
@@ -216,6 +218,7 @@ pub(crate) fn mixed_place(
 
 /// Standard normal distribution function.
 pub(crate) fn normal_share(z: f64) -> f64 {
+    // By erfc: 1 + erf would lose the lower tail to cancellation.
     0.5 * statrs::function::erf::erfc(-z / std::f64::consts::SQRT_2)
 }
 

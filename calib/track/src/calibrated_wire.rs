@@ -116,6 +116,7 @@ impl CalibratedWire {
         let mut all = m.shared_nmm.clone();
         // A zero that is known is no unknown.
         if m.zero_nmm2 != Matrix2::zeros() {
+            // Z = L L': the columns of L are two unknowns of unit variance.
             let root = m.zero_nmm2.cholesky();
             all.extend(root.map_or_else(Matrix2::zeros, |c| c.l()).data.0);
         }
@@ -129,6 +130,7 @@ impl CalibratedWire {
     /// has that from pose to pose.
     pub fn row(&self, reading: &Reading, accuracy: &MotionAccuracy) -> Option<MotionRow> {
         let (m, motion) = (reading.moments.as_ref()?, reading.motion.as_ref().ok()?);
+        // Of slow noise g readings say as much as one: each counts with g times its variance.
         Some(MotionRow {
             t_s: reading.t_s,
             moment_nmm: m.moment_nmm,

@@ -66,6 +66,7 @@ impl ContactSoFar {
 
     /// The point that is allowed the most.
     fn most_allowed(&self) -> &RecursivePosterior {
+        // CREEP_SDS rise: the last point may go farthest from where it was.
         &self.posteriors[self.posteriors.len() - 1]
     }
 
@@ -96,6 +97,7 @@ impl ContactSoFar {
         (is_loaded, pose_nmm2): (bool, Matrix2<f64>),
     ) -> Result<Contact, TrackError> {
         let disagrees = !self.innovations().consistent();
+        // Blocks are of loaded rows alone: a free wire does not feel how the contact moves.
         let slid = if is_loaded {
             self.weighed(of, row, (disagrees, pose_nmm2))?
         } else {

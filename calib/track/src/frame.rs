@@ -11,6 +11,7 @@ pub(crate) fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
         return reading.clone();
     }
     let turn = frame.rotation();
+    // Vectors turn by R; a rotation Q of the object is R Q R^-1 in the turned frame.
     let motion = reading.motion.map(|m| RowMotion {
         moved_mm: turn * m.moved_mm,
         turn: turn * m.turn * turn.inverse(),
@@ -36,6 +37,7 @@ fn turned(frame: &WireFrame, m: &Moments) -> Moments {
     let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().map(|h| frame.moment(*h)).collect();
     let outer = |h: &[f64; 2]| Vector2::from(*h) * Vector2::from(*h).transpose();
     let shared: Matrix2<f64> = shared_nmm.iter().map(outer).sum();
+    // Standard deviations do not turn as vectors do: they come from the turned covariance.
     Moments {
         moment_nmm: frame.moment(m.moment_nmm),
         sd_nmm: (pose_nmm2 + shared)

@@ -198,6 +198,7 @@ pub fn contact_comparison(
         interval95(whole, &without.iter().map(of).collect::<Vec<_>>())
     };
     let whole = rms_mm(&|_| true);
+    // A root mean square is positive and skewed: its interval is that of the logarithm.
     let error = |k: usize| TrackError {
         rms_mm: whole[k],
         interval95: interval(whole[k].ln(), &|e| e[k].ln()).map(|ends| ends.map(f64::exp)),

@@ -56,6 +56,7 @@ pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, TrackError> {
     let mut all: Vec<(Option<f64>, KnownPlace)> = Vec::new();
     for (k, (line, cells)) in table.rows.iter().enumerate() {
         let number = |column| table.number(k, column);
+        // A wire at rest is not in the groove: there is no contact to compare.
         if role.is_some_and(|c| &cells[c] == "rest") {
             continue;
         }
@@ -98,6 +99,7 @@ pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vec
         if place.settled == Some(true) {
             all.insert(place.line, Vector3::zeros());
         } else if let Some(b) = moved {
+            // In base coordinates the groove moves against the base: hence the reversed sign.
             all.insert(
                 place.line,
                 (b.groove_mm - place.groove_mm) / (place.t_s - b.t_s),

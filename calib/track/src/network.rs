@@ -85,6 +85,7 @@ impl<'a> NetworkEstimator<'a> {
 
 /// Whether the wire is loaded, whatever the network states.
 fn loaded(moments: &Moments) -> bool {
+    // A network may miss a contact that is none of its training; the moments do not.
     let [size, sd] = [moments.moment_nmm, moments.sd_nmm].map(|m| m[0].hypot(m[1]));
     size >= LOADED_NMM.max(LOADED_SDS * sd)
 }

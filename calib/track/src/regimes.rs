@@ -189,6 +189,7 @@ impl Misstatement {
         };
         let (mut settings, square) = (*settings, self.factor * self.factor);
         if self.factor != 1.0 {
+            // Moments, their common errors and their noise are misstated by one factor.
             for row in &mut rows {
                 let moments = row.shared_nmm.iter_mut().chain([&mut row.moment_nmm]);
                 moments.flatten().for_each(|m| *m /= self.factor);
@@ -199,6 +200,7 @@ impl Misstatement {
                     row.shared_nmm.push([0.0; 2]);
                 }
             }
+            // Half the step between two factors, in logarithm: what lies between them is covered.
             settings.stiffness_sd = settings.stiffness_sd.hypot(0.5 * FACTOR.ln());
         }
         (rows, settings)
@@ -430,6 +432,7 @@ impl ContactEvidence {
     pub(crate) fn of_misstatements(&self) -> Vec<f64> {
         let stated = ln_sum(&self.ways(self.fixed.unwrap_or(OUT), false));
         let over = |ln: f64| {
+            // Both may be minus infinity, whose difference is no number.
             if ln == stated {
                 0.0
             } else {

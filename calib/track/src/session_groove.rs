@@ -162,11 +162,14 @@ impl SessionGroove {
                 let Some((groove, at)) = groove.zip(place.place_mm) else {
                     continue;
                 };
+                // The effects of stage and place move the groove from where it is stated.
                 let moved = trajectory.direction * r.added_mm + motion.wire.offset_mm;
                 let truth = frame.rotation() * (groove + moved);
+                // The push may pass the curved wire more than once: the nominal arc length decides.
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else {
                     continue;
                 };
+                // The state is the same at every reading of a trajectory: one bound stands for all.
                 if bound.is_none() {
                     let of = |episode| bound_mm(&wire.field, episode, &settings, &state);
                     bound = of(episode)?.zip(of(&noiseless(episode))?);
@@ -310,6 +313,7 @@ fn largest_moment(episode: &Episode) -> [f64; 2] {
     let largest = rows.max_by(|a, b| size(a).total_cmp(&size(b)));
     largest.map_or([0.0; 2], |r| {
         let [y, z] = r.moment_nmm;
+        // Of a common error the part along the moment changes its size, to first order.
         let along = |h: &[f64; 2]| (h[0] * y + h[1] * z) / size(r).max(1e-12);
         let squares = r.shared_nmm.iter().map(|h| along(h).powi(2));
         [size(r), squares.sum::<f64>().sqrt()]

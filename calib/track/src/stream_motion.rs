@@ -122,6 +122,7 @@ impl StreamMotion {
             })
         };
         match (&self.base, &self.groove) {
+            // The object rests and the base goes: in base coordinates the object goes back.
             (Some(base), _) => along(base, -1.0, None),
             (None, Some((groove, direction))) => along(groove, 1.0, Some(*direction)),
             (None, None) => Err(MotionUnknown::Unknown),

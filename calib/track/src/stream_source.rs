@@ -146,6 +146,7 @@ impl<'a> StreamSource<'a> {
     pub fn elapsed_s(&self, reading: &FbgReading) -> f64 {
         let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.origin_s
+            // A step of the device's clock is no time that has passed.
             .map_or(0.0, |origin| now - origin - self.stepped_s)
     }
 

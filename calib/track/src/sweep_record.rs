@@ -72,6 +72,7 @@ impl SweepZero {
     /// as loaded. None where too few readings are free.
     pub(crate) fn new(rows: &[SweepRow], [clear, at_most]: [usize; 2]) -> Option<Self> {
         let moments: Vec<Vector2<f64>> = rows.iter().map(|r| r.moment_nmm).collect();
+        // Where no steady beginning shows, only the least number counts: more may be loaded.
         let free = steady(&moments, 0.0).map_or(clear.min(MIN_FREE), |s| s.count.min(at_most));
         if free < MIN_FREE {
             return None;
@@ -79,6 +80,7 @@ impl SweepZero {
         // The free wire has no moment: what is read there is the zero, and its scatter the noise of
         // a reading.
         let zero = moments[..free].iter().sum::<Vector2<f64>>() / free as f64;
+        // Two moments of n - 1 degrees of freedom each.
         let variance = moments[..free]
             .iter()
             .map(|m| (m - zero).norm_squared())

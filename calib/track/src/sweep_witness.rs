@@ -187,6 +187,7 @@ impl SweepWitness {
         };
         let p = match declared {
             Some(declared) => {
+                // L_e / L_0 = exp((D_0 - D_e) / 2), D the least deviance of each.
                 let rival = least(&self.search(declared, whisker, Some(&chosen))?.1);
                 // Two tests, the less likely outcome of which counts.
                 (2.0 * by_gaps.min((0.5 * (rival - least(&found))).exp())).min(1.0)
@@ -284,6 +285,7 @@ impl SweepWitness {
         // A pose of the calibration stands for its share of the moments' range: within it the
         // misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
+        // The zero is the mean of the free readings: its variance is a reading's over their number.
         let zero_nmm2 = Matrix2::identity() * (zero.variance_nmm2 / zero.free as f64);
         // What all readings share is off the zero already.
         let off_zero = |t: &Touch| {
@@ -345,6 +347,7 @@ impl SweepWitness {
     /// and with one that is off, and by how much, mm.
     fn clear(&self, rows: &[SweepRow], path: &BasePath) -> Result<([usize; 2], f64), TrackError> {
         let shape = Shape::new(&self.whisker.rest_shape, 0.5)?;
+        // Points are of the wire's axis: its radius counts, too.
         let clear_mm = CLEAR_MM + 3.0 * self.session.unknown_sd[1] + 0.5 * self.whisker.diameter_mm;
         let points: Vec<Vector3<f64>> = shape.nodes_mm.iter().map(|p| self.to_base(p)).collect();
         let first = |clock_s: f64| {
@@ -357,6 +360,7 @@ impl SweepWitness {
             };
             rows.iter().take_while(clear).count()
         };
+        // A negative offset takes the base from earlier on its path: the wire is clear longer.
         Ok((
             [first(0.0), first(-CLOCK_SDS * self.session.unknown_sd[0])],
             clear_mm,
@@ -410,6 +414,7 @@ impl<'a> Touch<'a> {
     fn by_moment(&self, scene: &Scene<'_>, eta: &Unknowns, gap: &Gap) -> Vector2<f64> {
         let by = |k: usize| {
             let more = scene.gap(&self.curves[k], self.row.t_s, eta, Some(gap.node));
+            // Where the shifted moments allow no contact in reach, the gap says nothing of them.
             more.map_or(0.0, |m| (m.d_mm - gap.d_mm) / STEP_NMM)
         };
         Vector2::new(by(1), by(2))
@@ -457,11 +462,13 @@ fn descend(
             .zip(&gaps)
             .map(|(t, g)| t.by_moment(scene, &eta, g))
             .collect();
+        // C goes with the slopes g, which the unknowns change: it is held for one round.
         let covariance = covariance(&by_moment);
         let mut by_unknown = DMatrix::zeros(gaps.len(), UNKNOWNS);
         for k in 0..UNKNOWNS {
             let mut ahead = eta;
             ahead[k] += UNKNOWN_STEP;
+            // On the same part of the curve: a leap to another contact is no derivative.
             let more = gaps_at(&ahead, Some(&gaps))?;
             let by = |(m, g): (&Gap, &Gap)| (m.d_mm - g.d_mm) / UNKNOWN_STEP;
             by_unknown.set_column(
@@ -510,6 +517,7 @@ impl Best {
     /// -2 log likelihood of the moments along which the gaps change, up to a constant; none where
     /// it is not defined.
     fn deviance(&self) -> Option<f64> {
+        // Taken back to eta = 0, where the gaps have the covariance C + J J'.
         let d = offsets(&self.gaps) - &self.by_unknown * self.eta;
         let factor =
             (&self.covariance + &self.by_unknown * self.by_unknown.transpose()).cholesky()?;
@@ -531,6 +539,7 @@ impl Best {
         // eigenvalue is chi-squared.
         let eigen =
             (&self.covariance + &self.by_unknown * self.by_unknown.transpose()).symmetric_eigen();
+        // The other directions hold s_f alone, which bounds an error and is no measured noise.
         let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
         let squares: Vec<f64> = ruled
             .map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j])
@@ -551,6 +560,7 @@ fn covariance(
     (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
 ) -> DMatrix<f64> {
     let n = touches.len();
+    // An error along the moment is felt as it is; one across it is larger.
     let across = |t: &Touch<'_>, by: &Vector2<f64>| {
         let along = t.moment_nmm.normalize();
         along * along.dot(by) * (1.0 - t.larger) + by * t.larger
@@ -560,6 +570,7 @@ fn covariance(
         .zip(by_moment)
         .map(|(t, by)| across(t, by))
         .collect();
+    // g' R g = |L' g|^2, R = L L': products of such columns are the noise between two readings.
     let root = |i: usize| root2(&touches[i].row.noise_nmm2).transpose() * felt[i];
     let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
     let shared: Vec<Vec<f64>> = (0..n)
@@ -588,6 +599,7 @@ impl Witness<WhiskerSystem> for SweepWitness {
         h: &Hypothesis,
     ) -> Result<Option<WitnessTest>, VerifyError> {
         let calibration = PhysicalModel::new(model, h, sd_pm_of(model, h));
+        // An explanation without effects is the declared model itself, held against nothing.
         let declared = (!h.fit.terms.is_empty())
             .then(|| Hypothesis::fitted(model, &[], &h.weights, 0))
             .flatten();

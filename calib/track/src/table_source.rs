@@ -95,6 +95,7 @@ impl TableSource {
         let one = |row: &SensedRow| {
             let motion = logged.log.at(row.t_s.unwrap_or_default(), middle_mm);
             let known = motion.as_ref().ok();
+            // The motion is the object's with respect to the base: the base goes the other way.
             Reading {
                 base: known.filter(|_| logged.posed).map(base_pose),
                 base_mm_s: known.map(|m| -m.velocity_mm_s.z),
@@ -139,6 +140,7 @@ impl TableSource {
     fn reading(&self, row: &SensedRow) -> Reading {
         let usable = !self.needs_reference || row.reference;
         let (m, spread, noise) = (&row.moments, &row.spread, &self.noise);
+        // A reading's own noise stands by itself only where the law's misfit beside it is known.
         let own = noise.misfit_sd_nmm.and(noise.reading_sd_nmm);
         let moments = Moments {
             moment_nmm: m.moment_nmm,

@@ -129,10 +129,12 @@ impl ContactTracker {
             correlated: Some(by_pose),
             ..self.of.settings
         };
+        // A free wire shows the draw of its pose, too: not a reading's own noise alone.
         let mut row = MotionRow {
             free_nmm2: None,
             ..row
         };
+        // Where the own noise is not known, the white share of that of the pose stands for it.
         let noise_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2 * WHITE * WHITE);
         let mut own = MotionRow {
             noise_nmm2,
@@ -251,6 +253,7 @@ impl Estimator for ContactTracker {
                     ..Contact::default()
                 }
             }
+            // In the prefix the noise is not known yet, and nothing may touch.
             (Some(m), Err(why), _) if !reading.in_prefix => {
                 let contact = self.alone.estimate_contact(m)?;
                 contact.estimate.iter().for_each(|_| lose(why));

@@ -66,6 +66,7 @@ pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank 
     let noise_nmm = model
         .whisker()
         .map_or(0.0, WhiskerCalibration::noise_sd_nmm);
+    // Within a record one share of the noise from pose to pose is white, another is the zero's.
     filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 

@@ -164,6 +164,7 @@ fn ranges(field: &MomentField, known: &mut [Known]) -> Vec<[usize; 2]> {
     segments.extend(segmenter.take_ended());
     let mut free = 0;
     let range = |[first, last]: [usize; 2]| {
+        // A free reading bounds one onset only: none is taken for two contacts.
         let from = std::mem::replace(&mut free, last + 1).max(first.saturating_sub(LEAD));
         let same = |k: &usize| known[*k].piece == known[first].piece;
         [
@@ -247,6 +248,7 @@ impl WholeContact {
                     .push((weight, misstated, located(rows, creep_sd, misstated)?));
             }
         }
+        // A motion hardly shows an error of the gain: how far 1 % of it moves the place is stated.
         let moved = located(&larger(rows), 0.0, Misstatement::NONE)?;
         self.point_mm_by_gain = median_mm(&moved, self.point());
         Ok(())
@@ -338,6 +340,7 @@ impl WholeContact {
         } else {
             let slid = slid.filter(|_| weight > MIN_WEIGHT);
             all.extend(slid.map(|slid| (weight, slid)));
+            // Moments alone place the contact of a reading that is loaded beyond its noise.
             let weight = self.weights.regimes.of(Regime::Anywhere);
             if weight > MIN_WEIGHT && loaded(row) {
                 let sd_nmm = [0, 1].map(|c| row.noise_nmm2[(c, c)].sqrt());

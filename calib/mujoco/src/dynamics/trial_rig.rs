@@ -177,6 +177,7 @@ impl TrialRig {
             reach_mm,
             bare_bounce: 1.0,
         };
+        // The undamped wire on a hard contact is the unit of the bounce.
         let hard = Touch::default();
         let bare = Parameters::of([0.0, hard.width_mm, hard.impedance[0], hard.impedance[1]]);
         bench.bare_bounce = bounce(&bench.released(&bare, true)?)
@@ -205,6 +206,7 @@ impl TrialRig {
 
     pub(super) fn score(&mut self, p: &Parameters, full: bool) -> Result<Score, TwinError> {
         let free = self.released(p, false)?;
+        // The wire is let go along y: the moment about z rings.
         let moments: Vec<f64> = free.base_elastic_nm.iter().map(|m| m[2]).collect();
         let ring_down_s = ring_down_s(&free.time_s, &moments)
             .filter(|_| !free.bad)
@@ -296,6 +298,7 @@ impl TrialRig {
             0.0,
         );
         for place in 1..=(SWEEP_MM / SAMPLE_MM) as u32 {
+            // Counted from the start, so that the rounding to whole steps does not add up.
             let end = (f64::from(place) * SAMPLE_MM / speed_mm_s / step_s).round() as u64;
             let steps = end - taken;
             let frame = self.engine.frame(&Request::Lead {
@@ -307,6 +310,7 @@ impl TrialRig {
             let moment = frame
                 .base_moment_nm
                 .filter(|m| !frame.bad && m.iter().all(|x| x.is_finite()));
+            // A wire deeper than its radius goes on through the ball.
             let Some(moment) =
                 moment.filter(|_| frame.deepest_m * 1e3 <= self.whisker.diameter_mm / 2.0)
             else {
@@ -333,6 +337,7 @@ impl TrialRig {
         let mut around = WorldParts::default();
         if plate {
             // Across the straight part's end; the wire comes from +y.
+            // Its face lies PRESSED_MM above the underside of the wire at rest.
             let y = (PRESSED_MM - radius_mm - PLATE_MM) * 1e-3;
             around.bodies = format!(
                 "<geom name=\"plate\" type=\"box\" pos=\"{} {y} 0\" size=\"{half} {half} {half}\" contype=\"2\" conaffinity=\"1\" {}/>",
@@ -377,6 +382,7 @@ fn leg(long: f64, short: f64) -> f64 {
 /// Ripple: RMS of m_i - (m_(i-1) + m_i + m_(i+1)) / 3; bias: sum |m_i| of the fast sweep over that
 /// of the slow one where both touch, less 1.
 fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
+    // Minus a third of the second difference: what is straight over three places drops out.
     let ripple = |s: &Swept| {
         let off = |w: &[Option<Vector3<f64>>]| {
             Some((w[1]? - (w[0]? + w[1]? + w[2]?) / 3.0).norm_squared())

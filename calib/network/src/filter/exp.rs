@@ -18,6 +18,7 @@ const SMALLEST: f64 = -700.0;
 #[inline(always)]
 pub(super) fn exp(x: f64) -> f64 {
     let y = x.max(SMALLEST);
+    // 1.5 * 2^52: doubles of this size are whole numbers, so that the sum is rounded to one.
     let rounded = y * std::f64::consts::LOG2_E + ROUNDS;
     let n = rounded - ROUNDS;
     let r = (y - n * LN_2[0]) - n * LN_2[1];
@@ -25,6 +26,7 @@ pub(super) fn exp(x: f64) -> f64 {
     let p = 1.0 / 720.0 + r * (1.0 / 5_040.0 + r * p);
     let p = 1.0 / 24.0 + r * (1.0 / 120.0 + r * p);
     let p = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * p)));
+    // 2^n: n, in the last bits, becomes the exponent, whose bias is 1023.
     let scaled = p * f64::from_bits(rounded.to_bits().wrapping_add(1023) << 52);
     if x < SMALLEST { 0.0 } else { scaled }
 }

@@ -165,6 +165,7 @@ impl MomentSums {
         if by.abs() < 0.1 * sd {
             return Self::uniform(exp(-0.5 * (l.residual[0] / sd).powi(2)) / (TAU.sqrt() * sd));
         }
+        // From e + b y + noise = 0: y has the mean -e / b and the standard deviation sd / |b|.
         truncated_normal(-l.residual[0] / by, sd / by.abs()).map_or_else(
             Self::default,
             |(inside, offset, variance)| {
@@ -197,6 +198,7 @@ impl MomentSums {
         };
         let ((offset, variance), (velocity, velocity_variance)) =
             (of(self.offset), of(self.velocity));
+        // Nothing within [-1/2, 1/2] has a variance above 1/4.
         GridCell {
             weight: self.weight,
             offset,

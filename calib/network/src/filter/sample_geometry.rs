@@ -79,6 +79,7 @@ impl<'a> SampleGeometry<'a> {
         let turns: Vec<f64> = normal_slopes.iter().map(Vector3::norm).collect();
         let tip_turn = turns[first_tip.min(turns.len())..].iter().sum();
         let turn_axis = |(k, c): (usize, &InverseSolution)| {
+            // At the tip the force tilts in the plane of r and n: this axis is across it.
             let along = if k < first_tip {
                 &point_slopes[k]
             } else {

@@ -169,6 +169,7 @@ impl BayesSettings {
 
     /// The same for moments with this white noise, and with a zero offset of this size, N mm.
     pub fn with_measurement_noise(self, noise_nmm: f64, zero_nmm: f64) -> Self {
+        // Noise hardly ever passes five standard deviations; a zero that is off is no contact.
         Self {
             noise_nmm: self.noise_nmm.max(noise_nmm),
             onset_nmm: self.onset_nmm.max(5.0 * noise_nmm).max(2.0 * zero_nmm),

@@ -78,6 +78,7 @@ fn jump_paths(s: &BayesSettings, node_mm: f64, first_tip: usize) -> Vec<f64> {
     let density = |nodes: usize| {
         let along = (nodes as f64 - first_tip as f64) * node_mm;
         let scale = if along > 0.0 { outward } else { inward };
+        // inward + outward is the norm of both sides together.
         let near = exp(-along.abs() / scale) / (inward + outward);
         let uniform = s.jump_anywhere_fraction;
         node_mm * ((1.0 - uniform) * near + uniform / WIRE_MM)
@@ -158,6 +159,7 @@ impl<'a> TransitionModel<'a> {
         let (travel_mm, travel_sd_mm) = (known.travel_mm, known.travel_sd_mm);
         // Of a force at the edge of the friction cone the part along the surface: sin(atan(mu)).
         let along = |mu: f64| mu / (1.0 + mu * mu).sqrt();
+        // A velocity is a path by the travel, which must not be zero.
         let travel = travel_mm.abs().max(1e-3);
         let variance = |sd: [f64; 2]| (sd[0] + sd[1] * travel).powi(2);
         let path_variances = [s.constant_velocity, s.perturbed, s.reset].map(variance);
@@ -301,6 +303,7 @@ impl<'a> TransitionModel<'a> {
                 continue;
             }
             let along = self.inverse.nodes[j].arclength_mm - from_mm;
+            // The offset before shortens the path, that now lengthens it; at the tip it is a turn.
             let by_before = if at_tip { 0.0 } else { -node_mm };
             let residual = self.constraint(from, j, step);
             let path = [along, by_before, node_mm];

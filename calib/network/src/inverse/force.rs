@@ -44,6 +44,7 @@ fn entry(
 ) -> TableEntry {
     let push = rod.under_point_load(arclength_mm, force);
     let normal = push.force_n.normalize();
+    // The force on the wire points off the object, whose surface lies one radius against it.
     let point = push.axis_mm - normal * rod.radius_mm;
     (
         [point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32),
@@ -107,6 +108,7 @@ fn solve_square(
 ) -> Option<Vector2<f64>> {
     let first = guess == Vector2::zeros();
     let arm = arclength_mm.max(1.0);
+    // Of a straight wire M_y = -s F_z and M_z = s F_y.
     let start = if first {
         Vector2::new(moment_nmm.y, -moment_nmm.x) / arm
     } else {
@@ -160,6 +162,7 @@ fn broyden<const N: usize>(
                 slope + (next - value - slope * step) * step.transpose() / step.norm_squared(),
             );
         }
+        // A carried derivative that failed is made anew at the same force.
         if fast || carried.is_none() {
             (force, value) = (force + step, next);
         }
@@ -209,6 +212,7 @@ fn solve_tilted(
     let off = |f: &Vector3<f64>| {
         let push = rod.under_point_load(tip_mm, f);
         let m = push.moment_nmm;
+        // The tilt times the moment has the unit of the other two equations.
         Vector3::new(
             m.y - moment_nmm.x,
             m.z - moment_nmm.y,

@@ -68,6 +68,7 @@ impl InverseGrid {
     pub(super) fn check(&self, length_mm: f64) -> Result<(), NetworkError> {
         let places = (length_mm / self.step_mm).max(1.0) + self.tilts as f64;
         let solutions = places * (self.directions * (self.steps + 1)) as f64;
+        // The rod is solved at the coarse nodes alone; refined ones are entries without a solution.
         let (work, entries) = (
             solutions * self.links as f64,
             solutions * self.refine as f64,

@@ -86,6 +86,7 @@ impl NetworkConfig {
 
     /// Parameters, biases and norms left out.
     fn parameters(&self) -> usize {
+        // w^2 each for queries, keys, values and the output, w f twice for the feed-forward.
         let layer = self.width * (4 * self.width + 2 * self.feed_forward);
         self.encoder * (self.inputs + self.encoder + self.width)
             + self.layers * layer

@@ -140,6 +140,7 @@ impl<'a> FeatureExtractor<'a> {
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
             inputs.extend(c.point_mm.iter().map(|x| x / PLACE_SCALE_MM));
+            // A mean over the knot's weight: next to none would be a ratio of roundings.
             let velocity = if at_knots[k] > 1e-3 {
                 (velocity[k] / at_knots[k]).clamp(-4.0, 4.0)
             } else {
@@ -187,6 +188,7 @@ impl<'a> FeatureExtractor<'a> {
 /// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their
 /// y, moments the part about z.
 pub fn mirror(inputs: &mut [f32], nodes: usize) {
+    // A moment is an axial vector: a mirror at y = 0 keeps its part along y and turns that along z.
     let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
     let places = (0..knots).map(|k| COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * k + 1);
     // The moment, small ones, and its rate.

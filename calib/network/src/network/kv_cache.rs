@@ -50,6 +50,7 @@ impl KvCache {
             .zip(qkv[width..].chunks_exact(width))
         {
             all.extend_from_slice(new);
+            // Dropped at twice the need: one move of the memory for many tokens.
             if all.len() > 2 * seen.max(MIN_KEPT * width) {
                 all.drain(..all.len() - seen);
             }

@@ -65,6 +65,7 @@ impl BaseMotion {
 
     /// Takes a position of the stage (mm from its zero).
     pub fn push(&mut self, t_s: f64, way_mm: f64) {
+        // Two positions of one time have no speed between them.
         if self.way.back().is_some_and(|last| !(t_s > last.0)) {
             return;
         }
@@ -122,6 +123,7 @@ impl BaseMotion {
         let speed = (b.1 - a.1) / (b.0 - a.0);
         // Between two positions the stage goes evenly.
         let moved = along * (a.1 + speed * (t_s - a.0));
+        // The stage carries the base along the base's own axes: its way acts before the pose.
         let world_from_base = self.at_zero * Isometry3::translation(moved.x, moved.y, moved.z);
         Some(BasePose {
             world_from_base,

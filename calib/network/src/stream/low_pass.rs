@@ -31,6 +31,7 @@ impl<const N: usize> LowPass<N> {
             return None;
         }
         let half = half as usize;
+        // The sinc cuts off at f_out / 2, the Nyquist limit of the rows.
         let cut = out_hz / rate_hz;
         let tap = |k: usize| {
             let n = k as f64 - half as f64;
@@ -58,6 +59,7 @@ impl<const N: usize> LowPass<N> {
     /// Gain at a frequency.
     pub fn gain(&self, hz: f64) -> f64 {
         let half = (self.taps.len() / 2) as f64;
+        // The taps are symmetric: the sines cancel, and what remains is real.
         let turn = std::f64::consts::TAU * hz / self.rate_hz;
         self.taps
             .iter()

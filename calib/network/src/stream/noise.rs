@@ -125,6 +125,7 @@ fn quiet(blocks: &[Block]) -> bool {
     let (low, high) = variances.fold((f64::INFINITY, 0.0_f64), |(low, high), v| {
         (low.min(v), high.max(v))
     });
+    // Differences of neighbours have twice the noise's variance and nothing of what is slow.
     let jitter: Vec<Vector2<f64>> = blocks
         .windows(2)
         .map(|w| w[1].moment - w[0].moment)

@@ -128,6 +128,7 @@ impl SignalChain {
                 self.prefix.gap();
             }
             self.filter.push(t_s, [shift[0], shift[1], rise_degc]);
+            // Noise is learnt from single scans: rows of the filter are correlated.
             if self.prefix.block_nmm2().is_none() {
                 self.prefix
                     .push(t_s, self.map.quick_nmm(t_s, shift, rise_degc));
@@ -154,6 +155,7 @@ impl SignalChain {
                 None
             }
         };
+        // A row is true the filter's lag before the scan that completes it.
         let t_s = moments.map_or(t_s - self.filter.lag_s(), |m| m.0);
         Some(Row {
             serial,

@@ -158,6 +158,7 @@ impl RestModel {
             );
             ((to - straight_mm) / (to - from)).clamp(0.0, 1.0)
         };
+        // A turn of the clamp about the wire is the direction of all curvatures.
         let bends = [roll.cos(), roll.sin()]
             .into_iter()
             .flat_map(|part| (0..n).map(move |k| bend * part * share(k)));

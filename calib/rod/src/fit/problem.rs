@@ -41,6 +41,7 @@ impl<'a> Problem<'a> {
             for ((_, d), sd) in across.iter().zip(&shape.sd_mm) {
                 all.extend(d.map(|d| d / sd));
             }
+            // Distances across the line do not see where it ends: the length is observed, too.
             let sd = if shape.length_mm[1] > 0.0 {
                 shape.length_mm[1]
             } else {

@@ -78,6 +78,7 @@ impl Rod {
             let residual = offset.push(force.dot(&tangent) / anchor.force_scale_n);
             let size = residual.norm();
             if size < TOLERANCE_MM {
+                // The determinant is the anchor's: so near to it the branch is the same.
                 return (s <= self.shape.length_mm).then(|| Equilibrium {
                     point_mm: *point_mm,
                     force_n: force,

@@ -222,6 +222,7 @@ impl Rod {
         let mut current = *guess;
         for _ in 0..12 {
             let found = self.newton(point_mm, &current, tangential, Some(&table))?;
+            // Force times its arm: by how much the base moment still changes, N mm.
             let change = (found.force_n - current.force_n).norm() * point_mm.norm();
             current = Guess::from(&found);
             table = self.weight_moments(point_mm, &current, Some(&table));
@@ -230,6 +231,7 @@ impl Rod {
             }
         }
         let mut found = self.newton(point_mm, &current, tangential, Some(&table))?;
+        // The root carries the wire's weight, too.
         found.moment_nmm += table.moments_nmm[0];
         Ok(found)
     }
@@ -309,6 +311,7 @@ impl Rod {
         let d_along_s = force.dot(&curvature);
         let (fourth, row, by_s) = match tangential {
             Tangential::Frictionless => (along, d_along_force, d_along_s),
+            // A contact that sticks: row 4 reads ds = 0.
             Tangential::Stick(_) => (0.0, Vector3::zeros(), force_scale),
             Tangential::Ratio(ratio) => {
                 // F.t = ratio |F_perp| is F.t = ratio/sqrt(1 + ratio^2) |F|, smooth away from F =

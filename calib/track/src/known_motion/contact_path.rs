@@ -99,6 +99,7 @@ impl<'a> ContactPath<'a> {
         let farthest = displacements.iter().map(Vector3::norm).fold(0.0, f64::max);
         let jitter = 3.0 * self.rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
         let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
+        // A displacement before the reference points back to where the object came from.
         let before = displacements[..first].iter().rev().map(|w| -w).find(enough);
         before.or_else(|| displacements[first..].iter().copied().find(enough))
     }
@@ -159,6 +160,7 @@ impl<'a> ContactPath<'a> {
         };
         let (wire, across) = self.touch(&state)?;
         // Along the push and across it, off the free wire.
+        // The origin is P_0 - x u = r0(s) + g n - x u, with n across u.
         let off = origin - wire;
         Some(State {
             s_mm,

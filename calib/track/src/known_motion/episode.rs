@@ -50,6 +50,7 @@ pub struct MotionRow {
 impl MotionRow {
     /// Motion since another reading: a point is at `turn p + moved`, mm.
     pub(crate) fn since(&self, other: &Self) -> (Rotation3<f64>, Vector3<f64>) {
+        // From p0 = Q0 q + d0 and p = Q q + d: p = Q Q0^-1 (p0 - d0) + d.
         let turn = self.turn * other.turn.inverse();
         (turn, self.moved_mm - turn * other.moved_mm)
     }
@@ -149,6 +150,7 @@ impl CorrelatedNoise {
         match self {
             Self::ByPose { .. } => Some(Matrix2::identity()),
             Self::InTime { variance_share, .. } => {
+                // F F' = q R: the lasting part has the shape of the reading's own noise.
                 Some(row.noise_nmm2.cholesky()?.l() * variance_share.sqrt())
             }
         }
@@ -168,6 +170,7 @@ impl CorrelatedNoise {
     pub(super) fn own_nmm2(&self, row: &MotionRow) -> Matrix2<f64> {
         match self {
             Self::ByPose { .. } => row.noise_nmm2,
+            // The white part has the rest of the variance: both together are R.
             Self::InTime { variance_share, .. } => row.noise_nmm2 * (1.0 - variance_share),
         }
     }

@@ -226,6 +226,7 @@ impl MomentField {
         let (cell, [x, y, z]) = self.around(place_mm)?;
         let [wx, wy, wz] = [x, y, z].map(cubic);
         let [rx, ry, rz] = [x, y, z].map(cubic_rate);
+        // Without friction a node has one value, and its weight is 1.
         let by_ratio = &self.ratio_weights(ratio)[..cell.len() / 64];
         let (mut sum, mut rates) = ([0.0; 3], [[0.0; 2]; 3]);
         for (n, values) in cell.chunks_exact(by_ratio.len()).enumerate() {
@@ -243,12 +244,14 @@ impl MomentField {
             sum.iter_mut()
                 .zip(value)
                 .for_each(|(s, v)| *s += weight * v);
+            // The argument of the cubic counts in pitches: d/dP = (1 / pitch) d/du.
             for (rate, by) in rates.iter_mut().zip(by_axis) {
                 (0..2).for_each(|c| rate[c] += by / PITCH_MM * value[c]);
             }
         }
         // m = q / |P|^2.
         let squared = place_mm.norm_squared();
+        // dm/dP = (dq/dP) / |P|^2 - 2 q P' / |P|^4.
         let rate =
             |c: usize, a: usize| (rates[a][c] - 2.0 * sum[c] * place_mm[a] / squared) / squared;
         Some((self.of_sums(place_mm, &sum)?, Matrix2x3::from_fn(rate)))
@@ -286,6 +289,7 @@ impl MomentField {
 
     fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<ContactMoments> {
         let squared = place_mm.norm_squared();
+        // Beyond the true length lies only the table's extension: no wire is there to be held.
         (sum[2] <= self.length_mm).then_some(ContactMoments {
             moment_nmm: [
                 sum[0] / squared - self.at_rest_nmm[0],
@@ -310,6 +314,7 @@ impl MomentField {
         if let Some(known) = self.cells.read().ok()?.get(&low) {
             return known.clone();
         }
+        // The cubic takes one node before the place and two after it in each coordinate.
         let [x, y, z] = low.map(|k| k - 1);
         let values = |n: i32| {
             let node = self.node([x + n / 16, y + n / 4 % 4, z + n % 4])?;
@@ -398,6 +403,7 @@ impl MomentField {
             [m[0] * squared, m[1] * squared, e.arclength_mm]
         };
         let mut all = vec![values(&equilibrium)];
+        // Slip in either direction along the wire: what friction allows lies between the two.
         let mu = self.friction.coefficient;
         if mu > 0.0 {
             let slipped = |ratio: f64| Some(values(&self.slipped(&equilibrium, ratio)?));
@@ -454,6 +460,7 @@ impl MomentField {
 
 /// Derivatives of the weights ([`wcal_network::inverse::cubic`]) by the argument.
 fn cubic_rate(u: f64) -> [f64; 4] {
+    // Nodes at -1, 0, 1 and 2. The weights sum to 1, so that their derivatives sum to 0.
     [
         -(3.0 * u * u - 6.0 * u + 2.0) / 6.0,
         (3.0 * u * u - 4.0 * u - 1.0) / 2.0,

@@ -89,6 +89,7 @@ impl<'a> Reading<'a> {
     /// Place of the two unknowns of a creeping contact in the state, and how far one standard
     /// deviation of each moves the point, mm.
     fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
+        // The two shares of a creeping point are the last of the common unknowns.
         let [.., a, b] = self.row.shared_displacement_mm[..] else {
             return None;
         };
@@ -138,6 +139,7 @@ pub(super) struct Linearised {
 
 /// Variance along the push of what is not known of a reading's motion, mm^2.
 fn moved_mm2(reading: &Reading<'_>) -> f64 {
+    // An offset of the clock moves the point along the push by (v . u) times it.
     let clock_mm = reading.row.velocity_mm_s.dot(&reading.push) * reading.settings.clock_sd_s;
     reading.row.moved_sd_mm.powi(2) + clock_mm * clock_mm
 }
@@ -197,6 +199,7 @@ impl NodeFilter {
                 Some((depth, (Vector2::from(held.moment_nmm) - y).norm()))
             });
         let best = trials.min_by(|a, b| a.1.total_cmp(&b.1));
+        // Displacements count from this reading: a depth d here means first touch at x = -d.
         self.mean[ONSET] = -best.map_or(FIRST_DEPTH_MM, |b| b.0);
         self.take(reading, FIRST_ITERATIONS, true);
         // A loaded wire is held: the onset lies before this reading.
@@ -210,6 +213,7 @@ impl NodeFilter {
         let depth_mm = self.depth_mm(reading);
         let blur_mm2 = moved_mm2(reading);
         let near_mm = NEAR_SDS * (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
+        // Its load, or a distance of 4 sd from first touch, says on which side of it a reading is.
         let is_sure = reading.row.free || reading.loaded || depth_mm.abs() > near_mm;
         // Readings of one pose bound the onset once.
         let is_near = |at: f64| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM;
@@ -240,6 +244,7 @@ impl NodeFilter {
         self.chi2 = [0, 1].map(|k| a * self.chi2[k] + b * other.chi2[k]);
         self.outlier = a * self.outlier + b * other.outlier;
         self.last_outlier = a * self.last_outlier + b * other.last_outlier;
+        // Stick and slip have no mean of two branches: the likelier one's contact is remembered.
         if b > a {
             self.contact = other.contact;
         }
@@ -318,8 +323,10 @@ impl NodeFilter {
             .contact
             .filter(|_| !reading.touched_anew)
             .unwrap_or(start);
+        // Kinetic friction while the object moves, static friction at standstill.
         let moving = reading.row.velocity_mm_s.norm() > 0.0;
         let friction = mu.coefficient * if moving { mu.moving_share } else { 1.0 };
+        // Friction depends on the path and not only on its end: long ways go in short steps.
         let steps = ((place - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
         let mut held = None;
         for n in 1..=steps {
@@ -370,6 +377,7 @@ impl NodeFilter {
         found.moment_nmm = Vector2::from(held.moment_nmm);
         found.contact = Some((held.arclength_mm, place));
         let slope = &mut found.slope;
+        // dP/dx = -Q u and dP/dg = Q n, by the definition of the place.
         slope.set_column(ONSET, &(rate * (reading.turn * -reading.push)));
         slope.set_column(GAP, &(rate * (reading.turn * self.across)));
         // The last common unknown but for those of a creeping point.
@@ -390,6 +398,7 @@ impl NodeFilter {
                 column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
             }
         }
+        // An offset tau of the clock moves the point by v tau.
         slope.set_column(COMMON + common, &(rate * row.velocity_mm_s));
         // Motion and table; where readings of one pose share a draw of the noise, they share these
         // too.

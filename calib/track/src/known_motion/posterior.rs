@@ -116,6 +116,7 @@ impl Posterior {
         let Some(inverse) = covariance.try_inverse() else {
             return 0.0;
         };
+        // From node to node the peak changes by orders of magnitude: its logarithm is interpolated.
         mix(peak(a).max(1e-300).ln(), peak(b).max(1e-300).ln()).exp()
             * (-0.5 * off.dot(&(inverse * off))).exp()
     }
@@ -212,6 +213,7 @@ impl Posterior {
 
 /// Density at a node's middle, 1/mm^3.
 fn peak(n: &Node) -> f64 {
+    // Peak of a normal density in two dimensions, 1 / (2 pi sqrt |C|), times the mass per length.
     n.mass
         / (n.length_mm * std::f64::consts::TAU * n.covariance_mm2.determinant().max(1e-300).sqrt())
 }

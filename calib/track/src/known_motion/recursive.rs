@@ -72,6 +72,7 @@ impl Settings {
         else {
             return loaded(row);
         };
+        // A draw of the pose's noise moves the moments of a free wire as a load would.
         loaded(&MotionRow {
             noise_nmm2: row.noise_nmm2 + covariance_nmm2,
             ..row.clone()
@@ -163,6 +164,7 @@ impl RecursivePosterior {
         own.rows = vec![own.with_creep(field, first)];
         own.lead = lead.iter().map(|row| own.with_creep(field, row)).collect();
         let along_mm = |row: &MotionRow| own.displacement_mm(field, row).dot(&push);
+        // Readings of the lead lie before the reference, along_mm < 0: their way widens the prior.
         own.range_mm = BEFORE_MM - own.lead.iter().map(along_mm).fold(0.0, f64::min);
         // Equal steps over the wire, on which s is uniform.
         let length = field.length_mm() - settings.first_mm;
@@ -197,6 +199,7 @@ impl RecursivePosterior {
         for pair in self.rows.windows(2) {
             node.update(&self.reading(field, &pair[0], &pair[1]));
         }
+        // Older nodes lost as much when they were normalised: all logarithms count from one level.
         node.ln -= self.taken_ln;
         node.regular_ln -= self.taken_ln;
         Some(node)
@@ -300,6 +303,7 @@ impl RecursivePosterior {
         // Trapezoids over s, on which the prior is uniform.
         let width =
             |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);
+        // A single node spans no trapezoid: the smallest step stands for its width.
         let mass = self
             .nodes
             .windows(2)

@@ -133,6 +133,7 @@ impl Segmenter {
                 row.displacement_mm(&running.first, &self.middle_mm)
                     .dot(&push)
             };
+            // Without a direction nothing says that the object went back: it counts as past.
             let past = running
                 .push
                 .map(moved)
@@ -140,6 +141,7 @@ impl Segmenter {
             running.past = if past { running.past + 1 } else { 0 };
             running.free += 1;
             self.visit += u32::from(running.free == DIPS + 1);
+            // A few loaded readings are noise, wherever the object is.
             let too_few = running.loaded < MIN_LOADED && running.free > DIPS;
             if running.past > DIPS || too_few {
                 self.end();
@@ -151,6 +153,7 @@ impl Segmenter {
 
     /// The motion is not known from here on: what was before says nothing about what comes.
     pub fn interrupt(&mut self) {
+        // Over an unknown motion friction remembers nothing: what comes is another visit.
         self.visit += u32::from(self.running.is_some());
         self.end();
         self.lead.clear();
@@ -196,6 +199,7 @@ impl Segmenter {
         waiting.push(row.clone());
         let displacement = |to: &MotionRow| to.displacement_mm(first, &self.middle_mm);
         let enough = |w: &Vector3<f64>| w.norm() > BACK_MM.max(3.0 * first.moved_sd_mm);
+        // A displacement before the first load points back to where the object came from.
         let before = || {
             self.lead
                 .iter()

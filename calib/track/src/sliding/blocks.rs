@@ -61,6 +61,7 @@ impl Means {
         };
         let last = rows.len().saturating_sub(2);
         let middle = |(k, (row, spread)): (usize, (&MotionRow, &f64))| {
+            // The outer blocks take the bend of their neighbour, which has a block on both sides.
             let bend = second(k.clamp(1, last.max(1))).unwrap_or_default();
             let moment_nmm = [0, 1].map(|i| row.moment_nmm[i] - 0.5 * bend[i] * spread);
             MotionRow {
@@ -156,6 +157,7 @@ impl Blocks {
 fn mean(rows: &[MotionRow]) -> MotionRow {
     let n = rows.len() as f64;
     let of = |value: &dyn Fn(&MotionRow) -> f64| rows.iter().map(value).sum::<f64>() / n;
+    // Rotation, visit and the like have no mean: the middle reading stands for them.
     let middle = &rows[rows.len() / 2];
     MotionRow {
         t_s: of(&|r| r.t_s),

@@ -163,6 +163,7 @@ impl TouchedWire {
         let link = s / self.rod.link_mm;
         let j = (link as usize).min(self.rod.links() - 1);
         let off = link - j as f64 - 0.5;
+        // The turn of a joint at rest is spread evenly over the half links at its two sides.
         let joint = if off < 0.0 {
             j
         } else {
@@ -179,6 +180,7 @@ impl TouchedWire {
         y[0] = m[0];
         y[1] = m[1];
         let n = frame * n;
+        // The object pushes along the normal: its surface lies one radius against it.
         let point = load.axis_mm - n * self.rod.radius_mm;
         for (at, v) in [
             (2, point),
@@ -230,6 +232,7 @@ impl TouchedWire {
             let y = self.show(&x).moment_nmm();
             let off = y - moment_nmm;
             if off.norm() < TOLERANCE_NMM.max(1e-5 * moment_nmm.norm()) {
+                // An object only pushes: a negative force is no contact.
                 return (x[1] > 0.0).then_some(x);
             }
             let by = |k: usize, h: f64| {
@@ -261,6 +264,7 @@ impl TouchedWire {
             x
         };
         let m = moment_nmm.norm();
+        // With m ~ f^p one percent of force gives p percent of moment: at a fold p is 0.
         if size(&scaled(1.01)) > m * (1.0 + 0.01 * FOLD_NEAR) {
             return None;
         }
@@ -269,6 +273,7 @@ impl TouchedWire {
             .map(|k| FOLD_STEP.powi(k))
             .find(|by| size(&scaled(*by)) < m)?;
         let found = self.frictionless(low[0], moment_nmm, Some(scaled(from)))?;
+        // Nearly the same force is the first contact again.
         (found[1] > 1.02 * low[1]).then_some(found)
     }
 
@@ -282,6 +287,7 @@ impl TouchedWire {
                 .moment_nmm()
                 / LIGHT_N
         };
+        // What turns with the azimuth changes its sign over half a turn, the tilt's part does not.
         let (here, opposite) = (by(0.0), by(PI));
         let across = Matrix2::from_columns(&[
             (here - opposite) / 2.0,

@@ -160,6 +160,7 @@ impl<'a> Chain<'a> {
         let whiten: Vec<Matrix2<f64>> = rows
             .iter()
             .map(|r| {
+                // Noise of the reading and error of the wire's model are independent.
                 let covariance = r.noise_nmm2 + model_nmm2(r);
                 covariance
                     .cholesky()
@@ -178,6 +179,7 @@ impl<'a> Chain<'a> {
                 .clamp(-MAX_RATIO, MAX_RATIO),
         };
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
+        // The residual is W (m - m(x) - H c): its derivative by c is -W H.
         let by_common = rows.iter().zip(&whiten).map(|(r, whiten)| {
             [0, 1].map(|i| {
                 r.shared_nmm
@@ -233,6 +235,7 @@ impl<'a> Chain<'a> {
 
     /// Degrees of freedom of Student's distribution of a residual; none: normal.
     fn tails(&self, kind: Kind) -> Option<f64> {
+        // Edges and gaps of a surface, sticking and the end are rare, but large where they occur.
         match kind {
             _ if !self.heavy => None,
             Kind::Surface => Some(4.0),
@@ -274,6 +277,7 @@ impl<'a> Chain<'a> {
                 let off = step.dot(&(here.y.normal() + before.y.normal())) * 0.5;
                 let moved_sd = self.rows[k].moved_sd_mm.hypot(self.rows[k - 1].moved_sd_mm);
                 let way = step.norm();
+                // A change of curvature within a step errs by about its turn times its way.
                 let sd = SURFACE_MM
                     .hypot(SURFACE_TURN * turned.min(0.5) * way.min(3.0 * self.step_mm[k]))
                     .hypot(moved_sd);
@@ -287,6 +291,7 @@ impl<'a> Chain<'a> {
                     [before, here] if self.by_slip => self.friction_of(before, here),
                     _ => Vector2::new(self.friction, 0.0),
                 };
+                // At the first reading no slip is known: friction is held to its law loosely.
                 (acting - pull) / if all.len() == 1 { 0.1 } else { FRICTION_SD }
             }
             Kind::SlipRate => {
@@ -298,6 +303,7 @@ impl<'a> Chain<'a> {
             Kind::Touch => single(self.deflection(k, &here.x, &here.y)),
             Kind::Press => single(here.x[1].min(0.0) / PULL_N),
             Kind::End => {
+                // Before it slips off, the wire lies within a step of its tip.
                 let short = (self.wire.length_mm - here.x[0]).max(0.0);
                 let step = (here.x[0] - all[0].x[0]).abs().max(self.step_mm[k]);
                 single(short / (step + OFF_MM))
@@ -317,6 +323,7 @@ impl<'a> Chain<'a> {
     /// How far the contact lies from the free wire, over how far it may lie there at first touch or
     /// at the end: a step of the motion, and what the noise hides.
     pub(crate) fn deflection(&self, k: usize, x: &State, y: &ContactQuantities) -> f64 {
+        // The same state without force is the free wire.
         let mut light = *x;
         light[1] = 0.0;
         let row = &self.rows[k];
@@ -324,15 +331,18 @@ impl<'a> Chain<'a> {
         // A cantilever loaded at s deflects there by m s^2 / (3 E I): noise hides as much.
         let hidden = 4.0 * (row.noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
             / (3.0 * self.wire.ei_nmm2);
+        // The first reading has no step before it: the next one stands for it.
         let step = self.step_mm.get(k.max(1)).copied().unwrap_or(0.0);
         (y.point_mm() - free.point_mm()).norm() / (step + hidden)
     }
 
     /// Friction along and across by the slip between two readings.
     fn friction_of(&self, before: &Local, here: &Local) -> Vector2<f64> {
+        // The contact goes on by dP over the object and by ds along the wire: the rest is slip.
         let along_wire = here.y.tangent() * (here.y.arclength_mm() - before.y.arclength_mm());
         let w = here.y.point_mm() - before.y.point_mm() - along_wire;
         let w = Vector2::new(w.dot(&here.y.along()), w.dot(&here.y.across()));
+        // Coulomb's law made smooth within STICK_MM, so that it has a slope at rest.
         -w * (self.friction / w.norm().hypot(STICK_MM))
     }
 
@@ -436,11 +446,13 @@ impl<'a> Chain<'a> {
                 };
                 let all = &locals[range.clone()];
                 let r = self.residual(kind, k, all, c);
+                // A square with this weight has the gradient of Student's t.
                 let weight = self
                     .tails(kind)
                     .map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
                 let (mut near, mut by_state) = ([all[0]; TIED], [[0.0; TIED * STATE]; 2]);
                 near[..all.len()].copy_from_slice(all);
+                // By the chain rule: only the rates of the wire take solutions of it.
                 for (n, rates) in rates[range.clone()].iter().enumerate() {
                     for a in 0..STATE {
                         near[n].x[a] += H;

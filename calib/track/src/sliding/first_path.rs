@@ -37,6 +37,7 @@ pub(super) type Candidate = Option<(State, ContactQuantities)>;
 
 /// The nodes' places, mm.
 fn places(length_mm: f64) -> Vec<f64> {
+    // Past the tip the coordinate counts tilt, TIP_MM for one radian.
     let end = length_mm + MAX_TILT * TIP_MM;
     let count = ((end - FIRST_MM) / NODE_MM).floor() as usize;
     // One node is the tip: there the curve has a corner.
@@ -91,6 +92,7 @@ fn start_cost(chain: &Chain<'_>, contact: Option<&(State, ContactQuantities)>) -
     let Some((x, y)) = contact else {
         return f64::INFINITY;
     };
+    // After a slip from another place nothing says how deep the first contact is.
     if !chain.ends.from_free {
         return 0.0;
     }
@@ -161,6 +163,7 @@ fn steps(
             let off = (y.point_mm() - y0.point_mm()).dot(&(y.normal() + y0.normal())) * 0.5;
             // Errors of both places across the surface add.
             let variance = STEP_SD_MM.powi(2) + spreads[0][j].powi(2) + spreads[1][i].powi(2);
+            // Student's t of 4 degrees of freedom across the surface, a normal step along the wire.
             let cost = 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
             steps.push((i, j, cost));
         }
@@ -193,6 +196,7 @@ impl Search {
     fn best_path(mut self, chain: &Chain<'_>, solved: &[Vec<Candidate>]) -> Option<Vec<State>> {
         let last = solved.last()?;
         if chain.ends.slips_off {
+            // The wire slips off at its tip: 2 mm short of it are one standard deviation.
             for (cost, contact) in self.costs.iter_mut().zip(last) {
                 if let Some((x, _)) = contact {
                     *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0)
@@ -230,6 +234,7 @@ pub(super) fn candidates(wire: &TouchedWire, rows: &[MotionRow]) -> Vec<Vec<Cand
     let mut all = Vec::with_capacity(rows.len());
     for row in rows {
         let moment = Vector2::from(row.moment_nmm);
+        // From the reading before, whose branch of equilibria goes on; else from a light force.
         for (state, q) in last.iter_mut().zip(&places) {
             *state = wire
                 .frictionless(*q, &moment, *state)

@@ -28,6 +28,7 @@ impl FrictionPrior {
         let Some([mean, sd]) = self.stated else {
             return COEFFICIENTS.to_vec();
         };
+        // Below zero there is no coefficient: what would lie there is at zero, once.
         let mut all = [-OUTER_SDS, 0.0, OUTER_SDS]
             .map(|u| (mean + u * sd).max(0.0))
             .to_vec();

@@ -278,6 +278,7 @@ fn locate_parts(
 ) -> SlidingContact {
     let mut all = SlidingContact::nothing(rows.len());
     let held = &rows[first..=last];
+    // A record that ends under load does not show how it ends.
     let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
     let ends = |r: &Range<usize>| Ends {
         from_free: r.start == 0,
@@ -343,6 +344,7 @@ impl Part {
         let frictions = wire.friction.coefficients();
         let chain = Chain::new(wire, &means, ends);
         let all = 0..means.len();
+        // The control: a surface bends to any motion, so the reversed one says by how much.
         let backward = reversed(&means);
         let (hypotheses, control) = rayon::join(
             || hypotheses(&chain, &contacts, (&frictions, HALVINGS), all.clone()),
@@ -421,6 +423,7 @@ fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
 
 /// First and last of the readings that are loaded, each with a neighbour that is, too.
 fn touching(rows: &[MotionRow]) -> Option<[usize; 2]> {
+    // One loaded reading alone may be an outlier.
     let first = (1..rows.len()).find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))? - 1;
     let last = (1..rows.len())
         .rev()
@@ -514,6 +517,7 @@ fn place(
     let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
     let normal = |(w, b): &(f64, BlockPosterior)| (*w, b.arclength_mm, b.sd_mm.hypot(MODEL_SD_MM));
     let own = ArcDensity::of_normals(&each.iter().map(normal).collect::<Vec<_>>(), length_mm);
+    // The hypotheses are places on the object; the base sees them at Q p + d.
     let turn = row.turn.matrix();
     EpisodeContact {
         place_mm: Some(row.turn * mean + row.moved_mm),

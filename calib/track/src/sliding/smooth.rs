@@ -50,6 +50,7 @@ fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Sm
         cost: f64::INFINITY,
         starts: 1,
     };
+    // Friction by the slip comes in last: a descent that begins far off ends elsewhere.
     let start = [(false, false), (false, true)]
         .into_iter()
         .fold(start, |found, (by_slip, heavy)| {

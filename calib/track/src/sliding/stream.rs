@@ -83,6 +83,7 @@ impl SlidingStream {
         let blocks = means.len();
         let searched = blocks >= self.search_at;
         let chain = Chain::new(&self.wire, &means.rows, GOING_ON);
+        // The next readings lie beside the last two blocks, whose posterior is enough.
         let last = blocks - 2..blocks;
         let mut paths: Vec<Hypothesis> = if searched || self.paths.is_empty() {
             let contacts = candidates(&self.wire, &means.rows);

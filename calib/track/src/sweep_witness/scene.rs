@@ -41,6 +41,7 @@ impl BasePath {
     /// Of a sweep's readings, in order of time.
     pub(crate) fn new(rows: &[SweepRow]) -> Self {
         let mut path: Vec<_> = rows.iter().map(|r| (r.t_s, r.world_from_base)).collect();
+        // Between two poses of one time there is no speed.
         path.dedup_by(|later, first| later.0 <= first.0);
         Self(path)
     }
@@ -55,6 +56,7 @@ impl BasePath {
             return path[0].1;
         };
         let u = (t_s - from.0) / (to.0 - from.0);
+        // The turn between two poses goes at an even rate about one axis.
         let turn = UnitQuaternion::from_scaled_axis(
             (from.1.rotation.inverse() * to.1.rotation).scaled_axis() * u,
         );
@@ -108,6 +110,7 @@ impl Scene<'_> {
             |p: &Vector3<f64>| turn.inverse() * (p - middle.coords - moved) / scale + middle.coords;
         // Gap and cost of a touched point with the direction of its force.
         let at = |point: &Vector3<f64>, force: &Vector3<f64>| -> Option<(f64, f64)> {
+            // The force on the wire points off the object: the axis lies one radius along it.
             let axis = self.frame.rotation().inverse() * (point + force * self.radius_mm);
             let (place, later) = (
                 base * nalgebra::Point3::from(axis),
@@ -123,6 +126,7 @@ impl Scene<'_> {
             let out = place.coords + normal * (self.radius_mm + OUTSIDE_MM);
             let seen = self.world_from_object.inverse() * nalgebra::Point3::from(back(&out));
             let near = self.mesh.closest_point(&seen.coords, REACH_MM)?;
+            // Distances are measured on the object as declared; true ones are larger by its scale.
             let d = near.distance_mm * scale - self.radius_mm - OUTSIDE_MM;
             let outward = turn * (self.world_from_object.rotation * near.normal);
             let angle = normal.dot(&outward).clamp(-1.0, 1.0).acos();

@@ -65,6 +65,7 @@ impl TransitionModel<'_> {
         let Some(axis) = &self.now.turn_axes[j] else {
             return 0.0;
         };
+        // The direction's change across wire and force: for small turns the angle about the wire.
         let turn = axis.dot(&(c.normal - from.normal));
         let noise = s.noise_nmm * root_sum_square(from.turn_rad_per_nmm, c.turn_rad_per_nmm);
         let scale = |of: [f64; 2]| root_sum_square(of[0] + of[1] * step.travel_mm.abs(), noise);
@@ -75,6 +76,7 @@ impl TransitionModel<'_> {
 
     /// Factor against a slip on the surface that is longer than the base's travel.
     pub(super) fn excess_slip(&self, slip_mm: &Vector3<f64>, step: &BaseStep) -> f64 {
+        // On a body at rest a contact slips about as far as the base goes; a fifth more is free.
         let over = slip_mm.norm() - 1.2 * step.travel_mm.abs();
         if over > 0.0 {
             exp(-over / step.path_sd_mm)

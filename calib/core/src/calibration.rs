@@ -106,7 +106,7 @@ pub struct CalibrationFile<M> {
 }
 
 impl<M: Serialize> CalibrationFile<M> {
-    /// Hash of everything but the hash itself.
+    /// Hash of everything but the format and the hash itself.
     ///
     /// # Errors
     /// Where the model cannot be written as JSON.

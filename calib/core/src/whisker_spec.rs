@@ -184,8 +184,8 @@ fn distance_along(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
 }
 
 impl WhiskerSpec {
-    /// The first property in which another whisker differs by more than a share of 1 % (shape: 1
-    /// mm), named with both values; the density does not bend a wire at rest and is not compared.
+    /// The first property in which another whisker differs by more than a share of 1 % (a
+    /// shape of points: by 1 mm), named with both values; the density does not bend a wire at rest and is not compared.
     pub fn difference(&self, other: &Self) -> Option<String> {
         let own = [
             ("diameter_mm", self.diameter_mm, other.diameter_mm),

@@ -183,7 +183,7 @@ impl LeftOutSummary {
     }
 
     /// Factor on the standard deviation: 1 unless the left-out coverage lies below the binomial
-    /// bounds of 95 %, then the smallest factor that brings the ceil(0.95 (n + 1))-th largest error
+    /// bounds of 95 %, then the smallest factor that brings the ceil(0.95 (n + 1))-th smallest error
     /// inside (split-conformal rank). Never below 1.
     pub fn inflation(&self) -> f64 {
         let n = self.errors.len();

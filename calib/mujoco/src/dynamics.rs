@@ -170,7 +170,7 @@ pub fn fit_dynamics(
             (least, best) = (total, tried);
         }
     }
-    // Neighbours on the paper's own steps, until none is better.
+    // Neighbours on the paper's own steps, twice at most: one valley is left to the refinement.
     for _ in 0..2 {
         let from = best;
         for tried in neighbours(&from) {
@@ -290,7 +290,7 @@ fn neighbours(p: &Parameters) -> Vec<Parameters> {
 
 type Shared = RefCell<(TrialRig, Vec<Trial>, Option<TwinError>)>;
 
-/// NLopt within two of the grid's steps around a place.
+/// NLopt around a place, within about two of the grid's steps.
 fn search(
     stage: &'static str,
     algorithm: Algorithm,

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! w_k ~ exp(f_k) (b_k + sigmoid(g) (b'_k - b_k) + exp(e - 4) / K),   sum w = 1
-//! p = sum w_k p_k + o,   C = f(t)^2 (sum w_k (p_k - p)(p_k - p)^T + s_min^2 I),   t = sqrt(trace)        (`sd_factors`)
+//! q = sum w_k p_k,   p = q + o,   C = f(t)^2 (sum w_k (p_k - q)(p_k - q)^T + s_min^2 I),   t = sqrt(trace)        (`sd_factors`)
 //! n ~ sum w_k n_k,   P(contact), P(several | contact): sigmoids
 //! ```
 //!

@@ -7,7 +7,7 @@
 //! moment come out at the end; rotated so that the root stands in the clamp, which yields by that
 //! moment, they are the base's. Past the onset of softening a joint's turn from its rest is that of
 //! the section's law. Each joint is solved by a fixed point with Newton's slope at the start.
-//! Symbols as in [`crate::discrete::rod`].
+//! Symbols as in `discrete.rs`.
 
 use crate::DiscreteRod;
 use crate::se3::exp_coefficients;

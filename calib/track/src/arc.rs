@@ -37,7 +37,7 @@ impl From<&Prediction> for ContactEstimate {
     }
 }
 
-/// Length that each node stands for, mm; the tip's share it out among its tilts.
+/// Length that each node stands for, mm; further tilts of the tip stand for none.
 fn lengths(nodes: &[Node]) -> Vec<f64> {
     let at = |k: usize| nodes[k].arclength_mm;
     let last = nodes.len() - 1;

@@ -88,7 +88,7 @@ impl NetworkConfig {
     fn parameters(&self) -> usize {
         // w^2 each for queries, keys, values and the output, w f twice for the feed-forward.
         let layer = self.width * (4 * self.width + 2 * self.feed_forward);
-        self.encoder * (self.inputs + self.encoder + self.width)
+        self.encoder * (self.inputs + self.width)
             + self.layers * layer
             + self.width * self.outputs()
     }

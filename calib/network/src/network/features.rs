@@ -197,7 +197,7 @@ pub fn mirror(inputs: &mut [f32], nodes: usize) {
     }
 }
 
-/// A filter's posterior over the nodes; zero without contact.
+/// A filter's posterior over the nodes; uniform without contact.
 fn posterior_or_uniform(filter: &BayesFilter<'_>) -> Vec<f64> {
     let (posterior, nodes) = (filter.posterior(), filter.solutions().len());
     if posterior.is_empty() {

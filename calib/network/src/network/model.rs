@@ -66,7 +66,7 @@ pub struct Prediction {
     pub several: f32,
     /// Mean place, base frame, mm.
     pub point_mm: [f32; 3],
-    /// Covariance before calibration, mm^2.
+    /// Covariance, mm^2.
     pub covariance_mm2: [[f32; 3]; 3],
     /// Weights of the nodes.
     pub weights: Vec<f32>,

@@ -66,13 +66,10 @@ pub fn bound_mm(
     let mut information = slopes.tr_mul(&factor.solve(&slopes));
     // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12.
     let along_mm = |row: &MotionRow| path.displacement(row).dot(&path.push);
-    let lowest = path.rows.iter().map(along_mm).fold(0.0, f64::min);
-    let touched = path.rows.iter().filter(|row| loaded(row));
-    let deepest = touched.map(along_mm).fold(f64::NEG_INFINITY, f64::max);
-    let widths = [
-        field.length_mm() - settings.first_mm,
-        deepest - lowest + BEFORE_MM,
-    ];
+    // As the filter has them: the touch began where the free readings were, or before these.
+    let free = path.rows.iter().take_while(|row| !loaded(row));
+    let lowest = free.map(along_mm).fold(0.0, f64::min);
+    let widths = [field.length_mm() - settings.first_mm, BEFORE_MM - lowest];
     (0..2).for_each(|k| information[(k, k)] += 12.0 / widths[k].powi(2));
     information[(2, 2)] += 1.0 / settings.gap_sd_mm.powi(2);
     // What all readings have of the interpolated wire's error, in each coordinate.

@@ -301,9 +301,9 @@ fn locate_parts(
     all.turns_back = turns_back(held);
     all.agreed = each().all(Part::agreed);
     all.predicted = each().map(|p| p.count).sum();
-    // Parts that no path explains are anything.
-    let anything = [(all.means.len() - all.predicted) as f64 * LN_ANYTHING, 0.0];
-    let ln_evidence = [0, 1].map(|k| anything[k] + each().map(|p| p.ln_evidence[k]).sum::<f64>());
+    // Parts that no path explains are anything, along either motion.
+    let anything = (all.means.len() - all.predicted) as f64 * LN_ANYTHING;
+    let ln_evidence = [0, 1].map(|k| anything + each().map(|p| p.ln_evidence[k]).sum::<f64>());
     all.ln_evidence = Some(ln_evidence).filter(|_| all.means.len() >= MIN_WEIGHED);
     all.gaps = each().map(|p| p.best().gaps).fold(0.0, f64::max);
     all.mm_by_gain = each().map(|p| p.mm_by_gain).fold(0.0, f64::max);

@@ -2,7 +2,7 @@
 //! and the path after it has its own start.
 //!
 //! ```text
-//! slip between k - 1 and k:   |m_k - m_(k-1)| > c (median |m_j - m_(j-1)| + sqrt(tr R))      in either moment; median over the 6 steps around
+//! slip between k - 1 and k:   |m_k - m_(k-1)| > c (median |m_j - m_(j-1)| + sqrt(tr R))      in either moment; median over 6 steps on each side
 //! ```
 //!
 //! c = 6 is tried first; c = 2.5 may be the wire that turns at an edge, and is a slip where no path
@@ -12,7 +12,7 @@ use crate::known_motion::MotionRow;
 use std::ops::Range;
 use wcal_core::order_statistics::median;
 
-/// Steps around a slip that it is held against.
+/// Steps on each side of a slip that it is held against.
 const AROUND: usize = 6;
 /// Leaps (see the module) that are slips, and that may be.
 pub(super) const LEAPS: [f64; 2] = [6.0, 2.5];

@@ -302,6 +302,7 @@ impl Witness<WhiskerSystem> for PicturePairs {
         let Some(pictures) = system.pictures() else {
             return Ok(None);
         };
+        // In units of what the shapes state, whatever share of it counts now.
         let chi = system.own_share() * reduced_chi(&h.fit, system.picture_scale);
         let dof = h.fit.witness_count as f64;
         let sentence = format!(
@@ -333,6 +334,7 @@ fn picture_note(
     if fit.terms.is_empty() {
         return Some(said);
     }
+    // Each fall over its own variance, so that both can be compared.
     let wavelengths =
         (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
     let pictures = (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())

@@ -66,6 +66,7 @@ impl RodTables {
             return Some(Vec::new());
         }
         let touch_mm = self.touch(rod, l, rod_parameters).x_mm;
+        // Before first touch nothing holds the wire; positions ascend, so those come first.
         let free = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
         let held = &xs[free..];
         let equilibria = self

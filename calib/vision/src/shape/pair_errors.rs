@@ -122,6 +122,7 @@ impl SharedErrors {
     /// Columns of all shared errors by those of the cameras: the board's size scales the baseline.
     fn columns(&self, stereo: &StereoCameras, by_cameras: DMatrix<f64>) -> DMatrix<f64> {
         let baseline = stereo.right_from_left.translation.vector;
+        // d t = t d(scale): lengths by the cameras have no other scale than the baseline.
         let by_board = by_cameras.columns(self.cameras - 3, 3) * baseline;
         let mut columns = by_cameras.resize_horizontally(self.cameras + SETUP, 0.0);
         columns.set_column(self.cameras + BOARD, &by_board);
@@ -331,6 +332,7 @@ fn own_columns(
         put(&mut columns, (rows, base_at), &(&v.by_base * base));
         put(&mut columns, (rows, tag_at), &v.own);
     }
+    // What all pairs share of the end's error stands in the shared columns.
     let end_mm2 = fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2);
     columns[(rows + 3, end_at)] = end_mm2.max(0.0).sqrt();
     columns
@@ -454,6 +456,7 @@ fn length_change_mm(
             let at = seen(stereo, &fit.left_from_base, &tip, camera)?;
             let along: Vector2<f64> = at - seen(stereo, &fit.left_from_base, &before, camera)?;
             let off: Vector2<f64> = seen(&other, &pose, &moved, camera)? - at;
+            // The end stays where it is seen: a curve that moves on along itself ends earlier.
             Some(-off.dot(&along) / along.norm_squared() * fit.model.step_mm)
         })
         .collect();

@@ -69,6 +69,8 @@ pub fn detect_tags(
         Search::StrongContrast | Search::Whole => whole(picture, 1.0),
         Search::Apart => {
             let mut found = whole(&apart(picture)?, 1.0)?;
+            // Pixel centres are at integers: column 0 of the doubled picture is at -1/4 of the
+            // plain one.
             for corner in found.iter_mut().flat_map(|tag| &mut tag.corners_px) {
                 *corner = corner.map(|x| 0.5 * (x + 0.5) - 0.5);
             }

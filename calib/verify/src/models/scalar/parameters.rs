@@ -64,6 +64,7 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
         },
         "1/half-range" => (value / half, ratio("1", &[(stimulus, 1)])),
         "response/stimulus^4" => (value, ratio(response, &[(stimulus, 4)])),
+        // The catalogue counts cycles over the whole range, the session states their length.
         "period:stimulus" => (2.0 * half / value, stimulus.clone()),
         "period:time" => (duration / value, "s".to_owned()),
         "period:order" => (readings / value, "readings".to_owned()),
@@ -140,6 +141,7 @@ pub(crate) fn of_effect(
                 &system.frame,
                 p.name,
             );
+            // What no reading shows is independent of the fit: both half widths add in squares.
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
             let place = p.name == "place";

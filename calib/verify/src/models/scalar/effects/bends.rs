@@ -207,6 +207,8 @@ pub(crate) fn dead_zone() -> ScalarEffect {
         warp: |values, frame, u| {
             let (share, width) = (values.of("slope_lost"), values.of("half_width"));
             for v in u {
+                // Inside the zone the slope is less by the share; outside the lost part stays
+                // constant.
                 *v -= share * (*v - frame.zero_u).clamp(-width, width);
             }
             true

@@ -154,6 +154,7 @@ impl SessionModel for WhiskerSystem {
     fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
+        // A lag in motion and a stage clock that is set wrong are one: a lag takes up both.
         let is_lag = |t: &EffectTerm| self.catalogue[t.effect].id == "time-lag";
         let lagged = fit.terms.iter().any(is_lag);
         let set_s = stage_clock::estimate_alignment(&again, accepted, lagged);

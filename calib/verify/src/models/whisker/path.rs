@@ -491,8 +491,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         let next_s = readings
             .get(i + 1)
             .map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
-        // Without a node at the window's end the groove would move off in the middle of the
-        // average.
+        // Without a node at the window's end the groove would leave in the middle of the average.
         if time && r.stays_s > 0.0 && r.t_s + r.stays_s < next_s {
             nodes.push(still(r.t_s + r.stays_s));
         }

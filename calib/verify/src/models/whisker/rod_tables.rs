@@ -344,8 +344,7 @@ impl RodTables {
                 return Some([0.0; 2]);
             };
             let slip = slips[l].as_ref()?;
-            // Friction beyond what the branch holds lets the wire snap out: there is no moment to
-            // state.
+            // Friction beyond what the branch holds lets the wire snap out: no moment to state.
             if !slip.has_equilibrium(xs_mm[k], h.ratio) {
                 return None;
             }

@@ -33,7 +33,7 @@ impl EffectMemories {
     /// remembers then.
     fn recalled(&self, steps_s: &[Option<f64>], base: [f64; 2]) -> ([f64; 2], Vec<SensorMemory>) {
         let (mut sensed, mut memories) = (base, self.memories.clone());
-        // The load stands from the arrival on: every node of the dwell has the same base moment.
+        // The load is taken as standing from the arrival on, the same at every node of the dwell.
         for dt_s in steps_s {
             let effects = self.terms.iter().zip(&mut memories);
             sensed = effects.fold(base, |m, (term, memory)| term.sensed(memory, *dt_s, m));
@@ -247,8 +247,7 @@ impl PhysicalStream {
                 let sensed = self.model.sensed(&side.terms, &self.now, &self.inverse);
                 Vector2::from(side.base(steps_s, sensed, visible))
             });
-            // Each side keeps its own memory, so a value's error is carried through the whole
-            // history.
+            // Each side keeps its own memory: a value's error is carried through the history.
             let slope = (high - low) / (2.0 * *step);
             self.gradient.set_column(*place, &slope);
         }

@@ -30,6 +30,7 @@ pub(crate) fn creep() -> WhiskerEffect {
             } else {
                 pairs(values)
             };
+            // Prony sum: m + sum a_k r_k with tau_k r_k' = m - r_k.
             memory.sensed(spectrum, m, |state, before, tau_s| {
                 let Some(dt_s) = dt_s else { return state };
                 [0, 1].map(|c| relax(state[c], [before[c], m[c]], dt_s / tau_s))

@@ -226,8 +226,7 @@ impl ScalarSystem {
             };
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
             fit(self, &terms, &h.weights, 0)
-                // Akaike: two parameters are worth 4 in -2 log L, which is the sum of squares over
-                // s^2.
+                // Akaike: two parameters are worth 4 in -2 log L, here squares over s^2.
                 .is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
         effect.spans_too_few_periods.iter().any(|shape| {

@@ -209,8 +209,7 @@ impl Scaling {
         let levels = setting.iter().max().map_or(0, |last| last + 1);
         Self {
             unreliability: if degree > 0 {
-                // Slope within settings over that between them: the stimulus's own scatter lowers
-                // the first.
+                // Slope within settings over that between them: scatter of the stimulus lowers it.
                 1.0 - reliability(&setting, &x, &y)
             } else {
                 0.0

@@ -266,8 +266,7 @@ impl MeasurementModel for ScalarSystem {
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
-                // The declared model stands at the stimulus that was read; effects add what they
-                // move it by.
+                // The declared model stands at the stimulus as read; effects add to it.
                 let read = |i: usize| frame.read_u[i] + (u[i] - frame.u[i]);
                 let power = |k: usize| (0..u.len()).map(|i| read(i).powi(k as i32)).collect();
                 (0..=degree).map(power).collect()

@@ -207,8 +207,7 @@ pub(crate) fn dead_zone() -> ScalarEffect {
         warp: |values, frame, u| {
             let (share, width) = (values.of("slope_lost"), values.of("half_width"));
             for v in u {
-                // Inside the zone the slope is less by the share; outside the lost part stays
-                // constant.
+                // Inside the zone the slope is less by the share; outside, the loss is constant.
                 *v -= share * (*v - frame.zero_u).clamp(-width, width);
             }
             true

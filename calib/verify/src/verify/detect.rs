@@ -235,8 +235,7 @@ fn smallest<M: SessionModel>(
             };
             let d = a.dimension() as f64;
             let of_search = noncentrality(level, d, fit.dof - d)?;
-            // A stratum sees only its share of the signature: the whole one has to be that much
-            // longer.
+            // A stratum sees only its share of a signature: the whole has to be longer.
             let of_design = |t: DesignTest| {
                 Some(noncentrality(t.level, d, t.dof)? * signature / t.norm.max(1e-300))
             };

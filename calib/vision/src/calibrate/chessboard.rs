@@ -213,6 +213,7 @@ pub(crate) fn continues_beyond(
             .iter()
             .filter_map(|&(i, j)| contrast(i, j, out))
             .collect();
+        // A side that is half outside the picture says nothing of what lies beyond.
         (2 * values.len() >= cells.len().max(2)).then(|| median(values))
     };
     // On a side only two of a corner's four squares count: half the contrast.

@@ -86,6 +86,7 @@ impl SharedErrors {
         if let Some(c) = &turn_covariance {
             put(cameras + TAG_TURN, &dynamic(c));
         }
+        // Light and end stand in columns of one standard deviation each.
         put(cameras + LIGHT, &DMatrix::identity(2, 2));
         let pull = |p: &Option<RigPose>| {
             let p = p.as_ref()?;
@@ -208,6 +209,7 @@ impl VertexErrors {
         let to_base: Matrix3<f64> = *(base_from_left.rotation * pose.left_from_tag.rotation)
             .to_rotation_matrix()
             .matrix();
+        // A turn w of the tag moves the vertex v by w x v = -hat(v) w.
         let lever = -groove.position_in_tag_mm.cross_matrix();
         let (own, by_cameras, by_turn) = match &shared.turn {
             // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).

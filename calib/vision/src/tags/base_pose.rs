@@ -91,8 +91,7 @@ pub(crate) fn folder_base(
             let tags = still.iter().map(|(_, t)| t);
             mean.corners_px[c] = tags.clone().map(|t| t.corners_px[c]).sum::<Vector2<f64>>() / n;
             let covariance: Matrix2<f64> = tags.map(|t| t.covariances_px2[c]).sum();
-            // The pictures' noise is independent: the variance of a mean of n is their sum over
-            // n^2.
+            // The pictures' noise is independent: the variance of a mean is their sum over n^2.
             mean.covariances_px2[c] = covariance / (n * n);
         }
         averaged.extend(observation(rig, *camera, &mean));

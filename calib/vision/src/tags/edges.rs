@@ -167,6 +167,7 @@ impl TagView<'_> {
                 Some(self.picture.sample(p.x, p.y))
             })
             .collect::<Option<_>>()?;
+        // More than a tenth of a tag's cells and margin are of either colour.
         let mut sorted = grey.clone();
         sorted.sort_by(f64::total_cmp);
         let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);

@@ -233,8 +233,7 @@ pub(crate) fn coarse_centre(
         let [(n0, l), (n1, b), (n2, r)] =
             [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
         // Empty parts have no mean: comparisons with it fail.
-        // With each part at its mean, sum I^2 less sum n mean^2 is left: the largest explained
-        // wins.
+        // With each part at its mean, sum I^2 less sum n mean^2 is left.
         let explained = n0 * l * l + n1 * b * b + n2 * r * r;
         if (l - b) * (r - b) > 0.0 && explained > largest {
             largest = explained;

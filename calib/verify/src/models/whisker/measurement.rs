@@ -64,6 +64,7 @@ fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -
     if before.pictures.is_none() {
         return system;
     }
+    // own chi is the scatter over what the shapes state, whatever share counted in the fit.
     let (own, chi) = (before.own_share(), reduced_chi(fit, before.picture_scale));
     let sd = fit.readings_variance().sqrt();
     // Worse than stated, by whatever: everything counts less. Better: only what scatters can be,
@@ -243,6 +244,7 @@ impl SessionModel for WhiskerSystem {
         let readings = &self.path.readings;
         let loaded = readings.iter().filter(|r| !r.rest);
         let groups: BTreeSet<u32> = loaded.map(|r| r.group).collect();
+        // Readings at rest belong to no trajectory: they stay in every fit and hold the zero.
         let fold = |r: &Reading| (!r.rest).then(|| groups.range(..r.group).count());
         Folds {
             split: "loto",

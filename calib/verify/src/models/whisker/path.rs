@@ -367,6 +367,7 @@ impl WhiskerPath {
             .collect();
         let extent = |l: usize| {
             let on = readings.iter().filter(|r| r.line == Some(l));
+            // Depth 0 is first contact, whether a reading stands there or not.
             range(on.map(|r| r.x_mm).chain([0.0]))
         };
         let ends = (0..lines.len())

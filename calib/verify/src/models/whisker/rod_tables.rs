@@ -163,6 +163,7 @@ impl RodTables {
         let xs: Vec<f64> = (0..=count)
             .map(|k| touch.x_mm + step_mm * k as f64)
             .collect();
+        // A walk from first touch costs many solutions: a known neighbour is tried first.
         let equilibria = self
             .warm_start(rod, l, rod_parameters, touch.x_mm, &xs)
             .unwrap_or_else(|| self.followed(rod, l, rod_parameters, touch.x_mm, &xs));
@@ -230,6 +231,7 @@ impl RodTables {
         // The table of friction carries a small difference only: a coarser grid is enough.
         let count = table.moments_nmm.len().clamp(8, 24);
         let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
+        // Friction acts against the sliding: loading and unloading have opposite signs.
         let ratios: Vec<f64> = (0..=2 * RATIO_STEPS)
             .map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0))
             .collect();
@@ -248,6 +250,7 @@ impl RodTables {
             slip.ratios.len(),
         ));
         for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)).skip(1) {
+            // Slip branches start from the frictionless contact: where it is lost there are none.
             let Outcome::Held(free) = outcome else {
                 return None;
             };
@@ -383,6 +386,7 @@ impl RodTables {
             let (Some(e), Some(h)) = (e, held[k]) else {
                 return *e;
             };
+            // Where the contact sticks is known, and the force along the wire is not.
             let found = rod.solve(
                 &e.point_mm,
                 &Guess::from(e),

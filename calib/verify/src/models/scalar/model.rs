@@ -403,6 +403,7 @@ impl ScalarModel {
             self.predict(&moved.collect::<Vec<_>>())
         };
         let [low, high] = self.stimulus_range;
+        // Only a response that goes one way has one stimulus for each value.
         let place = |k: usize| low + (high - low) * k as f64 / PLACES as f64;
         let curves = (0..=PLACES).map(|k| at(&vec![place(k); rows.len()]));
         let curves = curves.collect::<Result<Vec<_>, _>>()?;

@@ -40,6 +40,7 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
     let half = s.half_range();
+    // n readings lie n - 1 steps apart.
     let readings = s.count.max(2) as f64 - 1.0;
     let (response, stimulus) = (&names.response, &names.stimulus);
     let duration = s.time.map_or(1.0, |t| t[1]);
@@ -50,6 +51,7 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
             p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
         };
         return (
+            // u = (x - mid) / half: a coefficient of u^k is half^k of one of x^k.
             value / half.powi(power),
             ratio(response, &[(stimulus, power), (rest, 1)]),
         );

@@ -127,6 +127,7 @@ fn hinge(values: &Values, frame: &Frame, u: &mut [f64], gained: f64) -> bool {
         knee <= frame.zero_u
     };
     for v in u.iter_mut() {
+        // Continuous at the knee: the slope alone changes there.
         *v += gained
             * if upper {
                 (*v - knee).max(0.0)

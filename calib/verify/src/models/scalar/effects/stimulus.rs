@@ -193,6 +193,7 @@ pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
         },
         columns: |values, frame| {
             let by_way = |f: fn(f64) -> f64| {
+                // Before the first move: on this branch, halfway (0), or on the other one (-1).
                 let direction = frame.direction_begun(1.0 - 2.0 * begun(values))?;
                 Some(
                     direction

@@ -128,7 +128,7 @@ fn judgement<M: SessionModel>(
     look: &Look,
 ) -> HoldoutJudgement {
     let (noise, accepted) = (&decision.of.noise, &decision.conclusion.accepted);
-    // Shared noise at the upper ends: what the open readings knew badly must not contradict.
+    // Shared noise at the upper ends: what the open readings hardly tell must not contradict.
     let upper = noise.at_upper_ends();
     let judged = |i: usize| whole.scored()[i] && !flagged.contains(&i);
     let of = |h: &Hypothesis| {

@@ -200,7 +200,6 @@ impl PredictionResidual {
     /// The `other` model beside this one, on the same readings; `group` of each reading. The second
     /// witness is one group.
     pub fn beside(&self, other: &Self, group: impl Fn(usize) -> u32) -> PairedTest {
-        // The second witness has a known covariance of its own: its values are one group.
         let group = |k: usize| (k < self.readings).then(|| group(k % self.weights.len()));
         let d = &other.off - &self.off;
         let mut groups: BTreeMap<Option<u32>, DVector<f64>> = BTreeMap::new();

@@ -143,6 +143,7 @@ fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
         });
         (0.5 * (lo + hi), (0.5 * (hi - lo)).max(f64::MIN_POSITIVE))
     };
+    // Parabolas, 1 in the middle and 0 at the edges: a bent board to second order.
     let ((mx, hx), (my, hy)) = (range(0), range(1));
     points
         .iter()
@@ -291,6 +292,7 @@ impl Linearised for Normal {
 
     fn step(&self, damping: f64) -> Option<SharedStep> {
         let n = self.free;
+        // The left camera is the frame and the board the unit of length: no gauge is left free.
         let mut schur = self.shared.view((0, 0), (n, n)).into_owned();
         for i in 0..n {
             schur[(i, i)] *= 1.0 + damping;

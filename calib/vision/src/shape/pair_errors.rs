@@ -101,6 +101,7 @@ impl SharedErrors {
             let mut all = DMatrix::zeros(3, cameras);
             for (p, pull) in rigs.poses.iter().zip(&pulls) {
                 if let (Some(b), Some(pull)) = (p.as_ref().and_then(|p| p.blocks()), pull) {
+                    // g_w - I_wt I_tt^-1 g_t: the pull of a pair on the turn, its shift eliminated.
                     all += pull.rows(0, 3) - b.cross * b.shift * pull.rows(3, 3);
                 }
             }
@@ -215,7 +216,9 @@ impl VertexErrors {
             // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
+                // A turn moves the vertex by itself, and by the shift that follows the turn.
                 let by_turn = dynamic(&(to_base * (lever - b.shift * b.cross.transpose())));
+                // At a given turn the shift has the covariance I_tt^-1.
                 let own = to_base * root(&b.shift).ok()?;
                 let by_cameras = &by_turn * turn + dynamic(&(to_base * b.shift)) * pull.rows(3, 3);
                 (dynamic(&own), by_cameras, by_turn)

@@ -26,6 +26,7 @@ pub(crate) fn homography(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Option<M
         let (x, y) = (f.x, f.y);
         let q = (p - centre) / scale;
         let rows = [
+            // q.x (h3 . p) = h1 . p, linear in h: two rows a point.
             [x, y, 1.0, 0.0, 0.0, 0.0, -q.x * x, -q.x * y, -q.x],
             [0.0, 0.0, 0.0, x, y, 1.0, -q.y * x, -q.y * y, -q.y],
         ];

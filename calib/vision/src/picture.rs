@@ -176,6 +176,7 @@ const KINDS: &str = "a PNG, JPEG, TIFF, BMP or PNM picture";
 /// was.
 fn upper_bits(values: &[u16]) -> Vec<u8> {
     let used = values.iter().fold(0, |all, v| all | v);
+    // Stored at the upper end, the lower bits are never set; cameras' depths are even.
     let unused = used.trailing_zeros().min(8) & !1;
     let bits = [8, 10, 12, 14]
         .into_iter()

@@ -14,6 +14,7 @@ const LIMIT: f64 = 5.0;
 static TABLE: LazyLock<Vec<[f64; 4]>> = LazyLock::new(|| {
     let node = |k: usize| {
         let x = k as f64 / PER_UNIT;
+        // d erf / d x = 2 / sqrt(pi) exp(-x^2), here by the share of an interval.
         let slope = std::f64::consts::FRAC_2_SQRT_PI * (-x * x).exp() / PER_UNIT;
         (statrs::function::erf::erf(x), slope)
     };

@@ -117,6 +117,7 @@ pub fn parameters(
             for channel in 0..c {
                 let shares = pm.column(channel);
                 let of = |a: usize, b: usize| {
+                    // Var(sum P_a b_a): coefficients of the engine's channels share their errors.
                     shares[a] * shares[b] * covariance[(a * q + column, b * q + column)]
                 };
                 let variance: f64 = (0..c)

@@ -59,6 +59,7 @@ impl Misfit {
         };
         // A law of the spread is one parameter.
         let law = if self.noise.law.is_some() { PRICE } else { 0.0 };
+        // Of one number of values, fewer degrees of freedom are more parameters.
         self.best.plain - PRICE * self.best.dof + shared + law
     }
 

@@ -137,6 +137,7 @@ impl OmnibusTest {
             (p_lack_of_fit.unwrap_or(1.0), REPLICATES),
         ]
         .into_iter()
+        // p over its share of the level, in units of the whole one.
         .map(|(p, level)| p * OMNIBUS / level)
         .fold(1.0, f64::min)
     }

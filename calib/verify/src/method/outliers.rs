@@ -38,6 +38,7 @@ const LEAST_LEFT: f64 = 0.05;
 /// A residual in its standard deviations, `h` its leverage; NaN where the others do not say where
 /// the reading should be.
 fn studentised(left: f64, h: f64, held: bool, reach: f64) -> f64 {
+    // A held reading draws the fit toward itself, a deleted one is predicted with the fit's error.
     let (variance, place) = if held {
         (1.0 - h, h / (1.0 - h))
     } else {
@@ -70,6 +71,7 @@ fn studentised_residuals(fit: &Fit, weights: &Weights, reach: f64) -> DMatrix<f6
             .enumerate()
             .for_each(|(k, t)| row[q * channels + k] = t[(i, c)]);
         let own = weights.total_sd(i);
+        // x' (X'X)^-1 x in units of the reading's own noise: the leverage that it would have.
         let h = row.dot(&(&spread * &row)) / (own * own);
         studentised(fit.raw_residual[(i, c)] / (s * own), h, false, reach)
     })
@@ -98,6 +100,7 @@ fn without_the_farthest(fit: &Fit, weights: &Weights, most: usize, reach: f64) -
             if leverage[v] > 1.0 - LEAST_LEFT {
                 continue;
             }
+            // Sherman-Morrison: (A - q q')^-1 after one row is gone, without a refit.
             let along = &inverse * &rows[v];
             let (share, e) = (1.0 / (1.0 - leverage[v]), left[v]);
             for u in 0..size {

@@ -57,6 +57,7 @@ fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
     let Some(rise) = rise_under_bound(fit, &own, &directions, &free, &largest) else {
         return true;
     };
+    // Each channel that is held at its bound gives a degree of freedom back.
     f_test(rise, fit.ssr + rise, fit.dof + over as f64, over).is_none_or(|p| p > RANGE)
 }
 
@@ -112,6 +113,7 @@ pub(super) fn minimise(
     bounds: &[f64],
 ) -> Option<Vec<f64>> {
     let n = linear.len();
+    // Clarabel takes the upper triangle of P.
     let upper: Vec<Vec<(usize, f64)>> = (0..n)
         .map(|i| {
             (i..n)

@@ -118,6 +118,7 @@ fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypoth
         ))
     });
     let best = tested.min_by(|a, b| a.0.total_cmp(&b.0));
+    // Bonferroni over the columns that were tried.
     best.filter(|(p, _)| p * count < CATALOGUE).map(|(_, h)| h)
 }
 
@@ -165,6 +166,7 @@ fn refine(
             }
         }
     }
+    // Bonferroni over the laws that were tried.
     best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE)
         .map(|(_, h)| h)
 }
@@ -187,6 +189,7 @@ fn starts(law: &EffectModel, term: &EffectTerm) -> Vec<Vec<f64>> {
         for (values, high) in all.iter().zip(&highest) {
             let choices: Vec<f64> = match p.role {
                 Role::Amplitude { .. } => vec![share],
+                // Two elements of one law can change places: rising shapes are each pair once.
                 Role::Shape { grid } => grid.iter().copied().filter(|g| g > high).collect(),
             };
             for choice in choices {

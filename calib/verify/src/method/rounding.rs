@@ -35,6 +35,7 @@ pub(crate) fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &We
     let rows: Vec<usize> = (0..measured.nrows())
         .filter(|&i| weights.counts(i))
         .collect();
+    // Variance of a uniform error within a step.
     let rounding = step * step / 12.0;
     let left: f64 = rows.iter().map(|&i| fit.raw_residual[(i, 0)].powi(2)).sum();
     if measured.ncols() != 1 || left > MAX_LEFT * rounding * rows.len() as f64 {
@@ -55,6 +56,7 @@ pub(crate) fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &We
         })
         .sum();
     let variance = within / ((rows.len() - settings.len()).max(1) as f64);
+    // v = 0.564 s h solved for the noise s, which the repeats show only where it moves a digit.
     let noise = variance / (MOVED * step);
     variance < rounding
         && least_distance(fit, &rows)
@@ -78,6 +80,7 @@ fn least_distance(fit: &Fit, rows: &[usize]) -> Option<f64> {
     let (mut sides, mut bounds) = (Vec::new(), Vec::new());
     for &i in rows {
         for sign in [1.0, -1.0] {
+            // Chebyshev: |y - X b| <= t as two sides a reading, t the last unknown.
             let column = |j: usize| (j, sign * design[(i, j)] / size[j]);
             sides.push((0..count).map(column).chain([(count, -1.0)]).collect());
             bounds.push(sign * residual[(i, 0)] / largest);

@@ -346,6 +346,7 @@ fn extensions(
                 .filter(|&i| signatures[i].term.law == l)
                 .filter(|&i| signatures[i].term.key(system.catalogue()) == key)
                 .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
+            // A law with less than half the gain of the best one is not expected to overtake it.
             (gains[best] > 0.5 * top).then(|| {
                 let mut terms = from.fit.terms.clone();
                 terms.push(signatures[best].start(&residual, &laws[l]));
@@ -393,6 +394,7 @@ fn subset_candidates(
         KEPT + known.len(),
     )
     .into_iter()
+    // The criterion of the linear set: squares left over the variance, and the price.
     .filter(|s| base.fit.ssr / scale - s.merit < top)
     .filter_map(|s| {
         let key = s.key(system.catalogue(), signatures);
@@ -439,6 +441,7 @@ fn merge(
 /// nothing remains to test it by.
 fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
     if to.flagged.len() > from.flagged.len() {
+        // Single readings have a test of their own (`tails`), which knows how many were looked at.
         return to.flag_p;
     }
     let extra = to.parameters(base) - from.parameters(base);

@@ -88,6 +88,7 @@ pub(crate) fn reliability(of: &[usize], x: &[f64], y: &[f64]) -> f64 {
     };
     let (mut product, mut square) = (0.0, 0.0);
     for (i, &k) in of.iter().enumerate() {
+        // lambda by least squares of y - my on f' (x - mx), over all settings.
         let along = slope(k) * (x[i] - mx[k]);
         product += along * (y[i] - my[k]);
         square += along * along;

@@ -117,6 +117,7 @@ pub(crate) fn smooth_rival(
     });
     let falls = |residual: &DVector<f64>| -> Vec<f64> {
         let variance = residual.norm_squared() / h.fit.dof;
+        // e_i = r_i / sqrt(1 - h_ii): all values of one variance, as those of noise are.
         let e = DMatrix::from_fn(n, channels, |i, c| residual[c * n + i] / left[(i, c)]);
         let e: Vec<DMatrix<f64>> = parts.iter().map(|rows| e.select_rows(rows)).collect();
         let of_course = |course: &Course| course.falls(&e);
@@ -192,6 +193,7 @@ pub(crate) fn smooth_rival(
         drawn
             .rows_mut(n * channels, h.fit.auxiliary_residual.len())
             .apply(|v| *v = white());
+        // A fit takes up of noise what it takes up of readings: the draw is judged by what is left.
         falls(&basis.project_off(&drawn))
     };
     // Each D has the tail of a gamma distribution with its first three moments: few columns are as
@@ -231,11 +233,13 @@ impl Tail {
         Self {
             mean,
             sd,
+            // A gamma distribution of shape k has the skewness 2 / sqrt(k).
             shape: 4.0 / (skewness * skewness),
         }
     }
 
     fn p(&self, fall: f64) -> f64 {
+        // Mean k and variance k of the unit gamma, moved to those of D.
         let at = self.shape + self.shape.sqrt() * (fall - self.mean) / self.sd;
         Gamma::new(self.shape, 1.0).map_or(1.0, |g| g.sf(at.max(0.0)))
     }
@@ -337,6 +341,7 @@ impl Course {
             .iter()
             .map(|(_, c)| DVector::from_vec(weights.apply_to(c)));
         let b = DMatrix::from_columns(&whitened.collect::<Vec<_>>());
+        // Variances 1 / k^2, as a Brownian course has: finer cosines need more evidence.
         let prior =
             DVector::from_iterator(columns.len(), columns.iter().map(|(k, _)| (k * k) as f64));
         let part = |rows: &Vec<usize>| b.select_rows(rows).transpose();

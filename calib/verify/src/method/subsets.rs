@@ -92,6 +92,7 @@ pub(crate) fn best_subsets(
                     * (signature.dimension() + signature.term.values.len()
                         - signature.amplitudes.len()) as f64;
             }
+            // b'G b = r'b is what the normal equations take off the squares.
             let merit = right.dot(&solution) / variance - price;
             found.push(Subset {
                 signatures: members.iter().map(|&m| chosen[m]).collect(),

@@ -13,6 +13,7 @@ pub(super) fn relax(r: f64, [before, now]: [f64; 2], x: f64) -> f64 {
     } else {
         1.0 - 0.5 * x
     };
+    // The weights add up to 1: a load that stays is where the state tends to.
     decay * r + (mean - decay) * before + (1.0 - mean) * now
 }
 

@@ -90,6 +90,7 @@ pub(crate) fn far_above_floor<M: SessionModel>(
     // interval's end.
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
     let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
+    // Both errors are estimated: their squared ratio is F where the model lacks nothing.
     let chance = f_tail(ratio * ratio, [values, dof])?;
     // A level that is omitted at the end of the range is extrapolated to: intervals that say so, on
     // a noise that is the floor's, are no fault.

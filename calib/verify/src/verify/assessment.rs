@@ -128,6 +128,7 @@ fn judgement<M: SessionModel>(
     look: &Look,
 ) -> HoldoutJudgement {
     let (noise, accepted) = (&decision.of.noise, &decision.conclusion.accepted);
+    // Shared noise at the upper ends: what the open readings hardly tell must not contradict.
     let upper = noise.at_upper_ends();
     let judged = |i: usize| whole.scored()[i] && !flagged.contains(&i);
     let of = |h: &Hypothesis| {
@@ -141,6 +142,7 @@ fn judgement<M: SessionModel>(
     };
     let (declared, after) = (of(&decision.of.explained.found.base), of(accepted));
     let p = after.as_ref().and_then(PredictionResidual::p);
+    // Look k may spend alpha / (k (k + 1)): over all looks the sum stays below alpha.
     let level = look.level(HOLDOUT);
     // The error without readings that are set aside, against what repeats differ by.
     let trimmed = errors
@@ -266,6 +268,7 @@ fn holdout_outliers<M: SessionModel>(
     let tail = |x: f64| heavy.map_or_else(|| 2.0 * Normal::standard().sf(x), |t| t.two_sided(x));
     // Every sealed value is one more look at the same level.
     let level = SEALED_SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
+    // One model alone could set aside what speaks against it.
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
     if out.len() as f64 > MAX_SHARE * rows.len() as f64 {

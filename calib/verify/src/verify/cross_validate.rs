@@ -87,6 +87,7 @@ pub(crate) fn cross_validate<M: SessionModel>(
         names: names(&accepted),
         errors,
     });
+    // What chance gives is no effect: the declared model is judged on the same folds.
     if withdrawn.is_some() {
         (accepted, noise) = (found.base.clone(), &explained.declared_noise);
         left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
@@ -186,6 +187,7 @@ fn withdraw_below_model_error(
         // chance, or more than that.
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
+        // A name that was tried and withdrawn must not reject the model again by the same gain.
         found.last_test.leave_out(&best.fit, &within);
         let by_chance = found.last_test.p_covariates().min(found.last_test.p_serial) >= NEGLIGIBLE;
         small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
@@ -226,6 +228,7 @@ fn drop_unsupported<M: SessionModel>(
             *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
         };
         let (p, dropped) = tested.filter(none).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        // Its size is zero and the fit needs it all the same: something else stands behind it.
         needed.set(needed.get() || p < CATALOGUE);
         Some(dropped)
     };
@@ -263,6 +266,7 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
     let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
     let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    // Singular: an amplitude that nothing determines cannot be told from zero.
     let Some(factor) = spread.cholesky() else {
         return true;
     };

@@ -150,6 +150,7 @@ const DIGITS: usize = 4;
 
 /// `value` in steps of a hundredth of its standard error.
 fn round_to_error(value: f64, sd: f64) -> Value {
+    // Last digits depend on the machine and on the order of the rows; the hash must not.
     let stated = sd > 0.0 && sd.is_finite();
     if stated {
         json!((value * STEPS / sd).round())
@@ -171,6 +172,7 @@ fn of_noise(noise: &Noise) -> Value {
         tails,
         step,
     } = noise;
+    // A 95 % interval is about four standard deviations wide.
     let rounded = |value: f64, [low, high]: [f64; 2]| round_to_error(value, (high - low) / 4.0);
     let part = |e: &NoisePart| [e.value, e.interval95[1]].map(|value| rounded(value, e.interval95));
     // What states no error is known to a hundredth at best.

@@ -235,6 +235,7 @@ fn smallest<M: SessionModel>(
             };
             let d = a.dimension() as f64;
             let of_search = noncentrality(level, d, fit.dof - d)?;
+            // A stratum sees only its share of a signature: the whole has to be longer.
             let of_design = |t: DesignTest| {
                 Some(noncentrality(t.level, d, t.dof)? * signature / t.norm.max(1e-300))
             };
@@ -251,6 +252,7 @@ fn smallest<M: SessionModel>(
                 Some((slot, probe)) => (laws[law].parameters[*slot].unit, probe.abs()),
                 None => (laws[law].linear.first()?.1, 1.0),
             };
+            // No number of readings averages out what all of them share.
             let shared = a.amplitudes.first().map_or(0.0, |(slot, _)| {
                 needed * model.systematic_sd(effect, laws[law].parameters[*slot].name)
             });

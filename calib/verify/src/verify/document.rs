@@ -339,6 +339,7 @@ fn noise_by_column<M: SessionModel>(
     let share = |values: &[f64]| {
         let column = DVector::from_iterator(rows.len(), rows.iter().map(|&i| values[i]));
         let column = column.add_scalar(-column.mean());
+        // Cosine squared of residual and centred column, summed over the channels.
         (residual.tr_mul(&column)).norm_squared()
             / (column.norm_squared() * residual.norm_squared())
     };

@@ -60,6 +60,7 @@ pub fn interval95(groups: &[(f64, f64)]) -> Option<[f64; 2]> {
         .sum();
     // v (G - 1) / chi2 of the module's head.
     let upper = chi_squared_quantile(UPPER, count - 1.0).map(|chi2| count * scatter / chi2);
+    // m nu / E m has the variance 2 nu of a chi-squared: nu = 2 m^2 / v.
     let nu = upper.map_or(count, |v| (2.0 * mean * mean / v).max(count).min(values));
     sd_interval95(mean.sqrt(), nu)
 }

@@ -62,6 +62,7 @@ pub(crate) fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let dropped = kept.fit.terms.len() < e.search.found.best.fit.terms.len();
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
     let heavier = tails_dof.is_some() && e.options.tails_dof.is_none() && e.search.is_inadequate();
+    // A search under other weights is another search: only what whitens alike may stand.
     let changed = dropped || heavier || !same_whitening(&noise.weights, &e.weights);
     // What correlated noise would swallow may be an effect that no catalogue has: the better
     // description stands.

@@ -166,6 +166,7 @@ fn choose(
         .map(|h| (tangent_squares(h, weights), h.parameters(&declared.fit)))
         .collect();
     let variance = |(squares, k): &(f64, f64)| squares / (values - k).max(1.0);
+    // One variance for all, that of the candidate with the least: their criteria can be compared.
     let scale = tangents.iter().map(variance).fold(f64::INFINITY, f64::min);
     let mut nearest: Vec<usize> = (0..candidates.len()).collect();
     let cost = |k: &usize| tangents[*k].0 / scale + 2.0 * tangents[*k].1;

@@ -25,6 +25,7 @@ pub fn judge(readings: &[HeldOut], quantities: &[Quantity]) -> Option<Calibratio
             .collect::<Vec<f64>>()
     };
     let all: Vec<f64> = readings.iter().flat_map(of).collect();
+    // In its own units the errors of a calibration that states its spread rightly have the rms 1.
     let ratio = (all.iter().map(|z| z * z).sum::<f64>() / all.len().max(1) as f64).sqrt();
     let mut why = Vec::new();
     if !(coverage95 >= MIN_COVERAGE) {

@@ -221,6 +221,7 @@ pub(crate) fn leave_out<M: SessionModel>(
     on_request: bool,
     seed: u64,
 ) -> LeftOut<M> {
+    // A fold that could not choose would know the choice from the readings it leaves out.
     let mut candidates = vec![accepted];
     if !accepted.fit.terms.is_empty() && !on_request {
         candidates.extend(std::iter::once(&found.base).chain(&found.refitted));

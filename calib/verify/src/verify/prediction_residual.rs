@@ -175,6 +175,7 @@ impl PredictionResidual {
 
     /// v'S v.
     fn variance(&self, v: &DVector<f64>) -> f64 {
+        // v'S v = v'C v + (J'v)' V (J'v): no dense matrix of all readings.
         let (readings, witness) = v.as_slice().split_at(self.readings);
         let own = readings
             .chunks(self.weights.len())
@@ -189,6 +190,7 @@ impl PredictionResidual {
     pub fn p(&self) -> Option<f64> {
         let mut r = self.white(&self.off);
         if let Some(tails) = self.tails {
+            // Each value as far out as a Gaussian one of the same chance; 30 is beyond any.
             let gaussian = |x: f64| z((0.5 * tails.two_sided(x)).clamp(1e-300, 0.5)).min(30.0);
             r.apply(|r| *r = r.signum() * gaussian(r.abs()));
         }
@@ -218,6 +220,7 @@ impl PredictionResidual {
             groups: groups.into_values().map(of_group).collect(),
             variance: self.variance(&d),
             squares: r.norm_squared() - taken,
+            // The direction of d is judged by T itself and takes one degree of freedom from W.
             count: self.count - 1.0,
             dof: self.dof,
         }
@@ -240,6 +243,7 @@ fn whitened(weights: &Weights, readings: usize, v: &DVector<f64>) -> DVector<f64
         let raw: Vec<f64> = channel
             .iter()
             .zip(weights.relative())
+            // `apply_to` takes values as they were read, not those in units of their noise.
             .map(|(v, w)| if *w > 0.0 { v / w } else { 0.0 })
             .collect();
         channel.copy_from_slice(&weights.apply_to(&raw));
@@ -290,6 +294,7 @@ impl PairedTest {
             all.groups.extend(fold.groups);
             all.variance += fold.variance;
             (all.squares, all.count) = (all.squares + fold.squares, all.count + fold.count);
+            // The folds share most readings: their degrees of freedom do not add.
             all.dof = all.dof.min(fold.dof);
             all
         })
@@ -300,6 +305,7 @@ impl PairedTest {
     pub fn p(&self) -> Option<f64> {
         let sum = |k: usize| self.groups.iter().map(|g| g[k]).sum::<f64>();
         let (gain, change) = (sum(0), sum(1));
+        // |e'|^2 - |e|^2 = |d|^2 + 2 e'd: the other model leaves no less.
         if change + 2.0 * gain >= 0.0 {
             return Some(1.0);
         }

@@ -27,7 +27,9 @@ pub(crate) fn sealed_in_fit<const K: usize>(
     let agree: Vec<bool> = sealed.map(|row| known.contains_key(&bits(row))).collect();
     let count = agree.iter().filter(|agrees| **agrees).count();
     let repeated: usize = known.values().filter(|times| **times > 1).sum();
+    // Laplace's rule: a table without repeats may still have some by chance.
     let share = (repeated + 1) as f64 / (known.values().sum::<usize>() + 2) as f64;
+    // P(at least m of n) is the tail beyond m - 1.
     let by_chance = Binomial::new(share, agree.len() as u64)
         .map_or(1.0, |b| b.sf((count as u64).saturating_sub(1)));
     let same = count > 0 && (timed && repeated == 0 || by_chance < NEGLIGIBLE);

@@ -51,6 +51,7 @@ pub(crate) fn test_witnesses<M: SessionModel>(
             .map(|(h, _)| h.term_ids(e.model.catalogue()))
             .collect();
         if left.is_empty() {
+            // What only some of them have may be right: all of the refuted share the wrong one.
             let shared = |id: &&String| names.iter().all(|effects| effects.contains(id));
             more.extend(names[0].iter().filter(shared).cloned());
         } else {

@@ -133,6 +133,7 @@ fn tag_sizes(stated: &Board, gap: f64, noise: &CornerNoise) -> Vec<Statement> {
         .collect();
     let share = extents.iter().sum::<f64>() / extents.len().max(1) as f64;
     if share > 0.0 && share < 1.0 {
+        // share = side / (side + gap), solved for the gap and for the side.
         let (beside, of) = (side * (1.0 / share - 1.0), gap / (1.0 / share - 1.0));
         let says = format!(
             "gaps of {beside:.3} mm beside tags of {side} mm, or tags of {of:.3} mm beside gaps of {gap} mm"

@@ -143,6 +143,7 @@ fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
         });
         (0.5 * (lo + hi), (0.5 * (hi - lo)).max(f64::MIN_POSITIVE))
     };
+    // Parabolas, 1 in the middle and 0 at the edges: a bent board to second order.
     let ((mx, hx), (my, hy)) = (range(0), range(1));
     points
         .iter()
@@ -249,6 +250,7 @@ fn linearise(
                 if side == 1 {
                     let mut by_extrinsic =
                         by_shared.fixed_view_mut::<2, 6>(row, layout.extrinsic());
+                    // exp(w) R x moves by w x (R x): its derivative by w is -hat(R x).
                     let by_turn = -by_point * (extrinsic * in_left).cross_matrix();
                     by_extrinsic.fixed_columns_mut::<3>(0).copy_from(&by_turn);
                     by_extrinsic.fixed_columns_mut::<3>(3).copy_from(&by_point);
@@ -290,6 +292,7 @@ impl Linearised for Normal {
 
     fn step(&self, damping: f64) -> Option<SharedStep> {
         let n = self.free;
+        // The left camera is the frame and the board the unit of length: no gauge is left free.
         let mut schur = self.shared.view((0, 0), (n, n)).into_owned();
         for i in 0..n {
             schur[(i, i)] *= 1.0 + damping;
@@ -379,6 +382,7 @@ pub fn solve(
     // The residual variance scales the covariance: the corners' noise is not known beforehand.
     let redundancy = (2 * normal.corners) as f64 - (free + 6 * views.len()) as f64;
     let variance = normal.cost / redundancy.max(1.0);
+    // The inverse of the Schur complement is the covariance with the boards' poses left free.
     let inverse = normal.step(0.0).and_then(|step| step.2.cholesky());
     let unknown = DMatrix::from_element(free, free, f64::INFINITY);
     let covariance = inverse.map_or(unknown, |c| c.inverse() * variance);

@@ -71,6 +71,7 @@ fn mirror(points: &[Vector3<f64>], corners: &Corners, width: f64) -> Corners {
         .flat_map(|row| {
             row.iter()
                 .rev()
+                // Pixel centres are at integers: column 0 goes to width - 1.
                 .map(|c| c.map(|c| Vector2::new(width - 1.0 - c.x, c.y)))
         })
         .collect()
@@ -135,6 +136,7 @@ pub(crate) fn refuse_unphysical(
     let depths = middle_depths(points, &solution.state);
     let depth = depths.iter().sum::<f64>() / depths.len() as f64;
     let turn = solution.state.right_from_left.rotation.angle();
+    // Without a baseline depth has no measure: its error goes with depth^2 / baseline.
     if baseline < 0.002 * depth && turn < 0.002 {
         return refuse(
             "two cameras in different places".into(),

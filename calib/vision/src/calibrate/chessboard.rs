@@ -98,6 +98,7 @@ fn normalise_order(
 ) -> Vec<Vector2<f64>> {
     let (c, r) = (board.columns, board.rows);
     let (u, v) = (points[c - 1] - points[0], points[(r - 1) * c] - points[0]);
+    // With y down, rows and columns of a board seen from its front have u x v > 0.
     if u.perp(&v) < 0.0 {
         points = (0..r)
             .flat_map(|j| (0..c).rev().map(move |i| j * c + i))
@@ -212,8 +213,10 @@ pub(crate) fn continues_beyond(
             .iter()
             .filter_map(|&(i, j)| contrast(i, j, out))
             .collect();
+        // A side that is half outside the picture says nothing of what lies beyond.
         (2 * values.len() >= cells.len().max(2)).then(|| median(values))
     };
+    // On a side only two of a corner's four squares count: half the contrast.
     let inside = 0.5
         * typical(
             (0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(),

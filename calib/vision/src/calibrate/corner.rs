@@ -49,10 +49,12 @@ pub(crate) fn fit_corner(
         angles[1],
         mean,
         sd,
+        // The blur as a logarithm: it stays positive.
         1.0_f64.ln(),
         0.0,
         0.0,
     ]);
+    // Which diagonal is dark is not known: the correlation with the model tells the sign.
     let sign: f64 = pixels
         .iter()
         .map(|q| model(&p, q.0, q.1) * (q.2 - mean))
@@ -101,6 +103,7 @@ fn linearise(
         let ((f0, s0), (f1, s1)) = (erf_with_slope(e[0] / s), erf_with_slope(e[1] / s));
         let (f, slope) = ([f0, f1], [s0 / s, s1 / s]);
         let b = p[5];
+        // Product rule: an edge moves the picture only where the other one is not 0.
         let (d0, d1) = (b * slope[0] * f[1], b * slope[1] * f[0]);
         let row = SVector::<f64, PARAMETERS>::from_row_slice(&[
             d0 * sin[0] + d1 * sin[1],

@@ -70,6 +70,7 @@ fn focal_guess(points: &[Vector3<f64>], views: &[Corners], centre: &Vector2<f64>
             pq += p * q;
         }
     }
+    // q + p / f^2 = 0 in least squares: 1 / f^2 = -sum p q / sum p^2.
     (-pp / pq).sqrt()
 }
 
@@ -103,10 +104,12 @@ pub(crate) fn calibrate_alone(
             views.len().to_string(),
         ));
     }
+    // Pixel centres are at integers: the middle of n columns is at (n - 1) / 2.
     let centre = Vector2::from(image_size_px.map(|size| 0.5 * (size as f64 - 1.0)));
     let guess = focal_guess(points, views, &centre);
     let width = image_size_px[0] as f64;
     let plausible = |f: f64| f > 0.2 * width && f < 50.0 * width;
+    // The right camera shows nothing, so that the left one is solved for by itself.
     let bundle: Vec<BoardView> = views
         .iter()
         .map(|v| BoardView {

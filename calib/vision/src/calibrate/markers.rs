@@ -345,6 +345,7 @@ fn marker_share(
     let (cells, at): (Vec<_>, Vec<_>) = seen.unzip();
     let back = homography(&cells, &at)?.try_inverse()?;
     let on_board = |p: Point2f| mapped(&back, &Vector2::new(f64::from(p.x), f64::from(p.y)));
+    // On the board's plane perspective does not change the sides.
     let side = |marker: Vector<Point2f>| {
         let ends: Vec<_> = marker.iter().map(on_board).collect::<Option<_>>()?;
         Some(
@@ -380,6 +381,7 @@ impl BoardLayout {
                 seen.entry(place as usize).or_default().push(tag);
             }
         }
+        // A tag seen twice has no place of its own: the grid comes from the others.
         let once = seen.iter().filter(|(_, tags)| tags.len() == 1);
         let (cells, middles): (Vec<_>, Vec<_>) = once
             .map(|(id, tags)| (places[4 * id].cell, tags[0].middle_px()))

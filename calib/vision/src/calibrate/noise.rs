@@ -123,6 +123,7 @@ fn scatter(
         .iter()
         .map(|q| (q - centre).amax())
         .fold(f64::MIN_POSITIVE, f64::max);
+    // Within -1..1 the powers stay of one size, and the normal matrix well conditioned.
     let design = DMatrix::from_fn(seen.len(), TERMS, |k, t| {
         let at = (predicted[k] - centre) / reach;
         at.x.powi(POWERS[t][0]) * at.y.powi(POWERS[t][1])
@@ -136,5 +137,6 @@ fn scatter(
             (off - &design * by).norm_squared()
         })
         .sum();
+    // Each coordinate loses its own ten terms; the sum is divided by corners, not by coordinates.
     Some((squares, seen.len() - TERMS))
 }

@@ -82,6 +82,7 @@ pub fn calibrate_stereo(
         left_from_board: mono[0].camera_from_board.clone(),
     };
     let mut last = Vec::new();
+    // Wrong views bend the solution that they are judged by: solved again until the set stays.
     for _ in 0..6 {
         if used.len() < 3 {
             break;
@@ -104,6 +105,7 @@ pub fn calibrate_stereo(
     }
     let majority = used.len() >= 3 && 2 * used.len() > views.len();
     let typical = median(used.iter().filter_map(|&v| last.get(v)));
+    // Pairs that belong together fit jointly about as well as each camera alone.
     if !majority || typical > 4.0 * mono_rms.max(0.05) {
         return Err(checks::explain_disagreement(
             points, &views, &mono, mono_rms, typical,

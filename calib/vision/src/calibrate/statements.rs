@@ -124,6 +124,7 @@ struct Other {
 impl Other {
     /// Whether it explains what a statement with this RMS does not.
     fn fits(&self, stated_rms: f64) -> bool {
+        // Misfit and noise are independent: their squares add.
         let excess = |rms: f64| (rms * rms - self.noise_px * self.noise_px).max(0.0);
         self.rms_px < MISFIT * self.noise_px
             && self.noise_px < NO_GRID_PX

@@ -43,6 +43,7 @@ impl Lens for BrownConrady {
             x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
             y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
         );
+        // d x_d / d y and d y_d / d x are the same expression.
         let cross = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
         let j = Matrix2::new(
             radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
@@ -72,6 +73,7 @@ impl Lens for BrownConrady {
     fn radial_slope(&self, c: &Coefficients, r: f64) -> f64 {
         let [k1, k2, _, _, k3] = *c;
         let r2 = r * r;
+        // d (r g) / d r.
         1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
     }
 

@@ -94,6 +94,7 @@ impl Lens for KannalaBrandt {
     }
 
     fn radial_slope(&self, c: &Coefficients, r: f64) -> f64 {
+        // d theta / d r = 1 / (1 + r^2).
         distorted_angle(c, r.atan()).1 / (1.0 + r * r)
     }
 
@@ -104,6 +105,7 @@ impl Lens for KannalaBrandt {
             return Some(d * (1.0 - (c[0] - 1.0 / 3.0) * target * target));
         }
         let theta = angle(c, target)?;
+        // At 90 degrees from the axis the pinhole's radius tan theta is infinite.
         (theta < FRAC_PI_2 - 1e-9).then(|| d * (theta.tan() / target))
     }
 

@@ -87,6 +87,7 @@ impl CurveModel {
             let x = (0.5 * (from + to) / width).min(segments as f64 - 1e-9);
             let (k, u) = (x.floor() as usize, x.fract());
             let v = 1.0 - u;
+            // The four uniform cubic B-splines that reach an interval, at its middle.
             basis.push((
                 k,
                 [
@@ -97,6 +98,7 @@ impl CurveModel {
                 ],
             ));
         }
+        // Over n intervals of knots there are n + 3 cubic B-splines.
         let splines = segments + 3;
         let penalty = penalty(splines, |_| true);
         Self {
@@ -170,10 +172,12 @@ impl CurveModel {
             shape.tangents.push(frame.column(0).into_owned());
             shape
                 .rest_bends
+                // At rest the wire bends toward -z.
                 .push(frame.column(2) * -self.nominal[before_tip]);
             let (k1, k2) = self.curvature(state, before_tip);
             let half = half_turn(k1, k2, self.step_mm);
             let middle = frame * half;
+            // Midpoint rule: the error falls with the square of the step.
             p += middle.column(0) * self.step_mm;
             frame = middle * half;
         }
@@ -272,6 +276,7 @@ impl CurveModel {
     /// The state that follows given curvature deviations (one a node) as closely as the splines
     /// can.
     pub(crate) fn state_of_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
+        // Past the last curvature splines have no data: a ridge keeps them at 0.
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);
         for (i, (first, values)) in self.basis.iter().enumerate() {

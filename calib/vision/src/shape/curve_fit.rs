@@ -72,6 +72,7 @@ pub(crate) fn image_line(
             (Some((before, _)), Some((after, _))) => {
                 let (d1, d2) = (a - before, after - b);
                 let turn = d1.perp(&d2).atan2(d1.dot(&d2));
+                // Angle between two chords over the arc between their middles.
                 turn / (0.5 * (d1.norm() + d2.norm()) + long).max(1.0)
             }
             _ => 0.0,
@@ -244,6 +245,7 @@ pub(crate) fn with_prior(
     let mut base = h.fixed_view_mut::<6, 6>(0, 0);
     base += prior.base;
     for k in 0..ROOT {
+        // The root's offsets are known to be 0 within their sd: the wire is clamped at the origin.
         let w = 1.0 / prior.root_sd[k / 2].powi(2);
         h[(6 + k, 6 + k)] += w;
         g[6 + k] -= w * state.root[k];

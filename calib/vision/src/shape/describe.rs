@@ -26,9 +26,11 @@ pub(crate) fn describe(
         let sd = uncertain.map_or(f64::NAN, |u| {
             let c = node_covariance(fit, &jacobian, i + usize::from(f > 0.5), u);
             let t = shape.tangents[i];
+            // A place along the wire has no mark: only what lies across it is an error of the line.
             let across = Matrix3::identity() - t * t.transpose();
             let mut e: [f64; 3] = (across * c * across).symmetric_eigenvalues().into();
             e.sort_by(f64::total_cmp);
+            // The least eigenvalue is that along the wire, which is 0.
             planar_sd(e[2].max(0.0), e[1].max(0.0))
         });
         document.centreline_sd_mm.push(sd);

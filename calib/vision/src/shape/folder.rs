@@ -259,8 +259,10 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
         let near = ((NEAR_ROOT_MM / f.model.step_mm) as usize).min(points.len());
         let bend = points[..near]
             .windows(3)
+            // Curvature, 1/mm: angle between neighbouring chords over their length.
             .map(|w| (w[1] - w[0]).angle(&(w[2] - w[1])) / f.model.step_mm)
             .fold(0.0, f64::max);
+        // Surface strain is half the diameter times the curvature.
         f.root_aside_mm > 0.0 || first > UNSEEN_MM || 0.5 * diameter_mm * bend > MAX_STRAIN
     };
     let votes: Vec<bool> = fits.iter().flatten().map(misplaced).collect();

@@ -155,6 +155,7 @@ pub(crate) fn uncertainties(
                 by_calibration,
                 shared_mm: line_shift_mm(stereo, fit),
                 own: part.own.clone(),
+                // dc / dx = -C^-1 K': the curve gives way to a correction of the base.
                 by_base: -part.carried.transpose(),
                 base: (others + part.information).try_inverse()? + clamp_covariance(root_sd),
                 base_shared,
@@ -195,6 +196,7 @@ fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
         // With a free root the frame is that of the tags alone.
         return Matrix6::zeros();
     }
+    // A clamped root has no offset along the wire's axis x and no turn about it.
     let (shift, turn) = (root_sd[0].powi(2), root_sd[1].powi(2));
     Matrix6::from_diagonal(&Vector6::new(0.0, turn, turn, 0.0, shift, shift))
 }
@@ -275,6 +277,7 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     let now = residuals(stereo);
     let mut out = DMatrix::zeros(fit.system.data.nrows(), stereo.parameters());
     for k in 0..stereo.parameters() {
+        // d(J' W r) / dq = J' W dr/dq: times the small residuals, changes of J and W are left out.
         let h = stereo.difference_step(k);
         let change = (residuals(&stereo.moved(k, h)) - &now) / h;
         out.set_column(k, &(&fit.system.rows_weighted * change));

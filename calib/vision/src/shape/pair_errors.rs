@@ -86,6 +86,7 @@ impl SharedErrors {
         if let Some(c) = &turn_covariance {
             put(cameras + TAG_TURN, &dynamic(c));
         }
+        // Light and end stand in columns of one standard deviation each.
         put(cameras + LIGHT, &DMatrix::identity(2, 2));
         let pull = |p: &Option<RigPose>| {
             let p = p.as_ref()?;
@@ -100,6 +101,7 @@ impl SharedErrors {
             let mut all = DMatrix::zeros(3, cameras);
             for (p, pull) in rigs.poses.iter().zip(&pulls) {
                 if let (Some(b), Some(pull)) = (p.as_ref().and_then(|p| p.blocks()), pull) {
+                    // g_w - I_wt I_tt^-1 g_t: the pull of a pair on the turn, its shift eliminated.
                     all += pull.rows(0, 3) - b.cross * b.shift * pull.rows(3, 3);
                 }
             }
@@ -122,6 +124,7 @@ impl SharedErrors {
     /// Columns of all shared errors by those of the cameras: the board's size scales the baseline.
     fn columns(&self, stereo: &StereoCameras, by_cameras: DMatrix<f64>) -> DMatrix<f64> {
         let baseline = stereo.right_from_left.translation.vector;
+        // d t = t d(scale): lengths by the cameras have no other scale than the baseline.
         let by_board = by_cameras.columns(self.cameras - 3, 3) * baseline;
         let mut columns = by_cameras.resize_horizontally(self.cameras + SETUP, 0.0);
         columns.set_column(self.cameras + BOARD, &by_board);
@@ -207,12 +210,15 @@ impl VertexErrors {
         let to_base: Matrix3<f64> = *(base_from_left.rotation * pose.left_from_tag.rotation)
             .to_rotation_matrix()
             .matrix();
+        // A turn w of the tag moves the vertex v by w x v = -hat(v) w.
         let lever = -groove.position_in_tag_mm.cross_matrix();
         let (own, by_cameras, by_turn) = match &shared.turn {
             // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
+                // A turn moves the vertex by itself, and by the shift that follows the turn.
                 let by_turn = dynamic(&(to_base * (lever - b.shift * b.cross.transpose())));
+                // At a given turn the shift has the covariance I_tt^-1.
                 let own = to_base * root(&b.shift).ok()?;
                 let by_cameras = &by_turn * turn + dynamic(&(to_base * b.shift)) * pull.rows(3, 3);
                 (dynamic(&own), by_cameras, by_turn)
@@ -331,6 +337,7 @@ fn own_columns(
         put(&mut columns, (rows, base_at), &(&v.by_base * base));
         put(&mut columns, (rows, tag_at), &v.own);
     }
+    // What all pairs share of the end's error stands in the shared columns.
     let end_mm2 = fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2);
     columns[(rows + 3, end_at)] = end_mm2.max(0.0).sqrt();
     columns
@@ -454,6 +461,7 @@ fn length_change_mm(
             let at = seen(stereo, &fit.left_from_base, &tip, camera)?;
             let along: Vector2<f64> = at - seen(stereo, &fit.left_from_base, &before, camera)?;
             let off: Vector2<f64> = seen(&other, &pose, &moved, camera)? - at;
+            // The end stays where it is seen: a curve that moves on along itself ends earlier.
             Some(-off.dot(&along) / along.norm_squared() * fit.model.step_mm)
         })
         .collect();

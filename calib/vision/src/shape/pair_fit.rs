@@ -157,6 +157,7 @@ fn refine(scene: &Scene<'_>, mut fit: PairFit, again: bool) -> Result<PairFit, S
         let seen = fit.seen().map(|(camera, piece)| observation(camera, piece));
         fit.observations = seen.filter(|o| o.sd_px.is_finite()).collect();
         let all = &fit.observations;
+        // The curve and its levels have some 40 parameters: fewer pieces leave it open.
         if all.len() < 40 {
             return Err(format!(
                 "no wire: only {} pieces of 4 px show a bar",
@@ -172,6 +173,7 @@ fn refine(scene: &Scene<'_>, mut fit: PairFit, again: bool) -> Result<PairFit, S
             round += 1;
             continue;
         }
+        // A force makes a corner in the curvature, which the roughness must not round.
         if let Some(arc_mm) = vertex_mm.and_then(|at| pushed_at(&fit.model, &fit.state, &at)) {
             fit.model = fit.model.with_force_at(arc_mm);
         }
@@ -180,6 +182,7 @@ fn refine(scene: &Scene<'_>, mut fit: PairFit, again: bool) -> Result<PairFit, S
         let ends = ends_seen(scene, &fit);
         end_seen = !ends.is_empty();
         if end_seen {
+            // Both pictures' ends are weighted by their information, 1 / sd^2.
             let sum = |of: fn(&Tip) -> f64| ends.iter().map(|e| of(e) * e.sd_mm.powi(-2)).sum();
             let weight: f64 = sum(|_| 1.0);
             fit.length_mm = sum(|e| e.arc_mm) / weight;
@@ -397,6 +400,7 @@ fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObserva
         weight += 1.0;
         if k + 1 < observations.len() && observations[k + 1].camera == observations[k].camera {
             let z2 = system.residuals_px[k + 1] / observations[k + 1].sd_px;
+            // Student weights of both: one wild piece must not make up a correlation.
             let ww = (w * system.weights[k + 1]).sqrt();
             lag += ww * z * z2;
             here += 0.5 * ww * (z * z + z2 * z2);
@@ -455,5 +459,6 @@ fn tail_share(fit: &PairFit, length_mm: f64) -> f64 {
         };
         of(0).max(of(1)) as f64
     };
+    // The rest is twice as long as the last third: 1 where both show pieces alike.
     2.0 * seen(true) / seen(false).max(1.0)
 }

@@ -120,6 +120,7 @@ fn solve(
     let unknowns = moves + 2 * count;
     let mut square = DMatrix::<f64>::zeros(moves, moves);
     let mut linear = vec![0.0; unknowns];
+    // A term is (a . x + value)^2 / (2 sd^2); the solver takes the upper triangle alone.
     let mut fold = |terms: &[(usize, f64)], value: f64, sd: f64| {
         for &(i, a) in terms {
             linear[i] += a * value / (sd * sd);
@@ -152,6 +153,7 @@ fn solve(
             fold(&terms, bend(n + 1, k) - bend(n, k), rough);
         }
     }
+    // The cones bound a link from above only: without tension the chain could shrink.
     for n in 0..nodes - 1 {
         let chord = (points[at[n + 1]] - points[at[n]]).normalize();
         for k in 0..3 {
@@ -160,6 +162,7 @@ fn solve(
         }
     }
     let mut quadratic = Triplets::default();
+    // A third difference joins four nodes, so that the matrix has a band of 12.
     for i in 0..moves {
         for j in (i..moves.min(i + 12)).filter(|j| square[(i, *j)] != 0.0) {
             quadratic.add(i, j, square[(i, j)]);

@@ -76,6 +76,7 @@ pub(crate) fn folder_base(
         });
         let (still, other): (Vec<_>, Vec<_>) = seen.iter().partition(|(_, t)| {
             (0..4).all(|c| {
+                // Mean variance of both coordinates.
                 let sd = (0.5 * t.covariances_px2[c].trace()).sqrt().hypot(REPEAT_PX);
                 (t.corners_px[c] - typical[c]).norm() < MOVED_SD * sd
             })
@@ -90,6 +91,7 @@ pub(crate) fn folder_base(
             let tags = still.iter().map(|(_, t)| t);
             mean.corners_px[c] = tags.clone().map(|t| t.corners_px[c]).sum::<Vector2<f64>>() / n;
             let covariance: Matrix2<f64> = tags.map(|t| t.covariances_px2[c]).sum();
+            // The pictures' noise is independent: the variance of a mean is their sum over n^2.
             mean.covariances_px2[c] = covariance / (n * n);
         }
         averaged.extend(observation(rig, *camera, &mean));

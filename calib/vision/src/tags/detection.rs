@@ -69,6 +69,7 @@ pub fn detect_tags(
         Search::StrongContrast | Search::Whole => whole(picture, 1.0),
         Search::Apart => {
             let mut found = whole(&apart(picture)?, 1.0)?;
+            // Pixel centres are at integers: the doubled picture's column 0 is this one's -1/4.
             for corner in found.iter_mut().flat_map(|tag| &mut tag.corners_px) {
                 *corner = corner.map(|x| 0.5 * (x + 0.5) - 0.5);
             }

@@ -167,6 +167,7 @@ impl TagView<'_> {
                 Some(self.picture.sample(p.x, p.y))
             })
             .collect::<Option<_>>()?;
+        // More than a tenth of a tag's cells and margin are of either colour.
         let mut sorted = grey.clone();
         sorted.sort_by(f64::total_cmp);
         let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);
@@ -276,6 +277,7 @@ fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
     (offset_px.abs() < 0.5 * reach).then_some(Profile {
         offset_px,
+        // A tenth of a pixel, squared.
         variance_px2: 0.01,
         step,
     })
@@ -285,11 +287,13 @@ fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
 fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let linearise = |p: &Vector4<f64>| {
         let (mut cost, mut m, mut g) = (0.0, Matrix4::zeros(), Vector4::zeros());
+        // The blur as a logarithm: it stays positive.
         let blur = p[1].exp();
         for &(u, value) in pixels {
             let e = u - p[0];
             let (f, slope) = blurred_step(e, blur);
             let r = value - p[2] - p[3] * f;
+            // By the centre S changes by -S', by ln s by -e S'.
             let j = Vector4::new(-p[3] * slope, -p[3] * slope * e, 1.0, f);
             cost += r * r;
             m += j * j.transpose();

@@ -167,6 +167,7 @@ pub(crate) fn gradient_by_calibration(
     let now = gradient(stereo);
     let mut out = DMatrix::zeros(6, stereo.parameters());
     for k in 0..stereo.parameters() {
+        // The tags' share of G: how the normal equations' right-hand side follows the cameras.
         let h = stereo.difference_step(k);
         out.set_column(k, &((gradient(&stereo.moved(k, h)) - now) / h));
     }

@@ -84,6 +84,7 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
 
 /// Range of the tiles from the 1 % to the 99 % quantile, DN, from one tile in seven.
 fn span(tiles: &[[u8; 2]]) -> f64 {
+    // Quantiles, so that single glints and dead pixels do not set the range.
     let hundredth = |mut values: Vec<u8>, brightest: bool| {
         let k = if brightest {
             values.len() - 1 - values.len() / 100

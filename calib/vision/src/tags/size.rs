@@ -77,6 +77,7 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
             continue;
         };
         let own = median(seen.iter().map(|s| s.sd_mm));
+        // More pairs average the corners' noise, not the cameras' error, which all of them share.
         let sd = cameras_sd.hypot(own.max(spread) / (seen.len() as f64).sqrt());
         let off = (typical - tag.size_mm).abs();
         // Of a tag that stands still one pair is enough; one that moves between the pictures of a
@@ -158,6 +159,7 @@ fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option
         .map_or(0.0, |c| (by_cameras.transpose() * c * &by_cameras)[0]);
     Some(Side {
         mm,
+        // chi2 = chi2_min + (s - side)^2 / var: its second derivative is 2 / var.
         sd_mm: (2.0 * noise / curvature).sqrt(),
         cameras_sd_mm: cameras_mm2.max(0.0).sqrt(),
     })

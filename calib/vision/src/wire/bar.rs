@@ -86,7 +86,9 @@ impl Bar {
         let h = self.half;
         let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
         let (bar, tilt) = (a - b, e / h);
+        // e = u - centre: a derivative by the centre is minus that by e.
         let by_centre = Levels::new(da, -db, db - da, (db - da) * tilt - bar / h);
+        // d S(x / s) / d ln s = -x dS/dx, and d S(e + h) / d ln h = h dS/dx.
         let (a_blur, b_blur) = (-(e + h) * da, -(e - h) * db);
         let by_blur = Levels::new(-a_blur, b_blur, a_blur - b_blur, (a_blur - b_blur) * tilt);
         let (a_width, b_width) = (h * da, -h * db);
@@ -133,6 +135,7 @@ impl Bar {
             m[(3, 3)] += weight;
             let inverse = m.cholesky()?;
             level = inverse.solve(&v);
+            // Schur complement: what the levels can imitate of a shift tells nothing of the centre.
             let projected = own - cross.dot(&inverse.solve(&cross));
             if !(projected > 0.0) {
                 return None;
@@ -230,6 +233,7 @@ pub(crate) fn coarse_centre(
         let [(n0, l), (n1, b), (n2, r)] =
             [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
         // Empty parts have no mean: comparisons with it fail.
+        // With each part at its mean, sum I^2 less sum n mean^2 is left.
         let explained = n0 * l * l + n1 * b * b + n2 * r * r;
         if (l - b) * (r - b) > 0.0 && explained > largest {
             largest = explained;

@@ -93,6 +93,7 @@ impl BeamState {
     /// The same curve with its curvature changed at the last branching, by so little that the
     /// places evaluated since are the same.
     fn with_curvature_change(&self, parent: usize, by: [f64; 2]) -> Self {
+        // A change k of the curvature moves the end of a length L by k L^2 / 2 and turns it by k L.
         let long = BRANCH_STEPS as f64 * STEP_MM;
         let aside = Vector3::new(0.0, by[0], by[1]) * (0.5 * long * long);
         let turn = small_turn(&(Vector3::new(0.0, -by[1], by[0]) * long));
@@ -164,6 +165,7 @@ pub(crate) fn beam_search(
             if !any_bend {
                 let strain = 0.5 * (c.bend[0].powi(2) + c.bend[1].powi(2)) / BEND_SD.powi(2);
                 c.score -= strain;
+                // The best place lies in this block: the block's prior counts for it as well.
                 if c.best_step > first {
                     c.best -= strain;
                 }
@@ -259,6 +261,7 @@ fn advance(
         } else {
             0.0
         };
+        // u = (0, -k2, k1) in the wire's frame; the rest shape bends toward -z.
         let half = small_turn(&(Vector3::new(0.0, -(c.bend[1] - nominal), c.bend[0]) * (0.5 * h)));
         let middle = c.frame * half;
         let tangent = middle.column(0).into_owned();

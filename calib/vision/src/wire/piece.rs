@@ -139,11 +139,13 @@ pub fn fit_piece(
     }
     let other = without_wire(&pixels, &bar);
     // Two parameters more than an edge (its place, two levels): bar has centre and four levels.
+    // A perfect fit of few pixels would else have infinite evidence.
     let floor = n as f64 * MIN_NOISE * MIN_NOISE;
     let evidence = 0.5 * n as f64 * ((other + floor) / (fit.cost + floor)).ln() - (n as f64).ln();
     Some(Piece {
         station: *at,
         offset_px: fit.centre,
+        // The bar has five parameters: its centre and four levels.
         sd_px: (fit.cost / (n as f64 - 5.0).max(1.0) / fit.projected).sqrt(),
         depth: [fit.level[0] - fit.level[2], fit.level[1] - fit.level[2]],
         evidence,

@@ -42,6 +42,7 @@ fn convolve(source: &[f32], kernel: &[f32], target: &mut [f32]) {
 impl<'a> RidgeMap<'a> {
     /// The map at a scale (sd of the Gaussian, px).
     pub fn new(picture: &'a Picture, scale_px: f64) -> Self {
+        // Beyond 3.5 sd lie 5e-4 of a Gaussian.
         let reach = (3.5 * scale_px).ceil() as i64;
         let kernel = |order: u8| -> Vec<f32> {
             (-reach..=reach)
@@ -50,6 +51,7 @@ impl<'a> RidgeMap<'a> {
                     let g = (-0.5 * x * x).exp() / (scale_px * (2.0 * std::f64::consts::PI).sqrt());
                     (match order {
                         0 => g,
+                        // Correlated, not convolved: the odd kernel has the other sign.
                         1 => x / scale_px * g,
                         _ => (x * x - 1.0) / (scale_px * scale_px) * g,
                     }) as f32
@@ -192,8 +194,10 @@ impl Evidence {
                 let z = (k as f64 + 0.5) * 0.1 - 1.0;
                 // Density of a wire's response about its reference.
                 let d = (z - 1.0) / SPREAD;
+                // Probability of a bin: density times its width of 0.1.
                 let wire =
                     0.1 / (SPREAD * (2.0 * std::f64::consts::PI).sqrt()) * (-0.5 * d * d).exp();
+                // Clamped, so that no single place decides the search.
                 ((wire + 1e-4) / (count / total)).ln().clamp(-4.0, 4.0)
             })
             .collect();

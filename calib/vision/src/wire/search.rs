@@ -164,6 +164,7 @@ pub(crate) fn find_wire(
     let mut best = search.best(0.0);
     if root_free || score(&best) < SOUND_SHARE * search.max_score() {
         let elsewhere = search.best(ASIDE_MM);
+        // Of many roots one fits better by chance: unasked, it has to win by a factor.
         let factor = if root_free { 1.0 } else { BETTER };
         if score(&elsewhere) > factor * score(&best) {
             best = elsewhere;

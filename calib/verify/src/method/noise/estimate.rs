@@ -93,6 +93,7 @@ pub fn estimate(
         common,
         ..
     } = found;
+    // s^2 = r'r / (N - p) is the restricted estimate: unbiased, whatever p is.
     let m = restricted_likelihood(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
     let whitened = studentised_residuals(model, &weights, s);
@@ -288,6 +289,7 @@ fn profile_interval(
 ) -> [f64; 2] {
     let rise = gain(0.05, 1);
     let ends = points.filter_map(|(ratio, m)| {
+        // What the ratio leaves of the allowed rise, the repeat noise may take: f (ln s^2)^2 / 2.
         let slack = rise - (m.restricted - best);
         let spread = (slack >= 0.0).then(|| (slack / (2.0 * m.dof)).sqrt().exp())?;
         let sd = ratio * (m.ssr / m.dof).sqrt();
@@ -333,6 +335,7 @@ fn estimate_variance_components(
         })
     });
     let correlated_alone = tau.map(|tau| {
+        // Long and short time constants are hollows of their own: each has a start.
         let starts: Vec<[f64; 2]> = (0..4)
             .flat_map(|k| {
                 [-0.7, 0.7, 2.0]

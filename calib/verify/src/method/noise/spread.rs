@@ -97,6 +97,7 @@ fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
         .zip(&z)
         .map(|(r, z)| a + b * z + 0.5 * r * r * (-2.0 * (a + b * z)).exp())
         .sum();
+    // Fisher information of b is 2 sum z^2.
     (b, (0.5 / zz).sqrt(), nll)
 }
 

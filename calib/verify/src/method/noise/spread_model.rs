@@ -64,6 +64,7 @@ pub(super) fn fit_variance_function(
         let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else {
             continue;
         };
+        // Bonferroni over the covariates.
         if spread.p_value > SPREAD / inputs.spread.len() as f64 {
             continue;
         }

@@ -266,6 +266,7 @@ impl Weights {
             before *= (-(s.clock[i] - clock).max(0.0) / tau).exp();
             clock = s.clock[i];
             let v = v * weight;
+            // v_i^2 and both mixed terms with all readings before.
             correlated += v * (v + 2.0 * before);
             before += v;
             if s.posed[i] {
@@ -311,6 +312,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             // another draw.
             let decay = (-dt / tau).exp();
             let new_setting = i == 0 || shared.settings[i] != shared.settings[i - 1];
+            // Stationary: what is forgotten comes in as new noise, and the variance stays.
             cc = decay * decay * cc + (1.0 - decay * decay) * stationary;
             cp *= decay;
             if new_setting {

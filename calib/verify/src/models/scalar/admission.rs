@@ -113,6 +113,7 @@ fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     levels.into_iter().filter(|level| *level != 0.0).find_map(|level| {
         let (own, others): (Vec<&ScalarRow>, Vec<&ScalarRow>) = rows.iter().partition(|r| r.x == level);
         let scale = others.iter().map(|r| r.x.abs()).fold(0.0, f64::max);
+        // In units of the largest stimulus, so that the powers stay of one size.
         let powers = |x: f64| (0..=degree).map(move |k| (x / scale).powi(k as i32));
         let design = DMatrix::from_row_iterator(others.len(), degree + 1, others.iter().flat_map(|r| powers(r.x)));
         let read = DVector::from_iterator(others.len(), others.iter().map(|r| y(r)));

@@ -143,6 +143,7 @@ impl<'a> Contest<'a> {
     fn of(system: &'a ScalarSystem, h: &'a Hypothesis, noise: &Noise, waves: bool) -> Self {
         let rows: Vec<usize> = (0..system.frame.rows.len()).collect();
         let covariance = noise.weights_of(&system.noise_inputs()).covariance(&rows);
+        // Left-out errors are weighed, so their noise is, too: C becomes W C W s^2.
         let scale = DVector::from_column_slice(h.weights.relative()) * noise.repeat.value;
         let covariance = covariance.component_mul(&(&scale * scale.transpose()));
         let effects = &system.effects;
@@ -209,6 +210,7 @@ impl<'a> Contest<'a> {
         }
         let least = fits.iter().map(|f| f.ssr).fold(f64::INFINITY, f64::min);
         let unidentified = |f: &Fit| system.unidentified_term(&self.hypothesis(f.clone()));
+        // Left-out errors cost a fit a fold: bends that lose at once are spared them.
         fits.retain(|f| f.ssr <= MUCH_MORE * least && unidentified(f).is_none());
         let with_errors = |f: Fit| self.left_out(&f.terms).map(|errors| (f, errors));
         fits.into_iter().filter_map(with_errors).collect()

@@ -200,6 +200,7 @@ impl ScalarSystem {
             fit(self, &terms, &h.weights, REFIT_STEPS)
         };
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
+        // F test of the one column that both have more.
         let gains = |from: &Fit| {
             f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < NEGLIGIBLE)
         };
@@ -225,6 +226,7 @@ impl ScalarSystem {
             };
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
             fit(self, &terms, &h.weights, 0)
+                // Akaike: two parameters are worth 4 in -2 log L, here squares over s^2.
                 .is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
         effect.spans_too_few_periods.iter().any(|shape| {
@@ -320,6 +322,7 @@ impl ScalarSystem {
         }
         let [plain, rich] =
             [&h.fit, &richer].map(|fit| split(fit, &h.weights, &cells, &self.frame.read_u).within);
+        // Within cells the protocol repeats: only what differs there is more than the protocol.
         extra_sum_of_squares_p(plain, rich).is_none_or(|p| p >= WITHIN_STRATA)
     }
 }

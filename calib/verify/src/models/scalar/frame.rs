@@ -209,6 +209,7 @@ impl Scaling {
         let levels = setting.iter().max().map_or(0, |last| last + 1);
         Self {
             unreliability: if degree > 0 {
+                // Slope within settings over that between them: scatter of the stimulus lowers it.
                 1.0 - reliability(&setting, &x, &y)
             } else {
                 0.0
@@ -263,6 +264,7 @@ impl Frame {
         let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
         let setting = settings(&x);
         let mean = means(&setting, &x);
+        // Of all readings of the session, so that a thinned table keeps its places in the order.
         let span = scaling.count.max(2) as f64 - 1.0;
         let covariate = |(k, [mid, half]): (usize, &[f64; 2])| {
             let values = rows.iter().map(|r| (r.covariates[k] - mid) / half);
@@ -272,6 +274,7 @@ impl Frame {
         let covariates = covariates.map(covariate).collect();
         Self {
             read_u: x.iter().map(|x| (x - scaling.mid) / half).collect(),
+            // Errors in variables: mean + lambda (x - mean) with lambda = 1 - unreliability.
             u: x.iter()
                 .zip(&setting)
                 .map(|(x, &k)| (x - scaling.unreliability * (x - mean[k]) - scaling.mid) / half)

@@ -76,6 +76,7 @@ impl ScalarSystem {
         let mut powers: Vec<usize> = powers.collect::<Option<_>>()?;
         powers.sort_unstable();
         let degree = declared + powers.len();
+        // A polynomial has every power up to its degree: a cube without a square is none.
         let whole = powers.iter().copied().eq(declared + 1..=degree);
         (whole && degree > declared).then_some(degree)
     }
@@ -362,6 +363,7 @@ impl SessionModel for ScalarSystem {
         let terms = accepted.fit.terms.iter().zip(slots);
         for (_, slots) in terms.filter(|(t, _)| local(t)) {
             let column = accepted.fit.raw_design.column(slots.columns.start);
+            // The reading farthest from the column's typical value shows the effect.
             let typical = median(column.iter().copied()).unwrap_or_default();
             let own = column.map(|v| (v - typical).abs()).imax();
             let kept = folds.fold[own];

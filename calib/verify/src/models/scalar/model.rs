@@ -190,6 +190,7 @@ impl ScalarModel {
         require(degree <= MAX_DEGREE, "declared.polynomial", most, degree)?;
         let stated = &self.session_kind;
         require(stated == kind, "session_kind", kind, stated)?;
+        // The design of an axis divides by the far offset.
         let seen_from_afar = self.declared != Declared::Axis || self.offset != 0.0;
         let expected = "a number other than 0";
         require(seen_from_afar, "offset", expected, self.offset)?;
@@ -254,6 +255,7 @@ impl ScalarModel {
             effects: fitted.terms.iter().map(term).collect(),
             covariance: rows(&fitted.covariance),
             coefficients: fitted.coefficients,
+            // A uniform error within a step has the variance step^2 / 12.
             variance: (fitted.variance * (1.0 + shared)).max(step * step / 12.0),
             dof: fitted.dof,
             offset: system.offset,
@@ -353,6 +355,7 @@ impl ScalarModel {
         let noise_sd: Vec<f64> = relative.iter().map(|r| self.variance.sqrt() * r).collect();
         let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
+        // Ends of the range that were rounded in the file still belong to it.
         let slack = 1e-9 * (high - low);
         let mut out = vec![
             ScalarPrediction {
@@ -400,6 +403,7 @@ impl ScalarModel {
             self.predict(&moved.collect::<Vec<_>>())
         };
         let [low, high] = self.stimulus_range;
+        // Only a response that goes one way has one stimulus for each value.
         let place = |k: usize| low + (high - low) * k as f64 / PLACES as f64;
         let curves = (0..=PLACES).map(|k| at(&vec![place(k); rows.len()]));
         let curves = curves.collect::<Result<Vec<_>, _>>()?;
@@ -416,6 +420,7 @@ impl ScalarModel {
         let middle = |a: &[f64], b: &[f64]| -> Vec<f64> {
             a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
         };
+        // 60 halvings bring the bracket below the rounding of the stimulus.
         for _ in 0..60 {
             let x = middle(&a, &b);
             for (i, p) in at(&x)?.iter().enumerate() {
@@ -437,6 +442,7 @@ impl ScalarModel {
             };
             ScalarPrediction {
                 value: x[i],
+                // To first order dx = dy / (dy/dx).
                 half95: here[i].half95 / slope.abs(),
                 valid: inside(&curves[0], 1.0) && inside(&curves[PLACES], -1.0),
             }
@@ -474,6 +480,7 @@ impl SpreadLaw {
     /// The scale on which the logarithm of the spread is a straight line.
     pub fn scale(self, frame: &Frame) -> Vec<f64> {
         match self {
+            // sd ~ x^k: ln sd is straight over ln x; exponential: over x.
             Self::Power => frame.rows.iter().map(|r| r.x.max(1e-300).ln()).collect(),
             Self::Exponential => frame.u.clone(),
         }

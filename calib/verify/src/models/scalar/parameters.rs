@@ -40,6 +40,7 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
     let half = s.half_range();
+    // n readings lie n - 1 steps apart.
     let readings = s.count.max(2) as f64 - 1.0;
     let (response, stimulus) = (&names.response, &names.stimulus);
     let duration = s.time.map_or(1.0, |t| t[1]);
@@ -50,6 +51,7 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
             p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
         };
         return (
+            // u = (x - mid) / half: a coefficient of u^k is half^k of one of x^k.
             value / half.powi(power),
             ratio(response, &[(stimulus, power), (rest, 1)]),
         );
@@ -64,6 +66,7 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
         },
         "1/half-range" => (value / half, ratio("1", &[(stimulus, 1)])),
         "response/stimulus^4" => (value, ratio(response, &[(stimulus, 4)])),
+        // The catalogue counts cycles over the whole range, the session states their length.
         "period:stimulus" => (2.0 * half / value, stimulus.clone()),
         "period:time" => (duration / value, "s".to_owned()),
         "period:order" => (readings / value, "readings".to_owned()),
@@ -140,6 +143,7 @@ pub(crate) fn of_effect(
                 &system.frame,
                 p.name,
             );
+            // What no reading shows is independent of the fit: both half widths add in squares.
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
             let place = p.name == "place";

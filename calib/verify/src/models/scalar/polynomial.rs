@@ -30,6 +30,7 @@ fn residual(y: f64, powers: &[f64], b: &[f64]) -> f64 {
     for (p, c) in powers.iter().zip(b) {
         let (term, error) = two_product(-p, *c);
         let next = sum + term;
+        // Knuth's sum of two doubles: what `next` lost to rounding is found exactly.
         let back = next - sum;
         low += (sum - (next - back)) + (term - back) + error;
         sum = next;

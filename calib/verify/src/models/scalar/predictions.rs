@@ -159,6 +159,7 @@ pub fn predict(
     // g' C g of each reading.
     let parameters = (&gradient * &fitted.covariance).component_mul(&gradient);
     let parameters = parameters.column_sum();
+    // A new reading has its own noise beside the error of the fit.
     let half = |i: usize| t * (noise_sd[i].powi(2) + parameters[i].max(0.0)).sqrt();
     Some((prediction, (0..n).map(half).collect()))
 }

@@ -105,6 +105,7 @@ fn at_end(
         .unwrap_or_default()
         .max(median(others().map(spread)).unwrap_or_default());
     let repeats_scatter = others().filter(|rows| spread(rows) > 0.0).count() * 2 > count - at;
+    // Only a law that would have gone on past the extreme value makes it a limit.
     let beyond =
         end(expected, value) == expected && (expected - value).abs() > BEYOND_STEPS * resolved;
     (beyond && (full > 1 || repeats_scatter)).then(|| RangeLimit {

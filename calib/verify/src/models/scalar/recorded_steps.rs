@@ -28,6 +28,7 @@ impl ScalarSystem {
         if !frame.ordered || !frame.sloped() || (n as f64) < MIN_RUN * runs.len() as f64 {
             return None;
         }
+        // Before the first change and after the last one nothing says how fast it moved.
         let (mut u, mut first) = (frame.u.clone(), 0);
         for run in runs {
             let end = first + run.len();

@@ -52,6 +52,7 @@ impl ScalarRow {
     /// Of an axis: what its measured position is off, um.
     pub fn of_axis(r: &TransducerRow) -> Self {
         Self {
+            // From mm to um.
             y: 1e3 * (r.response - r.stimulus),
             ..r.into()
         }

@@ -41,6 +41,7 @@ pub(super) fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) ->
         None => return None,
     };
     let up = found.iter().filter(|d| **d > 0.0).count();
+    // One way alone says nothing of a difference between the ways.
     (up >= least && found.len() - up >= least).then_some(found)
 }
 

@@ -35,6 +35,7 @@ pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarit
         1 => frame.time.as_deref()?,
         _ => &frame.order,
     };
+    // Halves of equal information: as many readings on either side.
     let middle = median(variable.iter().copied())?;
     let half = |late: bool| {
         let kept = h.weights.masked(|i| (variable[i] >= middle) == late);

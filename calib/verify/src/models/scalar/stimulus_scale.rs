@@ -95,6 +95,7 @@ pub(super) fn times_wrapped(rows: &[ScalarRow], wraps: &[f64]) -> Vec<f64> {
             let off = |o: &ScalarRow| (o.x - r.x).abs();
             let beyond = rows.iter().filter(|o| o.x != r.x && (o.x > r.x) == after);
             let nearest = beyond.min_by(|a, b| off(a).total_cmp(&off(b)))?;
+            // Readings of one round differ by less than half of the range, those of two by more.
             Some((2.0 * (r.y - nearest.y).abs() < high - low) == after)
         };
         let after = || same(true).or_else(|| same(false)).unwrap_or(false);

@@ -109,6 +109,7 @@ fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
     };
     let typical = median(sd.iter().copied().filter(|sd| *sd > 0.0)).unwrap_or_default();
     let alike = sd.iter().all(|v| *v == sd[0]);
+    // A stimulus error enters the response by the slope, which the ratio to a typical one cancels.
     let variance = |sd: &f64| (sd / typical).powi(2).clamp(STATED[0], STATED[1]);
     if alike || typical <= 0.0 {
         Vec::new()
@@ -265,6 +266,7 @@ impl MeasurementModel for ScalarSystem {
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
+                // The declared model stands at the stimulus as read; effects add to it.
                 let read = |i: usize| frame.read_u[i] + (u[i] - frame.u[i]);
                 let power = |k: usize| (0..u.len()).map(|i| read(i).powi(k as i32)).collect();
                 (0..=degree).map(power).collect()

@@ -28,6 +28,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
         beside.push(&column(j));
     }
     let left = fit.residual.column(0).clone_owned();
+    // The weighted readings again: fitted part and residual.
     let reading =
         (0..fit.design.ncols()).fold(left, |sum, j| sum + column(j) * fit.coefficients[(j, 0)]);
     // Squares left where no term of the stimulus is fitted.

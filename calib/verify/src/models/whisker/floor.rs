@@ -23,6 +23,7 @@ const GAP_RATIO: f64 = 3.0;
 pub fn poses(readings: &[Reading]) -> Vec<usize> {
     let mut approaches: BTreeMap<(u32, u32, bool, i64, i64), Vec<usize>> = BTreeMap::new();
     for (i, r) in readings.iter().enumerate() {
+        // Backlash, friction and lag make a pose depend on the way and the speed it was reached by.
         let direction = if r.rest { 0 } else { r.direction as i64 };
         let key = (
             r.seating,
@@ -69,6 +70,7 @@ fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
     let jump = (1..gaps.len())
         .filter(|&k| gaps[k - 1] <= NEAR_SHARE * range && gaps[k] > GAP_RATIO * gaps[k - 1])
         .max_by(|&a, &b| (gaps[a] / gaps[a - 1]).total_cmp(&(gaps[b] / gaps[b - 1])));
+    // The geometric mean lies as many times above the scatter as below the next gap.
     jump.map_or(exact, |k| (gaps[k - 1] * gaps[k]).sqrt())
 }
 
@@ -104,6 +106,7 @@ fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
     let mut part = Part { ss: 0.0, dof: 0.0 };
     for settings in poses {
         let mean = DMatrix::from_rows(settings).row_mean();
+        // Each pose costs one mean a channel.
         part.dof += ((settings.len() - 1) * mean.len()) as f64;
         part.ss += settings
             .iter()

@@ -148,6 +148,7 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
         .map(|by| mechanics(path, &rod_of, &with_values(model, by.as_slice())));
     let (others_mm, mut changed): (Vec<Vec<f64>>, Vec<AcceptedWire>) =
         others.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    // F is triangular with the wire's values first: later unknowns leave the wire alone.
     changed.truncate(mechanical);
     let mut readings = readings(system, &xs_mm, &others_mm, model.calibrated(path)?);
     let correlated = model.correlated_noise.map(|c| {
@@ -182,6 +183,7 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion>
     Some(GrooveMotion {
         wire: AcceptedWire::new(&rod_of, &RodParameters::default())?,
         changed: Vec::new(),
+        // A map corrects no pose: its two unknowns leave the stage's way as it is.
         readings: readings(system, &xs, &[xs.clone(), xs.clone()], sensed),
         correlated: None,
     })
@@ -233,6 +235,7 @@ fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
         .iter()
         .flat_map(|a| a.law().parameters.iter().map(|p| p.range));
     let values = moved.effects.iter_mut().flat_map(|e| &mut e.values);
+    // Coefficients stand first and move no groove; outside its range a law has no meaning.
     for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * model.coefficients.len()..]) {
         *value = (*value + by).clamp(low, high);
     }

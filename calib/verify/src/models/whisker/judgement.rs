@@ -61,6 +61,7 @@ pub fn of_map(
     only_sealed: bool,
 ) -> Option<Vec<HeldOut>> {
     let mut predictor = MapPredictor::new(map).ok()?;
+    // A map corrects no pose: the poses are taken as declared.
     let (_, base) = system.moments(&[])?;
     let readings = system.path.readings.iter();
     let inferred: Vec<StreamMoments> = readings

@@ -64,6 +64,7 @@ fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -
     if before.pictures.is_none() {
         return system;
     }
+    // own chi is the scatter over what the shapes state, whatever share counted in the fit.
     let (own, chi) = (before.own_share(), reduced_chi(fit, before.picture_scale));
     let sd = fit.readings_variance().sqrt();
     // Worse than stated, by whatever: everything counts less. Better: only what scatters can be,
@@ -154,6 +155,7 @@ impl SessionModel for WhiskerSystem {
     fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
+        // A lag in motion and a stage clock that is set wrong are one: a lag takes up both.
         let is_lag = |t: &EffectTerm| self.catalogue[t.effect].id == "time-lag";
         let lagged = fit.terms.iter().any(is_lag);
         let set_s = stage_clock::estimate_alignment(&again, accepted, lagged);
@@ -242,6 +244,7 @@ impl SessionModel for WhiskerSystem {
         let readings = &self.path.readings;
         let loaded = readings.iter().filter(|r| !r.rest);
         let groups: BTreeSet<u32> = loaded.map(|r| r.group).collect();
+        // Readings at rest belong to no trajectory: they stay in every fit and hold the zero.
         let fold = |r: &Reading| (!r.rest).then(|| groups.range(..r.group).count());
         Folds {
             split: "loto",
@@ -302,6 +305,7 @@ impl Witness<WhiskerSystem> for PicturePairs {
         let Some(pictures) = system.pictures() else {
             return Ok(None);
         };
+        // In units of what the shapes state, whatever share of it counts now.
         let chi = system.own_share() * reduced_chi(&h.fit, system.picture_scale);
         let dof = h.fit.witness_count as f64;
         let sentence = format!(
@@ -333,6 +337,7 @@ fn picture_note(
     if fit.terms.is_empty() {
         return Some(said);
     }
+    // Each fall over its own variance, so that both can be compared.
     let wavelengths =
         (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
     let pictures = (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())

@@ -120,7 +120,9 @@ fn separation(
 ) -> f64 {
     let (n, q, channels) = (b.design.nrows(), b.design.ncols(), b.residual.ncols());
     let total = n + new.len() + 1;
+    // A mean of n readings has 1 / n of the variance: its row weighs by the root of n.
     let weight = REPEATS.sqrt();
+    // A rest reading before each of them says as often where the later zero is.
     let at_rest = weight * (new.len() as f64).sqrt();
     // The later session's zero, then the rival's columns; at rest only the constants read.
     let columns = DMatrix::from_fn(total, 1 + q, |i, j| match (i.checked_sub(n), j) {

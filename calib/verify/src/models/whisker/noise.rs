@@ -60,6 +60,7 @@ fn held(a: &Reading, b: &Reading, time: bool) -> bool {
         && a.rest == b.rest;
     let settled = a.velocity_mm_s == 0.0 && b.velocity_mm_s == 0.0;
     let stayed = !time || b.dwell_s <= 0.0 || b.dwell_s + 1e-6 >= b.t_s - a.t_s;
+    // A reversal moves the groove by the backlash even where the stage reads the same.
     same && settled && stayed && a.direction * b.direction >= 0.0
 }
 
@@ -97,6 +98,7 @@ pub(super) fn step_pm(data: &WhiskerData, channel: usize) -> Option<f64> {
             .all(|r| off(r.shift_pm[channel]) < 2e-3 * step.min(1.0))
     };
     let moves = data.rows.iter().any(|r| r.shift_pm[channel] != first);
+    // Every record is a multiple of the finest step: that one says nothing.
     STEPS_PM
         .into_iter()
         .find(|s| moves && on(*s))

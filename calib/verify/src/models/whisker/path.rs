@@ -186,6 +186,7 @@ type Averaged = (Option<f64>, bool, bool);
 /// reading; none where all are alike or a number is missing.
 fn averaging_variance(readings: &[Averaged]) -> Option<Vec<f64>> {
     let typical = typical(readings)?;
+    // The variance of a mean of n independent samples is 1 / n of one sample's.
     let variances = readings.iter().map(|r| Some(typical / r.0?));
     let variances: Vec<f64> = variances.collect::<Option<_>>()?;
     let [least, most] = range(variances.iter().copied());
@@ -220,6 +221,7 @@ fn settled(row: &WhiskerRow) -> bool {
 /// How long a row was averaged: its samples, or, where `moving_variance` is known instead, in units
 /// of a settled one's.
 fn averaged(row: &WhiskerRow, moving_variance: Option<f64>) -> Option<f64> {
+    // Variance goes with 1 / n, so its ratio stands for the number of samples.
     let by_reference = moving_variance.map(|v| if settled(row) { 1.0 } else { 1.0 / v });
     row.samples.map(|n| f64::from(n.max(1))).or(by_reference)
 }
@@ -255,6 +257,7 @@ pub(crate) fn temperature_walk(rows: &[WhiskerRow], fbg: &FbgSpec) -> Option<Ran
         Some(walk)
     };
     let alike = walk(None)?;
+    // A thermometer averages by itself; only a reference grating averages as the sensing ones do.
     let by_reference = fbg.needs_reference() && rows.iter().all(|r| r.reference_shift_pm.is_some());
     if !by_reference || rows.iter().any(|r| r.samples.is_some()) {
         return Some(alike);
@@ -271,6 +274,7 @@ pub(crate) fn temperature_walk(rows: &[WhiskerRow], fbg: &FbgSpec) -> Option<Ran
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
     match (row.stage_mm, row.groove_mm, trajectory) {
         (Some(x), _, _) => x,
+        // Of groove = origin + stage direction, with a unit direction.
         (None, Some(groove), Some(t)) => (groove - t.origin_mm).dot(&t.direction),
         _ => 0.0,
     }
@@ -301,6 +305,7 @@ impl WhiskerPath {
                 let r = &rows[i];
                 let line = line_of(r.trajectory);
                 let direction = r.direction.unwrap_or_default();
+                // Standard error of a mean: the samples' deviation over the root of their number.
                 let root = f64::from(r.samples.unwrap_or(1).max(1)).sqrt();
                 let (sd, degc) = (r.shift_sd_pm.unwrap_or_default(), temperature_of(r, fbg));
                 Reading {
@@ -308,6 +313,7 @@ impl WhiskerPath {
                     x_mm: stage_position(r, line.map(|l| &trajectories[l])),
                     rest: r.role == Role::Rest,
                     direction,
+                    // A row's speed has no sign; unloading goes against the trajectory's direction.
                     velocity_mm_s: r.speed_mm_s.unwrap_or_default()
                         * if direction < 0.0 { -1.0 } else { 1.0 },
                     t_s: if time {
@@ -316,6 +322,7 @@ impl WhiskerPath {
                         k as f64
                     },
                     dwell_s: r.dwell_s.unwrap_or_default(),
+                    // `t_s` is the middle of the averaging window: half of it is still to come.
                     stays_s: r.average_s.unwrap_or_default() / 2.0,
                     rise_degc: degc.unwrap_or_default(),
                     temperature_loo_degc: degc.unwrap_or_default(),
@@ -360,6 +367,7 @@ impl WhiskerPath {
             .collect();
         let extent = |l: usize| {
             let on = readings.iter().filter(|r| r.line == Some(l));
+            // Depth 0 is first contact, whether a reading stands there or not.
             range(on.map(|r| r.x_mm).chain([0.0]))
         };
         let ends = (0..lines.len())
@@ -434,6 +442,7 @@ fn places(readings: &[Reading]) -> Vec<f64> {
         let before = motion[..i].iter().rfind(|r| !r.unsteady);
         let after = motion[i + 1..].iter().find(|r| !r.unsteady);
         match (before, after) {
+            // A stroke has one speed, so its place goes linearly with time.
             (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
                 a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
             }
@@ -459,6 +468,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
                 ..Node::default()
             };
             let arrived_s = r.t_s - r.dwell_s;
+            // Moments go linearly between nodes: rest needs a node at both ends of the gap.
             nodes.extend([free(readings[i - 1].t_s + 1e-3), free(arrived_s - 1e-3)]);
         }
         let still = |t_s| Node {
@@ -468,7 +478,9 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
             rest: r.rest,
             ..Node::default()
         };
+        // Creep and lag depend on how long the load has stood: since the arrival.
         if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
+            // A dwell stated too long must not turn the clock back.
             let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
             nodes.push(still((r.t_s - r.dwell_s).max(earliest)));
         }
@@ -480,6 +492,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         let next_s = readings
             .get(i + 1)
             .map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
+        // Without a node at the window's end the groove would leave in the middle of the average.
         if time && r.stays_s > 0.0 && r.t_s + r.stays_s < next_s {
             nodes.push(still(r.t_s + r.stays_s));
         }

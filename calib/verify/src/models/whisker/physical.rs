@@ -131,6 +131,7 @@ impl PhysicalModel {
         let pm = system.channels_pm();
         let coefficients = &fit.coefficients * &pm;
         let (count, size) = (coefficients.nrows(), coefficients.len());
+        // vec(B P) = (P' x I) vec(B): the covariance turns with the same matrix.
         let mut turn = DMatrix::identity(size + fit.tangents.len(), size + fit.tangents.len());
         turn.view_mut((0, 0), (size, size))
             .copy_from(&pm.transpose().kronecker(&DMatrix::identity(count, count)));
@@ -164,6 +165,7 @@ impl PhysicalModel {
             .filter(|_| system.path.columns.time);
         let correlated_noise = part.map(|(sd, tau)| CorrelatedReadings {
             sd_pm: sd.value * factor,
+            // Repeat and pose noise are independent: their variances add.
             own_sd_pm: noise.repeat.value.hypot(pose) * factor,
             time_constant_s: *tau,
         });
@@ -200,6 +202,7 @@ impl PhysicalModel {
     /// # Errors
     /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
     pub fn check(&self) -> Result<(), ModelError> {
+        // The zero and the two moments stand before the columns of effects.
         let (mut columns, mut values) = (3, 0);
         for term in self.named_terms() {
             let ActiveEffect { effect, term } = term?;

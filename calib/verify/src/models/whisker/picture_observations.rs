@@ -99,6 +99,7 @@ pub(super) fn values(change: &PairChange, normals: &[[Vector3<f64>; 2]]) -> DVec
         .iter()
         .copied()
         .chain([change.arclength_mm]);
+    // A point that slides along the line leaves the picture of the line as it is.
     let line = change
         .stations_mm
         .iter()
@@ -161,6 +162,7 @@ pub(super) fn observe(
             let mut own = DMatrix::identity(count, count) * floor;
             for column in &errors.own {
                 let v = values(&moved(column, &kept), &normals);
+                // Independent errors of one standard deviation each: their outer products add.
                 own += &v * v.transpose();
             }
             // Sealed pairs were fitted by themselves; where their list is another they are
@@ -196,6 +198,7 @@ pub(super) fn observe(
         .as_ref()
         .map_or_else(Derivatives::default, |e| setup(e, &kept, shapes));
     let groove_mm2 = own.view((0, 0), (3, 3)).trace();
+    // L^-1 of N = L L' gives the pair's own errors unit variance.
     let whitening = own.cholesky()?.l().try_inverse()?;
     let seen = PairObservation {
         groove_mm: Vector3::from(groove.position_mm),
@@ -281,6 +284,7 @@ fn stations(errors: &PairErrors, line: &[[f64; 3]]) -> Vec<usize> {
         .filter(|&k| across(line, errors.stations[k]).is_some())
         .collect();
     let count = usable.len().min(MAX_STATIONS);
+    // The middles of equal shares: neither root nor tip weighs more.
     let mut kept: Vec<usize> = (0..count)
         .map(|k| usable[(2 * k + 1) * usable.len() / (2 * count)])
         .collect();

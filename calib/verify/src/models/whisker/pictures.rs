@@ -76,7 +76,9 @@ impl Pictures {
                 continue;
             };
             readings.extend(std::iter::repeat_n(reading, columns.nrows()));
+            // S C^(1/2): independent shared errors of one standard deviation each.
             let columns = columns * &factor;
+            // Trace of S C S': the shared part of the variance of the groove's position.
             pair.groove_mm2 += columns.rows(0, 3).norm_squared();
             shared.push(&pair.whitening * columns);
             pairs.push(pair);
@@ -181,6 +183,7 @@ impl Pictures {
                     .fill(0.0);
             }
         }
+        // A' A is as small as the shared errors are few; A A' has a row for every value.
         let parts = counted.tr_mul(&counted).symmetric_eigen();
         // ((1 + s^2)^(-1/2) - 1) / s^2 tends to -1/2 where an error moves nothing.
         let shrink = |s2: f64| {

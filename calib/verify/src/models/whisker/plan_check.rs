@@ -70,6 +70,7 @@ fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, VerifyError> {
         made.rows[row].shift_pm = [0, 1].map(|c| k[c][0] * m[0] + k[c][1] * m[1]);
     }
     let system = WhiskerSystem::new(&made, &[])?;
+    // Cosines of signatures do not depend on the size of the noise.
     let weights = Weights::equal(system.path.readings.len());
     let base = fit(&system, &[], &weights, 1).ok_or_else(no_solution)?;
     let signatures = signatures_of_catalogue(&system, &base, &weights, &nuisance_basis(&base));

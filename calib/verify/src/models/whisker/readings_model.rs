@@ -50,6 +50,7 @@ impl WhiskerSystem {
             return Some(Vec::new());
         };
         let active = self.active(terms);
+        // The cameras see where the groove is, not where late gratings read it.
         let (xs, rod_parameters) =
             effective_poses(&self.path, &active, Observers::Gratings, self.stage_clock_s);
         let nodes = pictures.nodes();
@@ -133,6 +134,7 @@ impl MeasurementModel for WhiskerSystem {
             return Some(DVector::zeros(0));
         };
         let seen = self.predict_pictures(terms)?;
+        // White with the variance of a reading's noise: one variance holds for both witnesses.
         let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
         finite(w.as_slice())?;
         Some(w)
@@ -177,6 +179,7 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn systematic_sd(&self, effect: usize, parameter: &str) -> f64 {
+        // What the stamps of the stage's answers leave open looks like a lag.
         let stamped = self.catalogue[effect]
             .needs()
             .contains(&LawRequirement::Motion)

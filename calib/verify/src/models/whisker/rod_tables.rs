@@ -78,6 +78,7 @@ pub(super) fn rod_of(
     let largest = y.abs().max(z.abs());
     if largest > 0.0 {
         rod.compliance_rad_per_nmm = largest;
+        // The root turns under bending alone, so nothing about base x.
         rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
     }
     rod.section.softening = rod_parameters.softening;
@@ -99,6 +100,7 @@ impl RodTables {
         Ok(Self {
             spec: data.whisker.clone(),
             fluid_kg_m3: match data.medium.as_str() {
+                // At 20 deg C, kg/m^3.
                 "water" => 998.2,
                 _ => AIR_KG_M3,
             },
@@ -161,6 +163,7 @@ impl RodTables {
         let xs: Vec<f64> = (0..=count)
             .map(|k| touch.x_mm + step_mm * k as f64)
             .collect();
+        // A walk from first touch costs many solutions: a known neighbour is tried first.
         let equilibria = self
             .warm_start(rod, l, rod_parameters, touch.x_mm, &xs)
             .unwrap_or_else(|| self.followed(rod, l, rod_parameters, touch.x_mm, &xs));
@@ -228,6 +231,7 @@ impl RodTables {
         // The table of friction carries a small difference only: a coarser grid is enough.
         let count = table.moments_nmm.len().clamp(8, 24);
         let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
+        // Friction acts against the sliding: loading and unloading have opposite signs.
         let ratios: Vec<f64> = (0..=2 * RATIO_STEPS)
             .map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0))
             .collect();
@@ -240,11 +244,13 @@ impl RodTables {
             ratios,
             rows: Vec::with_capacity(count),
         };
+        // At first touch the force is zero, so no ratio of friction changes the moment.
         slip.rows.push(SlipRow::untouched(
             table.arclength(table.touch_mm),
             slip.ratios.len(),
         ));
         for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)).skip(1) {
+            // Slip branches start from the frictionless contact: where it is lost there are none.
             let Outcome::Held(free) = outcome else {
                 return None;
             };
@@ -272,6 +278,7 @@ impl RodTables {
         let mut held = [-MAX_RATIO, MAX_RATIO];
         for (side, end) in [-1_i64, 1].into_iter().zip(&mut held) {
             let at = |step: i64| (RATIO_STEPS as i64 + side * step) as usize;
+            // Newton's method stays on the branch only from the solution of the ratio next to it.
             let (mut guess, mut lost) = (Guess::from(free), false);
             for step in 1..=RATIO_STEPS as i64 {
                 let ratio = Tangential::Ratio(ratios[at(step)]);
@@ -309,6 +316,7 @@ impl RodTables {
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
+        // With weight the moment of the free wire must be taken off, which only the tables do.
         if self.sparse && rod_parameters.weight == 0.0 {
             return self.solved_moments(nodes, xs_mm, rod_parameters);
         }
@@ -339,6 +347,7 @@ impl RodTables {
                 return Some([0.0; 2]);
             };
             let slip = slips[l].as_ref()?;
+            // Friction beyond what the branch holds lets the wire snap out: no moment to state.
             if !slip.has_equilibrium(xs_mm[k], h.ratio) {
                 return None;
             }
@@ -377,6 +386,7 @@ impl RodTables {
             let (Some(e), Some(h)) = (e, held[k]) else {
                 return *e;
             };
+            // Where the contact sticks is known, and the force along the wire is not.
             let found = rod.solve(
                 &e.point_mm,
                 &Guess::from(e),
@@ -421,11 +431,13 @@ fn stick_slip(
             return Some(None);
         };
         let slip = slips[l].as_ref()?;
+        // Free of the groove the contact forgets where it stuck.
         if x <= slip.touch_mm {
             return Some(None);
         }
         let (mut s, from) = match last {
             Some((line, s, from)) if line == l => (s, from),
+            // A new contact begins at first touch, without force and so without friction.
             _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
         };
         let moving_share = if node.moving {

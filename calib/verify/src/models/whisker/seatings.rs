@@ -35,6 +35,7 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
     let fitted_pm = &fit.coefficients * &pm;
     // Columns: constant, two moments, then the zeros of the later seatings (System::design).
     let zero_sd_pm = [0, 1].map(|c| {
+        // The constant is the zero of the first seating: the others are differences from it.
         let zero = |k: usize, _| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] };
         let zeros = DVector::from_fn(later + 1, zero);
         zeros.add_scalar(-zeros.mean()).norm() / (later as f64).sqrt()

@@ -66,6 +66,7 @@ impl RodTables {
             return Some(Vec::new());
         }
         let touch_mm = self.touch(rod, l, rod_parameters).x_mm;
+        // Before first touch nothing holds the wire; positions ascend, so those come first.
         let free = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
         let held = &xs[free..];
         let equilibria = self
@@ -117,6 +118,7 @@ impl RodTables {
         let outcomes = rod.follow(&self.line(l, rod_parameters), xs_mm);
         let found = outcomes.iter().map_while(|o| o.equilibrium().copied());
         let found: Vec<Equilibrium> = found.collect();
+        // First touch moves with the wire: neighbours agree by the share of the way, not by x.
         let way_mm = self.end_mm(l) - touch_mm;
         let node = |(x, e): (&f64, &Equilibrium)| Some(((x - touch_mm) / way_mm, rod.anchor(e)?));
         let nodes: Option<Vec<_>> = xs_mm.iter().zip(&found).map(node).collect();

@@ -31,6 +31,7 @@ pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged:
     let Some((more_s, sd_s)) = residual_alignment(system, &h.fit, h) else {
         return before_s;
     };
+    // More than stamps can explain is a lag, which the search has to name.
     let significant =
         more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
     if significant {

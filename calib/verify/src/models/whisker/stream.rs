@@ -33,6 +33,7 @@ impl EffectMemories {
     /// remembers then.
     fn recalled(&self, steps_s: &[Option<f64>], base: [f64; 2]) -> ([f64; 2], Vec<SensorMemory>) {
         let (mut sensed, mut memories) = (base, self.memories.clone());
+        // The load is taken as standing from the arrival on, the same at every node of the dwell.
         for dt_s in steps_s {
             let effects = self.terms.iter().zip(&mut memories);
             sensed = effects.fold(base, |m, (term, memory)| term.sensed(memory, *dt_s, m));
@@ -140,6 +141,7 @@ impl PhysicalModel {
         };
         let of = |(i, (sensed, moments, _)): (usize, FollowedReading)| {
             let Some(memory) = memory else { return moments };
+            // Base less sensed is known from the poses there: no memory has to be inverted.
             let moment_nmm = [0, 1].map(|c| sensed[c] + memory[i][c]);
             StreamMoments {
                 moment_nmm,
@@ -199,6 +201,7 @@ impl PhysicalStream {
         });
         Some(Self {
             effects: EffectMemories::new(model.terms()),
+            // A value without variance has no part in the spread.
             moved: moved.filter(|(_, step, _)| *step > 0.0).collect(),
             inverse: model.sensitivity().try_inverse()?,
             last_s: None,
@@ -244,6 +247,7 @@ impl PhysicalStream {
                 let sensed = self.model.sensed(&side.terms, &self.now, &self.inverse);
                 Vector2::from(side.base(steps_s, sensed, visible))
             });
+            // Each side keeps its own memory: a value's error is carried through the history.
             let slope = (high - low) / (2.0 * *step);
             self.gradient.set_column(*place, &slope);
         }
@@ -280,6 +284,7 @@ impl PhysicalStream {
 
     /// Noise of the wavelengths through the inverse.
     fn noise_nmm2(&self) -> Matrix2<f64> {
+        // K^-1 (s^2 I) K^-T: in both gratings independent and of one variance.
         self.inverse * self.inverse.transpose() * self.noise_sd_pm.powi(2)
     }
 }
@@ -298,6 +303,7 @@ impl MomentStream for PhysicalStream {
 
     fn spread(&self) -> MomentSpread {
         let common = &self.gradient * &self.factor;
+        // Where the truth is theta + f, the stated moment is too large by -G f.
         MomentSpread {
             noise_nmm2: self.noise_nmm2(),
             shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),

@@ -66,6 +66,7 @@ pub(super) fn effective_poses(
     unseen: Observers,
     stage_clock_s: f64,
 ) -> (Vec<f64>, RodParameters) {
+    // An answer is stamped when it arrives: at its stamp the groove is v delta further on.
     let stamped = |n: &Node| n.x_mm + velocity(path, n) * stage_clock_s;
     let mut xs: Vec<f64> = path.nodes.iter().map(stamped).collect();
     let mut rod_parameters = RodParameters::default();
@@ -220,12 +221,14 @@ impl WhiskerSystem {
         terms
             .iter()
             .try_for_each(|t| finite(&t.values).map(|_| ()))?;
+        // An offset of the cameras' clock moves no groove.
         let (xs, rod_parameters) =
             effective_poses(path, &active, Observers::Cameras, self.stage_clock_s);
         let base = self
             .rod_tables
             .moments(&path.nodes, &finite(xs)?, &rod_parameters)?;
         let mut sensed = base.clone();
+        // Memory runs over all nodes: what happened between the readings is remembered, too.
         for a in &active {
             finite(sensed.as_flattened())?;
             a.sensor(path, &mut sensed);

@@ -128,6 +128,7 @@ impl SlipTable {
         // Which way the arc length goes with the ratio depends on the side of the groove.
         let rising = self.arclength(x_mm, limit) >= self.arclength(x_mm, -limit);
         let (mut lo, mut hi) = (-limit, limit);
+        // 40 halvings leave 1e-12 of the bracket.
         for _ in 0..40 {
             let mid = 0.5 * (lo + hi);
             if (self.arclength(x_mm, mid) < s_mm) == rising {

@@ -52,6 +52,7 @@ fn steps_s(t_s: &[f64]) -> Vec<f64> {
 
 /// Local level model along the readings.
 fn filter(ratio_per_s: f64, t_s: &[f64], values: &[f64], variances: &[f64]) -> Filtered {
+    // Diffuse start: the first reading sets the level and has no part in the likelihood.
     let mut level = values[0];
     let mut variance = variances[0];
     let (mut levels, mut before) = (vec![(level, variance)], vec![f64::INFINITY]);
@@ -129,6 +130,7 @@ impl RandomWalkModel {
         let of = |(k, (by_all, variance)): (usize, (f64, f64))| {
             // The level's variance over the reading's is the weight of the reading in its own level.
             let weight = variance / variances[k];
+            // by_all = weight * reading + (1 - weight) * by_others, solved for the last.
             let by_others = if weight < 1.0 {
                 (by_all - weight * values[k]) / (1.0 - weight)
             } else {

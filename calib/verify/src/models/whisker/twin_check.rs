@@ -90,6 +90,7 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
     let is_loaded = |c: &LabelCheck| c.rod_nmm.is_some_and(|m| size(m) > 1e-6);
     let loaded = (0..checks.len()).filter(|&i| is_loaded(&checks[i]));
     let loaded: Vec<usize> = loaded.collect();
+    // The relation has four coefficients a component: fewer labels leave nothing to judge by.
     if loaded.len() < 8 {
         return LabelReport {
             checks,
@@ -174,6 +175,7 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
     let rows = loaded.len();
     let design = DMatrix::from_fn(rows, 4, |r, j| {
         let m = checks[loaded[r]].rod_nmm.unwrap_or_default();
+        // m and m |m|: odd in the moment, so that the relation reverses with the load.
         m[j % 2] * if j < 2 { 1.0 } else { size(m) }
     });
     let mut squared = DVector::<f64>::zeros(rows);

@@ -127,6 +127,7 @@ fn hinge(values: &Values, frame: &Frame, u: &mut [f64], gained: f64) -> bool {
         knee <= frame.zero_u
     };
     for v in u.iter_mut() {
+        // Continuous at the knee: the slope alone changes there.
         *v += gained
             * if upper {
                 (*v - knee).max(0.0)
@@ -207,6 +208,7 @@ pub(crate) fn dead_zone() -> ScalarEffect {
         warp: |values, frame, u| {
             let (share, width) = (values.of("slope_lost"), values.of("half_width"));
             for v in u {
+                // Inside the zone the slope is less by the share; outside, the loss is constant.
                 *v -= share * (*v - frame.zero_u).clamp(-width, width);
             }
             true

@@ -26,6 +26,7 @@ pub(crate) fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec
 pub(crate) fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f64> {
     let mut out = u.to_vec();
     for k in 1..u.len() {
+        // Held at the old stimulus until the jump, at the new one after it: two exact relaxations.
         let x = (time[k] - time[k - 1]) / tau;
         // Before the interval's beginning, where an estimate scatters about it: not beyond what can
         // be written.

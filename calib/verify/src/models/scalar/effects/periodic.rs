@@ -135,6 +135,7 @@ fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
         return false;
     }
     let design = DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
+        // Any smooth function of stimulus and direction: even columns plain, odd ones by direction.
         let power = frame.u[i].powi(j as i32 / 2);
         if j % 2 == 0 {
             power
@@ -163,6 +164,7 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     let n = frame.scaling.count;
     match law {
         "over-stimulus" if by_clock => None,
+        // From -1..1 to 0..1, so that cycles are counted over the whole range.
         "over-stimulus" => Some((
             frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(),
             frame.levels(),

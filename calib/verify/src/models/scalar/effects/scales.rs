@@ -67,6 +67,7 @@ pub(crate) fn logarithmic_scale() -> ScalarEffect {
             let known = frame.new_rows;
             let of = |f: &dyn Fn(f64) -> f64| Some(vec![frame.u.iter().map(|u| f(*u)).collect::<Vec<f64>>()]);
             match values.law() {
+                // About the end of the range where it is largest: the column stays within 1.
                 "exponential" if known || straighter(frame, true) => of(&|u| (values.all()[0] * (u - 1.0)).exp()),
                 "falling-exponential" if known || straighter(frame, true) => {
                     of(&|u| (-values.all()[0] * (u + 1.0)).exp())
@@ -115,6 +116,7 @@ pub(crate) fn callendar_van_dusen() -> ScalarEffect {
             let ice = frame.scaling.absolute_zero? + ICE_POINT;
             let term = |x: f64| {
                 if x < ice {
+                    // (t - 100) t^3 with t in degC, whatever scale the stimulus has.
                     (x - ice - 100.0) * (x - ice).powi(3)
                 } else {
                     0.0

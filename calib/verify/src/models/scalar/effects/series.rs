@@ -32,6 +32,7 @@ pub(crate) fn zero_by_series(count: usize) -> ScalarEffect {
                 frame
                     .groups
                     .iter()
+                    // Sum to zero: the first series has minus the sum of the others' shifts.
                     .map(|g| own(*g, *s) - own(*g, *first))
                     .collect()
             };

@@ -23,6 +23,7 @@ pub(crate) fn scale(sloped: bool) -> ScalarEffect {
             if frame.sloped() {
                 let error = values.of("relative_scale");
                 for v in u {
+                    // A scale error leaves stimulus zero where it is, not the middle of the range.
                     *v += error * (*v - frame.zero_u);
                 }
             }
@@ -104,6 +105,7 @@ pub(crate) fn creep() -> ScalarEffect {
                     .time
                     .as_ref()?
                     .iter()
+                    // What an earlier load left dies away as exp(-t / tau), whatever is loaded now.
                     .map(|t| (-t / constant).exp())
                     .collect(),
             ])
@@ -191,6 +193,7 @@ pub(crate) fn hysteresis(declared: Declared) -> ScalarEffect {
         },
         columns: |values, frame| {
             let by_way = |f: fn(f64) -> f64| {
+                // Before the first move: on this branch, halfway (0), or on the other one (-1).
                 let direction = frame.direction_begun(1.0 - 2.0 * begun(values))?;
                 Some(
                     direction
@@ -332,6 +335,7 @@ pub(crate) fn lag() -> ScalarEffect {
                     moved
                         .iter_mut()
                         .zip(time)
+                        // The free solution of tau r' = u - r: time begins with the first reading.
                         .for_each(|(m, t)| *m += off * (-t / late).exp());
                 }
                 u.copy_from_slice(&moved);

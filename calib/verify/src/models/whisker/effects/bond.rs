@@ -30,6 +30,7 @@ pub(crate) fn creep() -> WhiskerEffect {
             } else {
                 pairs(values)
             };
+            // Prony sum: m + sum a_k r_k with tau_k r_k' = m - r_k.
             memory.sensed(spectrum, m, |state, before, tau_s| {
                 let Some(dt_s) = dt_s else { return state };
                 [0, 1].map(|c| relax(state[c], [before[c], m[c]], dt_s / tau_s))
@@ -132,6 +133,7 @@ const STACK_WIDTHS_NMM: [f64; 4] = [0.04, 0.1, 0.25, 0.6];
 fn next(law: &str, mut state: [f64; 2], step: [f64; 2], width: f64) -> [f64; 2] {
     let length = step[0].hypot(step[1]);
     match law {
+        // dz = (sign(dm) - z) |dm| / w: it relaxes along the way of the load, not in time.
         "bouc-wen" => [0, 1].map(|c| approach(state[c], step[c].signum(), step[c].abs() / width)),
         "bouc-wen-vector" if length > 0.0 => {
             [0, 1].map(|c| approach(state[c], step[c] / length, length / width))

@@ -39,6 +39,7 @@ pub(crate) fn zero_drift() -> WhiskerEffect {
             vec![
                 path.readings
                     .iter()
+                    // In minutes, for a drift in pm/min.
                     .map(|r| (r.t_s - origin.t_s) / 60.0)
                     .collect(),
             ]

@@ -24,6 +24,7 @@ pub(crate) fn stage_backlash() -> WhiskerEffect {
             let mut line = None;
             let mut held = 0.0;
             for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {
+                // A line begins in the loading direction, with the play taken up.
                 if node.line != line {
                     line = node.line;
                     held = *x;
@@ -163,6 +164,7 @@ fn low_passed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64) -> Vec<f64> {
             Some((d, pieces)) => pieces
                 .iter()
                 .fold(d, |d, p| relax(d, [p.from_mm, p.to_mm], p.dt_s / lag_s)),
+            // In steady motion a first-order filter lags by v tau.
             None => steady(path, xs_mm, lag_s, k),
         });
     }

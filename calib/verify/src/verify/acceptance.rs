@@ -2,7 +2,7 @@
 //! used as a calibration, and the error of readings left out in turn is not far above the floor.
 //!
 //! ```text
-//! error^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n left-out values, dof of the floor's replicates
+//! error^2 / floor^2 <= max(4, F_{1 - level}(n, dof))          n left-out values, dof of the floor's replicates, level of `levels.rs`
 //! ```
 
 use super::judgement::MIN_COVERAGE;

@@ -210,7 +210,7 @@ pub fn next_measurement(
         };
         let mut terms = rivals.iter().chain([&best]).flat_map(|h| &h.fit.terms);
         let needed = if terms.any(slow) {
-            "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \
+            "the temperature has to change otherwise than steadily with time: warm the bench by some kelvin, let it cool, and take a rest \
              reading every minute; then `wcal verify --add` that session"
         } else {
             "it needs another direction of approach, another medium or a second sensor"

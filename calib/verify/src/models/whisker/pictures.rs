@@ -41,7 +41,7 @@ pub struct Pictures {
     /// Whitened derivatives by the independent shared errors, values x errors.
     shared: DMatrix<f64>,
     /// Share of the stated own errors that counts.
-    pub(super) independent_variance_share: f64,
+    pub(super) own_sd_share: f64,
     /// `M` by the readings that count.
     roots: Kept<Vec<bool>, DMatrix<f64>>,
     /// Pairs that have a row and no place here, and why.
@@ -95,7 +95,7 @@ impl Pictures {
             pairs,
             readings: Arc::new(readings),
             shared: all,
-            independent_variance_share: 1.0,
+            own_sd_share: 1.0,
             roots: Kept::at_most(KEPT_MASKS),
             left_out,
         })
@@ -105,7 +105,7 @@ impl Pictures {
     pub(crate) fn with_own_share(&self, share: f64) -> Self {
         // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size
         // and weigh more.
-        let stretch = self.independent_variance_share / share;
+        let stretch = self.own_sd_share / share;
         let smaller = |p: &Pair| Pair {
             whitening: &p.whitening * stretch,
             ..p.clone()
@@ -114,7 +114,7 @@ impl Pictures {
             pairs: self.pairs.iter().map(smaller).collect(),
             readings: self.readings.clone(),
             shared: &self.shared * stretch,
-            independent_variance_share: share,
+            own_sd_share: share,
             roots: Kept::at_most(KEPT_MASKS),
             left_out: self.left_out.clone(),
         }

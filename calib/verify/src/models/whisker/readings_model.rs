@@ -106,7 +106,7 @@ impl WhiskerSystem {
     pub(super) fn own_share(&self) -> f64 {
         self.pictures
             .as_ref()
-            .map_or(1.0, |p| p.independent_variance_share)
+            .map_or(1.0, |p| p.own_sd_share)
     }
 }
 

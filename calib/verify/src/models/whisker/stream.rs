@@ -41,8 +41,8 @@ impl EffectMemories {
         (sensed, memories)
     }
 
-    /// The base moment that is sensed so, remembered from now on. One below `visible`, the noise's
-    /// standard deviations, keeps what it shows: a dead zone hides the moment there.
+    /// The base moment that is sensed so, remembered from now on. One below three times
+    /// `visible`, the noise's standard deviations, keeps what it shows: a dead zone hides the moment there.
     fn base(
         &mut self,
         steps_s: &[Option<f64>],

@@ -6,7 +6,7 @@ use crate::method::MIN_READINGS;
 use crate::scalar::scalar_effect::{ScalarEffect, steps_above};
 use crate::scalar::sequence::MIN_REPEATS;
 
-/// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
+/// Identifier of the effect on the spread of the noise, found by `scalar::spread_trend`.
 pub(crate) const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
@@ -110,7 +110,7 @@ pub(crate) fn outliers() -> ScalarEffect {
 }
 
 /// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance
-/// model of Harvey 1976. It has no mean: `scalar::spread_test` finds it.
+/// model of Harvey 1976. It has no mean: `scalar::spread_trend` finds it.
 pub(crate) fn heteroscedastic_noise() -> ScalarEffect {
     ScalarEffect {
         not_observable: |frame| {

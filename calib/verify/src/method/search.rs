@@ -15,7 +15,7 @@ use super::search_result::{RankedHypothesis, SearchResult};
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
-use crate::levels::{CATALOGUE, LEAD, RIVAL};
+use crate::levels::{CATALOGUE, RIVAL};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -510,7 +510,8 @@ fn unidentified_rivals(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> V
     rivals
 }
 
-/// One generic score alone explains the residual better than the accepted effects do.
+/// One generic score alone describes the residual better (Akaike) than the accepted effects do: a
+/// name that something without physics beats is none.
 fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
     let Some(score) = test.covariates.first() else {
         return false;
@@ -523,7 +524,7 @@ fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, vari
     };
     let by_covariate =
         (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
-    test.generic() && by_covariate + LEAD < best.aic(&base.fit, variance)
+    test.generic() && by_covariate < best.aic(&base.fit, variance)
 }
 
 /// Readings stand out singly although nothing smooth remains.

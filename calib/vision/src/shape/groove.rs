@@ -59,7 +59,9 @@ pub(crate) fn find_groove(
     // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has
     // no mark there.
     for _ in 0..3 {
-        let aside = tangent.cross(&Vector3::ith(tangent.iamin(), 1.0)).normalize();
+        let aside = tangent
+            .cross(&Vector3::ith(tangent.iamin(), 1.0))
+            .normalize();
         let across = Matrix3x2::from_columns(&[aside, tangent.cross(&aside)]);
         let joint = across.tr_mul(&((tag_covariance + wire_covariance) * across));
         let offset = by_tag - point;

@@ -104,9 +104,7 @@ impl WhiskerSystem {
 
     /// Share of the own errors that the pictures state which counts.
     pub(super) fn own_share(&self) -> f64 {
-        self.pictures
-            .as_ref()
-            .map_or(1.0, |p| p.own_sd_share)
+        self.pictures.as_ref().map_or(1.0, |p| p.own_sd_share)
     }
 }
 

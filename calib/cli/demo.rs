@@ -116,6 +116,7 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
         kind.check(&args.out.join(name), args.overwrite.force)?;
     }
     let progress = crate::progress::Progress::new("demo");
+    // The sweep judges the explanations of a recording below, so it must lie there first.
     write_session(&args.out, &SWEEP)?;
     let mut reports = Vec::new();
     for r in RECORDINGS {

@@ -76,6 +76,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let data = session.whisker()?;
+    // Gratings that do not respond to the load would still give a map, of their noise.
     if let Some(why) = lost_sensitivity(data)? {
         bail!("fit-gpr: session {:?}: {why}", session.id);
     }
@@ -139,6 +140,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     let poses = training.trajectory.iter().flatten().count();
     let mut result = document(&fit, &training, poses);
     result.simulated = session.simulated;
+    // A fit alone vouches for nothing: the calibration says that it is not verified.
     let calibration = seal(
         &session.id,
         VerificationStatus::Unverified,
@@ -178,6 +180,7 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
     let mut poses: Vec<Option<(u32, i64)>> = Vec::new();
     let mut noise: Vec<[f64; 2]> = Vec::new();
     for (row, label) in data.rows.iter().zip(&labels.moments_nmm) {
+        // Rows for verification test the map later, so they must not shape it.
         if !matches!(row.role, Role::Calibration | Role::Rest) {
             continue;
         }
@@ -185,6 +188,7 @@ pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, 
             unlabelled.push(row.point);
             continue;
         };
+        // Readings of one pose stay together: split, one would be tested on its own repetition.
         let pose = pose_of(row);
         let group = poses.iter().position(|p| *p == pose).unwrap_or_else(|| {
             poses.push(pose);

@@ -161,6 +161,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let progress = Progress::new("fit-whisker");
     progress.stage("rest shape");
     let mut fit = fit_rest(&nominal, &usable, choice)?;
+    // Errors that all shapes share do not average out with their number.
     let moved = moved_by_shared(&document, &usable)?;
     if !moved.is_empty() {
         fit.add_common_errors(&nominal, &moved)?;
@@ -203,6 +204,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
                 .chain(args.moments.as_deref()),
         ),
     };
+    // The MuJoCo model needs moduli, nominal ones where none was fitted.
     let fitted = WhiskerSpec {
         rest_shape,
         youngs_gpa: result.whisker.youngs_gpa.unwrap_or(YOUNGS_GPA),

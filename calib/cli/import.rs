@@ -37,6 +37,7 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         .collect::<Result<_, _>>()?;
     let mut plans: Vec<Plan<'_>> = Vec::new();
     for table in &tables {
+        // Time stamps of the holdout count from the first table's beginning: one axis for both.
         let since = plans.first().and_then(Plan::since);
         plans.push(Plan::new(args, table, since.as_deref())?);
     }
@@ -81,6 +82,7 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         };
         warnings.push(warning.to_string());
     }
+    // The copy has passed every check: only now the folder changes.
     for (name, bytes) in files {
         out.put(&name, bytes);
     }

@@ -112,6 +112,7 @@ impl<'a> ResultKind<'a> {
 
     /// The first entry that is not of an earlier result.
     fn foreign(&self, folder: &Path) -> Result<Option<String>> {
+        // Names such as report.html are anybody's: without the document they are foreign.
         let (mut recognised, mut others) = (false, None);
         for name in entries(folder)? {
             if self.files.contains(&name.as_str()) {
@@ -166,6 +167,7 @@ fn entries(folder: &Path) -> Result<Vec<String>> {
 
 /// Says now, not after an hour, that nothing can be written there.
 fn writable(path: &Path) -> Result<()> {
+    // A folder that does not exist yet is made in the nearest one that does.
     let here = Path::new(".");
     let mut place = path;
     while !place.exists() && place != here {
@@ -174,6 +176,7 @@ fn writable(path: &Path) -> Result<()> {
             .filter(|p| !p.as_os_str().is_empty())
             .unwrap_or(here);
     }
+    // Permissions say less than a try: the disk may be full or read-only.
     let tried =
         tempfile::tempfile_in(place).with_context(|| format!("writing into {}", place.display()));
     tried.map(drop)
@@ -246,6 +249,7 @@ impl<'a> OutputFolder<'a> {
         let fail = |doing: &str| format!("{doing} {}", folder.display());
         fs::create_dir_all(folder).with_context(|| fail("creating"))?;
         remove_abandoned(folder);
+        // Inside the folder itself: a rename must not leave the file system.
         let staging = tempfile::Builder::new()
             .prefix(HALF_WRITTEN[0])
             .suffix(HALF_WRITTEN[1])
@@ -261,6 +265,7 @@ impl<'a> OutputFolder<'a> {
             .into_iter()
             .filter(|name| self.kind.owns(name))
             .collect();
+        // Without its document a folder that is left half-replaced is not taken for a result.
         old.sort_by_key(|name| !document(name));
         for name in &old {
             fs::remove_file(folder.join(name))
@@ -272,6 +277,7 @@ impl<'a> OutputFolder<'a> {
                 .with_context(|| fail("writing into"))?;
         }
         drop(held);
+        // With the folder the new names reach the disk.
         Ok(sync_folder(folder)?)
     }
 }

@@ -104,6 +104,7 @@ fn points(steps: &[Step], rig: &Rig) -> Result<String> {
             |g| format!("{:.6},{:.6},{:.6}", g.x, g.y, g.z),
         );
         let role = serde_json::to_value(pose.role)?;
+        // Shifts of 0 hold the place: the readings themselves are made from the rod.
         writeln!(
             out,
             "{point},{},{},{t_s:.3},{:.6},{},{},{},{groove},0,0,{}",

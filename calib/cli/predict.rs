@@ -62,6 +62,7 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
     let applied = file.model.apply(&args.table)?;
+    // What follows from a grating that does not change means nothing: a doubt, not a warning.
     let (stuck, odd): (Vec<_>, Vec<_>) = applied
         .warnings
         .iter()

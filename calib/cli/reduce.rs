@@ -144,6 +144,7 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
 }
 
 fn clock<'a>(fit: &ClockFit, name: Option<&'a str>) -> ClockDocument<'a> {
+    // JSON has no infinity: a standard deviation that is not known becomes null.
     ClockDocument {
         name,
         device_minus_host_s: fit.offset_s,

@@ -106,6 +106,7 @@ fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
     };
     let mean = |k: usize| pairs.iter().map(|p| p[k]).sum::<f64>() / pairs.len() as f64;
     let [x, y] = [mean(0), mean(1)];
+    // Products of deviations from the means: their ratio is the slope of least squares.
     let product = |k: usize| {
         pairs
             .iter()

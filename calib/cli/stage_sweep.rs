@@ -81,6 +81,7 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
         arguments.rig.clone()
     };
     let (mut rig, plan) = (read_text(&rig_file)?, read_text(&arguments.plan)?);
+    // A virtual bench takes free ports at every start: no rig can state them.
     if let Some(bench) = &arguments.bench {
         rig = with_addresses(&rig, &read_text(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
@@ -94,6 +95,7 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
         let own_rig = bench_rig::in_this_process(&rig, scenario.interrogator.rate_hz);
         rig = own_rig.with_context(|| rig_file.display().to_string())?;
     }
+    // A dry run opens no device and makes no folder.
     if arguments.dry_run {
         let (rig, plan) = ((&*rig_file, &*rig), (&*arguments.plan, &*plan));
         return dry_run(rig, plan, shows, arguments.json);
@@ -110,6 +112,7 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
     }
+    // From here on Ctrl-C brings the stage to rest instead of ending the program at once.
     let interrupt = interrupt::watch()?;
     let order = RecordRequest {
         rig,
@@ -129,6 +132,7 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
             if resume {
                 bench.pass(bench_rig::ahead_s(&folder)?.max(0.0));
             }
+            // A pause passes in the bench's time: nobody waits for it.
             let mut pause = {
                 let bench = bench.clone();
                 move |time: Duration| bench.pause(time)
@@ -440,6 +444,7 @@ impl View {
     }
 
     fn show(&mut self, p: &Progress) {
+        // On a terminal one line is redrawn; in a log file every one stays.
         let period = if self.live {
             Duration::from_millis(200)
         } else {

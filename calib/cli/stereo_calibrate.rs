@@ -171,6 +171,7 @@ pub(crate) fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     out.finish()?;
     let apart_px = kalibr_distance_px(&document)?;
     let far = apart_px > KALIBR_APART_PX;
+    // Lenses that four coefficients describe need no word.
     if apart_px > 0.001 {
         let warning = if far { "warning: " } else { "" };
         eprintln!(

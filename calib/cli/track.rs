@@ -38,6 +38,7 @@ enum Source {
 /// # Errors
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
+    // A wrong --out is refused before a network is loaded or a device opened.
     output::check(&args.out, args.force)?;
     if let Some(tare_s) = args.tare_s.filter(|s| !(s.is_finite() && *s >= 0.0)) {
         bail!("--tare-s: expected 0 or more, found {tare_s}");
@@ -71,6 +72,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             .transpose()?;
         checked.push(WhiskerModel::read(&name, &place, card)?);
     }
+    // A network learned from readings of one pace; readings of another one mislead it.
     let step_s = match &source {
         Source::Table(path) => median_step_s(path)?,
         _ => Some(1.0 / RATE_HZ),
@@ -99,6 +101,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             bail!("{}: {}", one.place.display(), table::NO_ZERO);
         }
     }
+    // Whiskers may share a network: each folder is loaded once.
     let mut trackers: BTreeMap<&PathBuf, Tracker> = BTreeMap::new();
     for folder in folders.values() {
         if let Entry::Vacant(place) = trackers.entry(folder) {
@@ -243,6 +246,7 @@ fn by_whisker(
     let mut all = BTreeMap::new();
     let mut common = None;
     for value in given {
+        // A path may hold `=` too: only names of the rig count as an ID.
         match value
             .split_once('=')
             .filter(|(id, _)| names.iter().any(|n| n == id))

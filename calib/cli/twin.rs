@@ -94,6 +94,7 @@ pub(crate) fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     let mut text = format!("{COLUMNS}\n");
     let mut missing = Vec::new();
     for (row, line) in data.rows.iter().zip(lines) {
+        // A wire at rest carries no moment, whatever the engine.
         let (line, held) = match line {
             Some(line) => line,
             None if row.role == Role::Rest => ("0,0,,rest,true".to_owned(), true),

@@ -122,6 +122,7 @@ pub fn run(args: &VerifyArgs) -> Result<ExitCode> {
         return check::check(&args.session, args.holdout.as_deref(), args.json);
     }
     let folder = args.out.clone().map_or_else(|| beside(&args.session), Ok)?;
+    // A wrong --out is refused now, not after the search.
     let mut out = OutputFolder::open(&RESULT, &folder, args.overwrite.force)?;
     expect_session(&args.session, "verify")?;
     let mut session = match load(&args.session) {
@@ -320,6 +321,7 @@ pub fn verify_session(
         claims,
         ..request
     };
+    // The search must not see the sealed rows: they judge what it decides.
     let sealed = std::mem::take(&mut session.sealed);
     let (session, made) = (&session, provenance.clone());
     let Outcome {
@@ -355,6 +357,7 @@ pub fn verify_session(
     if let Some(csv) = predictions {
         out.put("predictions.csv", mark_table(&csv, session.simulated));
     }
+    // What the sealed readings contradict must not leave as a calibration that others trust.
     let verified = report.verify.holdout.outcome != HoldoutOutcome::Contradicted
         && asserts_validity(report.verify.verdict, !request.accept.is_empty());
     if let Some(model) = model.filter(|_| verified) {
@@ -366,6 +369,7 @@ pub fn verify_session(
             }),
             _ => None,
         };
+        // Sealed readings that were met before may have shaped an earlier decision.
         let status = if later {
             VerificationStatus::Reverified
         } else {
@@ -427,6 +431,7 @@ fn of_whisker_session(
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
     let (calibration, whole) = (done.decision.calibration(), &done.assessment.whole);
+    // An explanation that is accepted on request alone says nothing certain of contacts.
     let contact = match asserts_validity(done.document.verdict, false) {
         true => contacts(&done, count > 0, &mut report.verify)?,
         false => None,
@@ -507,6 +512,7 @@ fn of_scalar_session(
             (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole))?),
             _ => None,
         },
+        // By these columns a later table of the same instrument is read.
         model: done.model.clone().map(|model| {
             CalibrationModel::Scalar(ScalarModel {
                 columns: session.imported.clone(),
@@ -524,6 +530,7 @@ const VALID_DAYS: i64 = 365;
 
 /// Last moment of validity, RFC 3339.
 fn valid_until() -> Result<String> {
+    // A day has no fixed length for a time stamp; an hour has.
     let hours = jiff::Span::new().try_hours(24 * VALID_DAYS)?;
     Ok(jiff::Timestamp::now().checked_add(hours)?.to_string())
 }

@@ -111,6 +111,7 @@ impl RodPlant {
             w.youngs_gpa,
             w.shear_gpa,
         );
+        // A clamp that gives turns by this angle for each N mm of its moment, alike about y and z.
         wire.root_compliance = [effects.root_turn_rad_per_nmm; 2];
         let (mut tables, mut paths) = (Vec::new(), Vec::new());
         for t in scenario.trajectories() {

@@ -51,6 +51,7 @@ impl ChannelMap {
     /// The map of a whisker's gratings.
     pub fn of(interrogator: &InterrogatorRig, whisker: &str) -> Self {
         let find = |name: &str| {
+            // A rig counts channels from 1, a scan's lists from 0.
             let g = interrogator.grating_of(whisker, name)?;
             Some((g.channel - 1, g.nominal_nm, g.window_nm))
         };
@@ -81,6 +82,7 @@ impl ChannelMap {
             // A second peak in the window: a neighbour has strayed into it.
             crossing |= inside().nth(1).is_some();
         }
+        // On one fibre two peaks this close merge, and neither wavelength can be trusted.
         for a in 0..3 {
             for b in 0..a {
                 let same = self.gratings[a]

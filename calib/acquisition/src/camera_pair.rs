@@ -78,6 +78,8 @@ impl CameraPair {
             self.host_s = a.clocks.host_s.max(b.clocks.host_s);
             let ahead = match self.offset {
                 Some(offset) => (i128::from(a.trigger) + offset) - i128::from(b.trigger),
+                // From the first pair on numbers decide: a lost frame cannot pair two neighbours in
+                // time.
                 None if skew_ms(&a, &b).abs() <= self.limit_ms => {
                     self.offset = Some(i128::from(b.trigger) - i128::from(a.trigger));
                     0
@@ -87,6 +89,7 @@ impl CameraPair {
             if ahead == 0 {
                 return self.judge(a, b);
             }
+            // A frozen camera sends its last picture again and again.
             if self
                 .last
                 .as_ref()
@@ -124,6 +127,7 @@ impl CameraPair {
             }
         }
         let skew_ms = skew_ms(&a, &b);
+        // Two moments show two shapes of a wire that moves: such a pair has no depth.
         if skew_ms.abs() > self.limit_ms {
             let expected = format!("a skew of at most {} ms", self.limit_ms);
             return Err(self.refuse(

@@ -36,6 +36,7 @@ pub(crate) fn watch(
     let mut shown_s = f64::NEG_INFINITY;
     while !done.load(Ordering::SeqCst) {
         let result = pair.grab(PATIENCE);
+        // What a camera reports after the sweep's end is no fault of the sweep.
         if done.load(Ordering::SeqCst) {
             return;
         }
@@ -49,6 +50,7 @@ pub(crate) fn watch(
                     both.all(|(eye, frame)| eye.exposed_after(*since_s, frame))
                 };
                 let step = wanted.filter(shows).map(|(step, _)| step);
+                // After the judgement: a frame does not vouch for its own time.
                 let both = eyes.iter_mut().zip(&found.frames);
                 both.for_each(|(eye, frame)| eye.note(frame));
                 let host_s = found.frames[0].clocks.host_s;
@@ -57,6 +59,7 @@ pub(crate) fn watch(
                     shown_s = host_s;
                 }
                 let recorded = record(&found, names, recorder, step, show);
+                // The stage stands until this is cleared: the pictures are in the recording by now.
                 if step.is_some() {
                     lock(monitor).picture = None;
                 }

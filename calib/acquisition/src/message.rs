@@ -152,6 +152,7 @@ impl RecordedMessage for Scan {
         time("host_s", self.host_s)?;
         time("device_s", self.device_s)?;
         count("channels", self.peaks_per_channel.len() as f64, 1024.0)?;
+        // Six fault bits, in the order of `From<&FbgReading>`.
         count("health", self.health.into(), 63.0)?;
         count("error_code", self.error_code.into(), 255.0)?;
         count("buffer_percent", self.buffer_percent.into(), 255.0)?;

@@ -156,6 +156,7 @@ pub(crate) fn write_pictures(
             .filter(|r| r.part == part)
             .map(|r| (r.step, r))
             .collect();
+        // A frame and its picture are recorded at the same host time, in whole nanoseconds.
         let mut expected: HashMap<(String, u64), FrameInfo> = HashMap::new();
         let mut failed = None;
         read(path, |message| match message {
@@ -187,6 +188,7 @@ pub(crate) fn write_pictures(
                         }
                     }
                 };
+                // A step that was made again in a later recording has its picture there.
                 let Some(row) = info.step.and_then(|step| by_step.get(&step)) else {
                     return;
                 };

@@ -279,6 +279,7 @@ impl Plan {
                 );
             }
         }
+        // Counted before anything is expanded: a slip in `replicates` would fill the memory.
         let steps = plan.block.iter().map(Block::count).sum::<usize>();
         if steps > MAX_STEPS {
             let expected =
@@ -330,6 +331,7 @@ impl Plan {
         if let Some(trajectory) = ends(self.block.last(), <[u32]>::last) {
             steps.push(self.sync(trajectory, &limits)?);
         }
+        // From pose to pose, as the stage will go: a one-sided approach passes its target.
         let mut at_mm = rig.stage.retract_mm;
         for step in &steps {
             for depth_mm in step.waypoints(at_mm, &rig.stage) {
@@ -372,6 +374,7 @@ impl Plan {
 impl Block {
     /// Readings at most.
     fn count(&self) -> usize {
+        // Loading and unloading of each depth, a rest reading, and two moves on the fly.
         let once = |id: &u32| 2 * self.depths(*id).len() + 3;
         let paths = (self.replicates as usize).saturating_mul(self.speeds_mm_s.len().max(1));
         self.trajectories
@@ -414,6 +417,7 @@ impl Block {
         let mut replicate = 0;
         for _ in 0..self.replicates {
             for speed in speeds {
+                // Each pass has its own number: no two rows share pose and repetition.
                 replicate += 1;
                 let pose = |stage_mm: f64, direction: i32| Pose {
                     role: self.role,
@@ -426,6 +430,7 @@ impl Block {
                     average_s: self.average_s,
                     sealed: self.role == Role::Holdout,
                 };
+                // A rest reading before each pass shows how the zero drifts.
                 if self.rest {
                     steps.push(Step::Settled(Pose {
                         role: Role::Rest,
@@ -434,6 +439,7 @@ impl Block {
                 }
                 let depths = self.depths(trajectory);
                 steps.extend(depths.iter().map(|d| Step::Settled(pose(*d, 1))));
+                // The deepest pose is not repeated: there loading ends and unloading begins.
                 if self.unloading {
                     steps.extend(
                         depths
@@ -446,6 +452,7 @@ impl Block {
                 if self.on_the_fly_hz > 0.0 {
                     let deepest = depths.iter().copied().fold(0.0, f64::max);
                     let rows_hz = self.on_the_fly_hz;
+                    // Readings in motion carry the stream's delay: the map is not fitted to them.
                     let role = if self.role == Role::Calibration {
                         Role::Verification
                     } else {

@@ -51,6 +51,7 @@ pub fn pose_pairs(
     if !list.exists() {
         return Ok(Vec::new());
     }
+    // Both tables: the pose after a row may be one of the holdout.
     let mut stands: Vec<PoseDwell> = Vec::new();
     for (name, of_sealed) in [("points.csv", false), ("holdout.csv", true)] {
         if folder.join(name).exists() {
@@ -59,6 +60,7 @@ pub fn pose_pairs(
     }
     let mut pairs: BTreeMap<i64, PosePair> = BTreeMap::new();
     for line in table(&list, |l: &Line| (l.point, vec![l.t_s]))? {
+        // The name follows from camera and point: no list can lead to a file elsewhere.
         let file = format!("{}/{:05}.png", line.camera, line.point);
         let Some(camera) = cameras
             .iter()
@@ -144,6 +146,7 @@ fn foreign(line: &Line, session: &str, path: &Path) -> Result<Option<String>, Ac
 
 /// Why the stage cannot have stood at the row's pose when the picture was exposed.
 fn ill_timed(line: &Line, stand: &PoseDwell, all: &[PoseDwell]) -> Option<String> {
+    // A table without these times cannot contradict a picture.
     let (t_s, from_s) = (line.t_s?, stand.from_s?);
     let next_s = all
         .iter()
@@ -207,6 +210,7 @@ fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionE
     let lines: Vec<PointLine> = table(path, |l: &PointLine| {
         (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm])
     })?;
+    // `t_s` is the end of the averaging window, `dwell_s` the time since arrival.
     let stand = |l: PointLine| PoseDwell {
         sealed,
         point: l.point,

@@ -143,7 +143,9 @@ pub fn record(
         (&request.places[1], &request.plan),
     )?;
     let (mut begun, skip) = OwnedSessionFolder::open(request)?;
+    // Before the first byte on its line: another sweep may be driving this stage.
     let _lock = stage_lock(&rig.stage, &request.folder)?;
+    // One host clock for all devices: their times are compared by it.
     let clock = HostClock::start(rig.clock_scale);
     let mut stage = devices.stage(&rig.stage, clock)?;
     let mut interrogator = open_interrogator(devices, &rig.interrogator, clock)?;
@@ -170,13 +172,16 @@ pub fn record(
         None => manual,
     };
     let allowed = Permission {
+        // After a stall the stage may count from where it is not: flags go only with a new search.
         home: request.home,
         clear_flags: request.home && request.resume,
     };
+    // What forbids the first move is found out while nothing has moved and nothing is recorded.
     check(stage.as_mut(), mount, &steps, allowed)?;
     let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
+    // What an earlier run recorded is never written to again.
     let name = if number == 1 {
         "recording.mcap".to_owned()
     } else {
@@ -192,6 +197,7 @@ pub fn record(
         rig.clock_scale,
     ));
     let done = AtomicBool::new(false);
+    // A stage that is opened again stands behind the same limits.
     let mut reopen = || Ok(LimitedStage::new(devices.stage(&rig.stage, clock)?, limits));
     let mut sweep = std::thread::scope(|scope| {
         // Whoever leaves this block, by a panic too, ends the threads that record.
@@ -211,6 +217,7 @@ pub fn record(
             pause,
         };
         let report = run(bench, &rig, &plan, &steps, &skip, allowed, progress);
+        // Only now: the way to a safe state is recorded, too.
         drop(ended);
         // A thread that panicked has been a fault of the sweep: what was recorded is kept.
         for thread in std::iter::once(reader).chain(watcher) {
@@ -224,6 +231,7 @@ pub fn record(
         .unwrap_or_else(PoisonError::into_inner)
         .counts();
     let refused = recorder.refused();
+    // The stage is safe by now, but a recording that was not closed is no finished sweep.
     if let (Err(e), Ending::Finished) = (recorder.finish(), &sweep.ending) {
         sweep.ending = Ending::Stopped {
             cause: disk(&e),
@@ -336,6 +344,7 @@ fn describe(
     } else {
         write_atomic(&begun.makes("run.json"), text.as_bytes())?;
     }
+    // The recording tells by itself how it was made, should the folder's other files be lost.
     let about = BTreeMap::from([
         ("run".to_owned(), text),
         ("rig".to_owned(), request.rig.clone()),

@@ -116,6 +116,7 @@ impl Recorder {
             syncing: Mutex::default(),
             failed: OnceLock::new(),
         };
+        // The head of the file at once: a run that is killed early leaves a readable recording.
         recorder.flush()?;
         Ok(recorder)
     }
@@ -154,6 +155,7 @@ impl Recorder {
         open.writer.flush().map_err(|e| self.failed(&e))?;
         if now - open.synced >= SYNC {
             open.synced = now;
+            // Unlocked first: the other threads record on while the disk is busy.
             drop(open);
             self.begin_sync().map_err(|e| self.failed(&e))?;
         }
@@ -169,11 +171,13 @@ impl Recorder {
     /// no device waits for it.
     fn begin_sync(&self) -> io::Result<()> {
         let mut running = self.syncing.lock().unwrap_or_else(PoisonError::into_inner);
+        // One sync at a time: on a slow disk they would pile up.
         if running.as_ref().is_some_and(|sync| !sync.is_finished()) {
             return Ok(());
         }
         let file = self.file.try_clone()?;
         let ended = running.replace(std::thread::spawn(move || file.sync_data()));
+        // A sync that failed is told when the next one begins: nobody waits for it before.
         ended.and_then(|sync| sync.join().ok()).unwrap_or(Ok(()))
     }
 

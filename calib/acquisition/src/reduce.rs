@@ -81,6 +81,7 @@ fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), 
 /// When rig, run file or recording cannot be read, or nothing was recorded; the tables are then as
 /// they were.
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
+    // The session's own copy: the rig file that it was made from may have changed since.
     let path = folder.join("rig.toml");
     let text =
         wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))?;
@@ -110,6 +111,8 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
         .map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
     remove_abandoned(folder);
+    // All text is made before the first file is written: an error leaves the old tables as they
+    // were.
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
@@ -160,6 +163,7 @@ fn pictured_rows(rows: &[Row]) -> Vec<PicturedRow> {
     let mut all = Vec::new();
     for row in rows {
         let next = &mut next[usize::from(row.sealed)];
+        // Rows on the fly have no picture: no pose is held there.
         all.extend(row.average_s.map(|_| PicturedRow {
             part: row.part,
             step: row.step,
@@ -195,12 +199,14 @@ fn read_contents(
         ..Contents::default()
     };
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
+    // Two passes: a scan's delay is judged by the clocks of the whole recording.
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
             let fault = all.clock.take(scan.serial, scan.host_s, scan.device_s);
             result.clock_faults.extend(fault.map(|f| f.to_string()));
             origin_s.get_or_insert(scan.device_s);
             all.scans += 1;
+            // The unit numbers every scan, so that a jump is a loss (firmware-notes/sm130.md).
             let missing = next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
             result.lost = result.lost.saturating_add(missing);
             result.gaps += u64::from(missing > 0);
@@ -256,9 +262,11 @@ fn reduce_part(
         .filter_map(|(name, pair)| Some((name, pair.fit()?)))
         .collect();
     result.camera_clocks.extend(cameras.clone());
+    // Without a scan there is no device time, and so no row.
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else {
         return Ok(Default::default());
     };
+    // Session time goes on as if the clock had not been set between two recordings.
     let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
     let track = Track::new(&all.stage, &fit, rig.stage.zero_mm);
     let foreign = |found: String| {
@@ -267,6 +275,7 @@ fn reduce_part(
         AcquisitionError::input(place, expected, found)
     };
     let mut windows = windows_of(events, scans).map_err(foreign)?;
+    // A recording has millions of scans: each finds its windows by a search in time.
     windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
     // Second pass: samples into their windows.
     let map = ChannelMap::new(rig);
@@ -385,6 +394,7 @@ fn take_sample(
             continue;
         };
         samples.serials.push(scan.serial);
+        // NaN in place of a missing reference: the lists of a window keep one index a scan.
         samples.times_s.push(t_s - window.begin_s);
         let reference_nm = assigned.reference_nm.unwrap_or(f64::NAN);
         samples.reference_nm.push(reference_nm);
@@ -400,6 +410,7 @@ fn take_sample(
 fn clock_set_s(first: &ClockFit, fit: &ClockFit, clock_scale: f64) -> f64 {
     let at_s = fit.origin_host_s;
     let set_s = fit.device_s(at_s) - first.device_s(at_s);
+    // Hours may pass between two runs, in which a working clock drifts on.
     let drift_s = CLOCK_SET_S + BROKEN_CLOCK * (at_s - first.origin_host_s).abs();
     if clock_scale == 1.0 && set_s.abs() > drift_s {
         set_s
@@ -419,6 +430,7 @@ fn row_of(
     let mean = window.samples.mean()?;
     let moving = event.kind == "moving";
     let (begin_s, end_s) = (window.begin_s, window.end_s);
+    // A settled row is true at its window's end, a moving one at the mean time of its scans.
     let (t_s, stage_mm, speed_mm_s) = if moving {
         let t_s = begin_s + mean.time_s;
         let (mm, speed) = track.at(t_s)?;
@@ -426,12 +438,14 @@ fn row_of(
     } else {
         (end_s, track.mean(begin_s, end_s)?, 0.0)
     };
+    // Late first: where times are doubtful, so is what the stage did meanwhile.
     let stream = match window.late {
         true => Stream::Late,
         false if !moving && track.has_left(event.target_mm, begin_s, end_s) => Stream::Moved,
         false if missing_share(window, lost) > MAX_MISSING => Stream::Lost,
         false => Stream::Whole,
     };
+    // In front of the wire the groove holds nothing, and the row states no groove.
     let loaded = event.role != "rest" && stage_mm >= 0.0;
     let trajectory = rig.trajectory(event.trajectory).filter(|_| loaded);
     let serials = mean.outliers.iter().map(|k| window.samples.serials[*k]);

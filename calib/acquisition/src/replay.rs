@@ -168,6 +168,7 @@ fn records(mut rest: &[u8], checksum: u32) -> Option<Vec<(u8, &[u8])>> {
     }
     let mut records = Vec::new();
     while !rest.is_empty() {
+        // A record of MCAP: one byte of operation code, eight of length, and the body.
         let (head, behind) = rest.split_at_checked(9)?;
         let length = u64::from_le_bytes(head[1..].try_into().ok()?);
         let (body, behind) = behind.split_at_checked(usize::try_from(length).ok()?)?;

@@ -53,6 +53,7 @@ impl Interrogator for ReplayInterrogator {
     }
 
     fn rate_hz(&self) -> f64 {
+        // By the device's clock: a recording does not state the unit's rate.
         let time = |r: Option<&FbgReading>| r.and_then(|r| r.clocks.device_s);
         let span_s = time(self.scans.back())
             .zip(time(self.scans.front()))
@@ -69,6 +70,7 @@ impl Interrogator for ReplayInterrogator {
     }
 
     fn read(&mut self, _timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
+        // Its end is a device that went away: callers end as they do with a live unit.
         if self.scans.is_empty() {
             let (kind, found) = (DeviceErrorKind::Disconnected, "the end of the recording");
             return Err(DeviceError::new(

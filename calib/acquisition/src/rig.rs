@@ -137,6 +137,7 @@ impl Rig {
         if let Some((field, expected, found)) = addresses_that_clash(s, &rig.mount) {
             return fail(field, &expected, found);
         }
+        // Two transverse moments need two sensing gratings.
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
                 if rig.interrogator.grating_of(whisker, name).is_none() {
@@ -187,6 +188,7 @@ impl Rig {
                 );
             }
         }
+        // One camera gives no depth: pictures are taken in pairs.
         if !matches!(rig.camera.len(), 0 | 2) {
             return fail("camera", "no camera or two", rig.camera.len().to_string());
         }
@@ -206,6 +208,7 @@ impl Rig {
             .map(|t| ("trajectory.direction", t.direction));
         let carried = rig.base.as_ref().and_then(|b| b.carried_along);
         let directions = directions.chain(carried.map(|along| ("base.carried_along", along)));
+        // Directions are normalised where they are used: one without a length would give no place.
         for (field, direction) in directions {
             if !(Vector3::from(direction).norm() > 1e-6) {
                 return fail(field, "a direction", format!("{direction:?}"));

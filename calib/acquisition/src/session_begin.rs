@@ -66,6 +66,7 @@ impl OwnedSessionFolder {
             lock: None,
             reserve: None,
         };
+        // The lock is a file of the folder: the folder comes first.
         if !request.resume {
             begun.make_folder()?;
         }
@@ -96,6 +97,7 @@ impl OwnedSessionFolder {
             fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
         // It is nobody's to tidy away.
         let _ = file.try_lock();
+        // Written in full: a file with a hole in it would reserve nothing.
         let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut file);
         self.reserve = Some(file);
         zeros
@@ -117,6 +119,7 @@ impl OwnedSessionFolder {
     }
 
     fn make_folder(&mut self) -> Result<(), AcquisitionError> {
+        // Missing parents are noted, too: a run that records nothing leaves the disk as it was.
         let missing = self
             .folder
             .ancestors()
@@ -135,6 +138,7 @@ impl OwnedSessionFolder {
         let lock = FileLock::take(&self.folder.join(LOCK), &purpose);
         let place = self.folder.display().to_string();
         self.lock = Some(lock.map_err(|e| held(e, place, "a session that no sweep records now"))?);
+        // Under the lock: no sweep of this session is writing now.
         remove_abandoned(&self.folder);
         Ok(())
     }
@@ -151,6 +155,7 @@ impl OwnedSessionFolder {
                 "one that holds a session",
             ));
         }
+        // Own copies: the recording can be reduced anew whatever becomes of the originals.
         for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
             write_atomic(&self.makes(name), text.as_bytes())?;
         }
@@ -158,6 +163,7 @@ impl OwnedSessionFolder {
     }
 
     fn resume(&mut self, request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
+        // Steps are known by their numbers: in another plan they would be other poses.
         for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
             same(&self.folder, name, text)?;
         }
@@ -174,6 +180,7 @@ impl OwnedSessionFolder {
 impl Drop for OwnedSessionFolder {
     fn drop(&mut self) {
         self.release();
+        // The lock's file goes first, since a folder that is not empty cannot be removed.
         self.lock = None;
         if self.kept {
             return;
@@ -197,6 +204,7 @@ pub(crate) fn stage_lock(
     rig: &StageRig,
     session: &Path,
 ) -> Result<Vec<FileLock>, AcquisitionError> {
+    // By the port and not the session: two sessions may name the same stage.
     let lock = FileLock::of_port(&rig.port, &purpose(session));
     lock.map_err(|e| {
         held(

@@ -24,6 +24,7 @@ impl Track {
         // A file has its messages in any order.
         let mut stage: Vec<&StagePosition> = stage.iter().collect();
         stage.sort_by(|a, b| a.host_s.total_cmp(&b.host_s));
+        // A stage has no clock of its own: its answers are stamped by the host.
         let points = stage
             .iter()
             .map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm))

@@ -99,6 +99,7 @@ impl Sweep<'_, '_, '_> {
     /// Reference, stream, a safe place before the first move toward the wire, and there the mount.
     pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
         self.reference(allowed)?;
+        // Later waits count by the device's clock: the stream has to run before the first move.
         let first_scan = Deadline::uninterruptible(SILENCE * 2);
         while self.monitor().device_s().is_none() {
             let over = first_scan.is_over();
@@ -110,6 +111,7 @@ impl Sweep<'_, '_, '_> {
             }
         }
         self.event("start", SweepEvent::default())?;
+        // The mount turns only while the groove is free of the wire.
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
         self.bench.mount.prepare(allowed)
     }
@@ -140,6 +142,7 @@ impl Sweep<'_, '_, '_> {
                 continue;
             }
             self.carry_out(step)?;
+            // Last of all: a run that is killed before it makes the step again.
             self.event("done", SweepEvent::default())?;
             *done += 1;
         }
@@ -174,6 +177,7 @@ impl Sweep<'_, '_, '_> {
     /// Waits at rest until the drift gate opens, or the soak time is over.
     fn soak(&mut self) -> Result<(), DeviceError> {
         let begin_s = self.device_s();
+        // Drift of a bench that warms up is slow: a longer window shows it above the noise.
         let window_s = self.plan.settle.window_s * 5.0;
         let settled = self.wait_for_gate(begin_s, window_s, self.plan.soak_s)?;
         let event = SweepEvent {
@@ -190,6 +194,7 @@ impl Sweep<'_, '_, '_> {
         let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
         let (away, there_and_back) = depths_mm.split_at(1);
         self.go_through(away, speed_mm_s)?;
+        // At rest for 0.3 s at both ends: any delay that is searched for (0.25 s at most) fits in.
         let begin_s = self.stage_s();
         self.wait_until(begin_s + 0.3)?;
         self.go_through(there_and_back, speed_mm_s)?;
@@ -210,8 +215,10 @@ impl Sweep<'_, '_, '_> {
         self.go_through(depths_mm, pose.speed_mm_s)?;
         let arrived_s = self.stage_s();
         self.wait_until(arrived_s + pose.dwell_s)?;
+        // Scans of the dwell count for the gate, those of the move do not.
         let settle = self.plan.settle;
         let settled = self.wait_for_gate(arrived_s, settle.window_s, settle.timeout_s)?;
+        // The reading is kept and marked: one pose that creeps does not end a day's sweep.
         if !settled {
             self.unsettled += 1;
             let text = format!(
@@ -222,6 +229,7 @@ impl Sweep<'_, '_, '_> {
             let noted = recorder.text(self.last.clocks.host_s, Level::Warning, &text);
             noted.map_err(|e| disk(&e))?;
         }
+        // The cameras take their picture while the window is averaged: both show the pose at rest.
         if !self.rig.camera.is_empty() {
             let since_host_s = self.last.clocks.host_s;
             self.monitor().picture = Some((self.step as u32, since_host_s));
@@ -280,6 +288,7 @@ impl Sweep<'_, '_, '_> {
         self.wait_until(begin_s)?;
         self.go_through(to, pose.speed_mm_s)?;
         let end_s = self.stage_s();
+        // The stream may be behind the stage: scans of the last rows are waited for.
         self.wait_until(end_s + 0.1)?;
         let event = SweepEvent {
             begin_s,
@@ -305,6 +314,7 @@ impl Sweep<'_, '_, '_> {
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
+        // A unit of the binary protocol has no stall flag: standing elsewhere is all that shows it.
         let found_mm = self.last.measured_mm;
         if (found_mm - target_mm).abs() > ARRIVAL_MM {
             return Err(DeviceError::new(
@@ -420,6 +430,7 @@ impl Sweep<'_, '_, '_> {
         if let Some(fault) = self.monitor().fault() {
             return Err(fault.clone());
         }
+        // Every look asks the stage: its answers are all that the reduction knows of its place.
         let reading = self.bench.stage.read();
         let reading = self.of_stage(reading)?;
         self.note(reading)?;
@@ -446,6 +457,7 @@ impl Sweep<'_, '_, '_> {
 
     /// Remembers that it was the stage that failed.
     pub(crate) fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
+        // A user who wants an end is no fault of the stage: it may still retract.
         if matches!(&done, Err(e) if e.kind != DeviceErrorKind::Interrupted) {
             self.fault = Fault::Stage;
         }

@@ -155,6 +155,7 @@ fn stream(
     while !done.load(Ordering::SeqCst) {
         // Silence is what a look after its end finds, too.
         let over = heard.is_over();
+        // Short reads: `done` is heard soon after the sweep's end.
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
             // The sweep hears of it by itself; its way to a safe state is recorded, too.
@@ -164,6 +165,7 @@ fn stream(
             }
             Err(e) => return Err(blame(e)),
         };
+        // Recorded before it is judged: the scan that ends a sweep is in its recording, too.
         let mut recorded = Vec::with_capacity(readings.len());
         for reading in readings {
             if recorder.scan(&reading).map_err(|e| disk(&e))? {
@@ -185,6 +187,7 @@ fn stream(
                 found,
             )));
         }
+        // Locked only now: a slow disk must not keep the sweep from its looks at the monitor.
         let mut monitor = lock(monitor);
         recorded.iter().for_each(|r| monitor.take(r));
     }
@@ -219,6 +222,7 @@ pub fn run(
     let result = sweep
         .prepare(allowed)
         .and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    // Every failure, and a user who wants an end, comes by here: nothing leaves a stage that moves.
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {

@@ -137,6 +137,7 @@ pub(crate) fn write_tables(
     let both = [("points.csv", points), ("holdout.csv", holdout)];
     let mut files = Vec::new();
     for (file, rows) in &both {
+        // A session needs points.csv, even where every row is held out.
         if !rows.is_empty() || *file == "points.csv" {
             files.push((*file, rows_csv(rows, simulated)?));
         }
@@ -170,6 +171,7 @@ fn rows_csv(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError>
         let mark = simulated.then_some(SIMULATED_COLUMN);
         out.write_record(COLUMNS.into_iter().chain(mark))?;
         for (k, row) in rows.iter().enumerate() {
+            // Digits beyond the devices' resolution (0.05 um, 1 pm): rounding adds no noise.
             let digits = |value: Option<f64>, digits: usize| {
                 value.map_or(String::new(), |v| format!("{v:.digits$}"))
             };
@@ -189,6 +191,7 @@ fn rows_csv(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError>
                 groove(0),
                 groove(1),
                 groove(2),
+                // A rig has no thermometer: the reference grating tells of temperature.
                 String::new(),
                 digits(row.mean.reference_nm, 7),
                 digits(Some(first_nm), 7),
@@ -293,6 +296,7 @@ pub(crate) fn session_toml(
             "simulated_by": simulated.then_some("the virtual bench"),
         },
     });
+    // A rig states nominal wavelengths with its gratings, a session under `[fbg]`.
     session["fbg"]["nominal_nm"] = json!([nominal("fbg_1"), nominal("fbg_2")]);
     session["fbg"]["reference_nominal_nm"] = json!(nominal("fbg_ref"));
     for (role, identity) in &run.devices {

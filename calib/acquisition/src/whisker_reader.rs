@@ -50,6 +50,7 @@ impl WhiskerReader {
                 found,
             ))
         };
+        // A model of shifts has no absolute wavelength to compare a live peak with.
         let Some(nominal_nm) = fbg.nominal_nm else {
             let expected = "a calibration with nominal wavelengths".to_owned();
             return fail("gratings", expected, "one made from shifts".to_owned());
@@ -62,6 +63,7 @@ impl WhiskerReader {
             };
             wanted.push(("fbg_ref", nm));
         }
+        // A sensor with other gratings would give moments that look sound.
         for (name, nm) in wanted {
             let Some(grating) = interrogator.grating_of(whisker, name) else {
                 let expected = format!("a grating at {nm} nm, as the calibration has");
@@ -112,6 +114,7 @@ impl WhiskerReader {
         flag(dropped, Flags::DROPPED);
         self.last = Some((reading.serial, device_s));
         let faults = reading.health.faults();
+        // A fan that fails falsifies no wavelength yet; every other fault may.
         flag(!faults.is_empty() && faults != ["fan-fault"], Flags::UNIT);
         let assigned = self.map.assign(reading);
         let compensate = self.fbg.needs_reference();
@@ -136,6 +139,7 @@ impl WhiskerReader {
             .reference_nm
             .zip(self.fbg.reference_nominal_nm)
             .map(|(nm, at)| (nm - at) * PM_PER_NM);
+        // A faulty unit's peak, or one whose temperature cannot be taken out, is no reading.
         let bad = Flags::UNIT.with(Flags::REFERENCE_LOST).0;
         let shift_pm = assigned.usable().filter(|_| flags.0 & bad == 0).map(|nm| {
             let raw_pm = [0, 1].map(|k| (nm[k] - self.nominal_nm[k]) * PM_PER_NM);
@@ -172,6 +176,7 @@ impl WhiskerReader {
                 format!("{found_hz:.1}"),
             ));
         }
+        // A grating that never showed is a wrong channel map, not a lost peak.
         for (name, seen) in ["fbg_ref", "fbg_1", "fbg_2"].iter().zip(self.seen) {
             if seen == 0 && (*name != "fbg_ref" || self.fbg.needs_reference()) {
                 let expected = format!("a peak of {name} in its window (channel map)");

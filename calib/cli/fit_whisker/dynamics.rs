@@ -116,12 +116,14 @@ pub(crate) fn dynamics(
             trial.stage,
             trial.score.total
         );
+        // The number of trials is an estimate: 100 % would promise the end.
         progress.at(&stage, (f64::from(trials.get()) / all).min(0.99));
     })?;
     drop(progress);
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);
     out.put("dynamics.csv", table(&fit.trials)?);
+    // Found by trials in MuJoCo: whatever was recorded, these numbers are simulated.
     let dynamics = Dynamics {
         simulated: true,
         damping_s: fit.options.damping_s,

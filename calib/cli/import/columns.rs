@@ -81,6 +81,7 @@ impl<'t> Plan<'t> {
         }
         let line = |row: usize| table.rows[row].0;
         let source = |column: usize| self.columns[column].made_of.last();
+        // Where most rows lack a number, the wrong column is likelier than gaps.
         if let Some(&(column, row)) = without.first().filter(|_| 2 * without.len() > of) {
             let (name, found) = source(column).map_or(("", ""), |&k| {
                 (table.columns[k].as_str(), &table.rows[row].1[k])
@@ -205,6 +206,7 @@ impl<'t> Plan<'t> {
             let column = plan.column(args.kind, (name, &column), commanded, since)?;
             plan.columns.push(column);
         }
+        // One column in both places would fit perfectly and say nothing.
         for (set, read) in [("stimulus", "response"), ("commanded_mm", "measured_mm")] {
             let [set_in, read_in] = [set, read].map(|name| plan.source_of(name));
             ensure!(
@@ -278,6 +280,7 @@ impl<'t> Plan<'t> {
         if name == "role" {
             for (_, cells) in &table.rows {
                 let text = cells[index].trim();
+                // A comma or a quote would break the row of the session's table.
                 ensure!(
                     !text.contains([',', '"', '\n']),
                     "{}: role {text:?} is not a word",

@@ -85,6 +85,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
                 )?;
             }
             Err(_) => {
+                // The wavelengths were measured all the same: the reading stays, without a pose.
                 without_pose += 1;
                 points += ",,,,,,\n";
             }

@@ -148,6 +148,7 @@ fn question(table: &TextTable, index: usize, noticed: &mut Noticed) -> Result<()
         .fold([*first; 2], |[a, b], t| [a.min(*t), b.max(*t)]);
     let way = |factor: &str| format!("--time '{column}*{factor}'");
     if high > MOST {
+        // Since 1970 about 1.7e12 ms, 1.7e15 us or 1.7e18 ns have passed.
         let power = if high < 1e14 {
             "0.001"
         } else if high < 1e17 {
@@ -161,6 +162,7 @@ fn question(table: &TextTable, index: usize, noticed: &mut Noticed) -> Result<()
             way(power)
         );
     }
+    // Steps of whole quarters of an hour are those of a logger, in seconds.
     let whole = |unit: f64| times.iter().all(|t| (t - first) % unit == 0.0);
     let asked = if DAYS.contains(&low) && DAYS.contains(&high) && *step < 1e-2 {
         Some(format!("days? {}", way("86400")))

@@ -29,6 +29,7 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
         // A bench that has ended is named by its devices.
         let _ = wcal_drivers::bench::follow_clock(&clock);
     }
+    // The bench has its own names: a camera is found by its place in the rig.
     let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
     for (k, camera) in cameras.into_iter().flatten().enumerate() {
         let own = text(&format!("/cameras/{k}"))?;
@@ -75,12 +76,14 @@ pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
              scenario"
         );
     }
+    // Its time is the rig's own: there is no second clock that could run faster.
     rig.remove("clock_scale");
     if rig.remove("camera").is_some() {
         eprintln!(
             "stage-sweep: the bench in this process draws no pictures: recorded without cameras (`wcal virtual-bench` has them)"
         );
     }
+    // Locks go by the port: sessions in other processes have stages of their own.
     if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
         stage.insert(
             "port".to_owned(),

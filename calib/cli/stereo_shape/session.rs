@@ -28,6 +28,7 @@ pub(super) fn run(
 ) -> Result<ExitCode> {
     let folder = Path::new(&args.left);
     let id = session_id(folder)?;
+    // Files of others are found now, not after all pairs are fitted.
     for (_, file, _) in RESULTS {
         check_own(&folder.join(file), args.overwrite.force)?;
     }
@@ -70,6 +71,7 @@ pub(super) fn run(
         let files: Vec<PairFiles> = poses.iter().map(pair).collect();
         let mut result = shaper.shapes(&files, Some(&id))?;
         out_of_groove(&mut result.document, &poses);
+        // The page shows the table's poses alone: nobody looks at the sealed ones here.
         if !sealed {
             put_results(args, shaper, &result, &files, out.take())?;
         }

@@ -73,10 +73,12 @@ impl Shaper {
             .map_err(anyhow::Error::msg)?;
         let rig = Rig::read(&rig_file)?;
         let files: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
+        // A calibration may be two files (OpenCV, ROS): one hash stands for both.
         let mut calibration = Vec::new();
         for file in &args.cameras {
             calibration.extend(read(file)?);
         }
+        // By values, not by bytes: a new comment in the file makes no other rig.
         let table = wcal_core::document::toml(&read_text(&rig_file)?)
             .with_context(|| format!("reading {}", rig_file.display()))?;
         let source = ShapesSource {

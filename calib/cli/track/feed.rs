@@ -63,6 +63,7 @@ impl FeedInput {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         let mut taken = Vec::with_capacity(readings.len());
         for reading in readings {
+            // A scan that the recording lacks is not tracked either, or a replay would differ.
             if self
                 .recorder
                 .as_ref()
@@ -72,6 +73,7 @@ impl FeedInput {
             }
         }
         for batch in taken.chunks(BATCH) {
+            // Waiting for room would let the device's own buffer run over.
             match line
                 .sender
                 .try_send(FeedItem::Scans(batch.to_vec(), line.dropped[0]))

@@ -160,6 +160,7 @@ pub(crate) fn track(
         .as_ref()
         .map(|path| Recorder::create(path, about()).map(Arc::new))
         .transpose()?;
+    // An earlier track is replaced only when the device has answered.
     let mut files = output::create(&args.out)?;
     let done = AtomicBool::new(false);
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
@@ -184,6 +185,7 @@ pub(crate) fn track(
         result
     });
     let dropped = intake.dropped();
+    // The intake shares the recorder, which only its last owner can close.
     drop(intake);
     match recorder.map(Arc::try_unwrap) {
         Some(Ok(recorder)) => {
@@ -244,6 +246,7 @@ fn acquire(
     while !done.load(Ordering::SeqCst) {
         // Silence is what a look after its end finds, too.
         let over = heard.is_over();
+        // A short wait, so that the end of the run is noticed in silence, too.
         let readings = match interrogator.read(Duration::from_millis(50)) {
             Ok(readings) => readings,
             // The user wants an end, which the tracker hears of by itself.
@@ -353,6 +356,7 @@ impl<'q, 'a> Scans<'q, 'a> {
         if let Some(fault @ ClockFault::Stopped { .. }) = fault.filter(|_| self.ends.is_some()) {
             return Err(fault.error().into());
         }
+        // A clock that may just have stepped must not end the run too early.
         let at_s = self.stream.elapsed_s(reading);
         self.over = self.args.seconds.is_some_and(|s| at_s >= s) && !self.stream.doubts_clock();
         if self.over {
@@ -402,6 +406,7 @@ impl Iterator for Scans<'_, '_> {
         if self.over || self.ends.is_some_and(|ends| ends()) {
             return None;
         }
+        // Wakes up in silence, too, to hear of a signal or of the end.
         match self.receiver.recv_timeout(Duration::from_millis(100)) {
             Ok(item) => match self.take(item) {
                 Ok(()) => Some(Ok(self.ready.pop_front().unwrap_or(Input::Idle))),

@@ -31,6 +31,7 @@ pub(crate) fn check(out: &Path, force: bool) -> Result<()> {
 /// Where one cannot be made.
 pub(crate) fn create(out: &Path) -> Result<TrackFiles> {
     let summary = companion(out, SUMMARY);
+    // The summary of an earlier track must not stand beside the new rows.
     if summary.is_file() && out.is_file() && is_track(&first_line(out)?) {
         std::fs::remove_file(&summary)
             .with_context(|| format!("replacing {}", summary.display()))?;

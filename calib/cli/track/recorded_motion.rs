@@ -57,6 +57,7 @@ pub(crate) fn logged_motion(
         .warning
         .iter()
         .for_each(|warning| eprintln!("warning: {warning}"));
+    // A log of another clock would give every reading a motion, and a wrong one.
     if let Some(span_s) = span_s()? {
         logged
             .log

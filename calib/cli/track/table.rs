@@ -165,6 +165,7 @@ pub(crate) fn of_table<'a>(
     let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm)
         .with_tolerance(args.diameter_sd)
         .with_friction(args.friction.or(of_object).unwrap_or_default());
+    // Without any motion, the moments alone must locate the contact.
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;

@@ -19,6 +19,7 @@ pub(super) fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Ve
     let (mut rows, mut places) = (Vec::new(), Vec::new());
     for trajectory in &data.trajectories {
         let mut at = of_trajectory(data, trajectory.id);
+        // In order of travel: a wire that rests keeps where it came from.
         at.sort_by(|a, b| a.1.total_cmp(&b.1));
         let place = |(_, x): &(usize, f64)| trajectory.origin_mm + trajectory.direction * *x;
         places.push(at.iter().map(place).collect::<Vec<Vector3<f64>>>());
@@ -40,6 +41,7 @@ pub(super) fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Ve
         if let Some(why) = doubt(data, label) {
             eprintln!("twin: point {point}: no certain moment: {why}");
         }
+        // Where the equilibrium is not certain, a distance from the session's label says nothing.
         if !label.certain() {
             unsure.push(point.to_string());
         } else if let Some(moment) = label.moment_nmm
@@ -67,6 +69,7 @@ pub(super) fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Ve
             offs.iter().copied().fold(0.0, f64::max)
         );
     }
+    // What the cable itself gets wrong, apart from any contact.
     if preset == Preset::Paper {
         let found = MujocoEngine::start().and_then(|mut engine| {
             statics(&mut engine, &data.whisker, &paper_options(&data.whisker))

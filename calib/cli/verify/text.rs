@@ -22,6 +22,7 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
         after,
         ..
     } = &done.assessment;
+    // The model's rows follow the path of the stage; people look for theirs by the table.
     let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
     order.sort_by_key(|&i| whole.path.rows[i]);
     for i in order {
@@ -83,6 +84,7 @@ pub(super) fn scalar_csv(model: TransducerModel, records: &[ResidualRecord]) -> 
         ]
         .map(|v| v.to_string());
         let x = stimulus(r);
+        // The error is in um, the positions are in mm.
         let place = if axis {
             format!("{x},{}", x + 1e-3 * r.measured)
         } else {
@@ -287,6 +289,7 @@ fn contact_line(c: &ContactComparison, interval95: Option<[f64; 2]>, how: &str) 
     let interval = interval95.map_or(String::new(), |[low, high]| {
         format!(" [{low:.2}, {high:.2}]{same}")
     });
+    // A smaller move would be printed as 0.00 mm.
     let moved = match c.groove_moved_mm {
         mm if mm >= 0.005 => {
             format!("; the effects put the groove {mm:.2} mm from where it is stated")

@@ -127,6 +127,7 @@ impl BenchScene {
             axis,
             push: path.direction,
         };
+        // Until it is touched the wire keeps its rest shape, and the groove lies along it.
         if depth_mm <= *touch_mm {
             let (_, tangent) = self.wire.rest(path.arclength_mm);
             return self.rig.scene(rest(), Some(&groove(tangent)));
@@ -154,6 +155,7 @@ impl Scene for BenchScene {
             blur_px: self.look.blur_px * f64::from(size_px[0]) / f64::from(self.width_px),
             ..self.look
         };
+        // While nothing moves, only the noise of the next picture is new.
         let kept = last
             .take()
             .filter(|l| l.state == *state && l.size_px == size_px);

@@ -144,6 +144,7 @@ impl Table {
         } else {
             ""
         };
+        // A box that scrolls must be reachable by keyboard, hence tabindex and a name.
         let mut out = format!(
             "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table{class}><caption>{caption}</caption><thead><tr>"
         );

@@ -54,6 +54,7 @@ pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
     }
     let fixed = |v: f64| {
         let text = format!("{:.*}", decimals.max(0) as usize, v / 10f64.powi(power));
+        // Rounding may leave -0.00, whose sign would suggest a direction.
         let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
         let text = text.replace('-', if is_zero { "" } else { "\u{2212}" });
         if power == 0 || is_zero {
@@ -117,6 +118,7 @@ pub(crate) fn join_unit(text: &str, unit: &str) -> String {
 
 /// Name and unit of a column such as `stage_mm` or `speed_mm_s`: (`stage`, `mm`).
 pub(crate) fn split_unit(column: &str) -> (String, String) {
+    // Longer suffixes come first: `_mm_s` ends in `_s`, too.
     const SUFFIXES: [(&str, &str); 16] = [
         ("_pm_per_degc", "pm/°C"),
         ("_degc_s", "°C/s"),

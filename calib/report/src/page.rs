@@ -36,6 +36,7 @@ const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf
 
 /// Every page is well-formed XML too, so that a strict parser can check it.
 pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
+    // A bookmark or a printout keeps the title, but not the badge on the page.
     let mark = if simulated { " (simulated data)" } else { "" };
     format!(
         "{HEAD}{}{mark}</title>\n<style>\n{STYLE}</style></head>\n<body><main>\n{body}</main></body></html>\n",
@@ -119,6 +120,7 @@ fn banner(input: &ReportInput) -> String {
             cell("expected", &expected)
         );
     }
+    // A reader may see nothing but the verdict, so its cautions stand beside it.
     for caution in &input.verify.cautions {
         let _ = write!(out, "<p>Caution: {}</p>", escape(caution));
     }
@@ -214,6 +216,7 @@ fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)
             || "–".to_owned(),
             |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm),
         );
+        // One overview may mix simulated and measured sessions, so each row states its origin.
         let data = match verify.simulated {
             true => TableCell::Badge("sim", "SIMULATED".into()),
             false => TableCell::Text("measured".into()),

@@ -30,6 +30,7 @@ pub(crate) fn unit_mismatch(file: &str, rows: &[[f64; 2]]) -> Result<(), InputEr
     };
     let error =
         |expected: &str, found: String| InputError::new(file, expected, found).field("measured_mm");
+    // Within 2 % of such a factor it is a unit or a sense of counting, and no scale error.
     if let Some(factor) = UNITS
         .into_iter()
         .find(|factor| (slope / factor - 1.0).abs() < 0.02)

@@ -94,6 +94,7 @@ pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
     }
     let exponent = |c: char| matches!(c, 'd' | 'D');
     let odd = |c: char| exponent(c) || MINUS.contains(&c) || GROUP_MARKS.contains(&c);
+    // Text keeps its marks: a name with a dash in it is no number.
     if !cell.contains(odd) || cell.contains(|c: char| c.is_alphabetic() && !exponent(c)) {
         return Cow::Borrowed(cell);
     }
@@ -113,6 +114,7 @@ pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
 pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
     let mut groups = text.split(marks);
     let digits = |g: &str| g.chars().all(|c| c.is_ascii_digit());
+    // Thousands do not begin with a zero: 0.500 is one half.
     let first = groups
         .next()
         .is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));

@@ -62,6 +62,7 @@ fn of_serde(file: &str, path: &Path, message: &str) -> InputError {
     let found = found
         .split_once("invalid type: ")
         .map_or(found, |(_, found)| found);
+    // Serde names types as Rust does; people read words.
     InputError::new(
         file,
         expected

@@ -29,6 +29,7 @@ pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), 
         };
         held.insert(key, value(*entry));
     }
+    // By a side file: a session.toml that is cut off in the middle loses the session.
     Ok(write_atomic(&path, content.to_string().as_bytes())?)
 }
 

@@ -62,6 +62,8 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     let (rows, columns): (Vec<Seen>, _) = match &session.data {
         SessionData::Whisker(data) => {
             let pose = |r: &WhiskerRow| {
+                // Direction and speed are part of a pose: friction and delay change the reading of
+                // one place.
                 let g = r.groove_mm.unwrap_or_default();
                 let [direction, speed] = [r.direction, r.speed_mm_s].map(|v| v.unwrap_or(0.0));
                 seen(r.role, &[g.x, g.y, g.z, direction, speed])
@@ -197,6 +199,7 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
             "gravity",
         ),
     ];
+    // How long rows were averaged matters for those in motion alone.
     columns
         .into_iter()
         .chain(averaging.into_iter().filter(|_| moving))
@@ -213,6 +216,7 @@ fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
     };
     let mut poses: HashMap<&[u64], usize> = HashMap::new();
     for (role, pose) in rows {
+        // At rest nothing is pressed: repeats there do not show the noise of a loaded reading.
         if *role != Role::Rest || whisker.is_empty() {
             *poses.entry(pose).or_default() += 1;
         }

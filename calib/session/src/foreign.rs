@@ -102,6 +102,7 @@ impl TextTable {
         };
         let cells: Vec<String> = held.iter().map(text).collect();
         let dated = cells.first().filter(|first| !stamp::is_clock(first));
+        // The stamp that seconds count from is read with the others: all have one form.
         let since = asked.since.as_ref().filter(|_| dated.is_some());
         let all: Vec<&str> = since
             .into_iter()
@@ -160,6 +161,7 @@ impl TextTable {
     /// # Errors
     /// Where there is no such column, or the factor is none.
     pub fn asked(&self, text: &str) -> Result<AskedColumn, InputError> {
+        // A column may be called `F*2` itself: nothing is split off then.
         let whole = !self.columns_named(text).is_empty();
         let (name, factor, since) = if whole {
             (text, None, None)
@@ -203,6 +205,7 @@ impl TextTable {
             Relation::Other => true,
             Relation::Unknown => false,
         };
+        // A stated factor converts the unit that stands below the header.
         if column.factor.is_some() || !differs {
             return Ok(());
         }

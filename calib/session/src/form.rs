@@ -86,6 +86,7 @@ impl Preamble {
                 .and_then(|v| v.replace(',', ".").parse::<f64>().ok())
         };
         let mut units = values("Y_Unit_Label");
+        // The first column is time, which the list of units does not hold.
         units.insert(0, "s".to_owned());
         Self {
             separator: Separator::of(mark),
@@ -155,6 +156,8 @@ impl Preamble {
                 .filter(|cell| content(cell) == Content::Value)
         };
         let commas = || values().filter(|cell| cell.contains(','));
+        // `1,500` may be fifteen hundred: another number of digits behind it makes a comma a
+        // decimal one.
         let sure = |cell: &str| {
             let whole = cell
                 .trim_start_matches(['-', '+', '('])
@@ -528,6 +531,7 @@ fn header_place(all: &[Record], asked: &[String]) -> usize {
     let mut widths = std::collections::HashMap::new();
     all.iter()
         .for_each(|(_, cells)| *widths.entry(cells.len()).or_insert(0) += 1);
+    // The usual width tells the header from a remark that holds one of the names.
     let usual = widths
         .iter()
         .max_by_key(|(width, count)| (**count, **width))

@@ -42,15 +42,18 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
     let before = session.inputs.len();
     if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
         let other = load(path)?;
+        // That session's own record of looks has to hear of an opening, too.
         session.holdout_folders.push(other.folder.clone());
         attach_session(session, other, Purpose::Holdout)?;
     } else {
         let folder = folder_of(path);
+        // A table in another session's folder is sealed by that session, too.
         if folder.join("session.toml").is_file() && folder != session.folder {
             session.holdout_folders.push(folder.to_owned());
         }
         attach_table(session, path)?;
     }
+    // At the end, when the hashes of all files are known.
     refuse_reuse(session, before)
 }
 
@@ -90,6 +93,7 @@ fn place_after(own: &Rows<'_, WhiskerRow>, added: &mut Rows<'_, WhiskerRow>) {
 /// after the last reading by as long as the session before took: how long nothing was read is not
 /// known.
 fn place_series(own: &mut Rows<'_, TransducerRow>, added: &mut Rows<'_, TransducerRow>) {
+    // Readings without a series are the first one: none that is added joins them.
     own.each(&(), |row, ()| {
         row.replicate.get_or_insert(1);
     });
@@ -136,6 +140,7 @@ impl<R: Labelled> Rows<'_, R> {
         folder: &str,
         source: fn(&mut R) -> &mut String,
     ) {
+        // Both sessions call their table points.csv: the folder tells them apart.
         added.each(&(folder, source), |row, (folder, source)| {
             let name = source(row);
             *name = format!("{folder}/{name}");
@@ -153,6 +158,7 @@ impl<R: Labelled> Rows<'_, R> {
 fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionError> {
     let (known, added) = session.inputs.split_at(before);
     let mut fitted = known.iter().filter(|input| input.purpose == Purpose::Fit);
+    // Descriptions, such as the wire's shape, may be the same in both.
     let readings = |input: &&InputFile| input.purpose != Purpose::Description;
     let same = fitted.find_map(|f| {
         added
@@ -245,6 +251,7 @@ fn merge_shapes(
     added: &mut Rows<'_, WhiskerRow>,
     folder: &str,
 ) {
+    // Other cameras have other errors, of which this shared covariance says nothing.
     let alike = |own: &SessionShapes| {
         own.parameters == theirs.parameters && own.covariance == theirs.covariance
     };
@@ -302,6 +309,7 @@ fn attach_session(
                 shapes,
                 ..
             } = theirs;
+            // Moments follow from the wire: rows of another one would calibrate a mixture.
             if data.whisker.rest_shape != whisker.rest_shape
                 || data.whisker.diameter_mm != whisker.diameter_mm
             {
@@ -342,6 +350,7 @@ fn attach_session(
             SessionData::Transducer(mut theirs),
             SealedRows::Transducer(mut sealed),
         ) if session.kind == other.kind => {
+            // Numbers in other units would be fitted as if they were the same.
             if (&data.stimulus_unit, &data.response_unit)
                 != (&theirs.stimulus_unit, &theirs.response_unit)
             {

@@ -101,6 +101,7 @@ fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
 
 /// What was set and read at a whisker's row: its wavelengths, nm, which tell it from any other.
 fn of_whisker(row: &WhiskerRow, fbg: &FbgSpec) -> (String, Vec<f64>) {
+    // By wavelength: sessions of other nominal ones state other shifts of one reading.
     let nominal_nm = fbg.nominal_nm.unwrap_or_default();
     (
         row.source.clone(),
@@ -246,6 +247,7 @@ impl SessionLedger {
     /// Where a record cannot be read, or none of the places can be written to.
     pub fn record(&self, decision: Option<&str>) -> Result<usize, LedgerError> {
         let own: BTreeSet<String> = self.rows.keys().cloned().collect();
+        // Of all places: a look counts that only one of them knows.
         let all: Vec<&PathBuf> = self.places.iter().chain([&self.out]).collect();
         let known: Vec<Vec<RecordedLook>> =
             all.iter().map(|p| read(p)).collect::<Result<_, _>>()?;
@@ -273,6 +275,7 @@ impl SessionLedger {
             let text = serde_json::to_vec_pretty(&file).map_err(|e| e.to_string())?;
             write_atomic(path, &text).map_err(|e| e.to_string())
         };
+        // Everywhere: whoever opens one of these sessions later finds the look.
         let beside = self
             .places
             .iter()

@@ -86,6 +86,7 @@ pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
     };
     let turn = TURN.iter().filter_map(|c| table.column(c).ok());
     let turn: Vec<usize> = turn.collect();
+    // The base may turn; of an object only its way is read.
     if !matches!((turn.len(), posed), (0, _) | (4, true)) {
         let found: Vec<&str> = turn.iter().map(|c| table.columns[*c].as_str()).collect();
         return Err(wrong(ALL, found.join(", ")).into());
@@ -103,6 +104,7 @@ pub fn read(path: &Path) -> Result<LoggedMotion, SessionError> {
         let place = Vector3::from_column_slice(&place) * mm;
         let (turn, moved_mm) = match (posed, &turn[..]) {
             (false, _) => (Rotation3::identity(), place),
+            // In the base's frame the object goes the opposite way.
             (true, []) => (Rotation3::identity(), -place),
             (true, q) => {
                 let q = Quaternion::new(q[0], q[1], q[2], q[3]);

@@ -69,6 +69,7 @@ fn parsed(unit: &str) -> Option<(&'static str, f64)> {
     if let Some(base) = symbol(&unit) {
         return Some((base, 1.0));
     }
+    // Of symbols the letters' size matters (mN, MN), of words it does not.
     let short = PREFIXES
         .iter()
         .find_map(|(p, _, f)| Some((symbol(unit.strip_prefix(p)?)?, *f)));
@@ -115,6 +116,7 @@ pub enum Relation {
 /// How the unit `from` is related to the unit `to`.
 pub fn relation(from: &str, to: &str) -> Relation {
     match (parsed(from), parsed(to)) {
+        // Texts that are alike are one unit, known or not.
         _ if from.trim() == to.trim() => Relation::Times(1.0),
         (Some((a, from)), Some((b, to))) if a == b => Relation::Times(from / to),
         (Some(_), Some(_)) => Relation::Other,

@@ -143,6 +143,7 @@ impl Row<'_> {
 
     /// Temperature, deg C; a value that can only be kelvin is refused.
     pub(crate) fn temperature(&self) -> Outcome<Option<f64>> {
+        // Room temperature is 293 K, far above the range: kelvin are refused.
         const EXPECTED: &str = "a temperature between -60 and 200 deg C (kelvin?)";
         self.number_of("temperature_degc", EXPECTED, |v| {
             (-60.0..=200.0).contains(&v)

@@ -59,6 +59,7 @@ pub(crate) fn overflow(
             rows.iter().for_each(|&k| out[k] = true);
             coded += rows.len();
         }
+        // Codes in most rows are a dead instrument and no gaps.
         if 2 * coded > out.len() {
             let found = format!("overflow values in {coded} of {} rows", out.len());
             return Err(InputError::new(&table.file, "readings in most rows", found).field(*name));

@@ -120,6 +120,7 @@ fn split(record: &str, mark: Option<char>) -> StringRecord {
             .split_whitespace()
             .collect();
     };
+    // A quote that stays open is none, as an inch mark: the line is split as it stands.
     if !record.contains('"') || is_open(record, mark) {
         return record.split(mark).map(str::trim).collect();
     }

@@ -146,6 +146,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let path = folder.join(NAME);
     let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io(&path, e))?;
     let meta = parse(NAME, &bytes)?;
+    // Before any other key: those of another version may mean something else.
     format::expect(
         SESSION_FORMAT,
         meta.get("format").and_then(toml::Value::as_str),
@@ -457,6 +458,7 @@ pub(crate) fn check_covariates(
     points: &[String],
     holdout: &[String],
 ) -> Result<(), InputError> {
+    // A row's covariates are known by their order alone.
     if points == holdout {
         return Ok(());
     }
@@ -477,6 +479,7 @@ pub(crate) fn check_covariates(
 
 /// Takes the rows with the role "holdout" out of a points table.
 fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Sealed<R> {
+    // From here on their values are seen by opening the seal alone.
     let (sealed, open) = std::mem::take(rows)
         .into_iter()
         .partition(|row| role(row) == Role::Holdout);

@@ -99,6 +99,7 @@ pub(crate) fn read(
     let io = |e| SessionError::io(path, e);
     let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(io)?;
     let document = parsed(name, &bytes)?;
+    // JSON has no NaN: a null becomes one, which the check of the covariance refuses.
     let covariance: Vec<Vec<f64>> = document
         .shared_covariance
         .iter()
@@ -180,6 +181,7 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
 
 /// Why none of the pairs belongs to this session; none where they may.
 fn foreign(source: &ShapesSource, expected: &ShapesSource) -> Option<String> {
+    // Pictures of another session show the wire in other poses.
     if let (Some(other), Some(own)) = (&source.session, &expected.session)
         && other != own
     {
@@ -189,6 +191,7 @@ fn foreign(source: &ShapesSource, expected: &ShapesSource) -> Option<String> {
             quote(own)
         ));
     }
+    // Another calibration or rig has other errors than those that are stated beside the shapes.
     let made = [
         (
             "another calibration of the cameras",
@@ -230,6 +233,7 @@ fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
     let Some(groove) = &pair.groove else {
         return Some("the rig tag is not seen".to_owned());
     };
+    // Only in the vertex is the groove's place that of the wire.
     let contact = match groove.contact.as_str() {
         "" | "vertex" => None,
         "none" => Some("the wire does not touch the groove".to_owned()),

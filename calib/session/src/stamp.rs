@@ -148,6 +148,7 @@ pub(crate) fn is_stamp(text: &str) -> bool {
 /// Seconds after the first of the stamps, in their order, or which of them says why there are none:
 /// a text that is no stamp, or two forms that all of them could have and that say different times.
 pub(crate) fn seconds(stamps: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
+    // Day and month may be exchangeable in the first stamp: all its forms are tried on the others.
     let forms: Vec<Form> = Form::all()
         .filter(|f| stamps.first().is_some_and(|s| f.seconds(s).is_some()))
         .collect();

@@ -47,6 +47,7 @@ impl SweepSession {
     /// A description of a sweep that cannot be used, by key.
     pub fn of(folder: &Path) -> Result<Option<Self>, SessionError> {
         let place = folder.join("session.toml");
+        // What cannot be read here is no sweep: the reader of sessions says what is wrong with it.
         let Ok(text) = wcal_core::files::read_text(&place) else {
             return Ok(None);
         };
@@ -92,6 +93,7 @@ impl SweepSession {
         }
         let friction = match of_object("friction") {
             None => None,
+            // A text, since it may state a spread: 0.1 +- 0.05.
             Some(Value::String(stated)) => Some(stated.clone()),
             Some(other) => {
                 let expected = "a text such as \"0.1 +- 0.05\"";

@@ -85,6 +85,7 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     let file = path.display().to_string();
     let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
     let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, &bytes, other))?;
+    // Some old programs end their lines in CR alone.
     if text.contains('\r') && !text.contains('\n') {
         text = text.replace('\r', "\n");
     }
@@ -122,6 +123,7 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
         .into());
     }
     let table = parse(name, text, &TextTableLayout::default())?;
+    // Of two columns of one name the first would be read, whichever was meant.
     let twice = |k: &usize| table.columns[..*k].contains(&table.columns[*k]);
     if let Some(column) = (0..table.columns.len())
         .find(twice)
@@ -184,6 +186,7 @@ fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, 
         .sum::<usize>();
     let text = &text[start..];
     let error = |expected: String, found: String| InputError::new(file, expected, found);
+    // Before it is split: a line of a file that is no table may be all of it.
     if let Some((k, line)) = text
         .lines()
         .enumerate()
@@ -326,6 +329,7 @@ impl TextTable {
         required: &[&str],
         known: &[&str],
     ) -> Result<Vec<String>, InputError> {
+        // A column in another unit would pass for an unknown one, and its numbers be missed.
         for name in required
             .iter()
             .chain(known)

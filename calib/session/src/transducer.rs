@@ -35,6 +35,7 @@ pub(crate) fn read_rows(
             SessionWarning::other(name, text)
         }));
     }
+    // Before rows are left out: a number that stands twice is an error in any case.
     let mut points = PointNumbers::default();
     Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];

@@ -107,6 +107,7 @@ pub(crate) fn read_rows(
     // A free table may use the word for something else.
     let known: Vec<&str> = known.chain(in_session.then_some("stream")).collect();
     let mut warnings = unknown_columns(name, table.others(&required, &known)?);
+    // Shifts count from nominal wavelengths: without them absolute ones have no zero.
     if !shifts && fbg.nominal_nm.is_none() {
         let expected = "two nominal wavelengths in nm, since the table holds fbg_1_nm";
         return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm"));
@@ -226,6 +227,7 @@ fn read_row(
     let groove_mm = groove(row)?;
     if let Some(known) = trajectories {
         let is_known = known.iter().any(|t| trajectory == Some(t.id));
+        // A rest row touches nothing: the path that it was on does not matter.
         if role == Role::Rest {
             trajectory = trajectory.filter(|_| is_known);
         } else if !is_known {
@@ -336,6 +338,7 @@ fn shift_pm(
     let (low, high) = WAVELENGTH_NM;
     let is_wavelength = |nm: f64| (low..=high).contains(&nm);
     if nominal_nm.is_some() && !is_wavelength(nm) {
+        // A wrong unit is the usual mistake: the hint names the one in which the number fits.
         let hint = if is_wavelength(nm * PM_PER_NM) {
             "um instead of nm?"
         } else if is_wavelength(nm / PM_PER_NM) {
@@ -378,6 +381,7 @@ pub(crate) fn read_twin(
     warnings.extend(unknown_columns(name, others));
     let may_be_empty = table.place("branch").is_some();
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
+    // Rows that were left out may have their labels all the same.
     let left_out: HashSet<i64> = warnings
         .iter()
         .filter_map(|warning| match &warning.kind {

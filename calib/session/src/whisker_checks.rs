@@ -123,6 +123,7 @@ fn unit_error(
         let expected = format!("a position near {} mm", text(from_stage));
         return Err(error(row, "groove_x_mm", expected, text(groove)).hint(hint(unit)));
     }
+    // Groove less the stage's way is the origin in mm, against which the stated one is held.
     let root_mm = (groove - stage_mm * trajectory.direction).norm();
     let origin_mm = trajectory.origin_mm.norm();
     if origin_mm > 1e-6 && thousand(root_mm / origin_mm).is_some_and(|(factor, _)| factor > 1.0) {

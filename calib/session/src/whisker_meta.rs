@@ -194,6 +194,7 @@ fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), InputError>
     if points.len() < 2 {
         return Err(error("at least two points", format!("{}", points.len())));
     }
+    // Moments are about the origin: a root elsewhere would have other levers.
     if points[0].norm() > ROOT_TOLERANCE_MM {
         let p = points[0];
         let found = format!("({}, {}, {})", p.x, p.y, p.z);
@@ -221,6 +222,7 @@ impl MomentSection {
                 unit_vector(file, "moments.axes", second)?,
             ];
             let cosine = moments.axes[0].dot(&moments.axes[1]);
+            // Two axes on one line hold one moment twice, and the other not at all.
             if cosine.abs() > 0.99 {
                 let found = format!("parallel ones (cosine {cosine:.4})");
                 return Err(

@@ -241,11 +241,13 @@ impl Table {
     pub fn at(&self, stage_mm: f64, drag: f64) -> Node {
         let stage = stage_mm.max(self.touch_mm);
         let weights = lagrange(&self.drags, drag);
+        // Pieces end elsewhere for every drag: their ends are interpolated like the values.
         let ends: Vec<f64> = (0..self.ends[0].len())
             .map(|k| self.ends.iter().zip(&weights).map(|(e, w)| e[k] * w).sum())
             .collect();
         let piece = (1..ends.len() - 1).filter(|&k| stage > ends[k]).count();
         let (low, high) = (ends[piece], ends[piece + 1]);
+        // A little past its end the series still holds; farther on it would run away.
         let xi = (2.0 * (stage - low) / (high - low) - 1.0).min(1.02);
         let mut out = [0.0; 3];
         for (series, w) in self.pieces.iter().zip(&weights) {

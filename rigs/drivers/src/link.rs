@@ -24,6 +24,7 @@ pub(crate) const REPLY: Duration = Duration::from_secs(3);
 /// What the system says, or `TimedOut` when the deadline is over.
 pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStream> {
     let (sender, receiver) = channel();
+    // `connect_timeout` takes a time of zero for an error.
     let (target, allowed) = (
         address.to_owned(),
         deadline.remaining().max(Duration::from_millis(1)),
@@ -87,6 +88,7 @@ pub(crate) fn read(
     deadline: &Deadline,
 ) -> io::Result<usize> {
     attempts(deadline, |slice| {
+        // In short slices: an interrupt is heard between two of them.
         stream.set_read_timeout(Some(slice))?;
         stream.read(into)
     })

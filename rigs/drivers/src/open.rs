@@ -82,6 +82,7 @@ impl DeviceOpener for Drivers {
                     address, peaks, rate_hz, clock, interrupt,
                 )?)
             }
+            // Opened by the acquisition: a recording is no device.
             InterrogatorDriver::Replay => return Err(wrong("a device", "a recording")),
         })
     }

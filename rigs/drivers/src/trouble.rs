@@ -40,6 +40,7 @@ pub(crate) fn of_connection(
         );
     }
     let found = match error.kind() {
+        // On this computer's own address the virtual bench is missing, else a unit.
         ErrorKind::ConnectionRefused if is_loopback(address) => format!(
             "nothing that listens at {address}: is `wcal virtual-bench` still running? its addresses are new at each start"
         ),
@@ -115,6 +116,7 @@ fn absent(path: &str) -> String {
 
 /// A port of another user or group.
 fn forbidden(path: &str) -> String {
+    // The system says "permission denied": joining the port's group is the way out.
     let gid = std::fs::metadata(path).ok().map(|m| m.gid());
     let groups = wcal_core::files::read_text(Path::new("/etc/group")).unwrap_or_default();
     let name = gid.and_then(|gid| {

@@ -33,6 +33,7 @@ impl Axis {
         values: impl IntoIterator<Item = f64>,
     ) -> Self {
         let (low, high) = extent(values);
+        // Equal values, too, need an axis of some width to lie on.
         let margin = match high - low {
             span if span > 0.0 => 0.05 * span,
             _ => (0.1 * low.abs()).max(f64::MIN_POSITIVE.sqrt()),
@@ -78,6 +79,7 @@ impl Axis {
 
     /// A linear axis of given ends.
     pub(crate) fn fixed(label: impl Into<String>, low: f64, high: f64) -> Self {
+        // An axis without width would divide by zero in `position`.
         let high = if high > low { high } else { low + 1.0 };
         Self {
             label: label.into(),
@@ -101,6 +103,7 @@ impl Axis {
             Scale::Linear => (value - self.low) / (self.high - self.low),
             Scale::Log => (value / self.low).ln() / (self.high / self.low).ln(),
         };
+        // By rounding, an end of the axis may come out just below 0 or above 1.
         (-1e-9..=1.0 + 1e-9).contains(&share).then_some(share)
     }
 
@@ -195,6 +198,7 @@ fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
 /// The round number (1, 2 or 5 times a power of ten) nearest to `raw` as a ratio.
 fn nice_step(raw: f64) -> f64 {
     let power = 10f64.powf(raw.log10().floor());
+    // The limits lie near the geometric means of neighbours: √2, √10 and √50.
     let nice = match raw / power {
         lead if lead < 1.5 => 1.0,
         lead if lead < 3.2 => 2.0,

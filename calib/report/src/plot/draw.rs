@@ -146,6 +146,7 @@ fn x_ticks_that_fit(frame: &Frame<'_>) -> (Vec<(f64, String)>, String) {
             return (ticks, label);
         }
     }
+    // Ticks with names cannot be chosen coarser: every n-th of them is drawn.
     let (ticks, label) = frame.plot.x.ticks(2);
     let widest = ticks
         .iter()

@@ -87,6 +87,7 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
             }
         })
         .collect();
+    // The model after states no expected error for one moment alone.
     if errors.iter().any(|e| e.moment_rmse_nmm_each.is_some()) {
         out.extend((0..2).map(|k| Quantity {
             key: String::new(),
@@ -102,6 +103,7 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
 
 /// Error that the model after states for the rows that count.
 fn expected(verify: &VerifyDocument, key: &str) -> Option<f64> {
+    // Nothing can be held against an expected error of zero: the ratio has no value.
     verify
         .after
         .as_ref()?
@@ -200,6 +202,7 @@ fn groove(t: &GrooveTracking) -> String {
 
 /// Distance of the tracked contact from the groove on each trajectory, by both models.
 fn contact_figure(simulated: bool, c: &ContactComparison) -> String {
+    // A logarithmic axis has no place for an error of zero.
     let by = |of: fn(&TrajectoryContact) -> f64| {
         let places = c.trajectories.iter().map(move |t| [t.arclength_mm, of(t)]);
         places
@@ -227,6 +230,7 @@ fn contact_figure(simulated: bool, c: &ContactComparison) -> String {
             points("s1", Marker::Diamond, &after),
         ],
     });
+    // A smaller move would be printed as 0.00 mm.
     let moved = match c.groove_moved_mm {
         mm if mm >= 0.005 => format!(
             " The accepted effects put the groove {mm:.2} mm from where it is stated (RMS), each fitted without the trajectory; diamonds are distances from there."
@@ -388,6 +392,7 @@ fn holdout(judged: &HoldoutJudgement) -> String {
     let p = judged.p.map_or_else(String::new, |p| {
         format!(" (prediction F test, p {})", with_sign(&p_value(p)))
     });
+    // Every further look at the same sealed files adds a chance of a false alarm.
     let later = match judged.look {
         0 | 1 => String::new(),
         n => {
@@ -434,6 +439,7 @@ fn rows_chart(
     });
     let x = Axis::log_covering(label, values.chain(rule));
     let count = rows.len() as f64;
+    // The first row stands at the top, where y is largest.
     let place = |k: usize| count - k as f64 - 0.5;
     let names = rows
         .iter()
@@ -457,6 +463,7 @@ fn rows_chart(
         if let Some(other) = row.other {
             points("quiet", Marker::Cross, other);
         }
+        // An interval may reach zero or below: a logarithmic axis shows it up to its edge.
         let ends = row
             .interval
             .map(|ends| ends.map(|v| [x.clamp(v), place(k)]));
@@ -537,6 +544,7 @@ pub(crate) fn overview_figure(reports: &[(String, ReportInput)]) -> String {
         } else {
             ("", "s1")
         };
+        // The line from the share to 1 shows how much of the declared model's error went.
         Some(Row {
             name: format!(
                 "{}{mark}",

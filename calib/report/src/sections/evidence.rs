@@ -71,6 +71,7 @@ pub(super) fn detectable(input: &ReportInput) -> String {
     if rows.is_empty() {
         return absent("No smallest detectable sizes were computed in this run.");
     }
+    // In a session without pictures the second size would only repeat the first.
     let with_pictures = input.verify.tests.iter().any(|t| t.witness == "pictures");
     let columns: &[&str] = if with_pictures {
         &[

@@ -13,6 +13,7 @@ use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 pub(super) fn body(input: &ReportInput) -> String {
     let verify = &input.verify;
     let mut out = String::new();
+    // Nothing is called accepted that was not.
     if verify.verdict == Verdict::Ambiguous
         && !input.accepted_on_request
         && !verify.effects.is_empty()

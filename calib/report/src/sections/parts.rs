@@ -44,6 +44,7 @@ pub(crate) fn legend(names: &[impl AsRef<str>]) -> String {
         .enumerate()
         .map(|(k, name)| {
             let (class, _) = series(k);
+            // Colour and shape follow the rule of `series`, by which the charts are drawn.
             format!(
                 "<li><span class=\"key {class}\">{}</span> {}</li>",
                 SHAPES[(k + k / 4) % 4],

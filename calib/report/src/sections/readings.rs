@@ -52,6 +52,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     let whole = records.len() <= MAX_ROWS;
     let mut rows: Vec<&ResidualRecord> = records.iter().collect();
+    // Tens of thousands of table rows would make the page slow to open.
     if !whole {
         let size = |r: &ResidualRecord| -(r.measured - r.predicted_after).abs() / r.noise_sd;
         rows.sort_by(|a, b| size(a).total_cmp(&size(b)));

@@ -162,6 +162,7 @@ impl<'a> View<'a> {
         } else {
             format!("residual ({unit})")
         };
+        // One rejected reading may lie so far off that all others would shrink to a line.
         let kept = || records.iter().filter(|r| r.rejected.is_none());
         let floor = &input.verify.noise_floor;
         let band = match input.verify.kind.as_str() {
@@ -172,12 +173,14 @@ impl<'a> View<'a> {
         }
         .filter(|f| f.is_finite() && *f > 0.0)
         .map(|f| 2.0 * f);
+        // A little beyond the band, so that both of its edges are seen.
         let edge = band.unwrap_or(0.0) * 1.3;
         let common = Axis::symmetric(
             label.clone(),
             kept().flat_map(|r| [before(r), after(r)]).chain([edge]),
         );
         let own = Axis::symmetric(label, kept().map(|r| after(r)).chain([edge]));
+        // Where the remainder fills most of the common scale, its own one shows nothing more.
         let close = (own.high < 0.4 * common.high).then_some(own);
         Self {
             records,
@@ -236,6 +239,8 @@ impl<'a> View<'a> {
             .collect();
         values.sort_by(f64::total_cmp);
         values.dedup();
+        // A few whole numbers are classes, such as trajectories: decimals between them mean
+        // nothing.
         let classes = values.len() <= 12 && values.iter().all(|v| v.fract() == 0.0);
         let mut x = match (classes, values.first(), values.last()) {
             (true, Some(low), Some(high)) => Axis::fixed(label_of(column), low - 0.5, high + 0.5)
@@ -247,6 +252,7 @@ impl<'a> View<'a> {
                 ),
             _ => Axis::covering(label_of(column), values.iter().copied()),
         };
+        // On so long an axis the texts of neighbours such as 1 and 2 would overlap.
         if classes && column != "direction" && x.high - x.low > 24.0 {
             x.ticks = None;
         }
@@ -290,6 +296,8 @@ impl<'a> View<'a> {
                 at,
                 titles: Vec::new(),
             });
+            // Whoever looks for a mistake at the bench needs every rejected reading: none is
+            // thinned out.
             let rejected: Vec<_> = of.iter().filter(|r| r.rejected.is_some()).collect();
             let titles = rejected
                 .iter()

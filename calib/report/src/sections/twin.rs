@@ -109,6 +109,7 @@ fn chart(input: &ReportInput, trajectory: &TwinTrajectory) -> String {
         [] => format!("Trajectory {}", trajectory.id),
         some => format!("Trajectory {} – {}", trajectory.id, some.join(", ")),
     };
+    // Zero belongs on the axis of moments: it shows their size beside their change.
     svg(&Plot {
         description: format!(
             "Moments along trajectory {}: {} labels, {} of them ringed",

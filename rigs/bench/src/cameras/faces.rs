@@ -39,6 +39,7 @@ impl Paint {
                 size_mm,
                 shades,
             } => {
+                // The black square is eight cells wide, with one more of white on each side.
                 let cell =
                     |v: f64| ((v * 8.0 / size_mm + 5.0).max(0.0) as usize).min(TAG_CELLS - 1);
                 shades[usize::from(cells[cell(p.y)][cell(p.x)])]
@@ -110,6 +111,7 @@ impl Face {
         let origin = pose.translation.vector;
         // Inside a convex polygon: on the same side of every edge.
         let n = self.corners.len();
+        // Twice the signed area: its sign tells which way round the corners run.
         let area: f64 = (0..n)
             .map(|k| {
                 let ([ax, ay], [bx, by]) = (self.corners[k], self.corners[(k + 1) % n]);
@@ -151,6 +153,7 @@ impl SeenFace<'_> {
     pub(super) fn hit(&self, ray: &Vector2<f64>) -> Option<(f64, f64)> {
         let along = self.normal.x * ray.x + self.normal.y * ray.y + self.normal.z;
         let depth = self.offset / along;
+        // A ray along the plane meets it nowhere, or farther off than anything is.
         if !(depth > 0.0 && depth < 1e6) {
             return None;
         }

@@ -41,6 +41,7 @@ impl Lens {
             camera_from_base,
             corners: Vec::new(),
         };
+        // Pixel centres are at integers: corners lie half a pixel before them.
         let corner =
             |row: usize, column: usize| lens.undistorted(column as f64 - 0.5, row as f64 - 0.5);
         lens.corners = (0..=size_px[1])
@@ -119,6 +120,7 @@ pub(crate) fn look_at(
     target: &Vector3<f64>,
     right: &Vector3<f64>,
 ) -> Isometry3<f64> {
+    // OpenCV's axes: z ahead, x right, y down.
     let z = (target - place).normalize();
     let x = (right - z * right.dot(&z)).normalize();
     let y = z.cross(&x);

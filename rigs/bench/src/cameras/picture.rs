@@ -104,6 +104,7 @@ pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
                 corners[at + row_length],
                 corners[at + row_length + 1],
             ];
+            // One shade at all four corners: no edge is taken to cross the pixel.
             let flat = around.iter().all(|c| (c.1 - around[0].1).abs() < 1e-4);
             let piece = near[row * width + column] as usize;
             let mean = if piece == 0 {
@@ -113,8 +114,10 @@ pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
                     sampled(lens, look, &faces, &boxes, &[], row, column)
                 }
             } else {
+                // With its neighbours: at a joint the pixel sees two pieces.
                 let pieces = &pieces[piece.saturating_sub(2)..(piece + 1).min(pieces.len())];
                 let own = pieces.iter().find(|p| p.ends[0] || p.ends[1]);
+                // In front of all surfaces nothing hides the wire.
                 let before = around
                     .iter()
                     .all(|c| f64::from(c.0) > pieces[0].depth_mm + 0.5);
@@ -184,6 +187,7 @@ fn wire_pieces(lens: &Lens, view: &View) -> Vec<ImageSegment> {
     let piece = |(k, w): (usize, &[ImagePoint])| {
         let ((from, z0), (to, z1)) = (w[0]?, w[1]?);
         let depth_mm = 0.5 * (z0 + z1);
+        // Pinhole: a length d at depth z spans f d / z pixels.
         let half_px = 0.5 * view.diameter_mm * focal / depth_mm;
         Some(ImageSegment {
             from,
@@ -202,6 +206,7 @@ fn nearest_pieces(lens: &Lens, pieces: &[ImageSegment]) -> Vec<u16> {
     let mut near = vec![0_u16; width * height];
     let mut distance = std::collections::HashMap::new();
     for (k, piece) in pieces.iter().enumerate().take(usize::from(u16::MAX) - 1) {
+        // More than half a pixel's diagonal: no pixel that the wire touches is missed.
         let reach = piece.half_px + 1.0;
         let (low, high) = (piece.from.inf(&piece.to), piece.from.sup(&piece.to));
         let range = |k: usize, n: usize| {
@@ -320,6 +325,7 @@ fn sampled(
             }
         }
         let p = Vector2::new(column as f64 + right - 0.5, row as f64 + down - 0.5);
+        // The wire is cut square at root and tip: nothing of it lies past them.
         let over = pieces
             .iter()
             .map(|piece| (piece.off(&p), piece))
@@ -371,6 +377,7 @@ fn blurred(light: &[f32], width: usize, height: usize, sd_px: f64) -> Vec<f32> {
     if sd_px <= 0.0 {
         return light.to_vec();
     }
+    // Past 3.5 standard deviations less than a thousandth of the weight is left.
     let reach = (3.5 * sd_px).ceil() as usize;
     let weight = |k: usize| (-0.5 * ((k as f64 - reach as f64) / sd_px).powi(2)).exp();
     let total: f64 = (0..=2 * reach).map(weight).sum();

@@ -180,6 +180,7 @@ impl RigGeometry {
         );
         let squares = self.board.corners.map(|n| n + 1);
         let square_mm = self.board.square_mm * self.faults.board_scale;
+        // A white margin: without one detectors do not find the outer squares.
         let half = squares.map(|n| (0.5 * n as f64 + 0.7) * square_mm);
         let paint = Paint::Board {
             squares,
@@ -195,6 +196,7 @@ impl RigGeometry {
 
     fn tag(&self, which: usize, base_from_tag: Isometry3<f64>) -> Option<Face> {
         let cells = tag_cells(self.tag_ids[which])?;
+        // Ten cells across, of which the black square has eight.
         let half = self.tag_size_mm * TAG_CELLS as f64 / 16.0;
         let paint = Paint::Tag {
             cells,

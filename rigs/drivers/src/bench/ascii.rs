@@ -23,6 +23,7 @@ pub struct Command {
 /// Parses one line without its line end. `None`: a unit ignores such a line (noise, or a checksum
 /// that does not fit).
 pub fn parse(line: &[u8]) -> Option<Command> {
+    // Noise before the last slash belongs to no command.
     let start = line.iter().rposition(|b| *b == b'/')?;
     let mut body = &line[start + 1..];
     let mut checked = false;

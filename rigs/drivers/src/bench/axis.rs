@@ -68,6 +68,7 @@ impl Axis {
             self.homing_until_s = None;
             self.sticky.retain(|f| !UNTIL_HOME.contains(f));
         }
+        // Only what moves can stall: an armed stall waits for the motion.
         if self.stall_armed && self.busy(t_s) {
             self.stall_armed = false;
             self.stop_dead(t_s, "FS");
@@ -108,6 +109,7 @@ impl Axis {
     }
 
     /// What `warnings clear` takes away.
+    // References are searched, and FF and FD go with a power cycle alone.
     pub fn clear_flags(&mut self) {
         self.sticky
             .retain(|f| UNTIL_HOME.contains(f) || *f == "FF" || *f == "FD");
@@ -147,6 +149,7 @@ impl Axis {
 
     /// Constant speed (mm/s, signed) until a limit.
     pub(crate) fn move_velocity(&mut self, t_s: f64, speed_mm_s: f64) -> Result<(), Refusal> {
+        // Speed data are whole numbers: the highest speed may come back rounded up.
         if speed_mm_s.abs() > self.spec.max_speed_mm_s * (1.0 + 1e-6) {
             return Err("BADDATA");
         }

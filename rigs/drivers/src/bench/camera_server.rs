@@ -25,6 +25,7 @@ const COMMAND_LIMIT: usize = 64;
 pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Result<()> {
     let spec = &shared.scenario.cameras;
     let period_s = 1.0 / spec.rate_hz;
+    // Both cameras count the same periods of bench time: equal numbers are one trigger.
     let mut trigger = (shared.clock.now_s() / period_s).ceil() as u64;
     let mut frozen: Option<Vec<u8>> = None;
     let mut heard = Vec::new();
@@ -33,6 +34,7 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> i
         let now_s = shared.clock.now_s();
         if now_s < due_s {
             obey(shared, &mut link, &mut heard)?;
+            // Short sleeps: a command for the board, and the end of the bench, are heard meanwhile.
             let wait = shared.clock.wall(due_s - now_s);
             std::thread::sleep(wait.min(Duration::from_millis(20)));
             continue;
@@ -50,6 +52,7 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> i
         bytes.extend((EXPOSURE_MS * state.exposure).to_le_bytes());
         bytes.extend(picture(shared, index, due_s, trigger));
         if second && state.frozen {
+            // Its header as well: number and time are those of the last picture before.
             bytes = frozen.get_or_insert(bytes).clone();
         } else {
             frozen = None;
@@ -108,6 +111,7 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
         moved: state.moved,
     };
     let bin = if moving { spec.moving_binning } else { 1 };
+    // New noise for each picture, and the same again from the same scenario.
     let seed =
         shared.scenario.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (2 * trigger + index as u64);
     let small = scene.picture(index, &seen, [width / bin, height / bin], seed);

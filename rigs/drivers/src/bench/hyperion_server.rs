@@ -73,6 +73,7 @@ fn record(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let peaks = scan.ascending_nm();
     let device_s = shared.device_s(scan.t_s);
     let mut b = Vec::with_capacity(64);
+    // Length of the header: 24 bytes, and two for each of four channels.
     b.extend(32_u16.to_le_bytes());
     b.extend([1, 0, 0, 0, 0, 0]);
     b.extend(scan.serial.to_le_bytes());

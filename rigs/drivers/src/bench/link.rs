@@ -66,6 +66,7 @@ pub(crate) fn reply(
     let before: &[u8] = match fault {
         Some(Fault::LoseReply) => return Ok(()),
         Some(Fault::CorruptReply) => {
+            // One wrong bit in the middle: the checksum has to find it.
             let mut wrong = bytes.to_vec();
             let middle = wrong.len() / 2;
             wrong[middle] ^= 1;

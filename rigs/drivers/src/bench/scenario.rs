@@ -122,6 +122,7 @@ impl Scenario {
             from_toml(text, FORMAT, &[RANGES, WHISKER_RANGES, REST]).map_err(|e| e.to_string())?;
         let camera_sizes = scenario.cameras.size_px;
         let binning = scenario.cameras.moving_binning;
+        // Blocks of pixels have to cover a picture exactly.
         if binning == 0 || camera_sizes.iter().any(|s| s % binning != 0) {
             return Err(format!(
                 "cameras.moving_binning: expected a divisor of {camera_sizes:?}, found {binning}"
@@ -134,6 +135,7 @@ impl Scenario {
             ));
         }
         let w = &scenario.whisker;
+        // E = 2 G (1 + nu): no metal has a shear modulus above Young's.
         if w.straight_mm > w.length_mm || w.shear_gpa >= w.youngs_gpa {
             return Err(format!(
                 "whisker: expected straight_mm within length_mm and G below E, found {w:?}"
@@ -332,10 +334,12 @@ pub struct TrajectoryScenario {
 /// Three contact arc lengths, three directions each (docs/src/system.md: 9 linear trajectories).
 fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
     let mut list = Vec::new();
+    // On the straight part, just past its end, and on the arc of the default wire.
     for arclength_mm in [18.0, 31.0, 45.0] {
         let (origin_mm, tangent) = rest_point(whisker, arclength_mm);
         let normal = [-tangent[2], 0.0, tangent[0]];
         for turn_deg in [0.0_f64, -60.0, 60.0] {
+            // Turned about the tangent: a groove pushes across the wire.
             let (sin, cos) = turn_deg.to_radians().sin_cos();
             let direction = [normal[0] * cos, sin, normal[2] * cos];
             list.push(TrajectoryScenario {

@@ -52,6 +52,7 @@ pub(crate) fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> 
 
 /// Sends the scans that are there; the number of the next one.
 fn stream(shared: &BenchState, link: &mut TcpStream, from: u64) -> io::Result<u64> {
+    // Held back only: the unit's buffer keeps the scans meanwhile.
     if shared.clock.now_s() < guard(&shared.faults).pause_until_s {
         std::thread::sleep(Duration::from_millis(5));
         return Ok(from);
@@ -63,6 +64,7 @@ fn stream(shared: &BenchState, link: &mut TcpStream, from: u64) -> io::Result<u6
             out.extend_from_slice(b"\x00\x17XX0000\xfe99");
         }
         let payload = frame(shared, scan);
+        // Two sources count the token in the stated length, a third does not.
         let inside = shared.scenario.interrogator.token == TokenPlace::Inside;
         let stated = payload.len() + if inside { TOKEN.len() } else { 0 };
         out.extend_from_slice(format!("{stated:010}").as_bytes());
@@ -103,6 +105,7 @@ fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
         "#GET_BUFFER_COUNT" => "0",
         "#FLUSH_BUFFER" | "#SAVE_SETTINGS" => "Setting accepted.",
         name if name.starts_with("#SET_") => "Setting accepted.",
+        // Rounded before it is split: microseconds stay below a million.
         _ => "Unknown command.",
     };
     framed(format!("{text}\n").as_bytes())
@@ -111,6 +114,7 @@ fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
 /// One data frame, field by field at its offset.
 fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let peaks_nm = scan.peaks_nm.iter().flatten();
+    // A peak without a value (NaN) becomes 0 counts, as units are assumed to send it (?).
     let mut counts: Vec<u32> = peaks_nm
         .map(|nm| (nm * GRANULARITY).round() as u32)
         .collect();
@@ -126,6 +130,7 @@ fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let light =
         bit(h.soa_thermal, 8) | bit(h.soa_current, 4) | bit(h.tec_over, 2) | bit(h.tec_under, 1);
     put(7, &[light]);
+    // All gratings hang on channel 1: its count is that of all peaks.
     for at in [12, 16] {
         put(at, &(counts.len() as u16).to_le_bytes());
     }

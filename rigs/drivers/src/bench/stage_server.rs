@@ -36,6 +36,7 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     while open(shared) {
         let count = wire.receive(&mut bytes)?;
         heard |= count > 0;
+        // After the first word only: a pseudo-terminal without a client would fill up.
         if heard {
             pour(&shared.faults, wire, false)?;
         }
@@ -49,6 +50,7 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
         for alert in alerts {
             wire.send(alert.as_bytes())?;
         }
+        // At another speed of the line nothing is understood.
         if wrong_speed(shared, wire) {
             line.clear();
             continue;
@@ -80,6 +82,7 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
 
 fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     let spec = &shared.scenario.stage.unit;
+    // Firmware 5.13: its home status is a bit of the device mode.
     let mut face = BinaryUnit::new(1, spec.device_id, 513, spec.serial);
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 256];

@@ -117,6 +117,7 @@ impl Unit {
     /// Executes a command; the packets to send.
     pub fn execute(&mut self, command: &Command, t_s: f64) -> Vec<String> {
         self.axis.update(t_s);
+        // A virtual unit has one axis; axis 0 is all of them.
         let answer = if command.axis > 1 {
             Answer::refused("BADAXIS")
         } else {
@@ -127,6 +128,7 @@ impl Unit {
             ChecksumHabit::Always => true,
             ChecksumHabit::Never => false,
         };
+        // Once more: an armed stall strikes with the move that has just begun.
         self.axis.update(t_s);
         self.header(command.id, command.axis, checked, t_s)
             .reply(&answer)
@@ -152,6 +154,7 @@ impl Unit {
             }
             ["warnings"] => return self.warnings(),
             ["warnings", "clear"] => {
+                // The reply names the flags that it takes away.
                 let answer = self.warnings();
                 self.axis.clear_flags();
                 return answer;
@@ -192,6 +195,7 @@ impl Unit {
         let speed = speed.map(|d| unit.speed_mm_s(d));
         match words {
             ["abs", target, ..] => {
+                // Assumed (?): a unit without reference refuses with BADDATA.
                 if !self.axis.homed() {
                     return Err("BADDATA");
                 }

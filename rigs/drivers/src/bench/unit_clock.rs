@@ -14,6 +14,7 @@ pub(crate) struct UnitClock {
 impl UnitClock {
     /// What it shows at bench time `t_s`, s.
     pub(crate) fn at(&self, t_s: f64) -> f64 {
+        // A clock that stands neither drifts nor steps.
         let t_s = self.stopped_s.map_or(t_s, |stopped_s| t_s.min(stopped_s));
         let (since_s, ppm) = self.drift;
         let steps_s: f64 = self
@@ -40,6 +41,7 @@ impl UnitClock {
         match (on, self.stopped_s) {
             (true, None) => self.stopped_s = Some(t_s),
             (false, Some(stopped_s)) => {
+                // It goes on from where it stood: from now on it is late by the standstill.
                 self.stopped_s = None;
                 self.step(t_s, stopped_s - t_s);
             }

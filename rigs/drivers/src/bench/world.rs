@@ -72,6 +72,8 @@ impl BenchState {
     pub(crate) fn new(scenario: Scenario, plant: Box<dyn Plant>, clock: BenchClock) -> Self {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {
+            // Identity of a placeholder: no real mount has been seen (firmware-notes/zaber-
+            // lsm100a.md).
             let mount = UnitSpec {
                 device_id: 50_081,
                 serial: scenario.stage.unit.serial + 1,
@@ -178,6 +180,7 @@ impl BenchState {
     /// Makes all scans that are due, and carries out scheduled faults. Called by one thread only.
     pub(crate) fn scan(&self) {
         let now_s = self.clock.now_s();
+        // The lock goes before the faults are carried out, which take it themselves.
         let due: Vec<ScheduledFault> = {
             let schedule = &mut self.world().schedule;
             let count = schedule.partition_point(|f| f.at_s <= now_s);
@@ -188,11 +191,13 @@ impl BenchState {
         let period_s = 1.0 / spec.rate_hz;
         let mut fresh = Vec::new();
         {
+            // A bench that is far behind catches up in portions: the lock is free in between.
             let mut world = self.world();
             while world.scanned as f64 * period_s <= now_s && fresh.len() < 20_000 {
                 let serial = world.scanned;
                 let scan = world.scan(serial, serial as f64 * period_s, &self.scenario);
                 world.scanned += 1;
+                // A lost scan keeps its number, so that the stream shows the gap.
                 if world.skip > 0 {
                     world.skip -= 1;
                 } else {
@@ -202,6 +207,7 @@ impl BenchState {
         }
         let mut scans = guard(&self.scans);
         scans.extend(fresh);
+        // What the unit's buffer cannot hold is lost, the oldest first.
         let excess = scans.len().saturating_sub(spec.buffer);
         scans.drain(..excess);
         drop(scans);
@@ -211,6 +217,7 @@ impl BenchState {
     /// Carries out a fault now.
     pub(crate) fn inject(&self, fault: Fault) {
         let t_s = self.clock.now_s();
+        // Alone: it takes the lock of the faults by itself.
         if let Fault::Board { view } = fault {
             return self.show_board(view);
         }
@@ -289,6 +296,7 @@ impl World {
         let (stage_mm, trajectory) = self.place(t_s, scenario);
         let nm = self.physics.step(t_s, trajectory, stage_mm);
         let mut peaks_nm = nm.map(Some);
+        // Closer than any unit resolves two peaks.
         if self.crossing {
             peaks_nm[1] = Some(nm[2] + 0.0004);
         }

@@ -34,6 +34,7 @@ impl FolderCamera {
                 Some((number_in(path.file_stem()?.to_str()?)?, path)).filter(|_| is_pgm)
             })
             .collect();
+        // By the number and not by the name, which would put 10 before 2.
         files.sort();
         if files.is_empty() {
             return Err(fail("none".to_owned()));
@@ -102,6 +103,7 @@ impl Camera for FolderCamera {
         };
         let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;
+        // Pictures in a folder carry no time: number and stated rate give it.
         let taken_s = *number as f64 * self.period_s;
         Ok(CameraFrame {
             trigger: *number,
@@ -131,6 +133,7 @@ pub fn parse_pgm(bytes: &[u8]) -> Result<(u32, u32, Vec<u8>), String> {
             if bytes.get(at) != Some(&b'#') {
                 break;
             }
+            // The header of a PGM may hold comment lines.
             while bytes.get(at).is_some_and(|b| *b != b'\n') {
                 at += 1;
             }

@@ -46,6 +46,7 @@ fn frame(link: &mut Link) -> Result<Option<Vec<u8>>, DeviceError> {
         return Ok(None);
     }
     let [width, height] = [4, 8].map(|at| u32_at(buffer, at));
+    // A damaged size would make the reader wait for a picture that never ends.
     if &buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
         let found = format!("{:?}, {width} x {height}", &buffer[..4]);
         return Err(link.error(DeviceErrorKind::Protocol, "grab", "a WCAM header", found));

@@ -124,6 +124,7 @@ impl V4l2Camera {
         [format.width, format.height] = wanted.size_px.unwrap_or([format.width, format.height]);
         let asked = [format.width, format.height];
         let format = device.set_format(&format).map_err(io("set the format"))?;
+        // The kernel changes a format that the camera does not have in place of refusing it.
         if [format.width, format.height] != asked || format.fourcc != FourCC::new(code) {
             let found = format!("{}x{} {}", format.width, format.height, format.fourcc);
             return Err(refuse(
@@ -141,6 +142,7 @@ impl V4l2Camera {
                 .map_err(io("set the rate"))?
                 .interval;
             let got_hz = f64::from(got.denominator) / f64::from(got.numerator.max(1));
+            // A rate, too, is changed to one that the camera has.
             if (got_hz - rate_hz).abs() > 0.01 * rate_hz {
                 return Err(refuse(
                     "set the rate",
@@ -220,6 +222,7 @@ impl Camera for V4l2Camera {
         Ok(DeviceIdentity {
             driver: "v4l2".to_owned(),
             model: caps.card,
+            // V4L2 has no serial number: the bus tells two cameras of one model apart.
             serial: caps.bus,
             settings: self.settings.clone(),
             ..DeviceIdentity::default()

@@ -39,6 +39,7 @@ fn protocol(link: &Link, action: &str, found: String) -> DeviceError {
 /// Sends a command and returns its response.
 fn ask(link: &mut Link, command: &str) -> Result<Response, DeviceError> {
     link.send(&frame::request(command, b"", false), command)?;
+    // Responses carry no number: those of commands given up come first, and are left out.
     link.owed += 1;
     let deadline = link.deadline(REPLY);
     let response = link.wait(command, "a reply", &deadline, |link| {
@@ -111,6 +112,7 @@ impl Interrogator for Hyperion {
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
+        // Assumed (?): records stream as responses on the port of the peaks.
         let mut peaks = link(&self.peaks_address, &self.interrupt)?;
         ask(&mut peaks, "#EnablePeakDataStreaming")?;
         self.peaks = Some(peaks);
@@ -124,6 +126,7 @@ impl Interrogator for Hyperion {
         };
         let deadline = peaks.deadline(timeout);
         peaks.receive(READ, &deadline)?;
+        // One arrival time for a block of scans: the least delayed ones align the clocks.
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(response) = next_response(peaks, READ)? {

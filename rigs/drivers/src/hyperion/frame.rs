@@ -41,6 +41,7 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
     }
     let message = usize::from(u16_at(bytes, 2));
     let content = u32_at(bytes, 4) as usize;
+    // A damaged length would make the reader wait for bytes that never come.
     if content > MAX_LENGTH {
         return Err(format!(
             "content of at most {MAX_LENGTH} bytes, found {content}"
@@ -84,6 +85,7 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
         .map(|c| usize::from(u16_at(c, 0)))
         .collect();
     let total: usize = counts.iter().sum();
+    // Counts that do not fit the length would give peaks to other channels.
     if content.len() != header + 8 * total {
         return Err(format!(
             "{} bytes for {total} peaks, found {}",
@@ -101,6 +103,7 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
     Ok(FbgReading {
         serial,
         peaks_nm,
+        // No health bits come with a record (firmware-notes/hyperion.md).
         health: InterrogatorHealth::default(),
         clocks: Clocks {
             host_s,

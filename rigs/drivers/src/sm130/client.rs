@@ -49,6 +49,7 @@ impl Sm130 {
     /// `Timeout`, `Disconnected`, or `Protocol` when a frame came instead of text.
     pub fn command(&mut self, command: &str) -> Result<String, DeviceError> {
         self.send(command)?;
+        // Replies carry no number: those of commands given up come first, and are left out.
         self.link.owed += 1;
         let deadline = self.link.deadline(REPLY);
         loop {
@@ -106,6 +107,7 @@ impl Interrogator for Sm130 {
         let mut ask = |command: &str| self.command(command).map(|t| t.trim().to_owned());
         let model = ask("#IDN?")?;
         let serial = ask("#GET_SN")?;
+        // Kept with the session: a divider that somebody else has set changes the rate.
         let mut settings = Vec::new();
         for command in [
             "#GET_CAPABILITIES",
@@ -145,6 +147,7 @@ impl Interrogator for Sm130 {
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         let deadline = self.link.deadline(timeout);
         self.link.receive("read the stream", &deadline)?;
+        // One arrival time for a block of scans: the least delayed ones align the clocks.
         let host_s = self.clock.now_s();
         self.decoder.take(&mut self.link.buffer);
         let frame = |item| match item {

@@ -61,6 +61,7 @@ pub(crate) fn frame_length(header: &[u8]) -> Result<usize, String> {
             header.len()
         ));
     }
+    // Headers are looked for byte by byte: noise must hardly ever pass for one.
     let peaks: usize = (0..CHANNELS)
         .map(|c| usize::from(u16_at(header, 16 + 2 * c)))
         .sum();
@@ -107,6 +108,7 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
                 value => f64::from(value) / f64::from(granularity),
             })
             .collect();
+        // A frame that was found in noise shows itself by wavelengths of no such unit.
         if let Some(odd) = peaks
             .iter()
             .find(|nm| !nm.is_nan() && !BAND_NM.contains(*nm))
@@ -116,6 +118,7 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
         at += 4 * count;
         peaks_nm.push(peaks);
     }
+    // Bits of the faults: docs/src/devices.md, Micron Optics sm130.
     let (flags, light) = (bytes[3], bytes[7]);
     let health = InterrogatorHealth {
         calibration_fault: flags & 0x40 != 0,

@@ -44,6 +44,7 @@ enum Parsed {
 impl StreamDecoder {
     /// Appends bytes as they came.
     pub fn push(&mut self, bytes: &[u8]) {
+        // Not after every frame: each time moves all the bytes behind it.
         if self.at > 64 * 1024 {
             self.buffer.drain(..self.at);
             self.at = 0;
@@ -88,6 +89,7 @@ impl StreamDecoder {
 }
 
 fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
+    // Before a length is looked for: by one of three sources a token stands outside of it.
     for token in [TOKEN, STOP_TOKEN] {
         let known = rest.len().min(token.len());
         if known > 0 && rest[..known] == token[..known] {
@@ -116,6 +118,7 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
             // binary header.
             return Parsed::NeedMore;
         }
+        // Two sources count the token in the stated length, a third does not: both are frames.
         if let Ok(length) = frame::frame_length(body)
             && (stated == length || stated == length + TOKEN.len())
         {

@@ -25,6 +25,7 @@ impl Axis {
     /// The microstep of a target, or what is allowed in its place.
     pub(super) fn steps_to(&self, target_mm: f64) -> Result<i64, String> {
         let steps = self.unit.from_mm(target_mm);
+        // NaN rounds to microstep 0, which is within the travel: it is refused by itself.
         if (0..=self.limit_steps).contains(&steps) && target_mm.is_finite() {
             return Ok(steps);
         }
@@ -45,6 +46,7 @@ impl Axis {
             measured_mm: self.unit.to_mm(steps),
             moving,
             flags,
+            // The protocols carry no time stamps: the host's time is all there is.
             clocks: Clocks {
                 host_s,
                 device_s: None,

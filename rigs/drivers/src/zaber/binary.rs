@@ -185,6 +185,7 @@ impl Stage for ZaberBinary {
         self.homing = false;
         (self.axis.commanded_mm, self.target_steps) = (None, None);
         let mut line = self.line.borrow_mut();
+        // Its reply comes with the standstill and may be lost: the status is asked instead.
         line.send(command::STOP, 0, &Deadline::uninterruptible(REPLY))?;
         let deadline = Deadline::uninterruptible(HALT);
         let status = command::RETURN_STATUS;

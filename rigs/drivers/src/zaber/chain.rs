@@ -99,6 +99,7 @@ impl Chain {
         interrupt: &Interrupt,
         connect: &Connect,
     ) -> Result<Self, DeviceError> {
+        // A checksum catches a wrong bit, a message id the late reply to another question.
         let mut port = AsciiPort::open_general_options()
             .checksums(true)
             .message_ids(true)
@@ -122,6 +123,7 @@ impl Chain {
         interrupt: &Interrupt,
         connect: &Connect,
     ) -> Result<(Self, u32), DeviceError> {
+        // A line on which only others answer is kept: the error can name them.
         for anybody in [false, true] {
             for baud in SPEEDS {
                 let place = Port::Serial(path.to_owned(), baud);
@@ -161,6 +163,7 @@ impl Chain {
                 Ok(AnyResponse::Reply(reply)) => {
                     units.insert(reply.target().device());
                 }
+                // Nobody knows how many units there are: the deadline ends the list.
                 Ok(_) => {}
                 Err(e) if e.kind == DeviceErrorKind::Timeout => {
                     return Ok(units.into_iter().collect());

@@ -106,6 +106,7 @@ fn of_mount(error: DeviceError) -> DeviceError {
 
 impl Mount for ZaberMount {
     fn check(&mut self, trajectories: &[u32], allowed: Permission) -> Result<(), DeviceError> {
+        // All turns of the plan before the first one: the mount does not end a sweep halfway.
         let [low_mm, high_mm] = self.stage.travel_mm()?;
         for trajectory in trajectories {
             let target_mm = self.target_mm(*trajectory);
@@ -137,11 +138,13 @@ impl Mount for ZaberMount {
         if search {
             self.stage.start_home().map_err(of_mount)?;
         }
+        // In any case: a mount may still turn from an earlier run.
         self.until_standing(HOME).map(drop)
     }
 
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let target_mm = self.target_mm(trajectory);
+        // From where it stands, so that the time allowed fits the turn.
         let way_mm = target_mm - self.stage.read().map_err(of_mount)?.measured_mm;
         let started = self.stage.start_move(target_mm, self.speed_mm_s);
         started.map_err(of_mount)?;

@@ -35,6 +35,7 @@ fn reopened<L: Asks>(
     open: impl FnOnce() -> Result<L, DeviceError>,
 ) -> Result<Rc<RefCell<L>>, DeviceError> {
     match line {
+        // All units of the line share it: the mount goes on over the stage's new link.
         Some(line) => line.borrow_mut().wire().reopen()?,
         None => *line = Some(Rc::new(RefCell::new(open()?))),
     }
@@ -61,6 +62,8 @@ impl ZaberLines {
         let first = self.chain.is_none() && self.line.is_none();
         let opened = self.try_stage(rig, clock);
         let mut stage = opened.map_err(|e| if first { self.silent(e, rig) } else { e })?;
+        // The protocol does not report the microstep's size: a travel that fits shows that it is
+        // right.
         check_travel("stage", rig.travel_mm, stage.travel_mm()?[1])?;
         Ok(stage)
     }
@@ -155,6 +158,7 @@ impl ZaberLines {
         }
         let (address, connect) = (rig.address, &self.connect);
         match rig.driver {
+            // A T-series unit is silent to ASCII: the message can say so in place of a timeout.
             StageDriver::ZaberAscii => {
                 let place = port(rig, BINARY_BAUD);
                 let line = BinaryLine::open(&place, address, &self.interrupt, connect);
@@ -191,6 +195,7 @@ fn open_chain(
     connect: &Connect,
 ) -> Result<Chain, DeviceError> {
     match port(rig, ASCII_BAUD) {
+        // A port on TCP has no speed of the line to look for.
         Port::Serial(path, _) if rig.baud.is_none() => {
             Chain::probe(&path, rig.address, interrupt, connect).map(|(chain, _)| chain)
         }

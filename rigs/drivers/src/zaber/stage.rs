@@ -151,6 +151,7 @@ impl Stage for ZaberStage {
     }
 
     fn start_home(&mut self) -> Result<(), DeviceError> {
+        // Before the command: a unit that searches shows all the while that it has no reference.
         self.homing = true;
         self.axis.commanded_mm = Some(0.0);
         self.ask("home").map(drop)
@@ -163,10 +164,12 @@ impl Stage for ZaberStage {
             let (kind, found) = (DeviceErrorKind::OutOfRange, target_mm.to_string());
             self.fail(kind, &action, &expected, &found)
         })?;
+        // Units may refuse a move without reference (?): the driver does not rely on it.
         let answer = self.ask("")?;
         let flags = self.flags(&answer.flag)?;
         self.judge(&action, &flags)?;
         let speed = unit.speed_data(speed_mm_s);
+        // Only firmware 7 takes a speed with the move itself: `maxspeed` serves older units, too.
         let (address, number) = (self.address, self.number);
         self.chain.borrow_mut().set_speed(address, number, speed)?;
         self.ask(&format!("move abs {steps}"))?;
@@ -177,6 +180,7 @@ impl Stage for ZaberStage {
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
         let answer = self.ask("get pos")?;
+        // Stamped at once: the flags may take a further question.
         let host_s = self.axis.clock.now_s();
         let action = "read position";
         // "nan" parses, and would be at every target.
@@ -192,6 +196,7 @@ impl Stage for ZaberStage {
     }
 
     fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
+        // Asked before they are cleared: afterwards nothing tells that the position is doubtful.
         let mut shown = listed(&self.ask("warnings")?);
         self.ask("warnings clear")?;
         shown.retain(|flag| flags::is_latched(flag));
@@ -203,6 +208,7 @@ impl Stage for ZaberStage {
         let mut chain = self.chain.borrow_mut();
         let (address, number) = (self.address, self.number);
         chain.ask_to_stop(address, number, "stop")?;
+        // The unit accepts the stop at once and brakes afterwards.
         let deadline = Deadline::uninterruptible(HALT);
         while chain.ask_to_stop(address, number, "")?.busy {
             if deadline.is_over() {

@@ -96,6 +96,7 @@ pub fn connect(port: &Port, deadline: &Deadline) -> io::Result<Box<dyn ByteLink>
     match port {
         Port::Tcp(address) => {
             let stream = link::connect(address, deadline)?;
+            // Questions are a few bytes, which must not wait for more to fill a packet.
             stream.set_nodelay(true)?;
             Ok(Box::new(stream))
         }
@@ -187,6 +188,7 @@ impl Wire {
 
     /// Gives the port back to the system.
     pub(super) fn close(&mut self) {
+        // Marked as failed: who drops a closed line does not try to talk over it.
         (self.link, self.failed) = (None, true);
         (self.buffer, self.at) = (Vec::new(), 0);
     }
@@ -240,15 +242,18 @@ pub(super) trait Asks {
     ) -> Result<T, DeviceError> {
         let mut attempt = 1;
         loop {
+            // A deadline for each attempt: four times 0.4 s is the longest silence.
             let done = once(self, &Deadline::after(REPLY, interrupt));
             let failure = done.as_ref().err().map(|e| e.kind);
             let wire = self.wire();
+            // A refusal is an answer, too: the line works.
             wire.failed = failure.is_some_and(|kind| kind != DeviceErrorKind::Rejected);
             if attempt == ATTEMPTS || !failure.is_some_and(DeviceErrorKind::may_retry) {
                 return done;
             }
             attempt += 1;
             wire.repeats += 1;
+            // What the failed attempt left on the line must not answer the next one.
             wire.drain();
         }
     }

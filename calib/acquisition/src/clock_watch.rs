@@ -149,6 +149,7 @@ impl ClockWatch {
             device_s,
         });
         if fault.is_some() {
+            // A step is confirmed some scans after it happened: those that were held came after it.
             let first = self.count - self.held.len();
             self.broken.get_or_insert(first);
             self.held.clear();
@@ -187,6 +188,7 @@ impl ClockWatch {
             return step;
         }
         let stopped = self.stands_still(now);
+        // A reading in doubt does not move the mark that it is judged by.
         if self.doubt.is_none() {
             self.earliest_s = self.earliest_s.max(now.device_s - now.host_s);
         }
@@ -232,6 +234,7 @@ impl ClockWatch {
             Some(period_s) => self.period_s = Some(period_s + FOLLOW * (rise_s / scans - period_s)),
             None => {
                 self.first_periods.push(rise_s / scans);
+                // The median: a wrong stamp among the first scans does not count.
                 if self.first_periods.len() == LEARNED {
                     self.period_s = median(self.first_periods.iter().copied());
                 }
@@ -270,6 +273,7 @@ impl ClockWatch {
             }
             return None;
         }
+        // The scans have to go on: one scan repeated is another fault than a clock that stands.
         let still_s = now.host_s - risen.host_s;
         let still = still_s > SETTLED_S * self.clock_scale && now.serial != risen.serial;
         (still && !std::mem::replace(&mut self.stopped, true)).then_some(ClockFault::Stopped {

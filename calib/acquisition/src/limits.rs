@@ -20,6 +20,7 @@ pub struct Limits {
 impl Limits {
     /// The limits of a rig's stage on a unit with this travel, mm.
     pub fn new(rig: &StageRig, travel_mm: [f64; 2]) -> Self {
+        // The narrower of both: the rig's file cannot widen what the unit itself can do.
         let [low, high] = rig.soft_limits_mm;
         Self {
             low_mm: low.max(travel_mm[0]),

@@ -125,9 +125,11 @@ impl Monitor {
 
     fn judge_health(&mut self, reading: &FbgReading) {
         let (faults, code) = (reading.health.faults(), reading.health.error_code);
+        // A fan that fails falsifies no wavelength yet; every other fault may.
         if faults == ["fan-fault"] || faults.is_empty() {
             return;
         }
+        // By error code 9 the sm130 says that its data are invalid.
         let kind = match code {
             9 => DeviceErrorKind::DataInvalid,
             _ => DeviceErrorKind::Health,
@@ -218,6 +220,7 @@ impl Monitor {
     pub(crate) fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
         let from_s = self.latest_s? - window_s;
         let inside = self.blocks.iter().filter(|b| b.start_s >= from_s);
+        // Scans from before `since_s` belong to the move; few blocks give no error of the slope.
         if from_s < since_s || inside.clone().count() < 8 {
             return None;
         }

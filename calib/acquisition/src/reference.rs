@@ -38,6 +38,7 @@ pub(crate) fn check(
 impl Sweep<'_, '_, '_> {
     /// The stage's flags and reference, as far as the user allows.
     pub(crate) fn reference(&mut self, allowed: Permission) -> Result<(), DeviceError> {
+        // A flag that the unit keeps makes every reading an error: it goes first.
         let cleared = match allowed.clear_flags {
             true => {
                 let cleared = self.bench.stage.clear_flags();

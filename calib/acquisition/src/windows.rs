@@ -56,6 +56,7 @@ impl Samples {
     /// The mean; `None` without two samples.
     pub(crate) fn mean(&self) -> Option<WindowMean> {
         let mut marked = vec![false; self.serials.len()];
+        // A scan counts for both gratings or for neither: both see one moment.
         for values in &self.sensing_nm {
             mark(values, &mut marked);
         }
@@ -157,6 +158,7 @@ pub(crate) fn windows_of(events: &[SweepEvent], scans: u64) -> Result<Vec<Window
         match event.kind.as_str() {
             "window" => add(event.begin_s, event.end_s),
             "moving" if event.rows_hz > 0.0 => {
+                // Windows on the fly may touch but never overlap: no scan counts twice.
                 let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
                 let rows = ((event.end_s - event.begin_s).max(0.0) * event.rows_hz) as u64 + 1;
                 moving_rows += rows;

@@ -57,6 +57,7 @@ pub struct InProcess {
 impl InProcess {
     /// A bench whose time stands.
     pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
+        // Dice of their own: the plant's noise does not depend on how often the stage is asked.
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
         let shared = BenchState::new(scenario, plant, BenchClock::standing());
         shared.scan();
@@ -218,6 +219,7 @@ impl Stage for Unit {
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.axis(Axis::stop)?;
+        // Time passes by this wait alone: the stage brakes in it.
         while self.axis(|axis, t_s| axis.busy(t_s))? {
             self.bench.pass(BLOCK_S);
         }
@@ -247,6 +249,7 @@ impl Mount for OwnMount {
             }
             reading => drop(reading?),
         }
+        // Each reading lets time pass, in which the mount turns.
         while self.unit.read()?.moving {}
         Ok(())
     }
@@ -311,6 +314,7 @@ impl Interrogator for OwnInterrogator {
             // All gratings on the first optical channel.
             peaks_nm: vec![scan.ascending_nm()],
             health: scan.health,
+            // Arrival is computed: delays of a busy computer are not in the recording.
             clocks: Clocks {
                 host_s: shared.clock.epoch_s(scan.t_s + ARRIVAL_S),
                 device_s: Some(shared.device_s(scan.t_s)),

@@ -114,6 +114,7 @@ impl Physics {
             let z: f64 = StandardNormal.sample(&mut self.rng);
             noise * z
         };
+        // The reference is isolated from strain: temperature and noise alone move it.
         out[0] = fbg.reference_nominal_nm
             + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
         for g in 0..2 {

@@ -49,7 +49,7 @@ pub(crate) struct ReductionDocument<'a> {
     rows_lost: usize,
     /// Rows whose window met late scans.
     rows_late: usize,
-    /// Windows without a scan.
+    /// Windows with fewer than two scans that count, or without an answer of the stage.
     empty_windows: usize,
     /// Damaged chunks.
     damaged_chunks: u64,

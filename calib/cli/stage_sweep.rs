@@ -427,16 +427,15 @@ impl Mount for ByHand {
 
 /// Terminal view: position, wavelengths, rate, losses, time left.
 struct View {
-    start: Instant,
     shown: Option<Instant>,
-    first: Option<(Instant, u64)>,
+    /// When it was shown first, with the scans and the step of then.
+    first: Option<(Instant, u64, usize)>,
     live: bool,
 }
 
 impl View {
     fn new() -> Self {
         Self {
-            start: Instant::now(),
             shown: None,
             first: None,
             live: std::io::stderr().is_terminal(),
@@ -454,13 +453,17 @@ impl View {
             return;
         }
         self.shown = Some(Instant::now());
-        let (since, scans) = *self.first.get_or_insert((Instant::now(), p.counts.scans));
+        let (since, scans, first) =
+            *self
+                .first
+                .get_or_insert((Instant::now(), p.counts.scans, p.step));
         let rate = (p.counts.scans - scans) as f64 / since.elapsed().as_secs_f64().max(1e-3);
-        let left = match p.step {
+        // A resumed sweep begins in mid plan: only its own steps tell how long one takes.
+        let left = match p.step.saturating_sub(first) {
             0 => "?".to_owned(),
-            step => {
-                let each = self.start.elapsed().as_secs_f64() / step as f64;
-                format!("{:.0} s", each * (p.steps - step) as f64)
+            done => {
+                let each = since.elapsed().as_secs_f64() / done as f64;
+                format!("{:.0} s", each * (p.steps - p.step) as f64)
             }
         };
         let nm = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |nm| format!("{nm:.4}"));

@@ -201,7 +201,7 @@ impl Recorder {
         )
     }
 
-    /// Records an event of the sweep, at once on disk.
+    /// Records an event of the sweep, at once in the file; the disk has it when it is synced next.
     ///
     /// # Errors
     /// When the disk does not take it.

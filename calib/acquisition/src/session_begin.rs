@@ -95,7 +95,7 @@ impl OwnedSessionFolder {
         let path = self.folder.join(RESERVE);
         let mut file =
             fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
-        // It is nobody's to tidy away.
+        // A lock tells what tidies up that the reserve is in use.
         let _ = file.try_lock();
         // Written in full: a file with a hole in it would reserve nothing.
         let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut file);

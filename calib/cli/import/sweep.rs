@@ -110,6 +110,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
 /// # Errors
 /// Where a file cannot be used, by line and column; nothing is written then.
 pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let sweep = of_tables(args)?;
     let object = args
         .object
@@ -144,7 +145,6 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let provenance = description::provenance(&sources, simulated, &noticed);
     top.insert("provenance".to_owned(), provenance.into());
 
-    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     refuse_other_tables(&out, &sources, &sweep.points)?;
     out.put("points.csv", sweep.points);
     if let Some((mesh, _)) = &object {

@@ -49,9 +49,7 @@ pub(super) fn factor(
         match (relation(unit, to), found) {
             (Relation::Times(factor), None) => found = Some((unit, factor)),
             (Relation::Times(factor), Some((other, same))) if factor != same => {
-                bail!(
-                    "{file}, field {column}: expected one unit, found {other} in its name and {unit} below it"
-                )
+                bail!("{file}, field {column}: expected one unit, found {other} and {unit}")
             }
             (Relation::Other, _) => {
                 // Temperatures have another zero.

@@ -6,7 +6,7 @@ use wcal_core::{Role, WhiskerData, WhiskerRow};
 /// A row's text behind the point, and whether its moment is certain.
 pub(super) type Text = Option<(String, bool)>;
 
-/// Rows of a trajectory with their stage positions, in order of travel.
+/// Rows of a trajectory with their stage positions, in the order of the table.
 pub(super) fn of_trajectory(data: &WhiskerData, id: u32) -> Vec<(usize, f64)> {
     let of_it = |row: &WhiskerRow| row.role != Role::Rest && row.trajectory == Some(id);
     let rows = data.rows.iter().enumerate().filter(|(_, row)| of_it(row));

@@ -250,6 +250,7 @@ fn merge_shapes(
     theirs: &SessionShapes,
     added: &mut Rows<'_, WhiskerRow>,
     folder: &str,
+    warnings: &mut Vec<SessionWarning>,
 ) {
     // Other cameras have other errors, of which this shared covariance says nothing.
     let alike = |own: &SessionShapes| {
@@ -260,13 +261,18 @@ fn merge_shapes(
     }
     let dropped = added.labels().iter().filter(|row| row.pictured).count();
     added.each(&(), |row, ()| row.pair = None);
-    if let Some(own) = own.filter(|_| dropped > 0) {
-        let why =
-            format!("{dropped} pairs of that session were made with other cameras than this one's");
-        own.left_out.push(PairLeftOut {
+    match own {
+        _ if dropped == 0 => {}
+        Some(own) => own.left_out.push(PairLeftOut {
             name: folder.to_owned(),
-            why,
-        });
+            why: format!(
+                "{dropped} pairs of that session were made with other cameras than this one's"
+            ),
+        }),
+        None => warnings.push(SessionWarning::other(
+            folder,
+            format!("{dropped} pairs of that session do not count: this session has no pictures"),
+        )),
     }
 }
 
@@ -326,7 +332,7 @@ fn attach_session(
             merge_trajectories(data, trajectories, &mut added, &file, warnings)?;
             merge_nominals(&data.fbg, &fbg, &mut added);
             if let Some(theirs) = shapes {
-                merge_shapes(data.shapes.as_mut(), &theirs, &mut added, &folder);
+                merge_shapes(data.shapes.as_mut(), &theirs, &mut added, &folder, warnings);
             }
             let own = Rows {
                 open: &mut data.rows,

@@ -13,6 +13,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         ("moment", floor.moment_nmm, "N mm"),
         ("response", floor.response, unit),
         ("position error", floor.error_um, "um"),
+        ("contact", floor.contact_mm, "mm"),
     ];
     let mut table = Table::new(
         "Noise floor",

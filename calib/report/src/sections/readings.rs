@@ -54,8 +54,10 @@ pub(super) fn body(input: &ReportInput) -> String {
     let mut rows: Vec<&ResidualRecord> = records.iter().collect();
     // Tens of thousands of table rows would make the page slow to open.
     if !whole {
-        let size = |r: &ResidualRecord| -(r.measured - r.predicted_after).abs() / r.noise_sd;
-        rows.sort_by(|a, b| size(a).total_cmp(&size(b)));
+        // A reading without a prediction has no size: 0 is larger than what is not a number.
+        let size =
+            |r: &ResidualRecord| ((r.measured - r.predicted_after).abs() / r.noise_sd).max(0.0);
+        rows.sort_by(|a, b| size(b).total_cmp(&size(a)));
         rows.truncate(WORST_ROWS);
     }
     let summary = match whole {

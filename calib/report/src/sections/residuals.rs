@@ -101,7 +101,7 @@ pub(super) fn body(input: &ReportInput) -> String {
                 constant.join(", ")
             ));
         }
-        if view.records.len() > MAX_POINTS {
+        if view.is_thinned() {
             out +=
                 &absent("Charts of this many readings show every n-th one and all rejected ones.");
         }
@@ -154,6 +154,15 @@ struct View<'a> {
 }
 
 impl<'a> View<'a> {
+    /// A channel has more readings than a chart shows.
+    fn is_thinned(&self) -> bool {
+        let shown = |channel: &String| {
+            let of = |r: &&&ResidualRecord| r.channel == *channel && r.rejected.is_none();
+            self.records.iter().filter(of).count()
+        };
+        self.channels.iter().any(|c| shown(c) > MAX_POINTS)
+    }
+
     fn new(input: &ReportInput, records: Vec<&'a ResidualRecord>, unit: &str) -> Self {
         let channels = distinct(records.iter().map(|r| r.channel.as_str()));
         let unit = crate::number::unit_text(unit);

@@ -79,16 +79,6 @@ impl Hyperion {
             interrupt: interrupt.clone(),
         })
     }
-
-    /// One scan on request.
-    ///
-    /// # Errors
-    /// `Protocol` when the record cannot be decoded, or what the link reports.
-    pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
-        let response = ask(&mut self.commands, "#GetPeaks")?;
-        frame::peaks(&response.content, self.clock.now_s())
-            .map_err(|e| protocol(&self.commands, "scan", e))
-    }
 }
 
 impl Interrogator for Hyperion {

@@ -65,18 +65,6 @@ impl Sm130 {
         }
     }
 
-    /// One scan on request.
-    ///
-    /// # Errors
-    /// As for [`Self::command`].
-    pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
-        self.send("#GET_UNBUFFERED_DATA")?;
-        match self.item("#GET_UNBUFFERED_DATA", &self.link.deadline(REPLY), |_| true)? {
-            StreamItem::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
-            other => Err(self.other("scan", "a data frame", &other)),
-        }
-    }
-
     fn other(&self, action: &str, expected: &str, found: &StreamItem) -> DeviceError {
         let found = format!("{found:?}");
         self.link

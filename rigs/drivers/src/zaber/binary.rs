@@ -188,6 +188,7 @@ impl Stage for ZaberBinary {
         // Its reply comes with the standstill and may be lost: the status is asked instead.
         line.send(command::STOP, 0, &Deadline::uninterruptible(REPLY))?;
         let deadline = Deadline::uninterruptible(HALT);
+        let mut again = Some(Deadline::uninterruptible(HALT / 3));
         let status = command::RETURN_STATUS;
         // What must be tried although the user wants an end.
         let never = Interrupt::default();
@@ -195,6 +196,10 @@ impl Stage for ZaberBinary {
             if deadline.is_over() {
                 let name = &line.wire().name;
                 return Err(deadline.error(name, "stop", "standstill", "still moving"));
+            }
+            // Still moving long after it would have stopped: the command was lost on the line.
+            if again.take_if(|again| again.is_over()).is_some() {
+                line.send(command::STOP, 0, &Deadline::uninterruptible(REPLY))?;
             }
             line.wire().pause(POLL, &deadline);
         }

@@ -78,7 +78,6 @@ fn two_thousand_scans_a_second_come_without_a_gap_in_every_framing() {
         let bench = bench(&format!("[interrogator]\n{framing}"));
         let mut unit = sm130(&bench);
         assert!(unit.identity().unwrap().model.contains("sm130"));
-        assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
         unit.start().unwrap();
         let readings = collect_count(&mut unit, 600);
         unit.stop().unwrap();
@@ -192,7 +191,6 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
     )
     .unwrap();
     assert_eq!(unit.identity().unwrap().serial, "VIR155");
-    assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
     unit.start().unwrap();
     let readings = collect_count(&mut unit, 600);
     assert_eq!(gaps(&readings), 0);

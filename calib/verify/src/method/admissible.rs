@@ -10,10 +10,6 @@ use crate::measurement_model::MeasurementModel;
 
 /// Steps of a refit from an optimum beside it.
 pub(crate) const REFIT_STEPS: usize = 15;
-/// One-sided amplitudes below this share of their usual size are no explanation. The least usual
-/// sizes lie at 0.2 of it (1e-3 of base compliance, 2 um of backlash), and estimates scatter about
-/// them.
-const MIN_SHARE: f64 = 0.1;
 
 impl Hypothesis {
     /// What its terms stand for, ascending, and the outliers where readings are flagged:
@@ -43,13 +39,7 @@ impl Hypothesis {
                 // A share of one is complete, not out of range.
                 let complete =
                     matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
-                // Far below the usual size the effect is a correction to something else, not an
-                // explanation.
-                let negligible = match p.role {
-                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
-                    Role::Shape { .. } => false,
-                };
-                if (at_bound && !complete) || negligible {
+                if at_bound && !complete {
                     return false;
                 }
             }

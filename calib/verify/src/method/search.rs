@@ -15,7 +15,7 @@ use super::search_result::{RankedHypothesis, SearchResult};
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
-use crate::levels::{CATALOGUE, RIVAL};
+use crate::levels::{CATALOGUE, LEAD, RIVAL};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -32,6 +32,8 @@ pub struct Search {
     size: usize,
     /// Explanations of the last size, best first.
     level: Vec<Hypothesis>,
+    /// Explanations of any size that the design does not identify.
+    refused: Vec<Refused>,
     /// What was found so far; rivals are not compared yet.
     pub found: SearchResult,
 }
@@ -50,6 +52,7 @@ impl Search {
             options: options.clone(),
             size: 1,
             level: vec![base.clone()],
+            refused: Vec::new(),
             found: SearchResult {
                 first_test: test.clone(),
                 best: base.clone(),
@@ -66,12 +69,9 @@ impl Search {
 
     /// A generic driver explains more than the catalogue does.
     fn generic_driver_wins(&self) -> bool {
-        covariate_wins(
-            &self.found.base,
-            &self.found.first_test,
-            &self.found.best,
-            self.found.best.fit.variance(),
-        )
+        self.found
+            .lead_of_driver(&self.found.best)
+            .is_some_and(|lead| lead > LEAD)
     }
 
     /// The explanation that the noise is taken from: the best one, but for where a generic driver
@@ -183,9 +183,10 @@ pub fn select_model(
     let size = count(system, &search.found.best.key(system, outliers)) + 1;
     refitted.retain(|h| h.is_admissible(system) && count(system, &h.key(system, outliers)) == size);
     let (mut physical, refused) = split_by_identifiability(system, refitted);
-    let base = &search.found.base.fit;
+    search.refused.extend(refused);
+    let (refused, base) = (&search.refused, &search.found.base.fit);
     let unidentified = |taken: &Hypothesis| {
-        unidentified_rivals(&refused, taken, base)
+        unidentified_rivals(refused, taken, base)
             .first()
             .map(|(_, n)| Rejection {
                 effects: vec![system.catalogue()[n.effect].id.to_owned()],
@@ -218,7 +219,7 @@ pub fn select_model(
     if p > CATALOGUE || candidate.aic(base, scale) >= search.found.best.aic(base, scale) {
         return false;
     }
-    let rivals = unidentified_rivals(&refused, &candidate, base);
+    let rivals = unidentified_rivals(refused, &candidate, base);
     take(system, search, physical);
     // A name does not win by a test that only its rival can fail.
     search
@@ -508,23 +509,6 @@ fn unidentified_rivals(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> V
         .collect();
     rivals.sort_by(|a, b| lead(&b.0).total_cmp(&lead(&a.0)));
     rivals
-}
-
-/// One generic score alone describes the residual better (Akaike) than the accepted effects do: a
-/// name that something without physics beats is none.
-fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
-    let Some(score) = test.covariates.first() else {
-        return false;
-    };
-    // Periods and steps were scanned: some forty places each.
-    let scanned = if matches!(score.shape, "sinusoid" | "step") {
-        2.0 * 40f64.ln()
-    } else {
-        2.0
-    };
-    let by_covariate =
-        (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
-    test.generic() && by_covariate < best.aic(&base.fit, variance)
 }
 
 /// Readings stand out singly although nothing smooth remains.

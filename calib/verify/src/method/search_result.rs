@@ -62,6 +62,20 @@ impl SearchResult {
         }
     }
 
+    /// Lead (Akaike) of the strongest generic driver alone over `h`; none where none is significant.
+    pub(crate) fn lead_of_driver(&self, h: &Hypothesis) -> Option<f64> {
+        let (base, test, variance) = (&self.base.fit, &self.first_test, h.fit.variance());
+        let score = test.covariates.first().filter(|_| test.generic())?;
+        // Periods and steps were scanned: some forty places each.
+        let scanned = if matches!(score.shape, "sinusoid" | "step") {
+            2.0 * 40f64.ln()
+        } else {
+            2.0
+        };
+        let parameters = 2.0 * score.dimension as f64 + scanned;
+        Some(h.aic(base, variance) - (base.ssr - score.gain) / variance - parameters)
+    }
+
     /// The explanation that predictions use: the best one, but for where a generic driver explains
     /// more than the catalogue does.
     pub fn accepted(&self) -> &Hypothesis {

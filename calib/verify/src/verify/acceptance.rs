@@ -26,9 +26,19 @@ pub enum Unfit {
     FarAboveFloor([f64; 2]),
     /// Something smooth predicts what it leaves.
     Predictable(SmoothRival),
+    /// A course over this driver describes the readings better than its effects do.
+    Outdone(String),
 }
 
 impl Unfit {
+    /// What something that the model lacks follows, where it is known.
+    pub(super) fn driver(&self) -> Option<&str> {
+        match self {
+            Self::Predictable(SmoothRival { driver, .. }) | Self::Outdone(driver) => Some(driver),
+            Self::Unusable(_) | Self::FarAboveFloor(_) => None,
+        }
+    }
+
     /// In a sentence; `unit` of the error.
     pub fn sentence(&self, unit: &str) -> String {
         let with = |v: f64| {
@@ -54,6 +64,9 @@ impl Unfit {
                     "{what} {driver} predicts what the model leaves of readings that no fit saw."
                 )
             }
+            Self::Outdone(driver) => format!(
+                "A course over {driver}, whatever it comes from, describes the readings better than the named effects."
+            ),
         }
     }
 }

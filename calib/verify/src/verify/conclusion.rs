@@ -217,17 +217,20 @@ fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
     })
 }
 
-/// What levels that reproduce better than they fit follow: their setting, in no shape that is
-/// known.
-fn irregular<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
-    let (driver, _) = model.covariates().into_iter().next()?;
-    let drivers_ranked = vec![driver.clone()];
-    Some(UnknownEffect {
-        driver,
+/// What follows `driver` in no shape that is known.
+fn irregular(driver: &str) -> UnknownEffect {
+    UnknownEffect {
+        driver: driver.to_owned(),
         shape: "irregular".to_owned(),
-        drivers_ranked,
+        drivers_ranked: vec![driver.to_owned()],
         period: None,
-    })
+    }
+}
+
+/// What levels that reproduce better than they fit follow: their setting.
+fn by_setting<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
+    let covariates = model.covariates();
+    covariates.first().map(|(driver, _)| irregular(driver))
 }
 
 fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> String {
@@ -280,7 +283,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             p_lack_of_fit: against_pure_error.and_then(|l| l.p_value),
             lack: against_pure_error
                 .filter(LackOfFit::is_significant)
-                .and_then(|_| irregular(model)),
+                .and_then(|_| by_setting(model)),
         }
     }
 
@@ -420,6 +423,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         match unfit.filter(|_| asserts_validity(c.verdict, c.on_request)) {
             Some(unfit) => Conclusion {
                 verdict: Verdict::UnknownEffect,
+                unknown: unfit.driver().map(irregular),
                 reason: format!("{} {}", unfit.sentence(unit), c.reason),
                 ..c
             },
@@ -567,7 +571,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             .lack_of_fit(&base)
             .is_some_and(|l| l.is_significant());
         let rejected = self.rejects(&base) || lack;
-        let driver = || self.unknown(&base).or_else(|| irregular(self.model));
+        let driver = || self.unknown(&base).or_else(|| by_setting(self.model));
         let unknown = if rejected { driver() } else { None };
         let (verdict, reason) = if rejected {
             (

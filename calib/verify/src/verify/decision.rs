@@ -124,6 +124,15 @@ pub(crate) fn decide<M: SessionModel>(
             rival()
         }
     });
+    // A name that something without physics outdoes is no explanation (Akaike).
+    let outdone = || {
+        let found = &explained.found;
+        let lead = found.lead_of_driver(accepted).filter(|lead| *lead > 0.0);
+        let driver = lead.and(found.first_test.covariates.first())?;
+        Some(Unfit::Outdone(driver.covariate.clone()))
+    };
+    let named = !explained.exact && !accepted.fit.terms.is_empty() && !on_request;
+    let unfit = unfit.or_else(|| if named { outdone() } else { None });
     let facts = Facts::of(model, explained, faults);
     let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
     let ablations = left_out.ablations(model, &explained.found, accepted);

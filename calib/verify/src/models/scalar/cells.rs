@@ -66,9 +66,15 @@ impl Strata {
         x: &[f64],
     ) -> bool {
         let [with, without] = fits.map(|fit| split(fit, weights, self.of(by_clock), x));
+        // What a term says in both strata costs each its parameters: a loop from rest differs
+        // within cells by its first reading alone.
+        let between = Part {
+            dof: with.between.dof - (without.within.dof - with.within.dof),
+            ..with.between
+        };
         extra_sum_of_squares_p(without.within, with.within).is_some_and(|p| p < WITHIN_STRATA)
             || (!by_clock
-                && extra_sum_of_squares_p(without.between, with.between)
+                && extra_sum_of_squares_p(without.between, between)
                     .is_some_and(|p| p < BETWEEN_STRATA))
     }
 }

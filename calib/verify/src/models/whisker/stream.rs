@@ -7,7 +7,7 @@
 //! value's error from reading to reading), `C = F F'` the joint covariance of `B` (channel by
 //! channel) and `v`.
 
-use super::path::{Reading, WhiskerPath};
+use super::path::{Node, Reading, WhiskerPath};
 use super::physical::{CalibratedReading, PhysicalModel, covariance_root};
 use super::system::dynamic;
 use super::whisker_effect::{ActiveEffect, SensorMemory};
@@ -21,12 +21,24 @@ const VALUE_STEP: f64 = 0.1;
 struct EffectMemories {
     terms: Vec<ActiveEffect>,
     memories: Vec<SensorMemory>,
+    /// The base moment of the last reading.
+    last: [f64; 2],
 }
 
 impl EffectMemories {
     fn new(terms: Vec<ActiveEffect>) -> Self {
         let memories = vec![SensorMemory::default(); terms.len()];
-        Self { terms, memories }
+        Self {
+            terms,
+            memories,
+            last: [0.0; 2],
+        }
+    }
+
+    /// Remembers that `base` stands after each of `steps_s`, that of the last reading where none is
+    /// stated.
+    fn stand(&mut self, steps_s: &[Option<f64>], base: Option<[f64; 2]>) {
+        self.memories = self.recalled(steps_s, base.unwrap_or(self.last)).1;
     }
 
     /// What the sensor makes of a base moment that stands after each of `steps_s`, and what it
@@ -58,8 +70,9 @@ impl EffectMemories {
                 break;
             }
         }
-        self.memories = self.recalled(steps_s, base.into()).1;
-        base.into()
+        self.last = base.into();
+        self.stand(steps_s, None);
+        self.last
     }
 }
 
@@ -217,17 +230,35 @@ impl PhysicalStream {
     fn follow(mut self, path: &WhiskerPath, noise_sd_pm: &[f64]) -> Vec<FollowedReading> {
         let mut out = Vec::with_capacity(path.readings.len());
         let mut steps_s = Vec::new();
+        let mut last: Option<&Node> = None;
         for node in &path.nodes {
             steps_s.push(self.last_s.replace(node.t_s).map(|last| node.t_s - last));
-            // A node without a reading is the arrival at the reading that follows it.
+            let stays = |last: &Node| (last.line, last.x_mm) == (node.line, node.x_mm);
             if let Some(i) = node.reading {
                 self.noise_sd_pm = noise_sd_pm[i];
                 let (sensed, moments) = self.take(path.readings[i].clone(), &steps_s);
                 out.push((sensed.into(), moments, self.spread()));
-                steps_s.clear();
+                last = Some(node);
+            } else if node.rest && node.line.is_none() {
+                // Between seatings the wire is free.
+                self.stand(&steps_s, Some([0.0; 2]));
+            } else if last.is_some_and(stays) {
+                // The end of an average: the load of its reading goes on.
+                self.stand(&steps_s, None);
+            } else {
+                // The arrival at the reading that follows, whose load begins here.
+                continue;
             }
+            steps_s.clear();
         }
         out
+    }
+
+    /// A base moment that stands after each of `steps_s`, with every value of the effects.
+    fn stand(&mut self, steps_s: &[Option<f64>], base: Option<[f64; 2]>) {
+        self.effects.stand(steps_s, base);
+        let sides = self.moved.iter_mut().flat_map(|(.., sides)| sides);
+        sides.for_each(|side| side.stand(steps_s, base));
     }
 
     /// What is sensed of a reading that stands after each of `steps_s`, and its base moments.

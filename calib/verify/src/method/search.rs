@@ -15,7 +15,7 @@ use super::search_result::{RankedHypothesis, SearchResult};
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
-use crate::levels::{CATALOGUE, LEAD, RIVAL};
+use crate::levels::{CATALOGUE, RIVAL};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -67,17 +67,10 @@ impl Search {
         })
     }
 
-    /// A generic driver explains more than the catalogue does.
-    fn generic_driver_wins(&self) -> bool {
-        self.found
-            .lead_of_driver(&self.found.best)
-            .is_some_and(|lead| lead > LEAD)
-    }
-
     /// The explanation that the noise is taken from: the best one, but for where a generic driver
     /// explains more.
     pub fn accepted(&self) -> &Hypothesis {
-        if self.generic_driver_wins() {
+        if self.found.generic_driver_wins() {
             &self.found.base
         } else {
             &self.found.best
@@ -87,7 +80,7 @@ impl Search {
     /// Something was found or remains: heavier tails would be a reason to look again.
     pub(crate) fn is_inadequate(&self) -> bool {
         let found = !self.found.best.fit.terms.is_empty() || !self.found.best.flagged.is_empty();
-        found || self.found.last_test.rejected() || self.generic_driver_wins()
+        found || self.found.last_test.rejected() || self.found.generic_driver_wins()
     }
 }
 
@@ -253,7 +246,7 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
         p_value: *p_value,
     };
     let evidence = refitted.iter().zip(&p_values).map(line).collect();
-    let covariate_beats_catalogue = search.generic_driver_wins();
+    let covariate_beats_catalogue = search.found.generic_driver_wins();
     SearchResult {
         survivors,
         evidence,

@@ -1,8 +1,11 @@
 //! What a search found, and what each of its explanations is worth.
 
+use super::admissible::REFIT_STEPS;
 use super::hypothesis::{Hypothesis, Rejection};
-use super::omnibus::OmnibusTest;
-use crate::levels::RIVAL;
+use super::noise::{MeanModel, restricted_likelihood};
+use super::omnibus::{CovariateScore, OmnibusTest};
+use crate::levels::{LEAD, RIVAL};
+use crate::measurement_model::MeasurementModel;
 
 /// One line of the evidence table.
 #[derive(Debug, Clone)]
@@ -62,9 +65,10 @@ impl SearchResult {
         }
     }
 
-    /// Lead (Akaike) of the strongest generic driver alone over `h`; none where none is significant.
-    pub(crate) fn lead_of_driver(&self, h: &Hypothesis) -> Option<f64> {
-        let (base, test, variance) = (&self.base.fit, &self.first_test, h.fit.variance());
+    /// The strongest generic driver of what the declared model leaves, and twice its parameters;
+    /// none where none is significant.
+    fn driver(&self) -> Option<(&CovariateScore, f64)> {
+        let test = &self.first_test;
         let score = test.covariates.first().filter(|_| test.generic())?;
         // Periods and steps were scanned: some forty places each.
         let scanned = if matches!(score.shape, "sinusoid" | "step") {
@@ -72,8 +76,28 @@ impl SearchResult {
         } else {
             2.0
         };
-        let parameters = 2.0 * score.dimension as f64 + scanned;
-        Some(h.aic(base, variance) - (base.ssr - score.gain) / variance - parameters)
+        Some((score, 2.0 * score.dimension as f64 + scanned))
+    }
+
+    /// A generic driver alone leads the best explanation (Akaike) by more than chance gives.
+    pub(crate) fn generic_driver_wins(&self) -> bool {
+        let (base, variance) = (&self.base.fit, self.best.fit.variance());
+        let lead = |(score, price): (&CovariateScore, f64)| {
+            self.best.aic(base, variance) - (base.ssr - score.gain) / variance - price
+        };
+        self.driver().map(lead).is_some_and(|lead| lead > LEAD)
+    }
+
+    /// The generic driver that alone, in place of the terms of `h` and on the readings that count
+    /// there, describes them better (Akaike); none where none does.
+    pub(crate) fn outdone_by(&self, system: &dyn MeasurementModel, h: &Hypothesis) -> Option<&str> {
+        let (score, price) = self.driver()?;
+        let declared = Hypothesis::fitted(system, &[], &h.weights, REFIT_STEPS)?.fit;
+        let course = MeanModel::of(&declared).with(&score.columns);
+        let left = restricted_likelihood(&course, &h.weights)?.ssr
+            + declared.auxiliary_residual.norm_squared();
+        let lead = (h.fit.ssr - left) / h.fit.variance() + 2.0 * h.parameters(&declared) - price;
+        (lead > 0.0).then_some(score.covariate.as_str())
     }
 
     /// The explanation that predictions use: the best one, but for where a generic driver explains

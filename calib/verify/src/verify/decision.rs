@@ -126,10 +126,8 @@ pub(crate) fn decide<M: SessionModel>(
     });
     // A name that something without physics outdoes is no explanation (Akaike).
     let outdone = || {
-        let found = &explained.found;
-        let lead = found.lead_of_driver(accepted).filter(|lead| *lead > 0.0);
-        let driver = lead.and(found.first_test.covariates.first())?;
-        Some(Unfit::Outdone(driver.covariate.clone()))
+        let driver = explained.found.outdone_by(model, accepted)?;
+        Some(Unfit::Outdone(driver.to_owned()))
     };
     let named = !explained.exact && !accepted.fit.terms.is_empty() && !on_request;
     let unfit = unfit.or_else(|| if named { outdone() } else { None });

@@ -205,7 +205,7 @@ impl<'a> Values<'a> {
 /// An effect of a catalogue: what it is called, and the laws by which it can act.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Effect {
-    /// Identifier of docs/src/formats.md.
+    /// Identifier of docs/src/method.md.
     pub id: &'static str,
     /// One plain sentence for the report.
     pub sentence: &'static str,

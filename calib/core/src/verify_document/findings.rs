@@ -39,7 +39,7 @@ pub struct EffectParameter {
 /// An effect that the data asks for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NamedEffect {
-    /// Identifier of docs/src/formats.md.
+    /// Identifier of docs/src/method.md.
     pub id: String,
     /// Law by which each of its terms acts, in the catalogue's words.
     pub laws: Vec<String>,

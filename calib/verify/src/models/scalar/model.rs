@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 /// cycles).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTerm {
-    /// Identifier of docs/src/formats.md.
+    /// Identifier of docs/src/method.md.
     pub id: String,
     /// Law.
     pub law: String,

@@ -21,7 +21,7 @@ pub(crate) use periodic::{PERIODIC, of_a_turn};
 pub(crate) use response::HETEROSCEDASTIC_NOISE;
 pub(crate) use series::ZERO_BY_SERIES;
 
-/// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
+/// Every effect of docs/src/method.md for kinds "transducer" and "axis".
 pub(crate) fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
     let declared = match frame.declared {
         Declared::Polynomial(degree) => degree,

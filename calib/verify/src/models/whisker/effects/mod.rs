@@ -9,7 +9,7 @@ mod wire;
 use super::whisker_effect::WhiskerEffect;
 use std::sync::LazyLock;
 
-/// Every effect of docs/src/formats.md for kind "whisker".
+/// Every effect of docs/src/method.md for kind "whisker".
 pub(crate) fn whisker_catalogue() -> &'static [WhiskerEffect] {
     static CATALOGUE: LazyLock<Vec<WhiskerEffect>> = LazyLock::new(|| {
         vec![

@@ -110,3 +110,36 @@ impl SearchResult {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::columns_system_test::ColumnsSystem;
+    use super::super::fit::Weights;
+    use super::super::options::Options;
+    use super::super::search::Search;
+    use super::*;
+
+    /// What outdoes a column that rises and swings, in readings that `acts` on by clock (0 to 1) and
+    /// column.
+    fn outdone(seed: u64, acts: impl Fn(f64, f64) -> f64) -> Option<String> {
+        let clock: Vec<f64> = (0..120).map(|i| f64::from(i) / 119.0).collect();
+        let column: Vec<f64> = clock.iter().map(|t| t + 0.2 * (40.0 * t).sin()).collect();
+        let both = clock.iter().zip(&column);
+        let clean: Vec<f64> = both.map(|(t, c)| acts(*t, *c)).collect();
+        let system = ColumnsSystem::new(seed, vec![column], &clean)
+            .with_covariates(vec![("t_s".to_owned(), clock)]);
+        let (weights, options) = (Weights::equal(120), Options::default());
+        let search = Search::new(&system, &weights, &options).unwrap();
+        let named = Hypothesis::fitted(&system, &[ColumnsSystem::term(0)], &weights, 5).unwrap();
+        let driver = search.found.outdone_by(&system, &named);
+        driver.map(str::to_owned)
+    }
+
+    #[test]
+    fn a_course_outdoes_a_name_that_it_describes_better_than_and_no_true_one() {
+        for seed in 0..5 {
+            assert_eq!(outdone(seed, |t, _| 8.0 * t * t).as_deref(), Some("t_s"));
+            assert_eq!(outdone(seed, |_, column| 8.0 * column), None);
+        }
+    }
+}

@@ -247,17 +247,18 @@ fn additive_effects_of_a_transducer_are_named() {
 
 #[test]
 fn memory_effects_of_a_transducer_are_named() {
-    let with = |seed: u64, response: &dyn Fn(&[Reading]) -> Vec<f64>| {
+    let beside = |noise: f64, seed: u64, response: &dyn Fn(&[Reading]) -> Vec<f64>| {
         let mut rng = Noise::new(seed);
         let sweep = triangles(3, 20, &mut rng);
         let clean = response(&sweep);
         let mut k = 0;
         let data = transducer(&sweep, TransducerModel::Linear, |_| {
             k += 1;
-            0.1 + 0.2 * clean[k - 1] + 0.01 * rng.next()
+            0.1 + 0.2 * clean[k - 1] + noise * rng.next()
         });
         run(&data, seed)
     };
+    let with = |seed: u64, response: &dyn Fn(&[Reading]) -> Vec<f64>| beside(0.01, seed, response);
     // A fine Euler integration of its own, not the catalogue's exact step.
     let creep = |sweep: &[Reading]| -> Vec<f64> {
         let mut slow = 0.0;
@@ -284,25 +285,24 @@ fn memory_effects_of_a_transducer_are_named() {
             .map(|r| if r.t_s < 1.4 { 0.0 } else { x(r.t_s - 1.4) })
             .collect()
     };
-    let play = |sweep: &[Reading]| -> Vec<f64> {
-        let mut held: f64 = 0.0;
-        sweep
-            .iter()
-            .map(|r| {
-                held = if r.x > held {
-                    r.x
-                } else if r.x < held - 0.8 {
-                    r.x + 0.8
-                } else {
+    let play = |width: f64| {
+        move |sweep: &[Reading]| -> Vec<f64> {
+            let mut held: f64 = 0.0;
+            sweep
+                .iter()
+                .map(|r| {
+                    held = r.x.max(held).min(r.x + width);
                     held
-                };
-                held
-            })
-            .collect()
+                })
+                .collect()
+        }
     };
     assert!(share("creep", DRAWS, |s| with(s, &creep)) >= 0.8);
     assert!(share("lag", DRAWS, |s| with(s, &lag)) >= 0.8);
-    assert!(share("backlash", DRAWS, |s| with(s, &play)) >= 0.8);
+    assert!(share("backlash", DRAWS, |s| with(s, &play(0.8))) >= 0.8);
+    // A precise instrument: 0.04 % of the range, far below what is usual.
+    let small = play(0.004);
+    assert!(share("backlash", DRAWS, |s| beside(1e-4, s, &small)) >= 0.8);
 }
 
 #[test]

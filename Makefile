@@ -23,11 +23,11 @@ demo: program
 	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
 
-# Built first, then run side by side (tests/run.sh), with BESIDE as one more command. Examples are not linked here: `make check` compiles them.
+# Built first, then run side by side (tests/run.sh). Examples are not linked here: `make check` compiles them.
 test: setup
 	cargo fmt --all --check
 	cargo test --workspace --locked --tests --no-run
-	tests/run.sh $(BESIDE)
+	tests/run.sh
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
 # Licences and sources are a test (tests/contracts/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Every test. What keeps time (a bench, a stream) leaves the machine mostly idle and must not wait for it; all else runs beside it with the lowest
 # priority, in two halves, since a target ends with one long test that leaves a core idle. Nothing stops at the first failure; failures are said last.
-# usage: run.sh [COMMAND...]   COMMAND is run beside the tests, from when what keeps time is done.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 tests="cargo test --workspace --locked --no-fail-fast"
@@ -40,13 +39,10 @@ if [ "$(df --output=avail -m $memory 2>/dev/null | tail -1)" -ge 2000 ] 2>/dev/n
 fi
 part timed $tests --test live --test drivers --test contracts -- keeps_time::
 failed=$?
-beside=
-if [ $# -gt 0 ]; then part beside nice -n 19 "$@" & beside=$!; fi
 wait $one || failed=1
 wait $other || failed=1
-if [ -n "$beside" ]; then wait "$beside" || failed=1; fi
 cat target/test-{half,rest,timed}.log | grep -E '^     Running|^test result'
 if [ $failed != 0 ]; then
-  grep -h -E -A 12 '^error|^---- .* stdout|^thread .* panicked|^test .* FAILED$' target/test-*.log
+  grep -h -E -A 12 '^error|^---- .* stdout|^thread .* panicked|^test .* FAILED$' target/test-{half,rest,timed}.log
 fi
 exit $failed

@@ -188,7 +188,7 @@ impl ClockWatch {
             return step;
         }
         let stopped = self.stands_still(now);
-        // A reading in doubt does not move the mark that it is judged by.
+        // A reading in doubt does not move the limit that it is tested against.
         if self.doubt.is_none() {
             self.earliest_s = self.earliest_s.max(now.device_s - now.host_s);
         }

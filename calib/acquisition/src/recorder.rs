@@ -177,7 +177,7 @@ impl Recorder {
         }
         let file = self.file.try_clone()?;
         let ended = running.replace(std::thread::spawn(move || file.sync_data()));
-        // A sync that failed is told when the next one begins: nobody waits for it before.
+        // A sync that failed is reported when the next one begins: nobody waits for it before.
         ended.and_then(|sync| sync.join().ok()).unwrap_or(Ok(()))
     }
 

@@ -199,7 +199,7 @@ fn read_contents(
         ..Contents::default()
     };
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
-    // Two passes: a scan's delay is judged by the clocks of the whole recording.
+    // Two passes: a scan's delay is tested by the clocks of the whole recording.
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
             let fault = all.clock.take(scan.serial, scan.host_s, scan.device_s);

@@ -314,7 +314,7 @@ impl Sweep<'_, '_, '_> {
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
-        // A unit of the binary protocol has no stall flag: standing elsewhere is all that shows it.
+        // A unit of the binary protocol has no stall flag: only another position shows it.
         let found_mm = self.last.measured_mm;
         if (found_mm - target_mm).abs() > ARRIVAL_MM {
             return Err(DeviceError::new(

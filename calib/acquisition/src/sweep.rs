@@ -165,7 +165,7 @@ fn stream(
             }
             Err(e) => return Err(blame(e)),
         };
-        // Recorded before it is judged: the scan that ends a sweep is in its recording, too.
+        // Recorded before it is tested: the scan that ends a sweep is in its recording, too.
         let mut recorded = Vec::with_capacity(readings.len());
         for reading in readings {
             if recorder.scan(&reading).map_err(|e| disk(&e))? {

@@ -69,7 +69,7 @@ pub(super) fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Ve
             offs.iter().copied().fold(0.0, f64::max)
         );
     }
-    // What the cable itself gets wrong, apart from any contact.
+    // What the cable itself gets wrong, without any contact.
     if preset == Preset::Paper {
         let found = MujocoEngine::start().and_then(|mut engine| {
             statics(&mut engine, &data.whisker, &paper_options(&data.whisker))

@@ -254,7 +254,7 @@ pub(crate) fn fit_candidate(
         let y = &scaled.outputs[moment];
         let model = recipe(&scaled.inputs, y, None)?;
         let fit = Process::fit(model, &scaled.inputs, y)?;
-        // Readings of one pose share its error: left out alone, one would be told by the others.
+        // Readings of one pose share its error: left out alone, one would be known from the others.
         let loo = LeftOutSummary::new(fit.leave_out(&poses));
         let loto = (trajectories.len() >= 3).then(|| {
             leave_trajectories_out(recipe, &fit.model, scaled, y, training, &trajectories)

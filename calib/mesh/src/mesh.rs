@@ -128,7 +128,7 @@ impl Mesh {
             notes.push("normals pointed inward: turned round".to_owned());
         }
         let places: Vec<Place> = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
-        // Oriented meshes have the pseudo-normals by which a point is told to be inside.
+        // Oriented meshes have the pseudo-normals that show whether a point is inside.
         let searchable = |triangles: Vec<[u32; 3]>| {
             TriMesh::with_flags(places.clone(), triangles, TriMeshFlags::ORIENTED)
                 .map_err(|e| refuse("a mesh that can be searched", e.to_string()))

@@ -140,7 +140,7 @@ impl<R: Labelled> Rows<'_, R> {
         folder: &str,
         source: fn(&mut R) -> &mut String,
     ) {
-        // Both sessions call their table points.csv: the folder tells them apart.
+        // Both sessions call their table points.csv: the folder distinguishes them.
         added.each(&(folder, source), |row, (folder, source)| {
             let name = source(row);
             *name = format!("{folder}/{name}");

@@ -560,7 +560,7 @@ fn covariance(
     (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
 ) -> DMatrix<f64> {
     let n = touches.len();
-    // An error along the moment is felt as it is; one across it is larger.
+    // An error along the moment counts as it is; one across it is larger.
     let across = |t: &Touch<'_>, by: &Vector2<f64>| {
         let along = t.moment_nmm.normalize();
         along * along.dot(by) * (1.0 - t.larger) + by * t.larger

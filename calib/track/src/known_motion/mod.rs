@@ -120,7 +120,7 @@ pub fn estimate_contact(
     let Some(found) = found else {
         return Ok(EpisodeEstimate::unexplained(episode));
     };
-    // Readings that the thinning left out were never judged: none of them is an outlier.
+    // Readings that the thinning left out were never tested: none of them is an outlier.
     let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
     let place = |k| EpisodeContact {
         outlier: outlier(k),

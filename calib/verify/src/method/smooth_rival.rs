@@ -193,7 +193,7 @@ pub(crate) fn smooth_rival(
         drawn
             .rows_mut(n * channels, h.fit.auxiliary_residual.len())
             .apply(|v| *v = white());
-        // A fit takes up of noise what it takes up of readings: the draw is judged by what is left.
+        // A fit takes up of noise what it takes up of readings: the draw is tested by its residual.
         falls(&basis.project_off(&drawn))
     };
     // Each D has the tail of a gamma distribution with its first three moments: few columns are as

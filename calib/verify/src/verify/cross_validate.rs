@@ -87,7 +87,7 @@ pub(crate) fn cross_validate<M: SessionModel>(
         names: names(&accepted),
         errors,
     });
-    // What chance gives is no effect: the declared model is judged on the same folds.
+    // What chance gives is no effect: the declared model is tested on the same folds.
     if withdrawn.is_some() {
         (accepted, noise) = (found.base.clone(), &explained.declared_noise);
         left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
@@ -266,7 +266,7 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
     let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
     let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
-    // Singular: an amplitude that nothing determines cannot be told from zero.
+    // Singular: an amplitude that nothing determines cannot be distinguished from zero.
     let Some(factor) = spread.cholesky() else {
         return true;
     };

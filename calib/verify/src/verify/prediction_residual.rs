@@ -220,7 +220,7 @@ impl PredictionResidual {
             groups: groups.into_values().map(of_group).collect(),
             variance: self.variance(&d),
             squares: r.norm_squared() - taken,
-            // The direction of d is judged by T itself and takes one degree of freedom from W.
+            // The direction of d is tested by T itself and takes one degree of freedom from W.
             count: self.count - 1.0,
             dof: self.dof,
         }

@@ -82,7 +82,7 @@ pub fn calibrate_stereo(
         left_from_board: mono[0].camera_from_board.clone(),
     };
     let mut last = Vec::new();
-    // Wrong views bend the solution that they are judged by: solved again until the set stays.
+    // Wrong views bend the solution that they are tested against: solved again until the set stays.
     for _ in 0..6 {
         if used.len() < 3 {
             break;

@@ -25,7 +25,7 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
             .filter(|(j, p)| *j != k && seen(p))
             .map(|(_, p)| p.length_mm)
             .collect();
-        // The pair that is judged has no part in what it is judged by.
+        // The pair that is tested has no part in what it is tested against.
         let [typical, spread] = median_and_sd(&others);
         let off = (pair.length_mm - typical).abs();
         let limit = (BEYOND_SD * pair.length_sd_mm.hypot(spread)).max(LENGTH_SHARE * typical);

@@ -222,7 +222,7 @@ impl Camera for V4l2Camera {
         Ok(DeviceIdentity {
             driver: "v4l2".to_owned(),
             model: caps.card,
-            // V4L2 has no serial number: the bus tells two cameras of one model apart.
+            // V4L2 has no serial number: the bus distinguishes two cameras of one model.
             serial: caps.bus,
             settings: self.settings.clone(),
             ..DeviceIdentity::default()

@@ -40,7 +40,7 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
     let half = s.half_range();
-    // n readings lie n - 1 steps apart.
+    // n readings have n - 1 steps between them.
     let readings = s.count.max(2) as f64 - 1.0;
     let (response, stimulus) = (&names.response, &names.stimulus);
     let duration = s.time.map_or(1.0, |t| t[1]);

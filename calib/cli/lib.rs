@@ -10,6 +10,8 @@
 #[macro_use]
 pub mod printing;
 
+mod calibrate;
+mod check;
 mod column_words;
 mod demo;
 pub mod fit_gpr;
@@ -59,6 +61,7 @@ struct Cli {
 const START: &str = "\
 Start:
   wcal demo --out demo-out                      the whole loop on recorded data
+  wcal calibrate --out calibrated               a bench in one command (without --rig a virtual one)
   wcal import TABLE.csv --kind transducer --stimulus COL --response COL --model linear --out SESSION
   wcal verify SESSION --out RESULT              then open RESULT/report.html
   wcal stage-sweep --help                       a whisker on a bench";
@@ -70,11 +73,14 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Turn a plain table into a session
     Import(import::ImportArgs),
+    /// A bench from the sweep to the verified calibration, one command; goes on where it stopped
+    Calibrate(calibrate::CalibrateArgs),
     /// The residual loop: find what the model lacks, add it, show the held-out error
-    #[command(alias = "calibrate")]
     Verify(verify::VerifyArgs),
     /// Wavelength-to-moment map of a session
     FitGpr(fit_gpr::FitGprArgs),
+    /// Does a calibration still hold, and what changed
+    Check(check::CheckArgs),
     /// Readings of a table through a calibration: moments, or the stimulus
     Predict(predict::PredictArgs),
     /// Both cameras from pairs of pictures of a board
@@ -118,8 +124,10 @@ fn dispatch(asked: &Command) -> Result<ExitCode> {
     match asked {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
+        Command::Check(args) => check::run(args),
         Command::Predict(args) => predict::run(args),
         Command::Demo(args) => demo::run(args, run_words),
+        Command::Calibrate(args) => calibrate::run(args, run_words),
         Command::Import(args) => import::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
         Command::StereoShape(args) => stereo_shape::run(args),

@@ -19,6 +19,7 @@ use wcal_session::{SessionLedger, WarningKind};
 
 For a whisker TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present. For a
 transducer it needs stimulus (the response follows) or response alone (the stimulus follows); for an axis commanded_mm.
+An effect with memory (hysteresis, creep) follows the times or directions of the readings; without them half95 holds half the loop.
 Where the table has the measured value too (response beside stimulus, measured_mm), it is repeated with its residual.
 A table that a session beside it keeps sealed is recorded as opened (unsealed.json).
 Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
@@ -69,6 +70,9 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
         .partition(|w| w.kind == WarningKind::Stuck);
     for warning in odd {
         eprintln!("warning: {warning}");
+    }
+    for remark in &applied.remarks {
+        eprintln!("note: {remark}");
     }
     record_if_sealed(&args.table, &args.out)?;
     if file.verification == VerificationStatus::Reverified {

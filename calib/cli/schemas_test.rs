@@ -1,7 +1,7 @@
 //! The JSON documents that this program writes, by their types.
 
 use crate::json_reference::{hold, schema};
-use crate::{import, predict, reduce, stage_sweep, verify};
+use crate::{calibrate, check, import, predict, reduce, stage_sweep, verify};
 use std::path::Path;
 use wcal_calibration::CalibrationModel;
 use wcal_core::map_document::MapDocument;
@@ -22,7 +22,10 @@ fn schemas_and_reference_are_made_from_the_types() {
         schema::<wcal_track::track_document::TrackDocument>("track", "track.json"),
         schema::<wcal_drivers::bench::Addresses>("bench", "wcal virtual-bench"),
         schema::<import::ImportDocument<'_>>("import", "wcal import --json"),
-        schema::<verify::check::CheckDocument<'_>>("check", "wcal verify --check --json"),
+        schema::<verify::dry_run::CheckDocument<'_>>("check", "wcal verify --dry-run --json"),
+        schema::<check::CalibrationCheckDocument<'_>>("calibration-check", "wcal check --json"),
+        schema::<wcal_calibration::CalibrationHistory>("history", "wcal check --history --json"),
+        schema::<calibrate::CalibrateDocument>("calibrate", "calibrate.json"),
         schema::<predict::PredictionDocument<'_>>("predict", "wcal predict --json"),
         schema::<stage_sweep::PathDocument>("path", "wcal stage-sweep --dry-run --json"),
         schema::<stage_sweep::SweepDocument<'_>>("sweep", "wcal stage-sweep --json"),

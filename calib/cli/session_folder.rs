@@ -4,7 +4,7 @@ use crate::column_words::{option_of, quoted};
 use anyhow::{Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_core::text::decoded;
+use wcal_session::{TextTableLayout, read_table_text};
 
 /// Columns that an import takes by their names, or that say when or how and not what was measured.
 const BESIDE: &[&str] = &[
@@ -49,9 +49,8 @@ pub(crate) fn expect_session(session: &Path, command: &str) -> Result<()> {
             folder.display()
         );
     }
-    let bytes = crate::input::read(session)?;
-    let (text, _) = decoded(&bytes).map_err(|other| anyhow!("{shown}: {other}"))?;
-    let mut lines = text.lines();
+    let table = read_table_text(session, &TextTableLayout::default())?;
+    let mut lines = table.text.lines();
     let (header, rows) = (lines.next().unwrap_or_default(), lines.collect::<Vec<_>>());
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",

@@ -1,6 +1,6 @@
 //! `wcal verify`: the residual loop on a session.
 
-pub mod check;
+pub mod dry_run;
 mod text;
 
 pub(crate) use text::print_text;
@@ -49,7 +49,7 @@ use wcal_verify::whisker::{
   wcal verify session --holdout later-session --json
   wcal verify session --add next-measurement --out session-and-next
   wcal verify session --accept groove-friction,creep
-  wcal verify session --check
+  wcal verify session --dry-run
 
 Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
@@ -77,8 +77,8 @@ pub struct VerifyArgs {
     pub sweep: Option<PathBuf>,
     /// Only look at the session: what it holds, what it lacks, what looks wrong. Exit code 0: fit
     /// for use; 3: usable, with warnings; 1: not usable
-    #[arg(long, conflicts_with_all = ["add", "accept", "calibration", "sweep"])]
-    pub check: bool,
+    #[arg(long, alias = "check", conflicts_with_all = ["add", "accept", "calibration", "sweep"])]
+    pub dry_run: bool,
     /// Folder for verify.json, predictions.csv, report.html and calibration.json [default:
     /// SESSION-verified, beside the session]
     #[arg(long, value_name = "DIR")]
@@ -117,9 +117,9 @@ pub const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
 pub fn run(args: &VerifyArgs) -> Result<ExitCode> {
-    if args.check {
+    if args.dry_run {
         expect_session(&args.session, "verify")?;
-        return check::check(&args.session, args.holdout.as_deref(), args.json);
+        return dry_run::check(&args.session, args.holdout.as_deref(), args.json);
     }
     let folder = args.out.clone().map_or_else(|| beside(&args.session), Ok)?;
     // A wrong --out is refused now, not after the search.
@@ -375,6 +375,9 @@ pub fn verify_session(
         } else {
             VerificationStatus::Verified
         };
+        if let CalibrationModel::Scalar(model) = &model {
+            report.verify.data_sheet = model.data_sheet();
+        }
         let file = seal(
             &session.id,
             status,

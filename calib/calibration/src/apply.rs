@@ -135,6 +135,8 @@ pub struct AppliedTable {
     pub outside: Option<String>,
     /// What is odd about the table of readings.
     pub warnings: Vec<SessionWarning>,
+    /// How the values were found, where there is more than one way.
+    pub remarks: Vec<String>,
 }
 
 /// A table through a calibration.

@@ -36,6 +36,9 @@ pub enum CalibrationError {
         /// Kind that the calibration is of.
         found: String,
     },
+    /// It is of another unit.
+    #[error("{0}")]
+    OtherUnit(String),
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),
@@ -60,6 +63,11 @@ impl CalibrationError {
             expected: expected.to_owned(),
             found: found.to_owned(),
         }
+    }
+
+    /// It says that calibration and readings do not belong together.
+    pub fn is_mismatch(&self) -> bool {
+        matches!(self, Self::OtherKind { .. } | Self::OtherUnit(_))
     }
 
     /// An error of a file's content.

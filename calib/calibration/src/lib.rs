@@ -11,6 +11,7 @@ mod apply;
 mod artefact;
 mod error;
 mod given;
+mod history;
 mod map;
 mod physical;
 mod scalar;
@@ -23,4 +24,6 @@ pub use artefact::{
 };
 pub use error::CalibrationError;
 pub use given::GivenCalibration;
+pub use history::{CalibrationHistory, history};
+pub use scalar::rows_to_check;
 pub use trust_issue::TrustIssue;

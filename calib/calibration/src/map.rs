@@ -63,6 +63,7 @@ impl Calibration for MapArtefact {
             rows,
             outside,
             warnings: table.warnings,
+            remarks: Vec::new(),
         })
     }
 

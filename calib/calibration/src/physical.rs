@@ -53,6 +53,7 @@ impl Calibration for PhysicalModel {
             rows,
             outside,
             warnings,
+            remarks: Vec::new(),
         })
     }
 

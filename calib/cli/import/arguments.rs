@@ -162,6 +162,9 @@ pub(crate) struct ImportArgs {
     /// Decimals are written with a comma
     #[arg(help_heading = "Form of the table", long)]
     pub decimal_comma: bool,
+    /// Sheet of a spreadsheet (.xlsx, .ods). Default: the one with the columns that are asked for
+    #[arg(help_heading = "Form of the table", long, value_name = "NAME")]
+    pub sheet: Option<String>,
     /// Print the result as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -250,5 +253,6 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         separator,
         decimal_comma: args.decimal_comma,
         asked: Some(asked.map(column_name).collect()),
+        sheet: args.sheet.clone(),
     }
 }

@@ -3,6 +3,7 @@
 use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
+use wcal_core::data_sheet::DataSheet;
 use wcal_core::text::{brief, chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
 use wcal_core::{ResidualRecord, TransducerModel};
@@ -217,6 +218,9 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
                 readable(error)
             );
         }
+    }
+    for line in v.data_sheet.iter().flat_map(DataSheet::lines) {
+        println!("  result: {line}");
     }
     if v.holdout.outcome != HoldoutOutcome::Absent {
         let p = v.holdout.p.map_or_else(String::new, |p| {

@@ -7,6 +7,7 @@
 pub mod calibration;
 pub mod clock;
 pub mod covariance;
+pub mod data_sheet;
 pub mod deadline;
 pub mod device;
 pub mod document;

@@ -5,6 +5,7 @@ mod findings;
 mod noise;
 mod witness;
 
+use crate::data_sheet::DataSheet;
 use crate::provenance::InputFile;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -105,6 +106,10 @@ pub struct VerifyDocument {
     /// What each accepted effect is worth; absent without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
+    /// What to write down of the instrument (transducer, axis); absent where no calibration is
+    /// written.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_sheet: Option<DataSheet>,
     /// How a given calibration does on readings that were not in its fit; absent without
     /// `--calibration`.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -1,4 +1,4 @@
-//! What `wcal verify --check` says of a session: counts, what is absent and what that hides, and
+//! What `wcal verify --dry-run` says of a session: counts, what is absent and what that hides, and
 //! what its reader warned of.
 
 use crate::session::LoadedSession;

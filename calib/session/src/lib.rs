@@ -24,6 +24,7 @@ mod screening;
 mod separated;
 mod session;
 mod shapes;
+mod sheet;
 mod stamp;
 pub mod sweep_session;
 mod table;
@@ -50,7 +51,7 @@ pub use quantity::{
 };
 pub use separated::Separator;
 pub use session::{LoadedSession, SESSION_FORMAT, load};
-pub use table::{SIMULATED_COLUMN, TextTable, TextTableLayout, read_text_table};
+pub use table::{SIMULATED_COLUMN, TextTable, TextTableLayout, read_table_text, read_text_table};
 pub use warning::{SessionWarning, WarningKind, named};
 
 pub use whisker::{IN_SESSION, WHISKER_COLUMNS, load_table};

@@ -6,6 +6,7 @@ use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
 use crate::form::{Form, LOOK, Place, Preamble};
 use crate::separated::{Separator, other_separator, records};
+use crate::sheet::{is_spreadsheet, sheet_text};
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -17,7 +18,7 @@ use wcal_core::{InputFile, Purpose};
 
 /// Longest line, bytes, and most columns: what has more was never written as a table.
 const MAX_LINE: usize = 1 << 22;
-const MAX_COLUMNS: usize = 1000;
+pub(crate) const MAX_COLUMNS: usize = 1000;
 /// Share of the letters that a name has in common with the one that was meant.
 const ALIKE: f64 = 0.6;
 /// Names of a scalar table's column that groups its readings, the first that there is: counters of
@@ -44,6 +45,8 @@ pub struct TextTableLayout {
     /// other programs. Without it the table begins at the first line and holds nothing but plain
     /// numbers.
     pub asked: Option<Vec<String>>,
+    /// Sheet of a spreadsheet; none leaves it to the columns that are asked for.
+    pub sheet: Option<String>,
 }
 
 /// A table in memory; cells are text without blanks around it.
@@ -76,23 +79,72 @@ pub struct TextTable {
     hint: Option<String>,
 }
 
-/// Reads a foreign table; its lines end in LF, CR LF or CR.
+/// A file's text, what encoding it has where that is not UTF-8, and the layout of the text: of a
+/// spreadsheet the sheet that holds the table, with commas between its cells.
+///
+/// # Errors
+/// A file that cannot be read, or is neither text nor a whole spreadsheet.
+pub fn read_table_text(path: &Path, layout: &TextTableLayout) -> Result<TableText, SessionError> {
+    let file = path.display().to_string();
+    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
+    let sha256 = sha256_hex(&bytes);
+    if is_spreadsheet(&bytes) {
+        let sheet = sheet_text(&file, &bytes, layout)?;
+        let remark = format!("sheet {} of {}", quote(&sheet.name), sheet.sheets);
+        return Ok(TableText {
+            text: sheet.text,
+            separator: Some(Separator::Comma),
+            encoding: None,
+            remark: Some(remark),
+            sha256,
+        });
+    }
+    let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, &bytes, other))?;
+    // Some old programs end their lines in CR alone.
+    if text.contains('\r') && !text.contains('\n') {
+        text = text.replace('\r', "\n");
+    }
+    Ok(TableText {
+        text,
+        separator: layout.separator,
+        encoding,
+        remark: None,
+        sha256,
+    })
+}
+
+/// The text of a file that holds a table.
+#[derive(Debug, Clone)]
+pub struct TableText {
+    /// Its lines.
+    pub text: String,
+    /// What stands between its fields, where that is known.
+    pub(crate) separator: Option<Separator>,
+    /// Its encoding, where that is not UTF-8.
+    pub(crate) encoding: Option<&'static str>,
+    /// Sheet that it is of.
+    pub(crate) remark: Option<String>,
+    /// SHA-256 of the file.
+    pub(crate) sha256: String,
+}
+
+/// Reads a foreign table; its lines end in LF, CR LF or CR. A spreadsheet's sheet is one.
 ///
 /// # Errors
 /// A file that cannot be read, is no text, has no row, or has a row whose number of fields differs
 /// from the header's.
 pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
     let file = path.display().to_string();
-    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
-    let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, &bytes, other))?;
-    // Some old programs end their lines in CR alone.
-    if text.contains('\r') && !text.contains('\n') {
-        text = text.replace('\r', "\n");
-    }
-    let table = parse(&file, &text, layout)?;
+    let read = read_table_text(path, layout)?;
+    let layout = TextTableLayout {
+        separator: read.separator,
+        ..layout.clone()
+    };
+    let mut table = parse(&file, &read.text, &layout)?;
+    table.remarks.splice(0..0, read.remark);
     Ok(TextTable {
-        sha256: sha256_hex(&bytes),
-        encoding,
+        sha256: read.sha256,
+        encoding: read.encoding,
         ..table
     })
 }

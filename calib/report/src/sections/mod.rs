@@ -9,6 +9,7 @@ pub(crate) mod parts;
 mod provenance;
 mod readings;
 mod residuals;
+mod result;
 mod twin;
 pub(crate) mod verdict;
 
@@ -33,6 +34,9 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         "Before and after",
         before_after::body(input),
     );
+    if let Some(sheet) = &input.verify.data_sheet {
+        add("result", "Result to write down", result::body(sheet));
+    }
     add("found", "What was found", found::body(input));
     if let Some(judged) = &input.verify.calibration {
         add(

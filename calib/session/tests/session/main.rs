@@ -31,4 +31,5 @@ mod broken;
 mod fixtures;
 mod looks;
 mod shapes;
+mod sheets;
 mod writing;

@@ -43,7 +43,13 @@ fn project_onto(part: &Basis, whole: &Basis) -> DMatrix<f64> {
 
 /// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is
 /// the best one's.
-fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, seed: u64) -> f64 {
+pub(crate) fn cox_test(
+    best: &Hypothesis,
+    rival: &Hypothesis,
+    variance: f64,
+    draws: usize,
+    seed: u64,
+) -> f64 {
     if !(variance > 0.0) || draws == 0 {
         return 1.0;
     }

@@ -1,10 +1,11 @@
 //! What a search found, and what each of its explanations is worth.
 
 use super::admissible::REFIT_STEPS;
+use super::ambiguity::cox_test;
 use super::hypothesis::{Hypothesis, Rejection};
-use super::noise::{MeanModel, restricted_likelihood};
 use super::omnibus::{CovariateScore, OmnibusTest};
-use crate::levels::{LEAD, RIVAL};
+use super::options::Options;
+use crate::levels::{COURSE, LEAD, PRICE, RIVAL};
 use crate::measurement_model::MeasurementModel;
 
 /// One line of the evidence table.
@@ -89,15 +90,22 @@ impl SearchResult {
     }
 
     /// The generic driver that alone, in place of the terms of `h` and on the readings that count
-    /// there, describes them better (Akaike); none where none does.
-    pub(crate) fn outdone_by(&self, system: &dyn MeasurementModel, h: &Hypothesis) -> Option<&str> {
+    /// there, describes them better (Akaike), and so much that it would be chance were `h` true
+    /// (Cox); none where none does.
+    pub(crate) fn outdone_by(
+        &self,
+        system: &dyn MeasurementModel,
+        h: &Hypothesis,
+        options: &Options,
+    ) -> Option<&str> {
         let (score, price) = self.driver()?;
-        let declared = Hypothesis::fitted(system, &[], &h.weights, REFIT_STEPS)?.fit;
-        let course = MeanModel::of(&declared).with(&score.columns);
-        let left = restricted_likelihood(&course, &h.weights)?.ssr
-            + declared.auxiliary_residual.norm_squared();
-        let lead = (h.fit.ssr - left) / h.fit.variance() + 2.0 * h.parameters(&declared) - price;
-        (lead > 0.0).then_some(score.covariate.as_str())
+        let declared = Hypothesis::fitted(system, &[], &h.weights, REFIT_STEPS)?;
+        let spent = PRICE * h.parameters(&declared.fit);
+        let course = declared.with_columns(&score.columns);
+        let lead = (h.fit.ssr - course.fit.ssr) / h.fit.variance() + spent - price;
+        let variance = course.fit.variance();
+        let chance = || cox_test(&course, h, variance, options.draws, options.seed);
+        (lead > 0.0 && chance() < COURSE).then_some(score.covariate.as_str())
     }
 
     /// The explanation that predictions use: the best one, but for where a generic driver explains
@@ -115,7 +123,6 @@ impl SearchResult {
 mod tests {
     use super::super::columns_system_test::ColumnsSystem;
     use super::super::fit::Weights;
-    use super::super::options::Options;
     use super::super::search::Search;
     use super::*;
 
@@ -131,7 +138,7 @@ mod tests {
         let (weights, options) = (Weights::equal(120), Options::default());
         let search = Search::new(&system, &weights, &options).unwrap();
         let named = Hypothesis::fitted(&system, &[ColumnsSystem::term(0)], &weights, 5).unwrap();
-        let driver = search.found.outdone_by(&system, &named);
+        let driver = search.found.outdone_by(&system, &named, &options);
         driver.map(str::to_owned)
     }
 

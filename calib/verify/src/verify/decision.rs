@@ -124,9 +124,11 @@ pub(crate) fn decide<M: SessionModel>(
             rival()
         }
     });
-    // A name that something without physics outdoes is no explanation (Akaike).
+    // A name that something without physics outdoes is no explanation.
     let outdone = || {
-        let driver = explained.found.outdone_by(model, accepted)?;
+        let driver = explained
+            .found
+            .outdone_by(model, accepted, &request.search)?;
         Some(Unfit::Outdone(driver.to_owned()))
     };
     let named = !explained.exact && !accepted.fit.terms.is_empty() && !on_request;

@@ -133,10 +133,20 @@ fn each_bend_has_its_name() {
         };
         100.0 * (1.0 + 3.9083e-3 * t - 5.775e-7 * t * t + below)
     };
-    let pt100 = of(&cold, v, TransducerModel::Quadratic, &mut |_, t| {
-        platinum(t) + 4e-4 * rng.next()
-    });
-    explained(&pt100, &["callendar-van-dusen"], 7e-4);
+    // A fold without the coldest place may take the bend for a knee and miss that place by ten times
+    // the noise: one draw says little of the error.
+    let mut errors: Vec<f64> = (0..5)
+        .map(|seed| {
+            let mut rng = Noise::new(seed);
+            let pt100 = of(&cold, v, TransducerModel::Quadratic, &mut |_, t| {
+                platinum(t) + 4e-4 * rng.next()
+            });
+            explained(&pt100, &["callendar-van-dusen"], 2e-3);
+            pt100.document.after.as_ref().unwrap().rmse["response_rmse"]
+        })
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    assert!(errors[2] < 6e-4, "{errors:?}");
     // Control: in another unit the same readings are a bend like any other, and a line is none.
     let named = of(&cold, n, TransducerModel::Quadratic, &mut |_, t| {
         platinum(t) + 4e-4 * rng.next()

@@ -12,17 +12,17 @@ use wcal_verify::scalar::{ScalarVerification, verify_scalar};
 use wcal_verify::verify::VerifyRequest;
 
 /// Reading of a simulated sweep, before the response is known.
-struct Reading {
-    x: f64,
-    t_s: f64,
-    rise: f64,
-    direction: f64,
-    other: f64,
+pub(super) struct Reading {
+    pub(super) x: f64,
+    pub(super) t_s: f64,
+    pub(super) rise: f64,
+    pub(super) direction: f64,
+    pub(super) other: f64,
 }
 
 /// `cycles` triangles 0 - 10 - 0 of 2 `half` readings, one a 2 s, with a wandering temperature and
 /// a second quantity.
-fn triangles(cycles: usize, half: usize, rng: &mut Noise) -> Vec<Reading> {
+pub(super) fn triangles(cycles: usize, half: usize, rng: &mut Noise) -> Vec<Reading> {
     let n = cycles * 2 * half;
     let phase = rng.uniform();
     (0..n)
@@ -45,7 +45,7 @@ fn triangles(cycles: usize, half: usize, rng: &mut Noise) -> Vec<Reading> {
         .collect()
 }
 
-fn transducer(
+pub(super) fn transducer(
     sweep: &[Reading],
     model: TransducerModel,
     response: impl FnMut(&Reading) -> f64,
@@ -113,7 +113,7 @@ fn quick(seed: u64) -> VerifyRequest {
     }
 }
 
-fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
+pub(super) fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
     verify_scalar("simulated", data, Sealed::default(), &quick(seed)).unwrap()
 }
 

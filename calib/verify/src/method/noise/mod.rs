@@ -15,7 +15,6 @@ pub(crate) use estimate::{
 };
 
 pub use inputs::NoiseInputs;
-pub(crate) use likelihood::restricted_likelihood;
 pub use likelihood::{MeanModel, RestrictedLikelihood};
 pub use parts::Noise;
 pub use spread_model::SpreadModel;

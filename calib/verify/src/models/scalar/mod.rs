@@ -3,9 +3,12 @@
 pub mod admission;
 mod bends;
 pub mod cells;
+mod check;
+mod data_sheet;
 pub mod effects;
 pub mod floor;
 pub mod frame;
+mod inverse;
 pub mod judgement;
 mod measurement;
 pub mod model;
@@ -30,6 +33,7 @@ pub use crate::method::noise::spread::Spread;
 
 pub use frame::{Declared, Frame, ScalarRow, Scaling};
 
+pub use check::{CalibrationChange, CalibrationCheck, Tested};
 pub use model::{ModelError, ScalarModel};
 pub use polynomial::Polynomial;
 pub use scalar_effect::ScalarEffect;

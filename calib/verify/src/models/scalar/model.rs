@@ -213,7 +213,7 @@ impl ScalarModel {
     }
 
     /// New rows as the model sees them.
-    fn system(&self, rows: Vec<ScalarRow>) -> ScalarSystem {
+    pub(super) fn system(&self, rows: Vec<ScalarRow>) -> ScalarSystem {
         let frame = Frame::new(rows, &self.scaling, self.declared, true);
         ScalarSystem::new(frame, &self.covariates).with_offset(self.offset)
     }
@@ -270,8 +270,21 @@ impl ScalarModel {
         }
     }
 
+    /// What was fitted, with its terms.
+    pub(super) fn fitted(&self, terms: Vec<EffectTerm>) -> Result<Fitted, ModelError> {
+        let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
+        square(&self.covariance, slots, slots)?;
+        Ok(Fitted {
+            terms,
+            coefficients: self.coefficients.clone(),
+            covariance: DMatrix::from_fn(slots, slots, |i, j| self.covariance[i][j]),
+            variance: self.variance,
+            dof: self.dof,
+        })
+    }
+
     /// Terms by the catalogue of `system`.
-    fn terms(&self, system: &ScalarSystem) -> Result<Vec<EffectTerm>, ModelError> {
+    pub(super) fn terms(&self, system: &ScalarSystem) -> Result<Vec<EffectTerm>, ModelError> {
         let of = |t: &ModelTerm| {
             let mut term = term_named(system.catalogue(), &t.id, &t.law, &t.values)?;
             // Laws of one name follow a column each.
@@ -313,6 +326,15 @@ impl ScalarModel {
         needs.iter().find_map(lacks)
     }
 
+    /// Noise of one reading at each row of a frame, standard deviation in the response's unit.
+    pub(super) fn noise_sd(&self, frame: &Frame) -> Vec<f64> {
+        let relative = match &self.spread {
+            Some(s) => relative_sd_at(frame, s.law, s.exponent, s.centre),
+            None => vec![1.0; frame.rows.len()],
+        };
+        relative.iter().map(|r| self.variance.sqrt() * r).collect()
+    }
+
     /// Predicts at `rows` (their `y` is not used), in their order. Memory effects run over the rows
     /// in the order of their times.
     ///
@@ -334,25 +356,13 @@ impl ScalarModel {
                 });
             }
         }
-        let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
-        square(&self.covariance, slots, slots)?;
-        let fitted = Fitted {
-            terms,
-            coefficients: self.coefficients.clone(),
-            covariance: DMatrix::from_fn(slots, slots, |i, j| self.covariance[i][j]),
-            variance: self.variance,
-            dof: self.dof,
-        };
-        let relative = match &self.spread {
-            Some(s) => relative_sd_at(&system.frame, s.law, s.exponent, s.centre),
-            None => vec![1.0; rows.len()],
-        };
+        let fitted = self.fitted(terms)?;
         let no_design = || ModelError::Shape {
             what: "coefficients".to_owned(),
             expected: "a design of as many columns".to_owned(),
             found: "none at these rows".to_owned(),
         };
-        let noise_sd: Vec<f64> = relative.iter().map(|r| self.variance.sqrt() * r).collect();
+        let noise_sd = self.noise_sd(&system.frame);
         let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
         // Ends of the range that were rounded in the file still belong to it.
@@ -373,81 +383,6 @@ impl ScalarModel {
             };
         }
         Ok(out)
-    }
-
-    /// Stimuli at which `rows` would have read their `y`, with half widths of 95 % intervals; for
-    /// models in which every reading stands alone and the response rises or falls throughout.
-    /// Readings beyond the fitted responses are marked invalid, at the range's end.
-    ///
-    /// # Errors
-    /// As [`Self::predict`], and where the response does not determine the stimulus.
-    pub fn invert(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
-        let no = |why: &str| ModelError::Column {
-            effect: "the inverse".into(),
-            needs: why.to_owned(),
-        };
-        let system = self.system(Vec::new());
-        let remembers = |t: &&ModelTerm| {
-            let mut catalogue = system.catalogue().iter();
-            catalogue.any(|e| e.id == t.id && e.has_memory)
-        };
-        if let Some(t) = self.effects.iter().find(remembers) {
-            return Err(no(&format!(
-                "a model without memory (it carries {}); give the stimulus",
-                t.id
-            )));
-        }
-        let at = |x: &[f64]| {
-            let moved = rows.iter().zip(x);
-            let moved = moved.map(|(r, x)| ScalarRow { x: *x, ..r.clone() });
-            self.predict(&moved.collect::<Vec<_>>())
-        };
-        let [low, high] = self.stimulus_range;
-        // Only a response that goes one way has one stimulus for each value.
-        let place = |k: usize| low + (high - low) * k as f64 / PLACES as f64;
-        let curves = (0..=PLACES).map(|k| at(&vec![place(k); rows.len()]));
-        let curves = curves.collect::<Result<Vec<_>, _>>()?;
-        let goes = |i: usize, sign: f64| {
-            let mut steps = curves.windows(2);
-            steps.all(|c| sign * c[1][i].value > sign * c[0][i].value)
-        };
-        // +1 where the response rises with the stimulus, -1 where it falls.
-        let sign = |i: usize| [1.0, -1.0].into_iter().find(|sign| goes(i, *sign));
-        let sign: Option<Vec<f64>> = (0..rows.len()).map(sign).collect();
-        let either = "a response that rises or falls throughout; give the stimulus";
-        let sign = sign.ok_or_else(|| no(either))?;
-        let (mut a, mut b) = (vec![low; rows.len()], vec![high; rows.len()]);
-        let middle = |a: &[f64], b: &[f64]| -> Vec<f64> {
-            a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
-        };
-        // 60 halvings bring the bracket below the rounding of the stimulus.
-        for _ in 0..60 {
-            let x = middle(&a, &b);
-            for (i, p) in at(&x)?.iter().enumerate() {
-                let below = sign[i] * (rows[i].y - p.value) > 0.0;
-                let end = if below { &mut a } else { &mut b };
-                end[i] = x[i];
-            }
-        }
-        let x = middle(&a, &b);
-        let here = at(&x)?;
-        // Slope over a hundredth of the range turns the response's interval into the stimulus's.
-        let step = 0.005 * (high - low);
-        let moved = |by: f64| at(&x.iter().map(|x| x + by).collect::<Vec<f64>>());
-        let (up, down) = (moved(step)?, moved(-step)?);
-        let of = |i: usize| {
-            let slope = (up[i].value - down[i].value) / (2.0 * step);
-            let inside = |end: &[ScalarPrediction], s: f64| {
-                s * sign[i] * (rows[i].y - end[i].value) >= -here[i].half95
-            };
-            ScalarPrediction {
-                value: x[i],
-                // To first order dx = dy / (dy/dx).
-                half95: here[i].half95 / slope.abs(),
-                valid: inside(&curves[0], 1.0) && inside(&curves[PLACES], -1.0),
-            }
-        };
-        Ok((0..rows.len()).map(of).collect())
     }
 }
 
@@ -472,9 +407,6 @@ pub(crate) fn square(covariance: &[Vec<f64>], least: usize, most: usize) -> Resu
         require(row.len() == size, "covariance", &expected, found)
     })
 }
-
-/// Places at which the inverse checks that the response goes one way.
-const PLACES: usize = 64;
 
 impl SpreadLaw {
     /// The scale on which the logarithm of the spread is a straight line.

@@ -125,14 +125,13 @@ impl Fitted {
     }
 }
 
-/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`.
-/// `noise_sd`: of each reading. None where the design has no solution there or is not the one that
-/// was fitted.
-pub fn predict(
+/// Derivatives of the predictions on the rows of `system` by the coefficients and the nonlinear
+/// values, a row each, and the predictions. None where the design has no solution there or is not
+/// the one that was fitted.
+pub(super) fn gradient(
     system: &ScalarSystem,
     fitted: &Fitted,
-    noise_sd: &[f64],
-) -> Option<(DVector<f64>, Vec<f64>)> {
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let design = system.design(&fitted.terms)?;
     let coefficients = DVector::from_column_slice(&fitted.coefficients);
     if design.ncols() != coefficients.len() {
@@ -155,11 +154,23 @@ pub fn predict(
             slot += 1;
         }
     }
+    Some((prediction, gradient))
+}
+
+/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`.
+/// `noise_sd`: of each reading. None as of [`gradient`].
+pub fn predict(
+    system: &ScalarSystem,
+    fitted: &Fitted,
+    noise_sd: &[f64],
+) -> Option<(DVector<f64>, Vec<f64>)> {
+    let (prediction, gradient) = gradient(system, fitted)?;
     let t = t95(fitted.dof);
     // g' C g of each reading.
     let parameters = (&gradient * &fitted.covariance).component_mul(&gradient);
     let parameters = parameters.column_sum();
     // A new reading has its own noise beside the error of the fit.
     let half = |i: usize| t * (noise_sd[i].powi(2) + parameters[i].max(0.0)).sqrt();
-    Some((prediction, (0..n).map(half).collect()))
+    let half = (0..prediction.len()).map(half).collect();
+    Some((prediction, half))
 }

@@ -1,4 +1,4 @@
-//! `wcal verify --check`: what a session holds, what it lacks, and what looks wrong; nothing is
+//! `wcal verify --dry-run`: what a session holds, what it lacks, and what looks wrong; nothing is
 //! fitted.
 
 use crate::simulated::word;

@@ -1,0 +1,289 @@
+//! `wcal check`: does a calibration still hold?
+
+use crate::session_folder::expect_session;
+use crate::simulated::{is_simulated, word};
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use wcal_calibration::{
+    CalibrationHistory, CalibrationModel, GivenCalibration, SessionSystem, TrustIssue, history,
+    read_calibration, rows_to_check, standing,
+};
+use wcal_core::text::{chance, readable, with_unit};
+use wcal_core::verify_document::CalibrationJudgement;
+use wcal_session::load;
+use wcal_verify::scalar::CalibrationCheck;
+use wcal_verify::whisker::WhiskerSystem;
+
+/// Arguments of `wcal check`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal check readings.csv --calibration calibration/calibration.json
+  wcal check later-session --calibration calibration/calibration.json
+  wcal check --history calibrations
+
+READINGS is a table with the columns that the calibration's session was imported from (stimulus and response), or a session. Ten readings over
+the range suffice. Answers: OK; DEGRADED, with what changed and what it costs; EXPIRED; MISMATCH (another kind or unit); NOT TESTED (too few
+readings, with how many are needed).
+Exit code 0: OK; 4: any other answer; 1: an error.")]
+pub(crate) struct CheckArgs {
+    /// New readings: a table or a session
+    #[arg(
+        value_name = "READINGS",
+        required_unless_present = "history",
+        requires = "calibration"
+    )]
+    pub readings: Option<PathBuf>,
+    /// calibration.json of verify or fit-gpr
+    #[arg(long, value_name = "FILE", requires = "readings")]
+    pub calibration: Option<PathBuf>,
+    /// Folder with calibrations of one unit, in it or one folder below: their drift
+    #[arg(long, value_name = "DIR", conflicts_with = "readings")]
+    pub history: Option<PathBuf>,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Answer {
+    /// Nothing changed that these readings would show.
+    Ok,
+    /// Something changed.
+    Degraded,
+    /// Its time is over.
+    Expired,
+    /// It is of another kind of instrument, or of other units.
+    Mismatch,
+    /// The readings are too few to show a change that matters.
+    NotTested,
+}
+
+impl Answer {
+    fn words(self) -> &'static str {
+        match self {
+            Self::Ok => "OK",
+            Self::Degraded => "DEGRADED",
+            Self::Expired => "EXPIRED",
+            Self::Mismatch => "MISMATCH",
+            Self::NotTested => "NOT TESTED",
+        }
+    }
+}
+
+/// What `wcal check` found.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct CalibrationCheckDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-calibration-check/1"))]
+    format: &'static str,
+    /// The calibration or the readings are not measured.
+    simulated: bool,
+    /// The answer.
+    answer: Answer,
+    /// In words.
+    why: &'a str,
+    /// Calibration.
+    calibration: &'a Path,
+    /// Readings.
+    readings: &'a Path,
+    /// What the readings say of a transducer or an axis; null of a whisker.
+    check: Option<&'a CalibrationCheck>,
+    /// What a whisker's session says; null of the others.
+    judgement: Option<&'a CalibrationJudgement>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Files that cannot be read, or readings that the calibration cannot be applied to.
+pub(crate) fn run(args: &CheckArgs) -> Result<ExitCode> {
+    if let Some(folder) = &args.history {
+        return of_history(folder, args.json);
+    }
+    let (Some(readings), Some(calibration)) = (&args.readings, &args.calibration) else {
+        bail!("expected READINGS and --calibration FILE, or --history DIR");
+    };
+    let file = read_calibration(calibration)?;
+    let issues = standing(&file, jiff::Timestamp::now())?;
+    let mut found = match &file.model {
+        CalibrationModel::Scalar(model) => match rows_to_check(model, readings) {
+            Ok(rows) => of_check(
+                model
+                    .check_readings(&rows)
+                    .context(readings.display().to_string())?,
+            ),
+            Err(e) if e.is_mismatch() => Found::new(Answer::Mismatch, e.to_string()),
+            Err(e) => return Err(e.into()),
+        },
+        _ => of_whisker(readings, calibration)?,
+    };
+    if let Some(issue) = issues.first() {
+        let answer = match issue {
+            TrustIssue::Expired(_) => Answer::Expired,
+            _ => Answer::Degraded,
+        };
+        // What the readings say stands behind it.
+        found.why = format!(
+            "{issue}; its readings: {}, {}",
+            found.answer.words(),
+            found.why
+        );
+        found.answer = answer;
+    }
+    let simulated = file.provenance.simulated || is_simulated(readings);
+    if args.json {
+        let document = CalibrationCheckDocument {
+            format: "wcal-calibration-check/1",
+            simulated,
+            answer: found.answer,
+            why: &found.why,
+            calibration,
+            readings,
+            check: found.check.as_ref(),
+            judgement: found.judgement.as_ref(),
+        };
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else {
+        println!("{}{}: {}", found.answer.words(), word(simulated), found.why);
+        found.lines.iter().for_each(|line| println!("  {line}"));
+    }
+    Ok(ExitCode::from(match found.answer {
+        Answer::Ok => 0,
+        _ => 4,
+    }))
+}
+
+/// An answer with what it rests on.
+struct Found {
+    answer: Answer,
+    why: String,
+    lines: Vec<String>,
+    check: Option<CalibrationCheck>,
+    judgement: Option<CalibrationJudgement>,
+}
+
+impl Found {
+    fn new(answer: Answer, why: String) -> Self {
+        Self {
+            answer,
+            why,
+            lines: Vec::new(),
+            check: None,
+            judgement: None,
+        }
+    }
+}
+
+fn of_check(check: CalibrationCheck) -> Found {
+    let unit = check.unit.clone();
+    let sized = |size: f64| with_unit(&readable(size), &unit);
+    let change = |c: &wcal_verify::scalar::CalibrationChange| {
+        let [low, high] = c.interval95.map(readable);
+        let size = with_unit(&format!("{} [{low}, {high}]", readable(c.value)), &c.unit);
+        let or = match c.or.is_empty() {
+            true => String::new(),
+            false => format!(" (or {}: these readings do not tell)", c.or.join(" or ")),
+        };
+        format!(
+            "{} by {size}, which costs up to {}{or}",
+            c.name,
+            sized(c.cost)
+        )
+    };
+    let untested: Vec<&_> = check.tested.iter().filter(|t| !t.is_tested).collect();
+    let needed = |t: &&wcal_verify::scalar::Tested| {
+        let more = t.readings_needed.map_or_else(
+            || "; no number of readings shows less".to_owned(),
+            |n| format!("; {n} readings would do"),
+        );
+        match t.smallest {
+            Some(smallest) => format!(
+                "{}: a change below {} would not be seen{more}",
+                t.name,
+                sized(smallest)
+            ),
+            None => format!("{}: these readings show none of its changes", t.name),
+        }
+    };
+    let lines: Vec<String> = untested.iter().map(needed).collect();
+    let stated = sized(check.stated);
+    let (answer, why) = match &check.changes[..] {
+        [] if untested
+            .iter()
+            .any(|t| matches!(t.name.as_str(), "zero" | "sensitivity")) =>
+        {
+            (
+                Answer::NotTested,
+                format!(
+                    "{} readings are too few to show a change as large as the stated {stated}",
+                    check.readings
+                ),
+            )
+        }
+        [] => (
+            Answer::Ok,
+            format!(
+                "{} readings show no change ({}); one as large as the stated {stated} would be seen",
+                check.readings,
+                chance(check.p)
+            ),
+        ),
+        changes => {
+            let changes: Vec<String> = changes.iter().map(change).collect();
+            (
+                Answer::Degraded,
+                format!("{} readings: {}", check.readings, changes.join("; ")),
+            )
+        }
+    };
+    Found {
+        lines,
+        check: Some(check),
+        ..Found::new(answer, why)
+    }
+}
+
+/// A whisker's calibration, by the moments of a session's poses. What changed is not said: pose and
+/// sensor are not distinguished by these.
+fn of_whisker(readings: &Path, calibration: &Path) -> Result<Found> {
+    expect_session(readings, "check")?;
+    let session = load(readings)?;
+    let Ok(data) = session.whisker() else {
+        let why = format!("expected a session of kind whisker, found {}", session.kind);
+        return Ok(Found::new(Answer::Mismatch, why));
+    };
+    let given = GivenCalibration::read(calibration, &session)?;
+    let system = WhiskerSystem::new(data, &[])?;
+    let judged = given.judge(SessionSystem::Whisker(&system))?;
+    let answer = match judged.holds {
+        true => Answer::Ok,
+        false => Answer::Degraded,
+    };
+    Ok(Found {
+        judgement: Some(judged.clone()),
+        ..Found::new(
+            answer,
+            format!("{} readings: {}", judged.error.points, judged.why),
+        )
+    })
+}
+
+/// Drift of one unit over its calibrations.
+fn of_history(folder: &Path, as_json: bool) -> Result<ExitCode> {
+    let history: CalibrationHistory = history(folder)?;
+    if as_json {
+        println!("{}", serde_json::to_string_pretty(&history)?);
+    } else {
+        history.lines().iter().for_each(|line| println!("{line}"));
+    }
+    Ok(match history.holds() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::from(4),
+    })
+}

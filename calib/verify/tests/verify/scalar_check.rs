@@ -1,0 +1,121 @@
+//! Later readings against a calibration: how often an unchanged unit is said to hold, and a change
+//! of four standard deviations is named.
+
+use super::Noise;
+use super::scalar_simulated::{run, transducer, triangles};
+use rayon::prelude::*;
+use wcal_core::observation::{Role, TransducerModel};
+use wcal_verify::scalar::{CalibrationCheck, ScalarModel, ScalarRow};
+
+const NOISE: f64 = 2e-3;
+const DRAWS: u64 = 200;
+
+/// A straight load cell of 0.1 V + 0.2 V/N by two triangles.
+fn calibrated(seed: u64) -> ScalarModel {
+    let mut rng = Noise::new(seed);
+    let sweep = triangles(2, 20, &mut rng);
+    let data = transducer(&sweep, TransducerModel::Linear, |r| {
+        0.1 + 0.2 * r.x + NOISE * rng.next()
+    });
+    run(&data, seed).model.unwrap()
+}
+
+/// `count` quick readings over the range, up and down, of `response`.
+fn checked(
+    model: &ScalarModel,
+    seed: u64,
+    count: usize,
+    response: &dyn Fn(f64, f64) -> f64,
+) -> CalibrationCheck {
+    let mut rng = Noise::new(9000 + seed);
+    let row = |k: usize| {
+        let place = 2.0 * k as f64 / (count - 1) as f64;
+        let (x, direction) = if place <= 1.0 {
+            (10.0 * place, 1.0)
+        } else {
+            (10.0 * (2.0 - place), -1.0)
+        };
+        ScalarRow {
+            origin: ("later".to_owned(), k + 2, k as i64),
+            role: Role::Verification,
+            x,
+            x_sd: None,
+            y: response(x, direction) + NOISE * rng.next(),
+            t_s: Some(2.0 * k as f64),
+            temperature_degc: Some(20.0),
+            direction: Some(direction),
+            cycle: None,
+            covariates: vec![0.0],
+            place: None,
+        }
+    };
+    let rows: Vec<ScalarRow> = (0..count).map(row).collect();
+    model.check_readings(&rows).unwrap()
+}
+
+/// Shares of draws in which nothing is said, and in which `name` alone is.
+fn shares(name: &str, response: &(dyn Fn(f64, f64) -> f64 + Sync)) -> [f64; 2] {
+    let each = (0..DRAWS).into_par_iter().map(|seed| {
+        let check = checked(&calibrated(seed), seed, 10, response);
+        let named = check.changes.len() == 1
+            && check.changes[0].name == name
+            && check.changes[0].or.is_empty();
+        assert!(
+            check.tested[..2].iter().all(|t| t.is_tested),
+            "{:?}",
+            check.tested
+        );
+        [u64::from(check.changes.is_empty()), u64::from(named)]
+    });
+    let sum = each.reduce(|| [0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    sum.map(|count| count as f64 / DRAWS as f64)
+}
+
+#[test]
+fn an_unchanged_unit_holds_and_a_change_has_its_name() {
+    let [unchanged, _] = shares("zero", &|x, _| 0.1 + 0.2 * x);
+    println!("unchanged: holds in {unchanged:.3}");
+    assert!(unchanged >= 0.935, "{unchanged}");
+    // Ten readings beside forty: four standard deviations of a zero over the range.
+    for (name, response) in [
+        (
+            "zero",
+            &(|x: f64, _: f64| 0.1 + 0.2 * x + 0.009) as &(dyn Fn(f64, f64) -> f64 + Sync),
+        ),
+        ("sensitivity", &|x, _| 0.1 + 0.2 * x * 1.008),
+        ("hysteresis", &|x, d| 0.1 + 0.2 * x + 0.006 * d),
+    ] {
+        let [holds, named] = shares(name, response);
+        println!("{name}: holds in {holds:.3}, named alone in {named:.3}");
+        assert!(holds < 0.05 && named >= 0.85, "{name}: {holds} {named}");
+    }
+}
+
+#[test]
+fn few_readings_say_how_many_are_needed_and_scatter_is_no_change_of_the_curve() {
+    let model = calibrated(1);
+    let few = checked(&model, 1, 3, &|x, _| 0.1 + 0.2 * x);
+    let sensitivity = few.tested.iter().find(|t| t.name == "sensitivity").unwrap();
+    assert!(!sensitivity.is_tested, "{sensitivity:?}");
+    assert!(
+        (3..=20).contains(&sensitivity.readings_needed.unwrap()),
+        "{sensitivity:?}"
+    );
+    // Every other reading is off by five standard deviations, one way and the other.
+    let odd = |x: f64, _: f64| {
+        0.1 + 0.2 * x
+            + 5.0
+                * NOISE
+                * if (x * 9.0).round() as i64 % 4 < 2 {
+                    1.0
+                } else {
+                    -1.0
+                }
+    };
+    let noisy = checked(&model, 2, 40, &odd);
+    assert!(
+        noisy.changes.iter().any(|c| c.name == "scatter"),
+        "{:?}",
+        noisy.changes
+    );
+}

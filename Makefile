@@ -3,9 +3,10 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 # What the program is built from and runs with; what only tests ask for.
 PROGRAM_PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev python3-pip
 TEST_PACKAGES := chromium slurm-wlm munge
+PACKAGING_PACKAGES := dpkg-dev patchelf
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test program setup check results exam peers docs
+.PHONY: demo test program setup check results exam peers docs package package-test
 
 # Installs those of the packages that are missing.
 install = @missing=""; for p in $(1); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -22,6 +23,15 @@ setup: program
 demo: program
 	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
+
+# A Debian package and an archive in target/package, of a release build; the second puts it into a clean Debian 12 and uses it there.
+package: program
+	$(call install,$(PACKAGING_PACKAGES))
+	packaging/build.sh
+
+package-test: package
+	$(call install,mmdebstrap)
+	packaging/test.sh
 
 # Built first, then run side by side (tests/run.sh). Examples are not linked here: `make check` compiles them.
 test: setup

@@ -171,7 +171,7 @@ fn with_causes(error: &anyhow::Error) -> String {
 
 /// The command line with its help in whole paragraphs: the terminal's width breaks them, not the
 /// source's.
-fn command() -> clap::Command {
+pub fn command() -> clap::Command {
     in_paragraphs(Cli::command())
 }
 

@@ -3,7 +3,7 @@
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
-use wcal_lab::commands::{evaluate, exam, simulate, train};
+use wcal_lab::commands::{evaluate, exam, man, simulate, train};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -28,6 +28,8 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     /// Examine `wcal verify` on drawn sessions: its verdicts, and what they are worth
     Exam(exam::ExamArgs),
+    /// Manual pages and completions of `wcal`, for packages
+    Man(man::ManArgs),
 }
 
 fn main() -> ExitCode {
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Exam(args) => exam::run(args),
+        Command::Man(args) => man::run(args),
     };
     wcal::end("wcal-lab", result)
 }

@@ -2,5 +2,6 @@
 
 pub mod evaluate;
 pub mod exam;
+pub mod man;
 pub mod simulate;
 pub mod train;

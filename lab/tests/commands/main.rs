@@ -9,6 +9,7 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+mod man;
 mod models;
 #[path = "../../../tests/support/not_run.rs"]
 mod not_run;

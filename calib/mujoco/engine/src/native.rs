@@ -12,15 +12,27 @@ const MUJOCO: &str = "mujoco/libmujoco.so.3.17.0";
 /// CoACD, and what it loads itself, below [`folder`].
 pub const COACD: &str = "coacd/coacd/lib_coacd.so";
 pub const COACD_OPENMP: &str = "coacd/coacd.libs/libgomp-a34b3233.so.1.0.0";
-/// Names the folder where it is not the one of the build.
+/// Names the folder where it is neither the installed one nor that of the build.
 const VARIABLE: &str = "WCAL_NATIVE";
 /// Lists every library with its SHA-256, as `sha256sum` does.
 const LIST: &str = include_str!("../fetch.sh");
 
-/// Folder that `make setup` fills.
+/// Folder of the libraries: `lib/wcal` beside the `bin` of an installed program, else the one that
+/// `make setup` fills.
 fn folder() -> PathBuf {
+    let installed = || {
+        Some(
+            std::env::current_exe()
+                .ok()?
+                .ancestors()
+                .nth(2)?
+                .join("lib/wcal"),
+        )
+    };
     std::env::var_os(VARIABLE)
-        .map_or_else(|| PathBuf::from(env!("WCAL_NATIVE_BUILT")), PathBuf::from)
+        .map(PathBuf::from)
+        .or_else(|| installed().filter(|folder| folder.is_dir()))
+        .unwrap_or_else(|| PathBuf::from(env!("WCAL_NATIVE_BUILT")))
 }
 
 /// A library of the folder whose content is the listed one; nothing else of that folder is loaded.

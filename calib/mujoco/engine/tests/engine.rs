@@ -412,8 +412,13 @@ fn what_is_missing_is_named() {
 
 /// What the program answers to one request in this environment.
 fn ask(environment: &[(&str, &str)], request: &str) -> String {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_wcal-mujoco"))
-        .envs(environment.iter().copied())
+    let mut program = Command::new(env!("CARGO_BIN_EXE_wcal-mujoco"));
+    answer(program.envs(environment.iter().copied()), request)
+}
+
+/// The first line that a program answers to one request.
+fn answer(program: &mut Command, request: &str) -> String {
+    let mut child = program
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -494,5 +499,31 @@ fn a_library_that_is_not_the_expected_one_is_not_loaded() {
     assert!(
         line.contains("SHA-256") && line.contains("libmujoco"),
         "{line}"
+    );
+}
+
+/// An installed program takes the libraries of `lib/wcal` beside its own folder, checked as ever.
+#[test]
+fn an_installed_program_takes_the_libraries_beside_it() {
+    if !ready() {
+        return;
+    }
+    let place = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let [bin, lib] = ["bin", "lib/wcal"].map(|folder| place.path().join(folder));
+    let native = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../native");
+    copy(&native, &lib);
+    std::fs::create_dir(&bin).unwrap();
+    let program = bin.join("wcal-mujoco");
+    // A copy may still be open for writing in a child of another test.
+    std::fs::hard_link(env!("CARGO_BIN_EXE_wcal-mujoco"), &program).unwrap();
+    const CABLE: &str = r#"{"do":"load","xml":"<mujoco/>","cable_plugin":true}"#;
+    let asked = || answer(&mut Command::new(&program), CABLE);
+    assert!(asked().contains("loaded-model"), "{}", asked());
+    // Negative control: what the folder lacks is not taken from the one of the build.
+    std::fs::remove_file(lib.join("mujoco/plugin/libelasticity.so")).unwrap();
+    assert!(
+        asked().contains("lib/wcal/mujoco/plugin/libelasticity.so, found none"),
+        "{}",
+        asked()
     );
 }

@@ -4,6 +4,7 @@
 //! dropped then, and the command goes on: its result lies in files, and a stage that moves must be
 //! brought to rest. A full disk is no such reader: the program says so at its end.
 
+use crate::kept::{Stream, take};
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, Write};
 use std::process::ExitCode;
@@ -14,6 +15,9 @@ static FAILED: OnceLock<String> = OnceLock::new();
 
 /// Writes to stdout.
 pub fn to_stdout(text: Arguments<'_>) {
+    if take(Stream::Out, text) {
+        return;
+    }
     let written = write(&mut io::stdout().lock(), text);
     if let Err(e) = written {
         let _ = FAILED.set(format!("writing to stdout: {e}"));
@@ -22,7 +26,9 @@ pub fn to_stdout(text: Arguments<'_>) {
 
 /// Writes to stderr; where that takes nothing there is nobody to tell.
 pub fn to_stderr(text: Arguments<'_>) {
-    let _ = write(&mut io::stderr().lock(), text);
+    if !take(Stream::Err, text) {
+        let _ = write(&mut io::stderr().lock(), text);
+    }
 }
 
 /// What could not be written, if anything.

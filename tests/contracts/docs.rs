@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 /// Folders that a page's `path` in backticks may begin with.
-const ROOTS: [&str; 9] = [
+const ROOTS: [&str; 10] = [
     "calib/",
     "rigs/",
     "tests/",
@@ -16,6 +16,7 @@ const ROOTS: [&str; 9] = [
     "examples/",
     "firmware-notes/",
     "fuzz/",
+    "python/",
     ".ci/",
 ];
 

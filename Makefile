@@ -6,7 +6,7 @@ TEST_PACKAGES := chromium slurm-wlm munge
 PACKAGING_PACKAGES := dpkg-dev patchelf
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test program setup check results exam peers docs package package-test
+.PHONY: demo test program setup check results exam peers docs package package-test wheel wheel-test
 
 # Installs those of the packages that are missing.
 install = @missing=""; for p in $(1); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -62,6 +62,22 @@ peers: program
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
 	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless pandas pyarrow mujoco==3.17.0
 	python3 tests/peers/run_all.py $(if $(YCB),--ycb "$(YCB)") $(PEERS)
+
+# The Python module as a wheel in target/wheels (python/README.md). PROFILE=dev: built as the tests are, within minutes.
+PROFILE := release
+PYTHON := target/python-venv/bin/python
+wheel: program
+	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
+	test -x $(PYTHON) || python3 -m venv target/python-venv
+	$(PYTHON) -m pip install -q 'maturin>=1.9,<2'
+	rm -f target/wheels/wcal-*.whl
+	CARGO_TARGET_DIR=$(CURDIR)/target $(PYTHON) -m maturin build --locked --profile $(PROFILE) -m python/Cargo.toml --out target/wheels
+
+# Its tests, on the wheel as a user installs it.
+wheel-test: wheel
+	$(PYTHON) -m pip install -q --force-reinstall --no-deps target/wheels/wcal-*.whl
+	$(PYTHON) -m pip install -q pytest pandas numpy nbclient ipykernel
+	cd python/tests && $(CURDIR)/$(PYTHON) -m pytest -q
 
 # The pages of docs/ as a book, in target/book; mdBook comes into .mdbook (some minutes, once) where none of this version is there.
 MDBOOK_VERSION := 0.5.4

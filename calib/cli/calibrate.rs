@@ -4,14 +4,15 @@
 //! document lies the step is done, and the same command line goes on behind it.
 
 use crate::input::read_text;
+use crate::kept::{Printed, Stop, keep};
 use crate::output::ResultKind;
-use crate::printing::redirect;
 use crate::simulated::word;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::OpenOptions;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -139,14 +140,10 @@ pub(crate) fn run(args: &CalibrateArgs, run_words: RunWords) -> Result<ExitCode>
         // What follows was made of what is made anew.
         again = true;
         let begin = Instant::now();
-        let mut options = OpenOptions::new();
-        options.create(true).append(true);
-        let log = options.open(args.out.join(LOG)).context(LOG)?;
         let words: Vec<&str> = step.words.iter().map(String::as_str).collect();
-        redirect(Some(log));
-        eprintln!("$ {}", words.join(" "));
-        let ended = run_words(&words);
-        redirect(None);
+        eprintln!("{place} ...");
+        let (ended, printed) = keep(&words, Stop::default(), || run_words(&words));
+        log(args, &words, &printed)?;
         let ended = ended.with_context(|| format!("{place} ({})", words.join(" ")))?;
         let seconds = begin.elapsed().as_secs_f64();
         if !(step.is_done)() {
@@ -176,6 +173,15 @@ pub(crate) fn run(args: &CalibrateArgs, run_words: RunWords) -> Result<ExitCode>
     }
     finish(args, &document)?;
     Ok(ExitCode::from(code))
+}
+
+/// Keeps what a step printed.
+fn log(args: &CalibrateArgs, words: &[&str], printed: &Printed) -> Result<()> {
+    let mut options = OpenOptions::new();
+    options.create(true).append(true);
+    let mut log = options.open(args.out.join(LOG)).context(LOG)?;
+    let Printed { stdout, stderr } = printed;
+    write!(log, "$ {}\n{stderr}{stdout}", words.join(" ")).context(LOG)
 }
 
 /// Exit codes have no number of their own.

@@ -19,6 +19,7 @@ pub mod fit_whisker;
 mod import;
 mod input;
 mod interrupt;
+mod kept;
 pub mod labels;
 pub mod output;
 pub mod picture_output;
@@ -45,7 +46,10 @@ mod schemas_test;
 
 use anyhow::Result;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use wcal_core::text::{brief, printable};
 
 /// Calibrates whisker touch sensors, and any instrument that gives a table of readings: finds what
@@ -148,6 +152,60 @@ pub(crate) fn run_words(words: &[&str]) -> Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 
+/// A command line that another program ran.
+#[derive(Debug)]
+pub struct Ran {
+    /// Exit code, as of the program.
+    pub code: u8,
+    /// The error in one line, where there is one.
+    pub error: Option<String>,
+    /// What it printed.
+    pub stdout: String,
+    /// Warnings and diagnostics.
+    pub stderr: String,
+}
+
+/// Runs a command line within another program, on this thread: nothing is printed, and no error or
+/// panic ends that program. Where `stop` is set, the search of `verify` ends at its next step.
+pub fn run_kept(words: &[&str], stop: Arc<AtomicBool>) -> Ran {
+    let work = || {
+        let cli = match Cli::try_parse_from(words) {
+            Ok(cli) => cli,
+            Err(e) => return (2, Some(usage(&e.to_string()))),
+        };
+        match catch_unwind(AssertUnwindSafe(|| dispatch(&cli.command))) {
+            // The standard library does not give the number.
+            Ok(Ok(code)) => (
+                (0..=u8::MAX)
+                    .find(|n| ExitCode::from(*n) == code)
+                    .unwrap_or(1),
+                None,
+            ),
+            Ok(Err(error)) => (1, Some(with_causes(&error))),
+            Err(why) if why.is::<progress::Interrupted>() => (1, Some("interrupted".to_owned())),
+            Err(_) => {
+                let said =
+                    "internal error: expected a result or an error, found a panic; see stderr";
+                (1, Some(said.to_owned()))
+            }
+        }
+    };
+    let ((code, error), kept::Printed { stdout, stderr }) = kept::keep(words, stop, work);
+    Ran {
+        code,
+        error,
+        stdout,
+        stderr,
+    }
+}
+
+/// What is wrong with a command line, in one line: its first paragraph.
+fn usage(said: &str) -> String {
+    let first = said.split("\n\n").next().unwrap_or_default();
+    let words: Vec<&str> = first.split_whitespace().collect();
+    printable(words.join(" ").trim_start_matches("error: "))
+}
+
 /// An error and its causes, each once: some say their cause themselves. Messages are short where
 /// they are made; what a library says of a file is cut here at the latest.
 fn with_causes(error: &anyhow::Error) -> String {
@@ -210,6 +268,34 @@ fn paragraphs(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::Ordering;
+
+    #[test]
+    fn a_kept_command_gives_texts_and_errors_in_one_line_and_ends_when_asked() {
+        let out = tempfile::tempdir().unwrap();
+        let out = out.path().join("out").display().to_string();
+        let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/nist/pontius");
+        let verify = ["wcal", "verify", session, "--out", &out];
+        let run = |words: &[&str]| run_kept(words, Arc::default());
+        let check = run(&["wcal", "verify", session, "--check"]);
+        assert!(check.stdout.contains("pontius"), "{check:?}");
+        assert_eq!(check.error, None);
+        let none = run(&["wcal", "verify", "no-such-folder", "--out", &out]);
+        assert_eq!((none.code, none.stdout.as_str()), (1, ""), "{none:?}");
+        assert!(none.error.is_some_and(|e| e.contains("no-such-folder")));
+        let lacking = run(&["wcal", "verify", "--sugar"]);
+        let said = lacking.error.unwrap();
+        assert!(lacking.code == 2 && said.starts_with("unexpected") && !said.contains('\n'));
+        let asked = Arc::<AtomicBool>::default();
+        asked.store(true, Ordering::Relaxed);
+        let ended = run_kept(&verify, asked);
+        assert_eq!(ended.error.as_deref(), Some("interrupted"));
+        // Negative control: the same to its end; nothing of the earlier ones is left.
+        let whole = run(&verify);
+        assert_eq!((whole.code, whole.error), (0, None), "{}", whole.stderr);
+        assert!(whole.stdout.contains("nonlinearity-quadratic"));
+        assert!(kept::stop().is_none());
+    }
 
     /// What is wrong with a help text as a person reads it on a wide terminal.
     fn faults(help: &str) -> Vec<String> {

@@ -18,7 +18,7 @@ pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
     };
     Provenance {
         program: concat!("wcal ", env!("CARGO_PKG_VERSION")).into(),
-        command: std::env::args().collect(),
+        command: crate::kept::command(),
         created: jiff::Timestamp::now().to_string(),
         seed: 0,
         simulated: files.iter().any(|path| is_simulated(path)),

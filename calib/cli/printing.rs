@@ -4,37 +4,18 @@
 //! dropped then, and the command goes on: its result lies in files, and a stage that moves must be
 //! brought to rest. A full disk is no such reader: the program says so at its end.
 
+use crate::kept::{Stream, take};
 use std::fmt::Arguments;
-use std::fs::File;
 use std::io::{self, ErrorKind, Write};
 use std::process::ExitCode;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::OnceLock;
 
 /// The first error of a write that mattered.
 static FAILED: OnceLock<String> = OnceLock::new();
 
-/// Where everything goes while commands run as steps of another one.
-static LOG: Mutex<Option<File>> = Mutex::new(None);
-
-/// Sends what is printed from now on into a file; none: to the terminal again.
-pub(crate) fn redirect(log: Option<File>) {
-    *LOG.lock().unwrap_or_else(PoisonError::into_inner) = log;
-}
-
-/// Whether it went into the log.
-fn is_logged(text: Arguments<'_>) -> bool {
-    let mut log = LOG.lock().unwrap_or_else(PoisonError::into_inner);
-    log.as_mut().is_some_and(|log| {
-        if let Err(e) = write(log, text) {
-            let _ = FAILED.set(format!("writing the log: {e}"));
-        }
-        true
-    })
-}
-
 /// Writes to stdout.
 pub fn to_stdout(text: Arguments<'_>) {
-    if is_logged(text) {
+    if take(Stream::Out, text) {
         return;
     }
     let written = write(&mut io::stdout().lock(), text);
@@ -45,10 +26,9 @@ pub fn to_stdout(text: Arguments<'_>) {
 
 /// Writes to stderr; where that takes nothing there is nobody to tell.
 pub fn to_stderr(text: Arguments<'_>) {
-    if is_logged(text) {
-        return;
+    if !take(Stream::Err, text) {
+        let _ = write(&mut io::stderr().lock(), text);
     }
-    let _ = write(&mut io::stderr().lock(), text);
 }
 
 /// What could not be written, if anything.

@@ -1,8 +1,11 @@
 //! Progress on stderr for whatever takes over two seconds: stage, part done, time left. Redrawn in
-//! place on a terminal, plain lines elsewhere; never on stdout.
+//! place on a terminal, plain lines elsewhere; never on stdout. Inside another program it is silent,
+//! and the work ends at the next report after its end was asked for.
 
+use crate::kept::{self, Stop};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -47,7 +50,12 @@ pub struct Progress {
     state: Arc<Mutex<State>>,
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
+    stopped: Option<Stop>,
 }
+
+/// What the work unwinds with after its end was asked for.
+#[derive(Debug)]
+pub(crate) struct Interrupted;
 
 fn locked(state: &Mutex<State>) -> MutexGuard<'_, State> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
@@ -64,7 +72,8 @@ impl Progress {
         }));
         let (stop, stopped) = channel();
         let (own, what) = (Arc::clone(&state), what.to_owned());
-        let thread = std::thread::spawn(move || {
+        let asked = kept::stop();
+        let show = move || {
             let begun = Instant::now();
             let mut bar = None;
             let terminal = std::io::stderr().is_terminal();
@@ -82,11 +91,12 @@ impl Progress {
             if let Some(bar) = bar {
                 bar.finish_and_clear();
             }
-        });
+        };
         Self {
             state,
             stop: Some(stop),
-            thread: Some(thread),
+            thread: asked.is_none().then(|| std::thread::spawn(show)),
+            stopped: asked,
         }
     }
 
@@ -103,8 +113,14 @@ impl Progress {
 
     /// [`Self::at`] for a library's callback.
     pub(crate) fn reporter(&self) -> impl Fn(&str, f64) + Send + Sync + use<> {
-        let state = Arc::clone(&self.state);
-        move |stage, done| locked(&state).at(stage, done)
+        let (state, stopped) = (Arc::clone(&self.state), self.stopped.clone());
+        move |stage, done| {
+            // Nobody waits for the rest; without the panic hook's message.
+            if stopped.as_ref().is_some_and(|s| s.load(Ordering::Relaxed)) {
+                std::panic::resume_unwind(Box::new(Interrupted));
+            }
+            locked(&state).at(stage, done);
+        }
     }
 }
 

@@ -310,7 +310,10 @@ pub fn verify_session(
     given: Option<&GivenCalibration>,
     sweep: Option<&Path>,
 ) -> Result<ReportInput> {
-    let provenance = provenance(&session, request.search.seed);
+    let provenance = Provenance {
+        command: crate::kept::command(),
+        ..provenance(&session, request.search.seed)
+    };
     let ledger = SessionLedger::new(&session, out.folder(), &provenance).ledger();
     let claims = given
         .iter()

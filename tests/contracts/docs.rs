@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 /// Folders that a page's `path` in backticks may begin with.
-const ROOTS: [&str; 10] = [
+const ROOTS: [&str; 11] = [
     "calib/",
     "rigs/",
     "tests/",
@@ -17,6 +17,7 @@ const ROOTS: [&str; 10] = [
     "firmware-notes/",
     "fuzz/",
     "packaging/",
+    "python/",
     ".ci/",
 ];
 

@@ -135,7 +135,7 @@ pub(super) fn provenance(sources: &[TextTable], simulated: bool, noticed: &Notic
         ];
         Value::Table(table(entry))
     });
-    let command: Vec<String> = std::env::args().skip(1).collect();
+    let command: Vec<String> = crate::kept::command().into_iter().skip(1).collect();
     let read = [&noticed.remarks[..], &noticed.warnings].concat();
     let read = (!read.is_empty()).then(|| ("read", read.into()));
     let simulated = simulated.then(|| ("simulated", true.into()));

@@ -12,6 +12,7 @@ pub mod printing;
 
 mod column_words;
 mod demo;
+mod export;
 pub mod fit_gpr;
 pub mod fit_whisker;
 mod import;
@@ -77,6 +78,8 @@ enum Command {
     FitGpr(fit_gpr::FitGprArgs),
     /// Readings of a table through a calibration: moments, or the stimulus
     Predict(predict::PredictArgs),
+    /// A calibration as code in C or Python, or as a filter of ESPHome
+    Export(export::ExportArgs),
     /// Both cameras from pairs of pictures of a board
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
@@ -119,6 +122,7 @@ fn dispatch(asked: &Command) -> Result<ExitCode> {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
         Command::Predict(args) => predict::run(args),
+        Command::Export(args) => export::run(args),
         Command::Demo(args) => demo::run(args, run_words),
         Command::Import(args) => import::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),

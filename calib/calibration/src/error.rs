@@ -36,6 +36,9 @@ pub enum CalibrationError {
         /// Kind that the calibration is of.
         found: String,
     },
+    /// It cannot be written as code: what was expected and what was found.
+    #[error("export: {0}; use wcal predict")]
+    NotExported(String),
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),

@@ -10,6 +10,10 @@
 mod apply;
 mod artefact;
 mod error;
+mod export;
+mod export_law;
+mod export_map;
+mod export_table;
 mod given;
 mod map;
 mod physical;
@@ -22,5 +26,6 @@ pub use artefact::{
     standing,
 };
 pub use error::CalibrationError;
+pub use export::Export;
 pub use given::GivenCalibration;
 pub use trust_issue::TrustIssue;

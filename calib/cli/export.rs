@@ -68,6 +68,7 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         check_file(out, "export", own, args.force)?;
     }
     let file = read_calibration(&args.calibration)?;
+    let doubts = standing(&file, jiff::Timestamp::now())?;
     let export = Export::of(&file.model)?;
     let text = match args.to {
         Target::Yaml => yaml(&file, &export)?,
@@ -80,7 +81,6 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     if file.provenance.simulated {
         eprintln!("SIMULATED: the calibration is not measured");
     }
-    let doubts = standing(&file, jiff::Timestamp::now())?;
     let word = if args.force {
         "warning"
     } else {
@@ -110,34 +110,32 @@ fn code(
     c: bool,
     name: &str,
 ) -> anyhow::Result<String> {
-    let (head, map, scalar, brackets, kind) = if c {
-        const HEAD: &str = include_str!("export/head.h");
-        let [map, scalar] = [
-            include_str!("export/map.h"),
+    let template = match (c, export.template) {
+        (true, "map") => [include_str!("export/head.h"), include_str!("export/map.h")],
+        (true, _) => [
+            include_str!("export/head.h"),
             include_str!("export/scalar.h"),
-        ];
-        (HEAD, map, scalar, ["{", "}"], "double ")
-    } else {
-        const HEAD: &str = include_str!("export/head.py");
-        let [map, scalar] = [
+        ],
+        (false, "map") => [
+            include_str!("export/head.py"),
             include_str!("export/map.py"),
+        ],
+        (false, _) => [
+            include_str!("export/head.py"),
             include_str!("export/scalar.py"),
-        ];
-        (HEAD, map, scalar, ["[", "]"], "")
+        ],
     };
-    let template = [
-        head,
-        if export.template == "map" {
-            map
-        } else {
-            scalar
-        },
-    ]
-    .concat();
-    let upper = name.to_uppercase();
+    let (kind, brackets) = if c {
+        ("double ", ["{", "}"])
+    } else {
+        ("", ["[", "]"])
+    };
+    // The templates' names begin with cal_.
+    let [lower, upper] = [name.to_owned(), name.to_uppercase()].map(|name| name + "_");
     let text = template
-        .replace("cal_", &[name, "_"].concat())
-        .replace("CAL_", &[&upper, "_"].concat());
+        .concat()
+        .replace("cal_", &lower)
+        .replace("CAL_", &upper);
     let inputs: Vec<&str> = export.inputs.iter().flatten().copied().collect();
     let parameters: Vec<String> = inputs
         .iter()
@@ -216,7 +214,7 @@ fn yaml(file: &CalibrationFile<CalibrationModel>, export: &Export) -> anyhow::Re
         origin(file),
         printable(&file.session),
         file.content_sha256,
-        file.expires.as_deref().unwrap_or("never"),
+        printable(file.expires.as_deref().unwrap_or("never")),
         number(*deviation, 2),
     );
     for [x, y] in points {

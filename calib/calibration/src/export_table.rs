@@ -109,7 +109,8 @@ impl Table {
 fn places([from, to]: [f64; 2]) -> Vec<f64> {
     let checks = (CHECKS * (to - from)).ceil().max(3.0);
     let thirds = (0..4).map(|k| f64::from(k) / 3.0);
-    let between = (0..checks as u32).map(|k| (f64::from(k) + 0.5) / checks);
+    // Off the lattice of the thirds, on which a fast wave can look slow.
+    let between = (0..checks as u32).map(|k| (f64::from(k) + 0.381_966) / checks);
     thirds
         .chain(between)
         .map(|t| from + t * (to - from))

@@ -14,6 +14,7 @@ mod calibrate;
 mod check;
 mod column_words;
 mod demo;
+mod export;
 pub mod fit_gpr;
 pub mod fit_whisker;
 mod import;
@@ -87,6 +88,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Readings of a table through a calibration: moments, or the stimulus
     Predict(predict::PredictArgs),
+    /// A calibration as code in C or Python, or as a filter of ESPHome
+    Export(export::ExportArgs),
     /// Both cameras from pairs of pictures of a board
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
@@ -130,6 +133,7 @@ fn dispatch(asked: &Command) -> Result<ExitCode> {
         Command::FitGpr(args) => fit_gpr::run(args),
         Command::Check(args) => check::run(args),
         Command::Predict(args) => predict::run(args),
+        Command::Export(args) => export::run(args),
         Command::Demo(args) => demo::run(args, run_words),
         Command::Calibrate(args) => calibrate::run(args, run_words),
         Command::Import(args) => import::run(args),

@@ -3,7 +3,7 @@
 
 #[path = "../../calib/session/tests/session/broken.rs"]
 mod broken;
-mod calibrations;
+pub(crate) mod calibrations;
 mod closed_pipes;
 mod columns;
 mod documents;

@@ -10,6 +10,7 @@
 
 mod bad_input;
 mod board_statements;
+mod exported;
 mod known_motion;
 mod own_session;
 mod passed_object;

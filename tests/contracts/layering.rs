@@ -240,7 +240,7 @@ fn a_wrong_direction_is_seen() {
 
 /// Crates that a command may use, by itself or through other files of the program: what a reader
 /// of the command has to know.
-const OF_COMMANDS: [(&str, &[&str]); 11] = [
+const OF_COMMANDS: [(&str, &[&str]); 12] = [
     ("reduce", &["acquisition"]),
     ("import", &["core", "mesh", "session"]),
     ("twin", &["core", "mujoco", "rod", "session"]),
@@ -259,6 +259,7 @@ const OF_COMMANDS: [(&str, &[&str]); 11] = [
         &["calibration", "core", "gpr", "session", "verify"],
     ),
     ("predict", &["calibration", "core", "session"]),
+    ("export", &["calibration", "core"]),
     (
         "verify",
         &[

@@ -39,6 +39,9 @@ pub enum CalibrationError {
     /// It is of another unit.
     #[error("{0}")]
     OtherUnit(String),
+    /// It cannot be written as code: what was expected and what was found.
+    #[error("export: {0}; use wcal predict")]
+    NotExported(String),
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),

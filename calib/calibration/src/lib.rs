@@ -10,6 +10,10 @@
 mod apply;
 mod artefact;
 mod error;
+mod export;
+mod export_law;
+mod export_map;
+mod export_table;
 mod given;
 mod history;
 mod map;
@@ -23,6 +27,7 @@ pub use artefact::{
     standing,
 };
 pub use error::CalibrationError;
+pub use export::Export;
 pub use given::GivenCalibration;
 pub use history::{CalibrationHistory, history};
 pub use scalar::rows_to_check;

@@ -93,6 +93,12 @@ impl MapPredictor {
         out
     }
 
+    /// Of each moment the factor of its variance: the lower triangle by rows of [L 0; G^T R], to be
+    /// solved for [correlations; trend].
+    pub fn factors(&self) -> [Vec<f64>; 2] {
+        self.processes.each_ref().map(Process::joint_factor)
+    }
+
     /// Moments alone, N mm: the mean without its deviation costs one pass over the readings.
     pub fn mean_nmm(&self, shift_pm: [f64; 2]) -> [f64; 2] {
         let z = self.artefact.scaled(shift_pm);

@@ -224,6 +224,29 @@ impl Process {
         (mean, spread, spread + self.variance * self.model.nugget)
     }
 
+    /// Lower triangle by rows of F = [L 0; G^T R] with R R^T = G^T G, which turns the variance into
+    /// one forward substitution: F [v; w] = [k; h], variance = s2 [k(0) - |v|^2 + |w|^2].
+    pub(crate) fn joint_factor(&self) -> Vec<f64> {
+        let Factor { l, g, a } = &self.factor;
+        let correlated = if self.model.kernel == Kernel::None {
+            0
+        } else {
+            self.inputs.len()
+        };
+        let mut out = Vec::new();
+        for i in 0..correlated {
+            out.extend((0..=i).map(|j| l[(i, j)]));
+        }
+        if let Some(a) = a {
+            let r = a.l();
+            for i in 0..r.nrows() {
+                out.extend((0..correlated).map(|j| g[(j, i)]));
+                out.extend((0..=i).map(|j| r[(i, j)]));
+            }
+        }
+        out
+    }
+
     /// P = C^-1 - C^-1 H (H'C^-1 H)^-1 H'C^-1, n x n.
     fn projection(&self) -> DMatrix<f64> {
         let n = self.inputs.len();

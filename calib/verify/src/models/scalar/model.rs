@@ -4,10 +4,11 @@
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
+use super::row::all;
 use super::system::{ScalarSystem, relative_sd_at};
 use crate::effect::LawRequirement;
 use crate::method::{Hypothesis, LackOfFit, SpreadLaw};
-use crate::models::rows;
+use crate::models::{range, rows};
 use crate::{Effect, EffectTerm, MeasurementModel};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
@@ -76,10 +77,24 @@ pub struct ScalarModel {
     pub spread: Option<ModelSpread>,
     /// Stimuli that were fitted: the valid region.
     pub stimulus_range: [f64; 2],
+    /// Temperatures that were fitted, deg C, where they vary.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_range: Option<[f64; 2]>,
     /// The model as a polynomial in the stimulus as measured, where it is one.
     pub polynomial: Option<Polynomial>,
     /// Lack of fit against repetitions, declared and accepted model.
     pub lack_of_fit: [Option<LackOfFit>; 2],
+}
+
+/// What an accepted effect takes of a new reading beside its stimulus or response.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EffectInputs {
+    /// Identifier of the effect.
+    pub id: String,
+    /// Some of its laws follow earlier readings.
+    pub has_memory: bool,
+    /// What its law needs.
+    pub needs: Vec<LawRequirement>,
 }
 
 /// Prediction at one new reading.
@@ -197,6 +212,10 @@ impl ScalarModel {
         let [low, high] = self.stimulus_range;
         let (expected, found) = ("the lower end first", format!("{low}, {high}"));
         require(!(low > high), "stimulus_range", expected, found)?;
+        if let Some([low, high]) = self.temperature_range {
+            let found = format!("{low}, {high}");
+            require(low < high, "temperature_range", expected, found)?;
+        }
         let variance = self.variance;
         require(!(variance < 0.0), "variance", "0 or more", variance)?;
         let (names, scales) = (self.covariates.len(), self.scaling.covariates.len());
@@ -265,6 +284,10 @@ impl ScalarModel {
                 centre: s.law.centre(frame),
             }),
             stimulus_range: [s.mid - half, s.mid + half],
+            temperature_range: s.temperature.and_then(|_| {
+                let fitted = all(&frame.rows, |r| r.temperature_degc)?;
+                Some(range(fitted.into_iter())).filter(|[low, high]| low < high)
+            }),
             polynomial,
             lack_of_fit,
         }
@@ -301,6 +324,23 @@ impl ScalarModel {
             Ok(term)
         };
         self.effects.iter().map(of).collect()
+    }
+
+    /// What the accepted effects take of new readings, effect by effect.
+    ///
+    /// # Errors
+    /// [`ModelError::UnknownEffect`].
+    pub fn inputs(&self) -> Result<Vec<EffectInputs>, ModelError> {
+        let system = self.system(Vec::new());
+        let of = |t: EffectTerm| {
+            let effect = &system.catalogue()[t.effect];
+            EffectInputs {
+                id: effect.id.to_owned(),
+                has_memory: effect.has_memory,
+                needs: effect.law(t.law).needs.clone(),
+            }
+        };
+        Ok(self.terms(&system)?.into_iter().map(of).collect())
     }
 
     /// What an effect's law needs of new rows, where they lack it.

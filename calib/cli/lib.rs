@@ -18,6 +18,7 @@ mod import;
 mod input;
 mod interrupt;
 pub mod labels;
+mod live_page;
 pub mod output;
 pub mod picture_output;
 mod plan_check;

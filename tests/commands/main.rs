@@ -11,6 +11,7 @@
 mod bad_input;
 mod board_statements;
 mod known_motion;
+mod live_page;
 mod own_session;
 mod passed_object;
 mod pictured_session;

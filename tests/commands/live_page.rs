@@ -1,4 +1,4 @@
-//! The live page of a sweep, as a browser and as clients that behave badly see it
+//! The live page of a sweep and of a track, as a browser and as clients that behave badly see it
 //! (SIMULATED).
 
 #[path = "../../calib/report/tests/headless/mod.rs"]
@@ -331,6 +331,107 @@ fn a_port_that_is_taken_is_an_error_before_anything_opens() {
     assert!(
         code == 0 && said.contains(&format!("live page: http://127.0.0.1:{port}/")),
         "{code}: {said}"
+    );
+}
+
+#[test]
+fn the_page_of_a_track_has_its_rows_and_goes_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sweep = Sweep::start(folder.path(), 3, 2);
+    sweep.end();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let (session, fit, out) = (
+        sweep.session.display().to_string(),
+        at("fit"),
+        at("track.csv"),
+    );
+    let (code, said) = code_and_messages(&["fit-gpr", &session, "--out", &fit]);
+    assert_eq!(code, 0, "{said}");
+    let (recording, calibration) = (
+        format!("{session}/recording.mcap"),
+        format!("{fit}/calibration.json"),
+    );
+    let rig = at("rig.toml");
+    let words = [
+        "track",
+        &recording,
+        "--rig",
+        &rig,
+        "--calibration",
+        &calibration,
+        "--force",
+        "--out",
+        &out,
+    ];
+    let (code, said) = code_and_messages(&[&words[..], &["--live-page"]].concat());
+    assert!(
+        [0, 3].contains(&code) && said.contains("live page: http://127.0.0.1:"),
+        "{said}"
+    );
+    let page = at("track.live.html");
+    let state = kept(&std::fs::read_to_string(&page).unwrap());
+    let table = std::fs::read_to_string(&out).unwrap();
+    let summary: Value = serde_json::from_slice(&std::fs::read(at("track.json")).unwrap()).unwrap();
+    assert_eq!(state["readings"], table.lines().count() - 1, "{state}");
+    assert!(
+        state["ending"] == "finished" && state["simulated"] == true,
+        "{state}"
+    );
+    // Shown row by row: at most the scans since the newest one are not counted yet.
+    let (shown, all) = (
+        state["scans"].as_u64().unwrap(),
+        summary["scans"].as_u64().unwrap(),
+    );
+    assert!(shown <= all && all < shown + 500, "{shown} of {all}");
+    let last: Vec<&str> = table.lines().last().unwrap().split(',').collect();
+    let newest_s: f64 = last[1].parse().unwrap();
+    assert!(
+        (state["now"][0].as_f64().unwrap() - newest_s).abs() < 1e-5,
+        "{last:?}"
+    );
+    assert_eq!(state["status"][0], last[17], "{last:?}");
+    // A place is shown where there is contact (the groove pressed), and nowhere else.
+    let rows = state["trace"].as_array().unwrap();
+    let touches = |row: &&Value| row[4].as_f64() > Some(0.5);
+    assert!(rows.iter().filter(touches).all(|row| row[1].is_number()));
+    assert!(
+        rows.iter().any(|row| touches(&row))
+            && rows.iter().any(|row| !touches(&row) && row[1].is_null())
+    );
+    // Control: tracked again without a page, none of the earlier track stays.
+    assert!([0, 3].contains(&code_and_messages(&words).0) && !Path::new(&page).exists());
+    // A page of somebody else is not written over, and a table needs none.
+    std::fs::remove_file(&out).unwrap();
+    std::fs::write(&page, "mine").unwrap();
+    let foreign = [
+        "track",
+        &recording,
+        "--rig",
+        &rig,
+        "--calibration",
+        &calibration,
+        "--out",
+        &out,
+        "--live-page",
+    ];
+    let (code, said) = code_and_messages(&foreign);
+    assert!(
+        code == 1 && said.contains("track.live.html: expected no file"),
+        "{said}"
+    );
+    let table = [
+        "track",
+        &session,
+        "--calibration",
+        &calibration,
+        "--out",
+        &at("other.csv"),
+        "--live-page",
+    ];
+    let (code, said) = code_and_messages(&table);
+    assert!(
+        code == 1 && said.contains("--live-page: expected a stream"),
+        "{said}"
     );
 }
 

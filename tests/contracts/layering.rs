@@ -283,6 +283,7 @@ const OF_COMMANDS: [(&str, &[&str]); 11] = [
             "drivers",
             "mesh",
             "network",
+            "report",
             "session",
             "track",
             "verify",

@@ -117,7 +117,7 @@ pub(crate) fn documents(folder: &Path) -> Vec<Written> {
         let mut all: Vec<Written> = parts.into_iter().flat_map(|p| p.join().unwrap()).collect();
         // Needs a calibration of the first and a recording of the third.
         place.run(
-            &format!("track session {TRACK} stream.csv"),
+            &format!("track session --live-page {TRACK} stream.csv"),
             &[3, 4, 0],
         );
         place.run(
@@ -131,6 +131,7 @@ pub(crate) fn documents(folder: &Path) -> Vec<Written> {
         all.extend(
             ["stream.json", "table.json", "groove.json"].map(|name| place.file("track", name)),
         );
+        all.push(place.live("stream.live.html"));
         all
     })
 }

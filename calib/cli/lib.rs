@@ -22,6 +22,7 @@ mod input;
 mod interrupt;
 mod kept;
 pub mod labels;
+mod live_page;
 pub mod output;
 pub mod picture_output;
 mod plan_check;

@@ -1,7 +1,7 @@
 //! The JSON documents that this program writes, by their types.
 
 use crate::json_reference::{hold, schema};
-use crate::{calibrate, check, import, predict, reduce, stage_sweep, verify};
+use crate::{calibrate, check, import, live_page, predict, reduce, stage_sweep, verify};
 use std::path::Path;
 use wcal_calibration::CalibrationModel;
 use wcal_core::map_document::MapDocument;
@@ -29,6 +29,7 @@ fn schemas_and_reference_are_made_from_the_types() {
         schema::<predict::PredictionDocument<'_>>("predict", "wcal predict --json"),
         schema::<stage_sweep::PathDocument>("path", "wcal stage-sweep --dry-run --json"),
         schema::<stage_sweep::SweepDocument<'_>>("sweep", "wcal stage-sweep --json"),
+        schema::<live_page::LiveState>("live", "state.json of --live-page"),
         schema::<reduce::ReductionDocument<'_>>("reduction", "wcal reduce --json"),
     ];
     hold(Path::new(env!("CARGO_MANIFEST_DIR")), own);

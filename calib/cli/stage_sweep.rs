@@ -1,12 +1,14 @@
 //! `wcal stage-sweep`: drives the stage, records all streams, reduces to points.
 
 mod bench_rig;
+mod live_sweep;
 
 use crate::input::read_text;
 use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 pub(crate) use bench_rig::with_addresses;
 use clap::Args;
+use live_sweep::LiveSweep;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::io::{BufRead, IsTerminal, Write};
@@ -61,6 +63,11 @@ pub(crate) struct StageSweepArgs {
     /// moving
     #[arg(long)]
     pub dry_run: bool,
+    /// Serve a page on 127.0.0.1 that shows the sweep as it goes; its address is printed on stderr
+    ///
+    /// PORT: default a free one. The page with its last state is kept as live.html in the session.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "dry_run")]
+    pub live_page: Option<u16>,
     /// Print the result as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -112,6 +119,11 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
     }
+    // A port that is taken is known before anything opens.
+    let mut live = arguments
+        .live_page
+        .map(|port| LiveSweep::open(port, &rig, &plan, &folder))
+        .transpose()?;
     // From here on Ctrl-C brings the stage to rest instead of ending the program at once.
     let interrupt = interrupt::watch()?;
     let order = RecordRequest {
@@ -125,7 +137,11 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let mut progress = |p: &Progress| view.show(p);
+    let mut progress = |p: &Progress| {
+        view.show(p);
+        live.iter_mut()
+            .for_each(|live| live.show(p, view.left_s(p)));
+    };
     let recorded = match own_bench {
         Some((scenario, plant)) => {
             let mut bench = InProcess::new(scenario, plant);
@@ -159,6 +175,9 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
         }
     };
     view.end();
+    if let Some(live) = live {
+        live.end(&recorded);
+    }
     report(&recorded, &folder, arguments)?;
     Ok(ExitCode::from(recorded.exit_code()))
 }
@@ -453,19 +472,12 @@ impl View {
             return;
         }
         self.shown = Some(Instant::now());
-        let (since, scans, first) =
-            *self
-                .first
-                .get_or_insert((Instant::now(), p.counts.scans, p.step));
+        let (since, scans, _) = *self
+            .first
+            .get_or_insert((Instant::now(), p.counts.scans, p.step));
         let rate = (p.counts.scans - scans) as f64 / since.elapsed().as_secs_f64().max(1e-3);
-        // A resumed sweep begins in mid plan: only its own steps tell how long one takes.
-        let left = match p.step.saturating_sub(first) {
-            0 => "?".to_owned(),
-            done => {
-                let each = since.elapsed().as_secs_f64() / done as f64;
-                format!("{:.0} s", each * (p.steps - p.step) as f64)
-            }
-        };
+        let left = self.left_s(p);
+        let left = left.map_or_else(|| "?".to_owned(), |s| format!("{s:.0} s"));
         let nm = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |nm| format!("{nm:.4}"));
         let [reference, first, second] = p.wavelengths_nm.map(nm);
         let line = format!(
@@ -479,6 +491,14 @@ impl View {
         };
         // A view that cannot be shown must not stop a sweep.
         let _ = std::io::stderr().write_all(text.as_bytes());
+    }
+
+    /// Estimated time left, s.
+    fn left_s(&self, p: &Progress) -> Option<f64> {
+        // A resumed sweep begins in mid plan: only its own steps tell how long one takes.
+        let (since, _, first) = self.first?;
+        let done = p.step.checked_sub(first).filter(|done| *done > 0)?;
+        Some(since.elapsed().as_secs_f64() / done as f64 * (p.steps - p.step) as f64)
     }
 
     fn end(&self) {

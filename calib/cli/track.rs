@@ -3,6 +3,7 @@
 mod arguments;
 mod feed;
 mod live;
+mod live_track;
 mod object;
 mod output;
 mod recorded_motion;
@@ -39,7 +40,7 @@ enum Source {
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     // A wrong --out is refused before a network is loaded or a device opened.
-    output::check(&args.out, args.force)?;
+    output::check(args)?;
     if let Some(tare_s) = args.tare_s.filter(|s| !(s.is_finite() && *s >= 0.0)) {
         bail!("--tare-s: expected 0 or more, found {tare_s}");
     }
@@ -47,6 +48,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         bail!("--diameter-sd: expected a share from 0 to 0.2, found {sd}");
     }
     let (source, rig) = source(args)?;
+    if args.live_page.is_some() && rig.is_none() {
+        bail!("--live-page: expected a stream or its recording, found a table or a session");
+    }
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig
             .interrogator

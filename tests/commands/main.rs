@@ -12,6 +12,7 @@ mod bad_input;
 mod board_statements;
 mod exported;
 mod known_motion;
+mod live_page;
 mod own_session;
 mod passed_object;
 mod pictured_session;

@@ -244,7 +244,10 @@ const OF_COMMANDS: [(&str, &[&str]); 12] = [
     ("reduce", &["acquisition"]),
     ("import", &["core", "mesh", "session"]),
     ("twin", &["core", "mujoco", "rod", "session"]),
-    ("stage_sweep", &["acquisition", "bench", "core", "drivers"]),
+    (
+        "stage_sweep",
+        &["acquisition", "bench", "core", "drivers", "report"],
+    ),
     ("stereo_calibrate", &["core", "vision"]),
     (
         "stereo_shape",
@@ -281,6 +284,7 @@ const OF_COMMANDS: [(&str, &[&str]); 12] = [
             "drivers",
             "mesh",
             "network",
+            "report",
             "session",
             "track",
             "verify",

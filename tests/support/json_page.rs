@@ -10,7 +10,7 @@ const HEAD: &str = "# JSON documents\n\n\
     key may be absent, the table says so; units are in the names.\n";
 
 /// Files first, then what `--json` prints.
-const ORDER: [&str; 21] = [
+const ORDER: [&str; 22] = [
     "verify",
     "calibration",
     "fit-gpr",
@@ -31,6 +31,7 @@ const ORDER: [&str; 21] = [
     "predict",
     "path",
     "sweep",
+    "live",
     "reduction",
 ];
 

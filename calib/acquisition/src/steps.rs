@@ -64,6 +64,8 @@ pub struct Progress {
     pub stage_mm: f64,
     /// Newest wavelengths of reference and sensing gratings, nm.
     pub wavelengths_nm: [Option<f64>; 3],
+    /// Windows whose drift gate did not open in time.
+    pub unsettled: usize,
     /// Counters of the stream.
     pub counts: StreamCounts,
     /// Device time, s.
@@ -443,6 +445,7 @@ impl Sweep<'_, '_, '_> {
                 steps: self.steps,
                 stage_mm: self.last.measured_mm - self.rig.stage.zero_mm,
                 wavelengths_nm: [monitor.latest().reference_nm, first_nm, second_nm],
+                unsettled: self.unsettled,
                 counts: monitor.counts(),
                 device_s: monitor.device_s(),
             }

@@ -98,6 +98,12 @@ pub struct TrackArgs {
     /// Recording of a live run, which can be tracked again
     #[arg(help_heading = "Live", long, value_name = "MCAP")]
     pub mcap: Option<PathBuf>,
+    /// Serve a page on 127.0.0.1 that shows the contacts as they come; its address is printed on stderr
+    ///
+    /// PORT: default a free one. The page with its last state is kept as OUT.live.html beside the
+    /// table.
+    #[arg(help_heading = "Live", long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0")]
+    pub live_page: Option<u16>,
     /// Stop a stream after this time, s, by its own clock
     #[arg(help_heading = "Live", long, value_name = "S")]
     pub seconds: Option<f64>,

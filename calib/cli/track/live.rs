@@ -2,6 +2,7 @@
 
 use super::arguments::{ACCURACY, LAG_S, PREFIX_S, RATE_HZ, TrackArgs};
 use super::feed::{FeedInput, FeedItem};
+use super::live_track::LiveTrack;
 use super::output;
 use super::recorded_motion::{recorded_motion, session_folder};
 use crate::interrupt;
@@ -71,21 +72,30 @@ pub(crate) fn replay(
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         stream.know_groove(&mut tracks, &known_places(&table)?, whisker.as_deref());
     }
+    let live = LiveTrack::open(args, loaded)?;
     let mut files = output::create(&args.out)?;
+    let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
+    live.iter()
+        .for_each(|live| live.watch(&mut files, simulated));
     let progress = Progress::new("track");
     let (sender, receiver) = sync_channel(RECORDED);
     let (tracked, cut_off) = std::thread::scope(|scope| {
         let reader = scope.spawn(move || recorded(parts, &sender));
-        let scans = Scans::new(args, &receiver, &mut stream, Some(&progress));
+        let scans = Scans {
+            live: live.as_ref(),
+            ..Scans::new(args, &receiver, &mut stream, Some(&progress))
+        };
         let tracked = track_all(scans, &mut tracks, &mut files);
         // Whoever waits for room must not wait for ever.
         drop(receiver);
         (tracked, reader.join())
     });
     drop(progress);
+    if let Some(live) = live {
+        live.end(&tracked, &stream, 0);
+    }
     let cut_off = cut_off.map_err(|_| anyhow!("reading the recordings failed"))?;
     let (tracked, cut_off) = (tracked?, cut_off?);
-    let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
     let source = TrackSource::Recordings(parts.to_vec());
     conclude(
         args,
@@ -149,6 +159,7 @@ pub(crate) fn track(
     }
     let (mut stream, mut tracks) =
         StreamSource::new(settings(args, rig), (place, rig), loaded, None)?;
+    let live = LiveTrack::open(args, loaded)?;
     let clock = HostClock::start(rig.clock_scale);
     let interrupt = interrupt::watch()?;
     let mut interrogator =
@@ -162,6 +173,9 @@ pub(crate) fn track(
         .transpose()?;
     // An earlier track is replaced only when the device has answered.
     let mut files = output::create(&args.out)?;
+    let simulated = identity.is_virtual() || by_simulation(loaded);
+    live.iter()
+        .for_each(|live| live.watch(&mut files, simulated));
     let done = AtomicBool::new(false);
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
@@ -172,6 +186,7 @@ pub(crate) fn track(
         let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
         let scans = Scans {
             ends: Some(&ends),
+            live: live.as_ref(),
             ..Scans::new(args, &receiver, &mut stream, None)
         };
         let result = track_all(scans, &mut tracks, &mut files);
@@ -199,7 +214,9 @@ pub(crate) fn track(
         Some(Err(_)) => bail!("recording: a thread still holds it"),
         None => {}
     }
-    let simulated = identity.is_virtual() || by_simulation(loaded);
+    if let Some(live) = live {
+        live.end(&tracked, &stream, dropped);
+    }
     let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
     if let Some(signal) = interrupt.signal() {
         eprintln!(
@@ -327,6 +344,7 @@ struct Scans<'q, 'a> {
     /// Of a live stream: a clock that stands still is a fault.
     ends: Option<&'q dyn Fn() -> bool>,
     progress: Option<&'q Progress>,
+    live: Option<&'q LiveTrack>,
     ready: VecDeque<Input>,
     scans: u64,
     over: bool,
@@ -345,6 +363,7 @@ impl<'q, 'a> Scans<'q, 'a> {
             stream,
             ends: None,
             progress,
+            live: None,
             ready: VecDeque::new(),
             scans: 0,
             over: false,
@@ -364,6 +383,10 @@ impl<'q, 'a> Scans<'q, 'a> {
         }
         self.ready.extend(self.stream.scan(reading, dropped)?);
         self.scans += 1;
+        // Once a row.
+        if let Some(live) = self.live.filter(|_| !self.ready.is_empty()) {
+            live.stream(self.stream, self.scans, at_s);
+        }
         if let Some(progress) = self
             .progress
             .filter(|_| self.scans.is_multiple_of(SCANS_SHOWN))

@@ -9,7 +9,8 @@ use wcal_core::verify_document::TrackError;
 /// Badge of simulated data.
 const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
 
-const STYLE: &str = include_str!("style.css");
+/// Style of every page, CSS.
+pub const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 pub fn render(input: &ReportInput) -> String {

@@ -88,10 +88,10 @@ impl TrackRow {
 }
 
 /// The files of a track, written as rows come.
-#[derive(Debug)]
 pub struct TrackFiles {
     rows: BufWriter<File>,
     out: PathBuf,
+    watch: Box<dyn FnMut(&TrackRow)>,
 }
 
 impl TrackFiles {
@@ -106,7 +106,13 @@ impl TrackFiles {
         Ok(Self {
             rows,
             out: out.to_owned(),
+            watch: Box::new(|_| {}),
         })
+    }
+
+    /// Every row that is written is shown to `watch`, too.
+    pub fn watch(&mut self, watch: impl FnMut(&TrackRow) + 'static) {
+        self.watch = Box::new(watch);
     }
 
     /// Writes a row.
@@ -114,6 +120,7 @@ impl TrackFiles {
     /// # Errors
     /// When the disk does not take it.
     pub fn row(&mut self, row: &TrackRow) -> Result<(), TrackError> {
+        (self.watch)(row);
         let written = self.rows.write_all(row.line().as_bytes());
         written.map_err(TrackError::file("writing", &self.out))
     }

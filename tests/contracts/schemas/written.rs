@@ -56,6 +56,18 @@ impl Place<'_> {
         )
     }
 
+    /// The state within a live page that was kept.
+    fn live(&self, name: &str) -> Written {
+        let page = std::fs::read_to_string(self.0.join(name)).unwrap();
+        let state = page.split("id=\"last\">").nth(1).unwrap();
+        let state = state.split("</script>").next().unwrap();
+        (
+            "live",
+            name.to_owned(),
+            serde_json::from_str(state).unwrap(),
+        )
+    }
+
     fn header(&self, name: &str) -> (String, String) {
         let text =
             std::fs::read_to_string(self.0.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -104,7 +116,10 @@ pub(crate) fn documents(folder: &Path) -> Vec<Written> {
         ];
         let mut all: Vec<Written> = parts.into_iter().flat_map(|p| p.join().unwrap()).collect();
         // Needs a calibration of the first and a recording of the third.
-        place.run(&format!("track session {TRACK} stream.csv"), &[3, 4, 0]);
+        place.run(
+            &format!("track session --live-page {TRACK} stream.csv"),
+            &[3, 4, 0],
+        );
         place.run(
             &format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv"),
             &[3, 4, 0],
@@ -116,6 +131,7 @@ pub(crate) fn documents(folder: &Path) -> Vec<Written> {
         all.extend(
             ["stream.json", "table.json", "groove.json"].map(|name| place.file("track", name)),
         );
+        all.push(place.live("stream.live.html"));
         all
     })
 }
@@ -239,9 +255,10 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
         // On a busy machine the bench's scans may come late, which the program says with 3.
         place.printed(
             "sweep",
-            "stage-sweep --rig rig.toml --plan plan.toml --bench bench.json --home --out session --json",
+            "stage-sweep --rig rig.toml --plan plan.toml --bench bench.json --home --live-page --out session --json",
             &[0, 3],
         ),
+        place.live("session/live.html"),
         place.file("run", "session/run.json"),
         place.printed("reduction", "reduce session --json", &[0, 3]),
     ]

@@ -12,10 +12,12 @@ use wcal_calibration::{
     CalibrationHistory, CalibrationModel, GivenCalibration, SessionSystem, TrustIssue, history,
     read_calibration, rows_to_check, standing,
 };
-use wcal_core::text::{chance, readable, with_unit};
+use wcal_core::provenance::sha256_hex;
+use wcal_core::text::{chance, number, readable, with_unit};
 use wcal_core::verify_document::CalibrationJudgement;
+use wcal_core::{InputFile, Provenance, Purpose};
 use wcal_session::load;
-use wcal_verify::scalar::CalibrationCheck;
+use wcal_verify::scalar::{CalibrationCheck, ScalarModel};
 use wcal_verify::whisker::WhiskerSystem;
 
 /// Arguments of `wcal check`.
@@ -112,15 +114,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let file = read_calibration(calibration)?;
     let issues = standing(&file, jiff::Timestamp::now())?;
     let mut found = match &file.model {
-        CalibrationModel::Scalar(model) => match rows_to_check(model, readings) {
-            Ok(rows) => of_check(
-                model
-                    .check_readings(&rows)
-                    .context(readings.display().to_string())?,
-            ),
-            Err(e) if e.is_mismatch() => Found::new(Answer::Mismatch, e.to_string()),
-            Err(e) => return Err(e.into()),
-        },
+        CalibrationModel::Scalar(model) => of_scalar(model, &file.provenance, readings)?,
         _ => of_whisker(readings, calibration)?,
     };
     if let Some(issue) = issues.first() {
@@ -178,6 +172,41 @@ impl Found {
             judgement: None,
         }
     }
+}
+
+/// A transducer's or axis' calibration by new readings.
+fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<Found> {
+    let table = match readings.is_dir() {
+        true => readings.join("points.csv"),
+        false => readings.to_owned(),
+    };
+    // What it was fitted to agrees with it whatever happened since.
+    let hash = sha256_hex(&crate::input::read(&table)?);
+    let is_fitted = |i: &InputFile| i.sha256 == hash && i.purpose != Purpose::Holdout;
+    if made.inputs.iter().any(is_fitted) {
+        bail!(
+            "{}: expected readings that the calibration was not fitted to, found its own",
+            table.display()
+        );
+    }
+    let rows = match rows_to_check(model, readings) {
+        Err(e) if e.is_mismatch() => return Ok(Found::new(Answer::Mismatch, e.to_string())),
+        rows => rows?,
+    };
+    let [low, high] = model.stimulus_range;
+    if !rows.iter().any(|r| (low..=high).contains(&r.x)) {
+        let why = format!(
+            "none of {} readings lies within the calibrated {} to {}",
+            rows.len(),
+            number(low, 6),
+            with_unit(&number(high, 6), &model.stimulus_unit)
+        );
+        return Ok(Found::new(Answer::Mismatch, why));
+    }
+    let check = model.check_readings(&rows);
+    Ok(of_check(
+        check.with_context(|| readings.display().to_string())?,
+    ))
 }
 
 fn of_check(check: CalibrationCheck) -> Found {

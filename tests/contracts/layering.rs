@@ -240,7 +240,7 @@ fn a_wrong_direction_is_seen() {
 
 /// Crates that a command may use, by itself or through other files of the program: what a reader
 /// of the command has to know.
-const OF_COMMANDS: [(&str, &[&str]); 12] = [
+const OF_COMMANDS: [(&str, &[&str]); 14] = [
     ("reduce", &["acquisition"]),
     ("import", &["core", "mesh", "session"]),
     ("twin", &["core", "mujoco", "rod", "session"]),
@@ -262,6 +262,8 @@ const OF_COMMANDS: [(&str, &[&str]); 12] = [
         &["calibration", "core", "gpr", "session", "verify"],
     ),
     ("predict", &["calibration", "core", "session"]),
+    ("check", &["calibration", "core", "session", "verify"]),
+    ("calibrate", &["acquisition", "core", "report"]),
     ("export", &["calibration", "core"]),
     (
         "verify",

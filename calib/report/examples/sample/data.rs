@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use wcal_core::data_sheet::{Characteristic, DataSheet, UncertaintyBudget, UncertaintySource};
 use wcal_core::verify_document::*;
 use wcal_core::{InputFile, Provenance, ResidualRecord};
 use wcal_report::*;
@@ -90,7 +91,37 @@ pub(crate) fn transducer() -> ReportInput {
             }
         })
         .collect();
+    input.verify.data_sheet = Some(data_sheet());
     input
+}
+
+/// What is written down of an axis.
+fn data_sheet() -> DataSheet {
+    DataSheet {
+        equation: "error y(x) = backlash (reversal); x in mm, y in um".into(),
+        characteristics: vec![Characteristic {
+            name: "reversal".into(),
+            value: 3.2,
+            half95: Some(0.4),
+            unit: "um".into(),
+            meaning: "largest difference of both directions (ISO 230-2, B)".into(),
+        }],
+        uncertainty: Some(UncertaintyBudget {
+            of: "corrected position".into(),
+            expanded: 1.9,
+            k: 1.98,
+            unit: "um".into(),
+            at: 100.0,
+            sources: vec![UncertaintySource {
+                source: "noise of one reading".into(),
+                standard: 0.96,
+                is_bound: false,
+            }],
+        }),
+        range: [0.0, 100.0],
+        range_unit: "mm".into(),
+        conditions: vec!["at 20 degC".into()],
+    }
 }
 
 /// Pneumatic strokes with something periodic in temperature that nothing explains; many readings,
@@ -180,6 +211,7 @@ pub(crate) fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDoc
         calibration: None,
         contact: None,
         groove_tracking: None,
+        data_sheet: None,
         holdout: HoldoutJudgement::default(),
         tests: Vec::new(),
     }

@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Chance that a unit that did not change is said to have.
-const CHANGED: f64 = 0.03;
+const CHANGED: f64 = 0.02;
 /// The same of its scatter.
 const SCATTER: f64 = 0.01;
 /// Of a second change beside the first.

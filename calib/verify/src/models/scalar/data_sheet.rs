@@ -297,7 +297,10 @@ impl ScalarModel {
             name: "sensitivity".to_owned(),
             value: slope,
             half95: Some(k * slope_sd),
-            unit: format!("{y}/{x}"),
+            unit: match (y.as_str(), x.as_str()) {
+                (y, "1") => y.to_owned(),
+                (y, x) => format!("{y}/{x}"),
+            },
             meaning: "slope of the least-squares line over the range".to_owned(),
         }];
         if let Some(zero) = cycle.x.iter().position(|x| *x == 0.0) {

@@ -5,7 +5,7 @@
 
 use crate::input::read_text;
 use crate::kept::{Printed, Stop, keep};
-use crate::output::ResultKind;
+use crate::output::{Overwrite, ResultKind};
 use crate::simulated::word;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
@@ -52,6 +52,9 @@ pub(crate) struct CalibrateArgs {
     /// Folder for everything
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write beside unrelated files
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Seed of every random draw
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -118,11 +121,20 @@ struct Step {
 /// A folder with something else in it, or a step that failed.
 pub(crate) fn run(args: &CalibrateArgs, run_words: RunWords) -> Result<ExitCode> {
     let own = ResultKind {
-        kept: &["bench", "session", "verify", "map", "track.csv", PAGE, LOG],
+        kept: &[
+            "bench",
+            "session",
+            "verify",
+            "map",
+            "track.csv",
+            "track.json",
+            PAGE,
+            LOG,
+        ],
         resumes: true,
         ..ResultKind::new("calibrate", DOCUMENT, "wcal-calibrate/", &[])
     };
-    own.check(&args.out, false)?;
+    own.check(&args.out, args.overwrite.force)?;
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("creating {}", args.out.display()))?;
     let bench = bench_files(args)?;
@@ -382,10 +394,10 @@ fn finish(args: &CalibrateArgs, document: &CalibrateDocument) -> Result<()> {
     let steps: Vec<String> = steps
         .map(|s| format!("{} ({:.0} s): {}.", s.name, s.seconds, s.result))
         .collect();
-    let steps = steps.join(" ");
     let mut introduction: Vec<&str> = located.as_deref().into_iter().collect();
-    introduction.extend([verify.reason.as_str(), steps.as_str()]);
-    let title = verify.session.clone();
+    introduction.push(verify.reason.as_str());
+    introduction.extend(steps.iter().map(String::as_str));
+    let title = format!("Calibration in {}", args.out.display());
     let simulated = verify.simulated;
     let calibration = args.out.join("verify/calibration.json");
     let provenance = Provenance {

@@ -10,6 +10,7 @@
 
 mod bad_input;
 mod board_statements;
+mod calibrated;
 mod exported;
 mod known_motion;
 mod live_page;

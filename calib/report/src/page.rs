@@ -185,6 +185,15 @@ fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)
         "<header><p class=\"over\">Overview</p><h1>{}</h1>\n",
         escape(title)
     );
+    // What it is all for, in the unit that a user feels.
+    let first = reports.iter().find_map(|(_, r)| r.verify.contact.as_ref());
+    if let Some(c) = first {
+        let [before, after] = [&c.before, &c.after].map(|e| e.rms_mm);
+        let _ = write!(
+            out,
+            "<p class=\"claim\">{before:.2} mm → {after:.2} mm <span>error of a contact</span></p>\n"
+        );
+    }
     for text in introduction {
         out += &paragraph(text);
     }

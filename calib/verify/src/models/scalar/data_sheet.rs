@@ -79,6 +79,11 @@ impl ScalarModel {
             true => self.of_axis(&cycle),
             false => self.of_transducer(&still, &cycle)?,
         };
+        let uncertainty = match axis {
+            true => still.of_position(&cycle),
+            // A response that does not determine its stimulus has no sensitivity.
+            false => Some(still.of_stimulus(&cycle)?),
+        };
         let mut conditions = Vec::new();
         if let Some(mean) = self.scaling.temperature {
             conditions.push(format!("at {} degC", number(mean, 4)));
@@ -103,10 +108,7 @@ impl ScalarModel {
         Some(DataSheet {
             equation: self.equation(),
             characteristics,
-            uncertainty: match axis {
-                true => still.of_position(&cycle),
-                false => still.of_stimulus(&cycle),
-            },
+            uncertainty,
             range: self.stimulus_range,
             range_unit: self.stimulus_unit.clone(),
             conditions,
@@ -124,7 +126,7 @@ impl ScalarModel {
             .collect();
         let beside = |names: &[String]| match names.is_empty() {
             true => String::new(),
-            false => format!(", with {}", names.join(", ")),
+            false => format!(", with {} (values: calibration.json)", names.join(", ")),
         };
         if self.declared == Declared::Axis {
             let law = if names.is_empty() {

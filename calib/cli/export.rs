@@ -6,7 +6,9 @@ use clap::{Args, ValueEnum};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_calibration::{CalibrationError, CalibrationModel, Export, read_calibration, standing};
+use wcal_calibration::{
+    CalibrationError, CalibrationModel, Export, export, read_calibration, standing,
+};
 use wcal_core::CalibrationFile;
 use wcal_core::text::{number, printable};
 
@@ -69,10 +71,10 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     }
     let file = read_calibration(&args.calibration)?;
     let doubts = standing(&file, jiff::Timestamp::now())?;
-    let export = Export::of(&file.model)?;
+    let exported = export(&file.model)?;
     let text = match args.to {
-        Target::Yaml => yaml(&file, &export)?,
-        target => code(&file, &export, target == Target::C, name)?,
+        Target::Yaml => yaml(&file, &exported)?,
+        target => code(&file, &exported, target == Target::C, name)?,
     };
     match &args.out {
         Some(out) => write_file(out, text.as_bytes())?,

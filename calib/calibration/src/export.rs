@@ -11,6 +11,7 @@ use crate::error::CalibrationError;
 use crate::export_law::Law;
 use crate::export_map;
 use crate::export_table::Table;
+use crate::exported::Export;
 use std::f64::consts::PI;
 use wcal_verify::effect::LawRequirement::{BothDirections, Temperature};
 use wcal_verify::scalar::ScalarModel;
@@ -24,40 +25,19 @@ const LIMIT: f64 = 1e-6;
 const PLACES: usize = 400;
 const KEPT: usize = 32;
 
-/// Numbers by their names in the templates, row by row.
-pub(crate) type Numbers = Vec<(&'static str, Vec<Vec<f64>>)>;
-
-/// What can be written as code.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Export {
-    /// Its template: `scalar` or `map`.
-    pub template: &'static str,
-    /// Names of the inputs; none: one that does not matter.
-    pub inputs: [Option<&'static str>; 3],
-    /// Units of the first input and of the value.
-    pub units: [String; 2],
-    /// Numbers by their names in the template, row by row.
-    pub numbers: Vec<(&'static str, Vec<Vec<f64>>)>,
-    /// Of a transducer with one input a piecewise linear function, rising, and its largest
-    /// deviation.
-    pub points: Option<(Vec<[f64; 2]>, f64)>,
-}
-
-impl Export {
-    /// What a calibration is as code.
-    ///
-    /// # Errors
-    /// [`CalibrationError::NotExported`] where an answer depends on more than the present reading,
-    /// or the tables miss the model.
-    pub fn of(model: &CalibrationModel) -> Result<Self, CalibrationError> {
-        match model {
+/// What a calibration is as code.
+///
+/// # Errors
+/// [`CalibrationError::NotExported`] where an answer depends on more than the present reading, or
+/// the tables miss the model.
+pub fn export(model: &CalibrationModel) -> Result<Export, CalibrationError> {
+    match model {
             CalibrationModel::Scalar(model) => of_scalar(model),
             CalibrationModel::Map(map) => export_map::of_map(map),
             CalibrationModel::Physical(_) => Err(CalibrationError::NotExported(
                 "expected a map, found a whisker's calibration of verify (wcal fit-gpr makes the map of its session)".to_owned(),
             )),
         }
-    }
 }
 
 /// Tables of one law, direction by direction and in each by temperature.
@@ -188,7 +168,12 @@ impl Tables {
         inside.then(|| [0, 1].map(|c| sum(&|t| t.at(share)[c])))
     }
 
-    fn numbers(&self, places: &[[f64; 3]], known: &[[f64; 2]], size: [f64; 2]) -> Numbers {
+    fn numbers(
+        &self,
+        places: &[[f64; 3]],
+        known: &[[f64; 2]],
+        size: [f64; 2],
+    ) -> Vec<(&'static str, Vec<Vec<f64>>)> {
         let flat = |values: &[f64]| values.iter().map(|v| vec![*v]).collect::<Vec<_>>();
         let rows = |table: &Table| table.pieces.iter().map(|p| p.to_vec()).collect::<Vec<_>>();
         let mut first = vec![0.0];

@@ -4,7 +4,7 @@
 //! F [v; w] = [k; h]: `wcal_gpr::Process`.
 
 use crate::error::CalibrationError;
-use crate::export::Export;
+use crate::exported::Export;
 use wcal_gpr::{Kernel, MapArtefact, MapPredictor, half95};
 
 /// The covariance factor has half of the square of the readings in numbers.

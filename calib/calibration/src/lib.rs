@@ -14,6 +14,7 @@ mod export;
 mod export_law;
 mod export_map;
 mod export_table;
+mod exported;
 mod given;
 mod history;
 mod map;
@@ -27,7 +28,8 @@ pub use artefact::{
     standing,
 };
 pub use error::CalibrationError;
-pub use export::Export;
+pub use export::export;
+pub use exported::Export;
 pub use given::GivenCalibration;
 pub use history::{CalibrationHistory, history};
 pub use scalar::rows_to_check;

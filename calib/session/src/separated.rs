@@ -2,6 +2,8 @@
 
 use csv::StringRecord;
 
+/// Most columns: what has more was never written as a table.
+pub(crate) const MAX_COLUMNS: usize = 1000;
 /// Lines that are looked at to tell another separator.
 const LOOK: usize = 20;
 /// Most line ends within one quoted field: with more the quote was none.

@@ -5,7 +5,7 @@
 
 use crate::cell::name_of;
 use crate::error::{InputError, listed, quote};
-use crate::table::{MAX_COLUMNS, TextTableLayout};
+use crate::separated::MAX_COLUMNS;
 use calamine::{Data, ExcelDateTime, Ods, OdsError, Reader, Xlsx, XlsxError};
 use std::io::{Cursor, Read};
 
@@ -23,6 +23,15 @@ pub(crate) fn is_spreadsheet(bytes: &[u8]) -> bool {
     bytes.starts_with(b"PK\x03\x04") || bytes.starts_with(&[0xd0, 0xcf, 0x11, 0xe0])
 }
 
+/// Which sheet is wanted, and how its numbers are written.
+pub(crate) struct SheetChoice<'a> {
+    /// Its name.
+    pub(crate) name: Option<&'a str>,
+    /// Columns that it has to hold.
+    pub(crate) asked: &'a [String],
+    pub(crate) decimal_comma: bool,
+}
+
 /// A sheet as text, and its name.
 pub(crate) struct SheetText {
     pub(crate) text: String,
@@ -31,7 +40,7 @@ pub(crate) struct SheetText {
     pub(crate) sheets: usize,
 }
 
-/// The sheet that the layout names, else the one that holds most of the columns that are asked for.
+/// The sheet that is named, else the one that holds most of the columns that are asked for.
 ///
 /// # Errors
 /// A file that is damaged, has a password or is no spreadsheet, a sheet that is not there, or
@@ -39,15 +48,15 @@ pub(crate) struct SheetText {
 pub(crate) fn sheet_text(
     file: &str,
     bytes: &[u8],
-    layout: &TextTableLayout,
+    choice: &SheetChoice<'_>,
 ) -> Result<SheetText, InputError> {
-    let sheets = Book { file, bytes }.sheets(layout)?;
+    let sheets = Book { file, bytes }.sheets(choice)?;
     let names: Vec<String> = sheets.iter().map(|s| s.name.clone()).collect();
-    let asked = layout.asked.as_deref().unwrap_or_default();
     let score = |sheet: &Sheet| {
         let named = |row: &Vec<String>| {
             let names: Vec<String> = row.iter().map(|cell| name_of(cell)).collect();
-            asked.iter().filter(|name| names.contains(name)).count()
+            let asked = choice.asked.iter();
+            asked.filter(|name| names.contains(name)).count()
         };
         sheet.rows.iter().take(LOOK).map(named).max().unwrap_or(0)
     };
@@ -98,10 +107,10 @@ impl Book<'_> {
             .hint("save a copy without a password")
     }
 
-    /// Every sheet that holds cells, or the one that the layout names.
-    fn sheets(&self, layout: &TextTableLayout) -> Result<Vec<Sheet>, InputError> {
+    /// Every sheet that holds cells, or the one that is named.
+    fn sheets(&self, choice: &SheetChoice<'_>) -> Result<Vec<Sheet>, InputError> {
         self.check_unpacked(MAX_UNPACKED)?;
-        let stated = layout.sheet.as_deref();
+        let stated = choice.name;
         let chosen = |all: Vec<String>| match stated {
             Some(name) if !all.iter().any(|n| n == name) => {
                 let found = format!("the sheets {}", listed(&all));
@@ -115,7 +124,7 @@ impl Book<'_> {
         let mut cells = Cells {
             file: self.file,
             left: MAX_CELLS,
-            decimal_comma: layout.decimal_comma,
+            decimal_comma: choice.decimal_comma,
         };
         let mut sheets = Vec::new();
         if self.is_ods() {

@@ -5,8 +5,8 @@ use crate::cell::{Content, content, direction, grouped, is_missing, name_of, pla
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
 use crate::form::{Form, LOOK, Place, Preamble};
-use crate::separated::{Separator, other_separator, records};
-use crate::sheet::{is_spreadsheet, sheet_text};
+use crate::separated::{MAX_COLUMNS, Separator, other_separator, records};
+use crate::sheet::{SheetChoice, is_spreadsheet, sheet_text};
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -16,9 +16,8 @@ use wcal_core::ranges::Range;
 use wcal_core::text::{decoded, utf8};
 use wcal_core::{InputFile, Purpose};
 
-/// Longest line, bytes, and most columns: what has more was never written as a table.
+/// Longest line, bytes: a longer one was never written as a table.
 const MAX_LINE: usize = 1 << 22;
-pub(crate) const MAX_COLUMNS: usize = 1000;
 /// Share of the letters that a name has in common with the one that was meant.
 const ALIKE: f64 = 0.6;
 /// Names of a scalar table's column that groups its readings, the first that there is: counters of
@@ -89,7 +88,12 @@ pub fn read_table_text(path: &Path, layout: &TextTableLayout) -> Result<TableTex
     let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
     let sha256 = sha256_hex(&bytes);
     if is_spreadsheet(&bytes) {
-        let sheet = sheet_text(&file, &bytes, layout)?;
+        let choice = SheetChoice {
+            name: layout.sheet.as_deref(),
+            asked: layout.asked.as_deref().unwrap_or_default(),
+            decimal_comma: layout.decimal_comma,
+        };
+        let sheet = sheet_text(&file, &bytes, &choice)?;
         let remark = format!("sheet {} of {}", quote(&sheet.name), sheet.sheets);
         return Ok(TableText {
             text: sheet.text,

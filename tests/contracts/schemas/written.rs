@@ -165,12 +165,33 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
         "predict cell/points.csv --calibration cell-verified/calibration.json --out predicted.csv --json",
         &[0],
     ));
+    let later: String = (1..=10)
+        .map(|k| format!("{},{}\n", 3e5 * f64::from(k), 0.2196 * f64::from(k)))
+        .collect();
+    std::fs::write(
+        place.0.join("later.csv"),
+        format!("load,deflection\n{later}"),
+    )
+    .unwrap();
+    all.push(place.printed(
+        "calibration-check",
+        "check later.csv --calibration cell-verified/calibration.json --json",
+        &[0, 4],
+    ));
+    std::fs::create_dir(place.0.join("unit")).unwrap();
+    for name in ["unit/calibration-1.json", "unit/calibration-2.json"] {
+        let from = place.0.join("cell-verified/calibration.json");
+        std::fs::copy(from, place.0.join(name)).unwrap();
+    }
+    all.push(place.printed("history", "check --history unit --json", &[0]));
+    place.run("calibrate --out calibrated", &[0]);
+    all.push(place.file("calibrate", "calibrated/calibrate.json"));
     place.run("fit-gpr fixtures/whiskerfbg --out map", &[0, 3]);
     all.extend([
         place.file("fit-gpr", "map/fit-gpr.json"),
         place.file("calibration", "map/calibration.json"),
     ]);
-    all.push(place.printed("check", "verify held --check --json", &[0, 3]));
+    all.push(place.printed("check", "verify held --dry-run --json", &[0, 3]));
     all.push(place.printed(
         "path",
         "stage-sweep --rig rigs/paper --plan rigs/plans/rich.toml --dry-run --json",

@@ -7,7 +7,6 @@
 //! H. Akaike, IEEE Trans. Automat. Contr. 19 (1974), 716-723; a flagged reading is a free shift in
 //! every channel, chosen among n.
 
-use super::fit::linear;
 use super::fitted::Fit;
 use super::noise::Weights;
 use crate::effect::Catalogue;
@@ -46,26 +45,6 @@ impl Hypothesis {
             .iter()
             .map(|t| catalogue[t.effect].id.to_owned())
             .collect()
-    }
-
-    /// The same with more columns, free in every channel; coefficients stay those without them.
-    pub(crate) fn with_columns(mut self, columns: &[Vec<f64>]) -> Self {
-        let own = self.fit.raw_design.ncols();
-        let added = columns.len();
-        self.fit.raw_design = self.fit.raw_design.resize_horizontally(own + added, 0.0);
-        for (k, column) in columns.iter().enumerate() {
-            self.fit
-                .raw_design
-                .column_mut(own + k)
-                .copy_from_slice(column);
-        }
-        self.fit.design = self.weights.apply(&self.fit.raw_design);
-        let readings = self.weights.apply(&self.fit.raw_residual);
-        self.fit.residual = linear(&self.fit.design, &readings).1;
-        self.fit.ssr =
-            self.fit.residual.norm_squared() + self.fit.auxiliary_residual.norm_squared();
-        self.fit.dof -= (added * self.fit.residual.ncols()) as f64;
-        self
     }
 
     /// Parameters that the explanation spends beyond the declared model.

@@ -2,6 +2,7 @@
 
 use super::admissible::REFIT_STEPS;
 use super::ambiguity::cox_test;
+use super::fit::linear;
 use super::hypothesis::{Hypothesis, Rejection};
 use super::omnibus::{CovariateScore, OmnibusTest};
 use super::options::Options;
@@ -101,7 +102,7 @@ impl SearchResult {
         let (score, price) = self.driver()?;
         let declared = Hypothesis::fitted(system, &[], &h.weights, REFIT_STEPS)?;
         let spent = PRICE * h.parameters(&declared.fit);
-        let course = declared.with_columns(&score.columns);
+        let course = with_columns(declared, &score.columns);
         let lead = (h.fit.ssr - course.fit.ssr) / h.fit.variance() + spent - price;
         let variance = course.fit.variance();
         let chance = || cox_test(&course, h, variance, options.draws, options.seed);
@@ -117,6 +118,22 @@ impl SearchResult {
             &self.best
         }
     }
+}
+
+/// `h` with more columns, free in every channel; coefficients stay those without them.
+fn with_columns(mut h: Hypothesis, columns: &[Vec<f64>]) -> Hypothesis {
+    let fit = &mut h.fit;
+    let own = fit.raw_design.ncols();
+    let added = columns.len();
+    fit.raw_design = std::mem::take(&mut fit.raw_design).resize_horizontally(own + added, 0.0);
+    for (k, column) in columns.iter().enumerate() {
+        fit.raw_design.column_mut(own + k).copy_from_slice(column);
+    }
+    fit.design = h.weights.apply(&fit.raw_design);
+    fit.residual = linear(&fit.design, &h.weights.apply(&fit.raw_residual)).1;
+    fit.ssr = fit.residual.norm_squared() + fit.auxiliary_residual.norm_squared();
+    fit.dof -= (added * fit.residual.ncols()) as f64;
+    h
 }
 
 #[cfg(test)]

@@ -189,9 +189,9 @@ fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)
     let first = reports.iter().find_map(|(_, r)| r.verify.contact.as_ref());
     if let Some(c) = first {
         let [before, after] = [&c.before, &c.after].map(|e| e.rms_mm);
-        let _ = write!(
+        let _ = writeln!(
             out,
-            "<p class=\"claim\">{before:.2} mm → {after:.2} mm <span>error of a contact</span></p>\n"
+            "<p class=\"claim\">{before:.2} mm → {after:.2} mm <span>error of a contact</span></p>"
         );
     }
     for text in introduction {

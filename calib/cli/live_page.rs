@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 use wcal_core::Role;
 use wcal_core::files::write_atomic;
 
+/// The style of the reports.
+const STYLE: &str = include_str!("../report/src/style.css");
 /// A request must have come, and then its answer been taken, within this time.
 const DEADLINE: Duration = Duration::from_secs(1);
 /// Connections open at once; further ones wait to be accepted.
@@ -166,7 +168,7 @@ impl LivePage {
         eprintln!("live page: http://{}{key}", listener.local_addr()?);
         // Style and script stand in the page itself: it is read without the program, too.
         let page = include_str!("live_page.html")
-            .replace("{STYLE}", wcal_report::STYLE)
+            .replace("{STYLE}", STYLE)
             .replace("{SCRIPT}", include_str!("live_page.js"))
             .replace("{PLAN}", &serde_json::to_string(plan)?);
         let snapshot = Arc::new(Snapshot {

@@ -244,10 +244,7 @@ const OF_COMMANDS: [(&str, &[&str]); 14] = [
     ("reduce", &["acquisition"]),
     ("import", &["core", "mesh", "session"]),
     ("twin", &["core", "mujoco", "rod", "session"]),
-    (
-        "stage_sweep",
-        &["acquisition", "bench", "core", "drivers", "report"],
-    ),
+    ("stage_sweep", &["acquisition", "bench", "core", "drivers"]),
     ("stereo_calibrate", &["core", "vision"]),
     (
         "stereo_shape",
@@ -286,7 +283,6 @@ const OF_COMMANDS: [(&str, &[&str]); 14] = [
             "drivers",
             "mesh",
             "network",
-            "report",
             "session",
             "track",
             "verify",

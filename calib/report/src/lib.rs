@@ -8,7 +8,6 @@
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
-//! - [`STYLE`]: the style of these pages, for a page that is made elsewhere.
 //!
 //! ```
 //! let verify = wcal_core::verify_document::VerifyDocument::refused("session", "axis", "no readings", 1);
@@ -27,5 +26,5 @@ mod shapes;
 
 pub use input::{EvidenceRow, Fact, GateTest, ReportInput, TwinMark, TwinTrajectory, model_after};
 pub use number::{number, p_value, percent, with_interval};
-pub use page::{STYLE, render, render_index};
+pub use page::{render, render_index};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};

@@ -10,7 +10,7 @@ use wcal_core::verify_document::TrackError;
 const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
 
 /// Style of every page, CSS.
-pub const STYLE: &str = include_str!("style.css");
+const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 pub fn render(input: &ReportInput) -> String {

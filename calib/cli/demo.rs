@@ -31,15 +31,18 @@ pub(crate) struct DemoArgs {
 /// A recording compiled into the program: name and files. The session says whether it is simulated.
 struct Recording {
     name: &'static str,
+    /// What it shows, in a sentence.
+    shows: &'static str,
     files: &'static [(&'static str, &'static [u8])],
     /// Folder of a sweep that judges its explanations.
     sweep: Option<&'static str>,
 }
 
 macro_rules! recording {
-    ($name:literal, $folder:literal, [$($file:literal),*], $sweep:expr) => {
+    ($name:literal, $shows:literal, $folder:literal, [$($file:literal),*], $sweep:expr) => {
         Recording {
             name: $name,
+            shows: $shows,
             files: &[$(($file, include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/", $folder, "/", $file)))),*],
             sweep: $sweep,
         }
@@ -52,24 +55,28 @@ macro_rules! recording {
 const RECORDINGS: &[Recording] = &[
     recording!(
         "bench-clamp",
+        "A whisker's clamp yields, which nobody declared (SIMULATED): the effect is found, and the contact's error falls.",
         "recorded/clamp",
         ["session.toml", "points.csv", "holdout.csv"],
         None
     ),
     recording!(
         "whiskerfbg",
+        "The whisker of a paper at 27 measured poses: a measured sweep over a bottle judges what might explain them.",
         "whiskerfbg",
         ["session.toml", "points.csv", "twin.csv", "rest_shape.csv"],
         Some(SWEEP.name)
     ),
     recording!(
         "pontius",
+        "A load cell of NIST (measured), declared as a straight line: a quadratic term was missing.",
         "nist/pontius",
         ["session.toml", "points.csv"],
         None
     ),
     recording!(
         "practice-004",
+        "A whisker's bench without any effect (SIMULATED): nothing is named.",
         "practice/case-004",
         ["session.toml", "points.csv", "holdout.csv"],
         None
@@ -79,6 +86,7 @@ const RECORDINGS: &[Recording] = &[
 /// The measured sweep of the paper's whisker over a bottle.
 const SWEEP: Recording = recording!(
     "bottle",
+    "The measured sweep of that whisker over a bottle.",
     "whiskerfbg_bottle",
     [
         "session.toml",
@@ -120,7 +128,7 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
     write_session(&args.out, &SWEEP)?;
     let mut reports = Vec::new();
     for r in RECORDINGS {
-        eprintln!("{} ...", r.name);
+        println!("\n{}: {}", r.name, r.shows);
         let out = args.out.join(r.name);
         let mut results = OutputFolder::open(&kind, &out, args.overwrite.force)?;
         let folder = write_session(&args.out, r)?;
@@ -181,14 +189,14 @@ fn track_bottle(place: &Path, run_words: RunWords) -> Result<()> {
 
 /// Writes the first page; its path.
 fn write_index(place: &Path, reports: &[(String, ReportInput)]) -> Result<PathBuf> {
-    let introduction = [
-        "Four recordings that come with the program, through the whole residual loop: what does the declared model lack, and how far \
-         does the error on readings that it was not fitted to fall once that is added?",
-        "bench-clamp (SIMULATED): a whisker bench whose clamp yields, which nobody declared; the contact column says what that does to a contact in the \
-         groove, and the residual once it is found. whiskerfbg-27: the whisker of a paper at 27 measured poses. Its explanations are judged by a second measurement that none of them has \
-         seen, the sweep of the same whisker over a bottle (bottle/track.csv has its contacts). pontius: a load cell of NIST, declared as a \
-         straight line. case-004: a whisker bench without any effect.",
-    ];
+    let what = "Four recordings that come with the program: what does the declared model lack, and how far does the error on readings that it was not fitted to fall once that is added?";
+    let each: Vec<String> = RECORDINGS
+        .iter()
+        .map(|r| format!("{}: {}", r.name, r.shows))
+        .collect();
+    let track = "bottle/track.csv has the contacts of the measured sweep.";
+    let each = each.iter().map(String::as_str);
+    let introduction: Vec<&str> = [what].into_iter().chain(each).chain([track]).collect();
     let page = place.join("report.html");
     write_atomic(
         &page,

@@ -380,8 +380,8 @@ fn verdict(document: &VerifyDocument) -> String {
 /// What all of it is for, in a sentence.
 fn sentence(contact: &ContactComparison) -> String {
     format!(
-        "A contact in the groove is located to {:.2} mm, to {:.2} mm before; the noise allows {:.2} mm.",
-        contact.after.rms_mm, contact.before.rms_mm, contact.bound_mm
+        "The error of a contact in the groove falls from {:.2} mm to {:.2} mm; {:.2} mm is expected from the noise.",
+        contact.before.rms_mm, contact.after.rms_mm, contact.bound_mm
     )
 }
 

@@ -2,7 +2,7 @@
 
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, word};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -13,11 +13,11 @@ use wcal_calibration::{
     read_calibration, rows_to_check, standing,
 };
 use wcal_core::provenance::sha256_hex;
-use wcal_core::text::{chance, number, readable, with_unit};
+use wcal_core::text::{chance, number, with_unit};
 use wcal_core::verify_document::CalibrationJudgement;
 use wcal_core::{InputFile, Provenance, Purpose};
 use wcal_session::load;
-use wcal_verify::scalar::{CalibrationCheck, ScalarModel};
+use wcal_verify::scalar::{CalibrationChange, CalibrationCheck, ScalarModel, Tested};
 use wcal_verify::whisker::WhiskerSystem;
 
 /// Arguments of `wcal check`.
@@ -115,7 +115,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let issues = standing(&file, jiff::Timestamp::now())?;
     let mut found = match &file.model {
         CalibrationModel::Scalar(model) => of_scalar(model, &file.provenance, readings)?,
-        _ => of_whisker(readings, calibration)?,
+        _ => of_whisker(&file.provenance, readings, calibration)?,
     };
     if let Some(issue) = issues.first() {
         let answer = match issue {
@@ -174,20 +174,24 @@ impl Found {
     }
 }
 
+/// What it was fitted to agrees with it whatever happened since.
+fn own(readings: &Path) -> anyhow::Error {
+    anyhow!(
+        "{}: expected readings that the calibration was not fitted to, found its own",
+        readings.display()
+    )
+}
+
 /// A transducer's or axis' calibration by new readings.
 fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<Found> {
     let table = match readings.is_dir() {
         true => readings.join("points.csv"),
         false => readings.to_owned(),
     };
-    // What it was fitted to agrees with it whatever happened since.
     let hash = sha256_hex(&crate::input::read(&table)?);
     let is_fitted = |i: &InputFile| i.sha256 == hash && i.purpose != Purpose::Holdout;
     if made.inputs.iter().any(is_fitted) {
-        bail!(
-            "{}: expected readings that the calibration was not fitted to, found its own",
-            table.display()
-        );
+        return Err(own(&table));
     }
     let rows = match rows_to_check(model, readings) {
         Err(e) if e.is_mismatch() => return Ok(Found::new(Answer::Mismatch, e.to_string())),
@@ -211,22 +215,28 @@ fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<
 
 fn of_check(check: CalibrationCheck) -> Found {
     let unit = check.unit.clone();
-    let sized = |size: f64| with_unit(&readable(size), &unit);
-    let change = |c: &wcal_verify::scalar::CalibrationChange| {
-        let [low, high] = c.interval95.map(readable);
-        let size = with_unit(&format!("{} [{low}, {high}]", readable(c.value)), &c.unit);
+    let sized = |size: f64| with_unit(&number(size, 3), &unit);
+    let change = |c: &CalibrationChange| {
+        // Shares read better in percent.
+        let (times, unit) = match c.unit.as_str() {
+            "1" => (100.0, "%"),
+            unit => (1.0, unit),
+        };
+        let [value, low, high] =
+            [c.value, c.interval95[0], c.interval95[1]].map(|v| number(times * v, 3));
+        let size = with_unit(&format!("{value} [{low}, {high}]"), unit);
         let or = match c.or.is_empty() {
             true => String::new(),
             false => format!(" (or {}: these readings do not tell)", c.or.join(" or ")),
         };
         format!(
-            "{} by {size}, which costs up to {}{or}",
+            "{} changed by {size}, which costs up to {}{or}",
             c.name,
             sized(c.cost)
         )
     };
-    let untested: Vec<&_> = check.tested.iter().filter(|t| !t.is_tested).collect();
-    let needed = |t: &&wcal_verify::scalar::Tested| {
+    let untested: Vec<&Tested> = check.tested.iter().filter(|t| !t.is_tested).collect();
+    let needed = |t: &&Tested| {
         let more = t.readings_needed.map_or_else(
             || "; no number of readings shows less".to_owned(),
             |n| format!("; {n} readings would do"),
@@ -280,13 +290,21 @@ fn of_check(check: CalibrationCheck) -> Found {
 
 /// A whisker's calibration, by the moments of a session's poses. What changed is not said: pose and
 /// sensor are not distinguished by these.
-fn of_whisker(readings: &Path, calibration: &Path) -> Result<Found> {
+fn of_whisker(made: &Provenance, readings: &Path, calibration: &Path) -> Result<Found> {
+    if readings.is_file() && !readings.ends_with("session.toml") {
+        let why = "a whisker's calibration is checked by a session with its poses, found a table";
+        return Ok(Found::new(Answer::Mismatch, why.to_owned()));
+    }
     expect_session(readings, "check")?;
     let session = load(readings)?;
     let Ok(data) = session.whisker() else {
         let why = format!("expected a session of kind whisker, found {}", session.kind);
         return Ok(Found::new(Answer::Mismatch, why));
     };
+    let fitted = |i: &InputFile| i.purpose == Purpose::Fit && made.inputs.contains(i);
+    if session.inputs.iter().any(fitted) {
+        return Err(own(readings));
+    }
     let given = GivenCalibration::read(calibration, &session)?;
     let system = WhiskerSystem::new(data, &[])?;
     let judged = given.judge(SessionSystem::Whisker(&system))?;

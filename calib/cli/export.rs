@@ -77,7 +77,10 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         target => code(&file, &exported, target == Target::C, name)?,
     };
     match &args.out {
-        Some(out) => write_file(out, text.as_bytes())?,
+        Some(out) => {
+            write_file(out, text.as_bytes())?;
+            eprintln!("{}: its self-test compares stored answers", out.display());
+        }
         None => print!("{text}"),
     }
     if file.provenance.simulated {

@@ -107,6 +107,9 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     if simulated {
         eprintln!("SIMULATED: the calibration or the readings are not measured");
     }
+    if doubts.is_empty() && !args.json {
+        eprintln!("{} rows: {}", applied.rows, args.out.display());
+    }
     if args.json {
         let (rows, name) = (applied.rows, file.model.name());
         let summary = PredictionDocument {

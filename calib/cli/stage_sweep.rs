@@ -376,7 +376,11 @@ fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) ->
         sweep.unsettled,
         recorded.repeats
     );
-    tables.map_or(Ok(()), |r| reduce::report(r, false))
+    tables.map_or(Ok(()), |r| reduce::report(r, false))?;
+    if cause.is_none() {
+        eprintln!("next: wcal verify {}", folder.display());
+    }
+    Ok(())
 }
 
 /// How often somebody who waits for Enter listens for a signal.

@@ -41,7 +41,13 @@ pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
         command: std::env::args().collect(),
         created: jiff::Timestamp::now().to_string(),
         seed,
-        inputs: session.inputs.clone(),
+        // The table that it was imported from holds its readings, too.
+        inputs: session
+            .inputs
+            .iter()
+            .cloned()
+            .chain(session.imported_from())
+            .collect(),
         simulated: session.simulated,
     }
 }
@@ -149,6 +155,9 @@ pub fn read_calibration(
 pub fn read_unsealed(
     path: &Path,
 ) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
+    // A result's folder stands for the calibration in it.
+    let within = path.join("calibration.json");
+    let path = if path.is_dir() { &within } else { path };
     let refuse = |expected: &str, e: serde_json::Error| {
         CalibrationError::content(path, format!("{expected}: {e}"))
     };

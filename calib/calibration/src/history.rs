@@ -189,7 +189,9 @@ fn e_n(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 /// Slope over time with its 95 % interval.
 fn drift(months: &[f64], values: &[[f64; 2]]) -> Option<[f64; 3]> {
-    if values.len() < LEAST {
+    // Calibrations of one day say nothing of a month.
+    let span = months.last()? - months.first()?;
+    if values.len() < LEAST || span < 1.0 / MONTH_DAYS {
         return None;
     }
     let weight = |v: &[f64; 2]| (NORMAL_95 / v[1].max(f64::MIN_POSITIVE)).powi(2);
@@ -283,7 +285,7 @@ impl CalibrationHistory {
             Some(day) => format!(
                 "recalibrate by {day}: until then the drift costs less than the stated uncertainty"
             ),
-            None => "no day for the next calibration: a drift takes three calibrations".to_owned(),
+            None => "no day for the next calibration: a drift takes three calibrations over more than a day".to_owned(),
         });
         lines.push("why it changed, calibrations alone do not say".to_owned());
         lines

@@ -65,6 +65,7 @@ pub(super) fn write(
         Some(Declared::Whisker(file)) if args.kind == Kind::Whisker => Some(file),
         Some(Declared::Law(_)) if args.kind == Kind::Transducer => None,
         None => None,
+        Some(_) if args.kind == Kind::Axis => bail!("--model: an axis takes none; leave it out"),
         Some(_) => bail!(
             "--model: expected a law for a transducer, a file WHISKER.toml for a whisker, found the other"
         ),

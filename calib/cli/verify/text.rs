@@ -180,12 +180,21 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
                 )
             })
             .collect();
+        // Single readings have no parameters: they are named.
+        let flagged = v
+            .flagged
+            .iter()
+            .map(|f| format!("{} point {}", f.source, f.point));
+        let said: Vec<String> = match parameters.is_empty() {
+            true => flagged.collect(),
+            false => parameters,
+        };
         println!(
             "  {} ({}, class {}): {}",
             e.id,
             chance(e.p_value),
             e.class.join("/"),
-            parameters.join(", ")
+            said.join(", ")
         );
     }
     if let (Some(b), Some(a)) = (&v.before, &v.after) {

@@ -235,6 +235,19 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     })
 }
 
+impl LoadedSession {
+    /// The table that it was imported from, where it was: the first one, a second is a holdout.
+    pub fn imported_from(&self) -> Option<InputFile> {
+        let inputs = self.meta.get("provenance")?.get("inputs")?.as_array()?;
+        let text = |key: &str| Some(inputs.first()?.get(key)?.as_str()?.to_owned());
+        Some(InputFile {
+            path: text("path")?,
+            sha256: text("sha256")?,
+            purpose: Purpose::Fit,
+        })
+    }
+}
+
 /// `[provenance] columns`, which an import writes.
 fn imported_columns(meta: &toml::Table) -> BTreeMap<String, String> {
     let columns = meta

@@ -97,6 +97,44 @@ fn an_unchanged_unit_holds_and_a_change_has_its_name() {
 }
 
 #[test]
+fn two_changes_are_fitted_together_and_a_loop_that_grew_is_its_own_effect() {
+    let models: Vec<ScalarModel> = (0..40).into_par_iter().map(calibrated).collect();
+    let both = |seed: usize| checked(&models[seed], seed as u64, 10, &|x, _| 0.07 + 0.206 * x);
+    let mut inside = 0;
+    for seed in 0..models.len() {
+        let check = both(seed);
+        let of = |name: &str| check.changes.iter().find(|c| c.name == name);
+        let (Some(zero), Some(gain)) = (of("zero"), of("sensitivity")) else {
+            panic!("seed {seed}: {:?}", check.changes);
+        };
+        // Of the scatter one draw in a hundred says that it grew.
+        let named = check.changes.iter().filter(|c| c.name != "scatter");
+        assert_eq!(named.count(), 2, "seed {seed}: {:?}", check.changes);
+        let holds = |[low, high]: [f64; 2], truth: f64| usize::from(low <= truth && truth <= high);
+        // The gain is that of the response above zero load.
+        inside += holds(zero.interval95, -0.03) + holds(gain.interval95, 0.03);
+    }
+    assert!(inside >= 70, "{inside} of 80");
+
+    // A calibration with a loop; twice the loop is the same effect, once more.
+    let mut rng = Noise::new(3);
+    let sweep = triangles(6, 20, &mut rng);
+    let looped = |x: f64, d: f64, h: f64| 0.2 * x + h * d * (1.0 - (0.2 * x - 1.0).powi(2));
+    let data = transducer(&sweep, TransducerModel::Linear, |r| {
+        looped(r.x, r.direction, 0.02) + NOISE * rng.next()
+    });
+    let model = run(&data, 3).model.unwrap();
+    let check = checked(&model, 3, 20, &|x, d| looped(x, d, 0.04));
+    let names: Vec<&str> = check.changes.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["hysteresis"], "{:?}", check.changes);
+    assert!(
+        (check.changes[0].value - 1.0).abs() < 0.2,
+        "{:?}",
+        check.changes
+    );
+}
+
+#[test]
 fn few_readings_say_how_many_are_needed_and_scatter_is_no_change_of_the_curve() {
     let model = calibrated(1);
     let few = checked(&model, 1, 3, &|x, _| 0.1 + 0.2 * x);

@@ -6,14 +6,19 @@
 //! T = e' V^-1 X (X' V^-1 X)^-1 X' V^-1 e  ~  chi2_k            all k changes at once
 //! ```
 //!
-//! Columns: zero 1; sensitivity f(x) - f(x0), relative; temperature T - T0; hysteresis the
-//! direction. A change is named where no other one explains the readings nearly as well.
+//! Columns: zero 1; sensitivity f(x) - f(x0), relative; what each accepted effect adds to f(x),
+//! relative; where none is accepted, temperature T - T0 and the direction. Named changes are fitted
+//! together. One is named where no other one explains the readings nearly as well.
 
 use super::frame::{Declared, ScalarRow};
 use super::model::{ModelError, ScalarModel};
-use super::predictions::gradient;
+use super::predictions::{Fitted, gradient};
+use super::sequence::ways;
+use crate::MeasurementModel;
+use crate::effect::{EffectTerm, Role};
 use crate::levels::{LEAD, NORMAL_95};
 use crate::method::distributions::{f_tail, sd_interval95};
+use crate::method::settings;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -29,13 +34,15 @@ const POWER_90: f64 = 1.2816;
 /// Falls of the statistic within which two changes are not distinguished.
 const ALIKE: f64 = 0.5 * LEAD;
 
+/// Fewest readings that say anything.
+const LEAST: usize = 3;
 /// What readings must show before a calibration is said to hold.
 const MATTERS: [&str; 2] = ["zero", "sensitivity"];
 
 /// A change since the calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct CalibrationChange {
-    /// `zero`, `sensitivity`, `temperature`, `hysteresis`, `scatter`.
+    /// `zero`, `sensitivity`, an accepted effect, `temperature`, `hysteresis`, `scatter`.
     pub name: String,
     /// Size.
     pub value: f64,
@@ -80,7 +87,7 @@ pub struct CalibrationCheck {
 }
 
 struct Column {
-    name: &'static str,
+    name: String,
     unit: String,
     values: DVector<f64>,
     /// Largest size over the calibrated range.
@@ -101,6 +108,19 @@ impl ScalarModel {
     /// # Errors
     /// As [`Self::predict`], and where no reading lies within the range.
     pub fn check_readings(&self, rows: &[ScalarRow]) -> Result<CalibrationCheck, ModelError> {
+        // Readings for a check are taken one after another: their order says the directions.
+        let mut ordered = rows.to_vec();
+        if rows
+            .iter()
+            .all(|r| r.direction.is_none() && r.t_s.is_none())
+        {
+            let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
+            let found = ways(&settings(&x));
+            ordered.iter_mut().zip(found).for_each(|(r, way)| {
+                r.direction = Some(if way < 0.0 { -1.0 } else { 1.0 });
+            });
+        }
+        let rows = &ordered[..];
         let predicted = self.predict(rows)?;
         let inside = (0..rows.len()).filter(|&k| predicted[k].valid);
         let mut numbered: Vec<ScalarRow> = inside.map(|k| rows[k].clone()).collect();
@@ -133,7 +153,7 @@ impl ScalarModel {
         let root = covariance.clone().cholesky().ok_or_else(degenerate)?.l();
         let white = |v: &DVector<f64>| root.solve_lower_triangular(v).unwrap_or_else(|| v.clone());
         let errors = DVector::from_fn(n, |i, _| rows[i].y + self.offset - values[i]);
-        let columns = self.columns_of_change(rows, &values)?;
+        let columns = self.columns_of_change(rows, &fitted, &values, &slopes)?;
         let (e, x): (DVector<f64>, Vec<DVector<f64>>) = (
             white(&errors),
             columns.iter().map(|c| white(&c.values)).collect(),
@@ -149,36 +169,43 @@ impl ScalarModel {
         let p = p_of(all, x.len() as f64);
         let left_dof = n.saturating_sub(x.len()) as f64;
         let p_scatter = p_of(left, left_dof);
-        let single = |k: usize, e: &DVector<f64>| {
-            let square = x[k].norm_squared();
-            let size = x[k].dot(e) / square;
-            (size, square.sqrt().recip(), size * size * square)
-        };
         let mut changes = Vec::new();
-        let (mut rest, mut named) = (e.clone(), Vec::new());
+        let mut named: Vec<usize> = Vec::new();
+        let mut or: Vec<Vec<String>> = Vec::new();
         let mut chance = (p, CHANGED);
         while chance.0 < chance.1 && named.len() < x.len() {
-            let free = || (0..x.len()).filter(|k| !named.contains(k));
-            let falls: Vec<(usize, f64)> = free().map(|k| (k, single(k, &rest).2)).collect();
+            // What each would explain beside those that are named.
+            let with = |k: usize| {
+                let all: Vec<DVector<f64>> =
+                    named.iter().chain([&k]).map(|k| x[*k].clone()).collect();
+                explained(&all, &e)
+            };
+            let free = (0..x.len()).filter(|k| !named.contains(k));
+            let falls: Vec<(usize, f64)> = free.map(|k| (k, with(k))).collect();
             let Some(&(best, most)) = falls.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else {
                 break;
             };
-            let (size, sd, _) = single(best, &rest);
             let rivals = falls
                 .iter()
                 .filter(|(k, fall)| *k != best && most - fall < ALIKE);
+            or.push(rivals.map(|(k, _)| columns[*k].name.clone()).collect());
+            named.push(best);
+            chance = (
+                p_of((all - most).max(0.0), (x.len() - named.len()) as f64),
+                FURTHER,
+            );
+        }
+        // Together, so that none is taken for a part of another.
+        let joint: Vec<DVector<f64>> = named.iter().map(|k| x[*k].clone()).collect();
+        for ((k, or), (size, sd)) in named.iter().zip(or).zip(together(&joint, &e)) {
             changes.push(CalibrationChange {
-                name: columns[best].name.to_owned(),
+                name: columns[*k].name.clone(),
                 value: size,
                 interval95: [-1.0, 1.0].map(|s| size + s * NORMAL_95 * sd),
-                unit: columns[best].unit.clone(),
-                cost: cost(best, size),
-                or: rivals.map(|(k, _)| columns[*k].name.to_owned()).collect(),
+                unit: columns[*k].unit.clone(),
+                cost: cost(*k, size),
+                or,
             });
-            rest -= &x[best] * size;
-            named.push(best);
-            let further = explained(&x, &rest);
-            chance = (p_of(further, (x.len() - named.len()) as f64), FURTHER);
         }
         if p_scatter < SCATTER {
             let ratio = (left / left_dof).sqrt();
@@ -194,8 +221,9 @@ impl ScalarModel {
         let stated = predicted.iter().filter(|p| p.valid).map(|p| p.half95);
         let stated = stated.fold(0.0, f64::max) / slope;
         let tested = (0..x.len()).map(|k| {
-            let smallest = cost(k, (NORMAL_95 + POWER_90) * single(k, &e).1);
-            let many = smallest > stated;
+            let smallest = cost(k, (NORMAL_95 + POWER_90) / x[k].norm());
+            // One reading cannot distinguish a shift from a stray.
+            let many = smallest > stated || n < LEAST;
             // What all readings share is no smaller by more of them.
             let share = shared
                 .diagonal()
@@ -206,10 +234,10 @@ impl ScalarModel {
             let factor = (smallest / stated).powi(2);
             let needed = (n as f64 * factor).ceil() as usize;
             Tested {
-                name: columns[k].name.to_owned(),
+                name: columns[k].name.clone(),
                 smallest: Some(smallest),
                 is_tested: !many,
-                readings_needed: (many && floor < stated).then_some(needed),
+                readings_needed: (many && floor < stated).then_some(needed.max(LEAST)),
             }
         });
         let mut tested: Vec<Tested> = tested.collect();
@@ -242,11 +270,13 @@ impl ScalarModel {
     fn columns_of_change(
         &self,
         rows: &[ScalarRow],
+        fitted: &Fitted,
         values: &DVector<f64>,
+        slopes: &DMatrix<f64>,
     ) -> Result<Vec<Column>, ModelError> {
         let n = rows.len();
-        let of = |name, unit: &str, largest: f64, value: &dyn Fn(usize) -> f64| Column {
-            name,
+        let of = |name: &str, unit: &str, largest: f64, value: &dyn Fn(usize) -> f64| Column {
+            name: name.to_owned(),
             unit: unit.to_owned(),
             values: DVector::from_fn(n, |i, _| value(i)),
             largest,
@@ -275,6 +305,8 @@ impl ScalarModel {
                 values[i] - self.offset - zero
             }));
         }
+        columns.extend(self.columns_of_effects(fitted, slopes));
+        let accepted = |id: &str| self.effects.iter().any(|t| t.id == id);
         let spreads = |values: &[f64]| {
             let [least, most] = crate::models::range(values.iter().copied());
             most > least
@@ -282,6 +314,7 @@ impl ScalarModel {
         let warm: Option<Vec<f64>> = rows.iter().map(|r| r.temperature_degc).collect();
         if let (Some(mean), Some(warm)) = (self.scaling.temperature, warm)
             && spreads(&warm)
+            && !accepted("temperature")
         {
             let rise = warm.iter().map(|t| (t - mean).abs()).fold(0.0, f64::max);
             columns.push(of("temperature", &format!("{y}/K"), rise, &|i| {
@@ -289,7 +322,8 @@ impl ScalarModel {
             }));
         }
         let ways: Option<Vec<f64>> = rows.iter().map(|r| r.direction).collect();
-        if let Some(ways) = ways.filter(|w| spreads(w)) {
+        let looped = ["hysteresis", "backlash"].iter().any(|id| accepted(id));
+        if let Some(ways) = ways.filter(|w| spreads(w) && !looped) {
             columns.push(of("hysteresis", y, 1.0, &|i| ways[i]));
         }
         // A column that is a sum of others shows nothing of its own.
@@ -302,6 +336,38 @@ impl ScalarModel {
             }
         }
         Ok(kept)
+    }
+
+    /// What each accepted effect adds to the responses: as much more of it is one.
+    fn columns_of_effects(&self, fitted: &Fitted, slopes: &DMatrix<f64>) -> Vec<Column> {
+        let system = self.system(Vec::new());
+        let law = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law);
+        let own = |t: &EffectTerm| law(t).linear.len();
+        let count = fitted.coefficients.len();
+        let mut column = count - fitted.terms.iter().map(own).sum::<usize>();
+        let mut value = count;
+        let mut out = Vec::new();
+        for (t, named) in fitted.terms.iter().zip(&self.effects) {
+            let mut values = DVector::zeros(slopes.nrows());
+            for k in column..column + own(t) {
+                values += slopes.column(k) * fitted.coefficients[k];
+            }
+            let sizes = law(t).parameters.iter().enumerate();
+            let sizes = sizes.filter(|(_, p)| matches!(p.role, Role::Amplitude { .. }));
+            for (k, _) in sizes {
+                values += slopes.column(value + k) * t.values[k];
+            }
+            column += own(t);
+            value += t.values.len();
+            let largest = values.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+            out.push(Column {
+                name: named.id.clone(),
+                unit: "1".to_owned(),
+                values,
+                largest,
+            });
+        }
+        out
     }
 
     /// Mean slope of the response over the range; 1 of an axis, whose error is of its position.
@@ -319,6 +385,20 @@ impl ScalarModel {
                 found: "none".to_owned(),
             })
     }
+}
+
+/// Sizes of the columns fitted together to whitened errors, and their standard deviations.
+fn together(columns: &[DVector<f64>], e: &DVector<f64>) -> Vec<(f64, f64)> {
+    if columns.is_empty() {
+        return Vec::new();
+    }
+    let x = DMatrix::from_columns(columns);
+    let Some(inverse) = (x.transpose() * &x).try_inverse() else {
+        return Vec::new();
+    };
+    let sizes = &inverse * (x.transpose() * e);
+    let sd = |k: usize| inverse[(k, k)].max(0.0).sqrt();
+    (0..columns.len()).map(|k| (sizes[k], sd(k))).collect()
 }
 
 /// Squares of `e` that the columns explain.

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::document::{CameraDocument, StereoDocument};
 use wcal_vision::calibrate::export::kalibr_distance_px;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::camera::{Lens, OPENCV5, lens_named, lenses};
@@ -194,7 +195,40 @@ pub(crate) fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     );
     if args.json {
         println!("{text}");
+    } else {
+        println!("{}", dimensions(&document));
     }
     let clean = document.rejected_views.is_empty() && document.warnings.is_empty() && !far;
     Ok(crate::printing::exit_code(clean))
+}
+
+/// Two-sided 95 % of a Gaussian.
+const NORMAL_95: f64 = 1.96;
+
+/// Baseline and focal lengths with their 95 % half widths.
+fn dimensions(document: &StereoDocument) -> String {
+    let t = [0, 1, 2].map(|k| document.right_from_left[k][3]);
+    let baseline = t.iter().map(|v| v * v).sum::<f64>().sqrt();
+    // The translation is the last part of the covariance: sd of |t| along t.
+    let first = document.covariance.len().saturating_sub(3);
+    let block = document.covariance.iter().skip(first).enumerate();
+    let along = block.map(|(i, row)| {
+        let part = row.iter().skip(first).zip(t).map(|(c, v)| c * v);
+        t[i] * part.sum::<f64>()
+    });
+    let sd = along.sum::<f64>().max(0.0).sqrt() / baseline;
+    let focal = |(side, camera): (&str, &CameraDocument)| {
+        let sd = camera.sd.get("fx").copied().unwrap_or(f64::NAN);
+        format!("{side} {:.2} ± {:.2} px", camera.k[0][0], NORMAL_95 * sd)
+    };
+    let focal: Vec<String> = ["left", "right"]
+        .into_iter()
+        .zip(&document.cameras)
+        .map(focal)
+        .collect();
+    format!(
+        "baseline {baseline:.3} ± {:.3} mm; focal length {} (95 %)",
+        NORMAL_95 * sd,
+        focal.join(", ")
+    )
 }

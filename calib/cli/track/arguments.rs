@@ -98,7 +98,8 @@ pub struct TrackArgs {
     /// Recording of a live run, which can be tracked again
     #[arg(help_heading = "Live", long, value_name = "MCAP")]
     pub mcap: Option<PathBuf>,
-    /// Serve a page on 127.0.0.1 that shows the contacts as they come; its address is printed on stderr
+    /// Serve a page on 127.0.0.1 that shows the contacts of a stream or recording as they come; its
+    /// address is printed on stderr
     ///
     /// PORT: default a free one. The page with its last state is kept as OUT.live.html beside the
     /// table.

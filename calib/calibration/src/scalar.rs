@@ -221,10 +221,14 @@ impl Calibration for ScalarModel {
             inverse,
             measured,
         } = table_rows(self, table)?;
-        let predicted = if inverse {
-            self.invert(&rows)
-        } else {
-            self.predict(&rows)
+        let mut remark = inverse.then(|| self.inverse_remark(&rows)).flatten();
+        let predicted = match inverse {
+            true => self.invert(&rows),
+            // Without an order the mean of both ways stands for an effect with memory.
+            false => self.predict(&rows).or_else(|e| {
+                let alone = self.predict_both_ways(&rows).ok_or(e);
+                alone.inspect(|_| remark = self.inverse_remark(&rows))
+            }),
         };
         let predicted =
             predicted.map_err(|e| CalibrationError::content(Path::new(&table.file), e))?;
@@ -257,11 +261,6 @@ impl Calibration for ScalarModel {
             }
             csv.push('\n');
         }
-        let remarks = if inverse {
-            self.inverse_remark(&rows)
-        } else {
-            None
-        };
         let outside = predicted.iter().filter(|p| !p.valid).count();
         let [low, high] = self.stimulus_range.map(|v| number(v, 10));
         let outside = (outside > 0).then(|| {
@@ -277,7 +276,7 @@ impl Calibration for ScalarModel {
             rows: rows.len(),
             outside,
             warnings: table.warning().into_iter().collect(),
-            remarks: remarks.into_iter().collect(),
+            remarks: remark.into_iter().collect(),
         })
     }
 

@@ -100,6 +100,31 @@ fn a_loop_is_followed_by_directions_and_half_of_it_is_stated_without_them() {
 }
 
 #[test]
+fn a_place_without_its_direction_has_the_mean_of_both() {
+    let looped = |sweep: &[Reading]| -> Vec<f64> {
+        let of = |r: &Reading| 0.05 * r.direction * (1.0 - (0.2 * r.x - 1.0).powi(2));
+        sweep.iter().map(of).collect()
+    };
+    let model = calibrated(0, "hysteresis", &looped);
+    let mut rng = Noise::new(9);
+    let sweep = triangles(1, 10, &mut rng);
+    let mut places = rows(&sweep, &[0.0; 20], false, false);
+    places
+        .iter_mut()
+        .zip(&sweep)
+        .for_each(|(row, r)| row.x = r.x);
+    let found = model.predict_both_ways(&places).unwrap();
+    for (p, r) in found.iter().zip(&sweep) {
+        let half_loop = 0.05 * (1.0 - (0.2 * r.x - 1.0).powi(2));
+        assert!((p.value - 0.2 * r.x).abs() < 2e-3, "{p:?} at {}", r.x);
+        assert!(p.half95 > half_loop && p.half95 < half_loop + 0.01, "{p:?}");
+    }
+    // Control: with directions nothing has to be guessed.
+    let directed = rows(&sweep, &[0.0; 20], false, true);
+    assert!(model.predict_both_ways(&directed).is_none());
+}
+
+#[test]
 fn play_and_creep_are_followed_from_reading_to_reading() {
     let play = |sweep: &[Reading]| -> Vec<f64> {
         let mut held: f64 = 0.0;

@@ -133,6 +133,37 @@ impl ScalarModel {
         Ok((0..rows.len()).map(of).collect())
     }
 
+    /// Predictions at `rows` of which neither time nor direction is known: the mean of both ways, and
+    /// half of what lies between them in the width. None where an accepted effect follows the time,
+    /// or something is known of the order.
+    pub fn predict_both_ways(&self, rows: &[ScalarRow]) -> Option<Vec<ScalarPrediction>> {
+        let known = rows
+            .iter()
+            .any(|r| r.t_s.is_some() || r.direction.is_some());
+        let timed = [true, false]
+            .iter()
+            .any(|memory| self.timed(*memory).is_some());
+        if known || timed || self.remembering().is_none() {
+            return None;
+        }
+        let [low, high] = self.stimulus_range;
+        let of = |stimulus: f64, direction: f64| {
+            let before = Before {
+                stimulus,
+                direction,
+                late: false,
+            };
+            self.after(rows, before, false).ok()
+        };
+        let (up, down) = (of(low, 1.0)?, of(high, -1.0)?);
+        let mean = |(a, b): (&ScalarPrediction, &ScalarPrediction)| ScalarPrediction {
+            value: 0.5 * (a.value + b.value),
+            half95: a.half95.max(b.half95) + 0.5 * (a.value - b.value).abs(),
+            valid: a.valid,
+        };
+        Some(up.iter().zip(&down).map(mean).collect())
+    }
+
     /// How the stimuli of `rows` are found where an accepted effect has memory.
     pub fn inverse_remark(&self, rows: &[ScalarRow]) -> Option<String> {
         let effect = self.remembering()?;
@@ -141,7 +172,7 @@ impl ScalarModel {
                 "{effect} is followed from reading to reading; where the readings do not tell the state that they began in, half95 is wider"
             ),
             false => format!(
-                "each reading stands alone, since neither t_s nor direction says how it was reached: the stimulus is the mean of both ways, and half95 holds half of what {effect} makes between them"
+                "each reading stands alone, since neither t_s nor direction says how it was reached: the value is the mean of both ways, and half95 holds half of what {effect} makes between them"
             ),
         })
     }

@@ -128,7 +128,7 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
     write_session(&args.out, &SWEEP)?;
     let mut reports = Vec::new();
     for r in RECORDINGS {
-        println!("\n{}: {}", r.name, r.shows);
+        println!("{}: {}", r.name, r.shows);
         let out = args.out.join(r.name);
         let mut results = OutputFolder::open(&kind, &out, args.overwrite.force)?;
         let folder = write_session(&args.out, r)?;

@@ -161,7 +161,9 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, CalibrationError> {
             .file_name()
             .and_then(|n| n.to_str())
             .unwrap_or_default();
-        path.is_file() && name.ends_with(".json") && name.contains("calibration")
+        // One that was judged as failed is a copy.
+        let is_named = name.contains("calibration") && name.ends_with(".json");
+        path.is_file() && is_named && !name.starts_with("judged-")
     };
     let mut found = Vec::new();
     for path in listed(folder)? {

@@ -28,7 +28,8 @@ use wcal_report::{ReportInput, render_index};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal calibrate --out calibrated
-  wcal calibrate --rig rig.toml --plan plan.toml --cameras cameras/stereo.json --home --out calibrated
+  wcal calibrate --rig rig.toml --plan plan.toml --cameras stereo.json \\
+      --home --out calibrated
 
 Without --rig a virtual bench is swept that has an effect which nobody declared (SIMULATED). After Ctrl-C or a fault the same command
 goes on with the step that was not finished.

@@ -56,7 +56,8 @@ const DOUBTFUL: f64 = 3.0;
 #[command(after_help = "Examples:
   wcal fit-whisker shapes/shapes.json --rig rig.toml --out whisker
   wcal fit-whisker shapes/shapes.json --rig rig.toml --moments session --out whisker
-  wcal fit-whisker shapes/shapes.json --rig rig.toml --dynamics --ring-down release.csv --out whisker
+  wcal fit-whisker shapes/shapes.json --rig rig.toml --dynamics \\
+      --ring-down release.csv --out whisker
 
 The keys of [whisker] in whisker.toml are those of session.toml; whisker.xml is the wire as a MuJoCo model.
 Exit code 3: fitted, with shapes left out or residuals past what is stated.")]

@@ -29,7 +29,8 @@ use wcal_drivers::bench::in_process::InProcess;
 #[derive(Debug, Args)]
 #[command(after_help = "Example, without hardware (two terminals):
   wcal virtual-bench --scenario rigs/virtual/scenario.toml > bench.json
-  wcal stage-sweep --rig rigs/virtual --plan rigs/plans/paper-27.toml --bench bench.json --home --out session
+  wcal stage-sweep --rig rigs/virtual --plan rigs/plans/paper-27.toml \\
+      --bench bench.json --home --out session
   wcal fit-gpr session --out fit; wcal verify session --out verify
 
 Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a readable session; `--resume SESSION` continues it.

@@ -24,7 +24,8 @@ use wcal_vision::stereo::StereoCameras;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal stereo-shape SESSION --cameras calibration/stereo.json
-  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes
+  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json \\
+      --rig rig.toml --out shapes
 
 For a session, the pairs of its settled poses and its own rig are used. shapes.json is written into the session and named in session.toml.
 Pairs of the holdout's poses are fitted separately, into shapes-holdout.json.

@@ -232,6 +232,10 @@ impl Calibration for ScalarModel {
         };
         let predicted =
             predicted.map_err(|e| CalibrationError::content(Path::new(&table.file), e))?;
+        if self.has_gaps_at(&rows) {
+            let gaps = "positions between the places of the table were not measured: half95 holds what leaving out every second place shows";
+            remark.get_or_insert_with(|| gaps.to_owned());
+        }
         let mut csv = match (axis, inverse) {
             (true, _) => {
                 "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region"

@@ -116,6 +116,53 @@ fn errors_of_places_are_a_table_that_holds_on_further_cycles() {
 }
 
 #[test]
+fn between_the_places_of_a_table_the_width_is_what_leaving_places_out_shows() {
+    // 21 places with independent errors of 10 um, measured to 1 um; what lies midway is as
+    // independent of both.
+    let shares: Vec<[f64; 2]> = (0..12u64)
+        .into_par_iter()
+        .map(|seed| {
+            let mut rng = Noise::new(700 + seed);
+            let places = even(21);
+            let table: Vec<f64> = places.iter().map(|_| 10.0 * rng.next()).collect();
+            let fitted = cycles(&places, 1, 6, |_, p, _| table[p] + rng.next());
+            let v = run(&axis(fitted), seed);
+            assert!(names(&v).contains(&"error-table"), "{:?}", names(&v));
+            let model = v.model.as_ref().unwrap();
+            let mid: Vec<f64> = places.windows(2).map(|p| 0.5 * (p[0] + p[1])).collect();
+            let inside = |x: &[f64], truth: &[f64]| {
+                let mut rows =
+                    wcal_verify::scalar::Declared::Axis.rows(&cycles(x, 1, 1, |_, _, _| 0.0));
+                rows.truncate(x.len());
+                let found = model.predict(&rows).unwrap();
+                let held = found
+                    .iter()
+                    .zip(truth)
+                    .filter(|(p, t)| (p.value - *t).abs() <= p.half95);
+                held.count() as f64 / x.len() as f64
+            };
+            let unknown: Vec<f64> = mid.iter().map(|_| 10.0 * rng.next()).collect();
+            // Control: at the places the width is that of a reading, and would hold little between.
+            let mut rows =
+                wcal_verify::scalar::Declared::Axis.rows(&cycles(&places, 1, 1, |_, _, _| 0.0));
+            rows.truncate(places.len());
+            let widest = model
+                .predict(&rows)
+                .unwrap()
+                .iter()
+                .map(|p| p.half95)
+                .fold(0.0, f64::max);
+            assert!(widest < 3.0, "{widest}");
+            [inside(&mid, &unknown), inside(&places, &table)]
+        })
+        .collect();
+    let mean = |k: usize| shares.iter().map(|s| s[k]).sum::<f64>() / shares.len() as f64;
+    println!("between {:.3}, at the places {:.3}", mean(0), mean(1));
+    assert!((0.90..=0.99).contains(&mean(0)), "{shares:?}");
+    assert!(mean(1) > 0.98, "{shares:?}");
+}
+
+#[test]
 fn laws_keep_their_names_where_places_repeat() {
     let places = even(11);
     let wrong: Vec<(u64, Vec<String>)> = (0..16u64)

@@ -1,13 +1,14 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions
 //! at new readings.
 
+use super::effects::{ERROR_TABLE, left_out_rms, share_of_gap};
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::row::all;
 use super::system::{ScalarSystem, relative_sd_at};
 use crate::effect::LawRequirement;
-use crate::method::{Hypothesis, LackOfFit, SpreadLaw};
+use crate::method::{Hypothesis, LackOfFit, SpreadLaw, t95};
 use crate::models::{range, rows};
 use crate::{Effect, EffectTerm, MeasurementModel};
 use nalgebra::DMatrix;
@@ -375,6 +376,40 @@ impl ScalarModel {
         relative.iter().map(|r| self.variance.sqrt() * r).collect()
     }
 
+    /// Half width of a 95 % interval of what lies between the places of a table of errors, at a
+    /// position; 0 without one.
+    fn gap_half(&self, fitted: &Fitted) -> impl Fn(f64) -> f64 {
+        let places = self.scaling.places.clone();
+        let table = self.effects.iter().position(|t| t.id == ERROR_TABLE);
+        // The first place's deviation is the declared constant's.
+        let first = table.map(|at| self.first_column(fitted, at));
+        let deviations = first.map(|first| {
+            let rest = &fitted.coefficients[first..];
+            let rest = rest.iter().take(places.len().saturating_sub(1));
+            [0.0].into_iter().chain(rest.copied()).collect::<Vec<f64>>()
+        });
+        let rms = deviations.and_then(|d| left_out_rms(&places, &d));
+        // As many inner places estimate it.
+        let t = t95(places.len().saturating_sub(2) as f64);
+        move |x| rms.map_or(0.0, |rms| t * rms * share_of_gap(&places, x))
+    }
+
+    /// Column of the design at which an effect's begin.
+    fn first_column(&self, fitted: &Fitted, effect: usize) -> usize {
+        let system = self.system(Vec::new());
+        let own = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+        let all: usize = fitted.terms.iter().map(own).sum();
+        let before: usize = fitted.terms[..effect].iter().map(own).sum();
+        fitted.coefficients.len() - all + before
+    }
+
+    /// Whether positions lie between the places of a table of errors.
+    pub fn has_gaps_at(&self, rows: &[ScalarRow]) -> bool {
+        let is_table = self.effects.iter().any(|t| t.id == ERROR_TABLE);
+        let places = &self.scaling.places;
+        is_table && rows.iter().any(|r| share_of_gap(places, r.x) > 1e-6)
+    }
+
     /// Predicts at `rows` (their `y` is not used), in their order. Memory effects run over the rows
     /// in the order of their times.
     ///
@@ -403,6 +438,7 @@ impl ScalarModel {
             found: "none at these rows".to_owned(),
         };
         let noise_sd = self.noise_sd(&system.frame);
+        let gap_half = self.gap_half(&fitted);
         let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
         // Ends of the range that were rounded in the file still belong to it.
@@ -418,7 +454,7 @@ impl ScalarModel {
         for (i, row) in system.frame.rows.iter().enumerate() {
             out[row.origin.1] = ScalarPrediction {
                 value: values[i] - self.offset,
-                half95: half[i],
+                half95: half[i].hypot(gap_half(row.x)),
                 valid: row.x >= low - slack && row.x <= high + slack,
             };
         }

@@ -4,7 +4,11 @@
 //!
 //! ```text
 //! error(x) = sum_k h_k(x) (a_k + b_k [falling])        h_k: 1 at place k, 0 at its neighbours, straight between
+//! sd between places: 4 s (1 - s) rms_k(a_k - line through a_(k-1) and a_(k+1))        s: share of the gap
 //! ```
+//!
+//! What lies between the places was not measured: leaving out every second place shows how much it
+//! may be.
 
 use crate::effect::LawRequirement::BothDirections;
 use crate::effect::{Effect, law};
@@ -65,6 +69,31 @@ pub(crate) fn error_table(places: &[f64]) -> ScalarEffect {
         }
         .into()
     }
+}
+
+/// Root mean square of what each inner place is off the straight line through its neighbours; none
+/// of fewer than three.
+pub(crate) fn left_out_rms(places: &[f64], deviations: &[f64]) -> Option<f64> {
+    let inner = 1..places.len().saturating_sub(1);
+    let off = inner.map(|k| {
+        let share = (places[k] - places[k - 1]) / (places[k + 1] - places[k - 1]);
+        let line = (1.0 - share) * deviations[k - 1] + share * deviations[k + 1];
+        (deviations[k] - line).powi(2)
+    });
+    let squares: Vec<f64> = off.collect();
+    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+    (!squares.is_empty()).then(|| mean.sqrt())
+}
+
+/// How far `x` lies within its gap: 0 at a place, 1 in the middle between two.
+pub(crate) fn share_of_gap(places: &[f64], x: f64) -> f64 {
+    let next = places.partition_point(|p| *p <= x);
+    if next == 0 || next == places.len() {
+        return 0.0;
+    }
+    // The bound of linear interpolation, f'' h^2 / 8 times 4 s (1 - s).
+    let s = (x - places[next - 1]) / (places[next] - places[next - 1]);
+    4.0 * s * (1.0 - s)
 }
 
 /// Value at `u` of the function that is 1 at place `k`.

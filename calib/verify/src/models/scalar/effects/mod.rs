@@ -16,7 +16,7 @@ mod stimulus;
 use super::frame::{Declared, Frame};
 use super::scalar_effect::ScalarEffect;
 pub(crate) use bends::POLYNOMIAL;
-pub(crate) use error_table::ERROR_TABLE;
+pub(crate) use error_table::{ERROR_TABLE, left_out_rms, share_of_gap};
 pub(crate) use periodic::{PERIODIC, of_a_turn};
 pub(crate) use response::HETEROSCEDASTIC_NOISE;
 pub(crate) use series::ZERO_BY_SERIES;

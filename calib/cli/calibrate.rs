@@ -112,6 +112,8 @@ type RunWords = fn(&[&str]) -> Result<ExitCode>;
 struct Step {
     name: &'static str,
     words: Vec<String>,
+    /// A file without which there is nothing to do.
+    needs: Option<PathBuf>,
     is_done: Box<dyn Fn() -> bool>,
     says: Box<dyn Fn() -> Result<String>>,
 }
@@ -146,6 +148,11 @@ pub(crate) fn run(args: &CalibrateArgs, run_words: RunWords) -> Result<ExitCode>
     let (mut again, mut code) = (false, 0);
     for (k, step) in steps.iter().enumerate() {
         let place = format!("{}/{} {}", k + 1, steps.len(), step.name);
+        // What verify did not accept locates nothing.
+        if let Some(needed) = step.needs.as_ref().filter(|f| !f.exists()) {
+            println!("{place}: left out: there is no {}", needed.display());
+            continue;
+        }
         if !again && (step.is_done)() {
             println!("{place}: done before: {}", (step.says)()?);
             continue;
@@ -264,6 +271,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
     let mut all = vec![Step {
         name: "sweep",
         words: sweep_words(args, bench, &session),
+        needs: None,
         is_done: {
             let folder = args.out.join("session");
             Box::new(move || is_finished(&folder))
@@ -278,6 +286,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
         all.push(Step {
             name: "shapes",
             words: words(&["stereo-shape", &session, "--cameras", &cameras]),
+            needs: None,
             is_done: has(format!("{session}/shapes.json")),
             says: Box::new(|| Ok("shapes of the wire, in shapes.json".to_owned())),
         });
@@ -287,6 +296,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
     all.push(Step {
         name: "verify",
         words: words(&["verify", &session, "--out", &verify, "--seed", &seed]),
+        needs: None,
         is_done: has(format!("{verify}/verify.json")),
         says: Box::new(move || Ok(verdict(&verified(&result)?))),
     });
@@ -294,6 +304,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
     all.push(Step {
         name: "map",
         words: words(&["fit-gpr", &session, "--out", &map]),
+        needs: None,
         is_done: has(format!("{map}/calibration.json")),
         says: Box::new(move || {
             let text = read_text(&result.join("map/fit-gpr.json"))?;
@@ -301,7 +312,6 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
             Ok(format!("map {} of {} poses", map.chosen, map.points))
         }),
     });
-    // What is not verified locates nothing; its verdict says why.
     let result = args.out.clone();
     all.push(Step {
         name: "track",
@@ -314,6 +324,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
             &track,
             "--force",
         ]),
+        needs: Some(PathBuf::from(&calibration)),
         is_done: has(track),
         says: Box::new(move || {
             let rows = read_text(&result.join("track.csv"))?.lines().count();

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_calibration::{
     CalibrationHistory, CalibrationModel, GivenCalibration, SessionSystem, TrustIssue, history,
-    read_calibration, rows_to_check, standing,
+    read_calibration, rows_to_check, trust_issues,
 };
 use wcal_core::provenance::sha256_hex;
 use wcal_core::text::{chance, number, with_unit};
@@ -112,7 +112,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<ExitCode> {
         bail!("expected READINGS and --calibration FILE, or --history DIR");
     };
     let file = read_calibration(calibration)?;
-    let issues = standing(&file, jiff::Timestamp::now())?;
+    let issues = trust_issues(&file, jiff::Timestamp::now())?;
     let mut found = match &file.model {
         CalibrationModel::Scalar(model) => of_scalar(model, &file.provenance, readings)?,
         _ => of_whisker(&file.provenance, readings, calibration)?,
@@ -307,16 +307,16 @@ fn of_whisker(made: &Provenance, readings: &Path, calibration: &Path) -> Result<
     }
     let given = GivenCalibration::read(calibration, &session)?;
     let system = WhiskerSystem::new(data, &[])?;
-    let judged = given.judge(SessionSystem::Whisker(&system))?;
-    let answer = match judged.holds {
+    let judgement = given.judge(SessionSystem::Whisker(&system))?;
+    let answer = match judgement.holds {
         true => Answer::Ok,
         false => Answer::Degraded,
     };
     Ok(Found {
-        judgement: Some(judged.clone()),
+        judgement: Some(judgement.clone()),
         ..Found::new(
             answer,
-            format!("{} readings: {}", judged.error.points, judged.why),
+            format!("{} readings: {}", judgement.error.points, judgement.why),
         )
     })
 }

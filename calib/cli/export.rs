@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_calibration::{
-    CalibrationError, CalibrationModel, Export, export, read_calibration, standing,
+    CalibrationError, CalibrationModel, Export, export, read_calibration, trust_issues,
 };
 use wcal_core::CalibrationFile;
 use wcal_core::text::{number, printable};
@@ -70,7 +70,7 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         check_file(out, "export", own, args.force)?;
     }
     let file = read_calibration(&args.calibration)?;
-    let doubts = standing(&file, jiff::Timestamp::now())?;
+    let doubts = trust_issues(&file, jiff::Timestamp::now())?;
     let exported = export(&file.model)?;
     let text = match args.to {
         Target::Yaml => yaml(&file, &exported)?,

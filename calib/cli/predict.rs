@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_calibration::{read_calibration, standing};
+use wcal_calibration::{read_calibration, trust_issues};
 use wcal_core::VerificationStatus;
 use wcal_session::{SessionLedger, WarningKind};
 
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     let simulated = file.provenance.simulated || is_simulated(&args.table);
     // A table from simulated data says so in a column.
     write_file(&args.out, mark_table(&applied.csv, simulated).as_bytes())?;
-    let mut doubts: Vec<String> = standing(&file, jiff::Timestamp::now())?
+    let mut doubts: Vec<String> = trust_issues(&file, jiff::Timestamp::now())?
         .iter()
         .map(ToString::to_string)
         .collect();

@@ -77,6 +77,13 @@ fn one_command_goes_from_the_sweep_to_contacts_and_goes_on_where_it_stopped() {
     assert_eq!(same("session/points.csv"), points);
     assert!(same("verify/verify.json") > verified, "negative control");
 
+    // Without a calibration there is nothing to track, and the page is written all the same.
+    fs::remove_file(out.join("verify/calibration.json")).unwrap();
+    fs::remove_file(out.join("report.html")).unwrap();
+    let (code, said, errors) = run(&["calibrate", "--out", folder]);
+    assert!(code == 0 && said.contains("left out"), "{said}{errors}");
+    assert!(said.contains("no calibration was written") && out.join("report.html").is_file());
+
     // Another plan is another calibration.
     let [rig, plan] = ["rigs/virtual", "rigs/plans/paper-27.toml"].map(repository);
     let (rig, plan) = (rig.to_str().unwrap(), plan.to_str().unwrap());

@@ -243,7 +243,7 @@ pub fn of_whisker<'a>(
 ///
 /// # Errors
 /// Where `expires` is no RFC 3339 time.
-pub fn standing(
+pub fn trust_issues(
     file: &CalibrationFile<CalibrationModel>,
     now: jiff::Timestamp,
 ) -> Result<Vec<TrustIssue>, CalibrationError> {

@@ -25,7 +25,7 @@ mod trust_issue;
 pub use apply::{Calibration, SensedRow, SensedTable, SessionSystem, WhiskerCalibration};
 pub use artefact::{
     CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,
-    standing,
+    trust_issues,
 };
 pub use error::CalibrationError;
 pub use export::export;

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationError, CalibrationModel, GivenCalibration, TrustIssue, of_whisker, provenance,
-    read_calibration, read_unsealed, seal, standing,
+    read_calibration, read_unsealed, seal, trust_issues,
 };
 use wcal_core::{CalibrationFile, Provenance, VerificationStatus};
 
@@ -123,16 +123,18 @@ fn trust_ends_with_the_time_and_with_a_failed_verification() {
         sealed(VerificationStatus::Verified, Some(end)),
         sealed(VerificationStatus::Failed, None),
     );
-    assert_eq!(standing(&good, at(end)).unwrap(), []);
-    let expired = standing(&good, at("2030-01-01T00:00:01Z")).unwrap();
+    assert_eq!(trust_issues(&good, at(end)).unwrap(), []);
+    let expired = trust_issues(&good, at("2030-01-01T00:00:01Z")).unwrap();
     assert_eq!(expired, [TrustIssue::Expired(end.to_owned())]);
     assert_eq!(
-        standing(&failed, at("2100-01-01T00:00:00Z")).unwrap(),
+        trust_issues(&failed, at("2100-01-01T00:00:00Z")).unwrap(),
         [TrustIssue::FailedVerification]
     );
     let both = sealed(VerificationStatus::Failed, Some(end));
     assert_eq!(
-        standing(&both, at("2031-01-01T00:00:00Z")).unwrap().len(),
+        trust_issues(&both, at("2031-01-01T00:00:00Z"))
+            .unwrap()
+            .len(),
         2
     );
     let codes: Vec<&str> = expired
@@ -141,7 +143,7 @@ fn trust_ends_with_the_time_and_with_a_failed_verification() {
         .map(TrustIssue::code)
         .collect();
     assert_eq!(codes, ["expired", "failed"]);
-    let wrong = standing(
+    let wrong = trust_issues(
         &sealed(VerificationStatus::Verified, Some("next year")),
         at(end),
     )

@@ -6,7 +6,7 @@ use crate::whisker_track::WhiskerFacts;
 use crate::zero::{WHITE, ZERO};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
-    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
+    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, trust_issues,
 };
 use wcal_core::observation::MomentAxes;
 use wcal_core::ranges::OutOfRange;
@@ -159,7 +159,7 @@ impl<'a> WhiskerModel<'a> {
         let (file, changed) = read_unsealed(place)?;
         of_whisker(place, &file)?;
         let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
-        issues.extend(standing(&file, jiff::Timestamp::now())?);
+        issues.extend(trust_issues(&file, jiff::Timestamp::now())?);
         if file.verification == VerificationStatus::Unverified {
             issues.push(TrustIssue::NeverVerified);
         }

@@ -44,8 +44,8 @@ fn sheets_hold_the_readings_of_their_cells() {
     let other = of("cell.ods");
     assert_eq!((&load, &warm), (&other.0, &other.2));
     // One of the writers keeps sixteen digits.
-    let apart = signal.iter().zip(&other.1).map(|(a, b)| (a - b).abs());
-    assert!(apart.fold(0.0, f64::max) < 1e-14);
+    let differences = signal.iter().zip(&other.1).map(|(a, b)| (a - b).abs());
+    assert!(differences.fold(0.0, f64::max) < 1e-14);
     assert_eq!(other.3, "2026-03-05T00:05:32.500000");
 }
 

@@ -342,23 +342,19 @@ impl ScalarModel {
     fn columns_of_effects(&self, fitted: &Fitted, slopes: &DMatrix<f64>) -> Vec<Column> {
         let system = self.system(Vec::new());
         let law = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law);
-        let own = |t: &EffectTerm| law(t).linear.len();
-        let count = fitted.coefficients.len();
-        let mut column = count - fitted.terms.iter().map(own).sum::<usize>();
-        let mut value = count;
         let mut out = Vec::new();
-        for (t, named) in fitted.terms.iter().zip(&self.effects) {
+        let terms = fitted.terms.iter().zip(&self.effects);
+        for ((t, named), [columns, nonlinear]) in terms.zip(self.slots(&fitted.terms)) {
             let mut values = DVector::zeros(slopes.nrows());
-            for k in column..column + own(t) {
+            for k in columns {
                 values += slopes.column(k) * fitted.coefficients[k];
             }
-            let sizes = law(t).parameters.iter().enumerate();
-            let sizes = sizes.filter(|(_, p)| matches!(p.role, Role::Amplitude { .. }));
-            for (k, _) in sizes {
-                values += slopes.column(value + k) * t.values[k];
+            let sizes = law(t).parameters.iter().zip(nonlinear).zip(&t.values);
+            for ((p, slot), size) in sizes {
+                if matches!(p.role, Role::Amplitude { .. }) {
+                    values += slopes.column(slot) * *size;
+                }
             }
-            column += own(t);
-            value += t.values.len();
             let largest = values.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
             out.push(Column {
                 name: named.id.clone(),

@@ -15,7 +15,7 @@ use super::model::{ScalarModel, ScalarPrediction};
 use super::predictions::gradient;
 use crate::effect::LawRequirement;
 use crate::method::t95;
-use crate::{Effect, EffectTerm, MeasurementModel};
+use crate::{Effect, MeasurementModel};
 use nalgebra::DVector;
 use wcal_core::data_sheet::{Characteristic, DataSheet, UncertaintyBudget, UncertaintySource};
 use wcal_core::observation::Role;
@@ -174,22 +174,20 @@ impl ScalarModel {
         use LawRequirement::{Clock, Order, Time};
         let system = self.system(Vec::new());
         let terms = self.terms(&system).ok()?;
-        let own = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-        let declared = self.coefficients.len() - terms.iter().map(own).sum::<usize>();
+        let slots = self.slots(&terms);
+        let count = self.coefficients.len();
+        let declared = slots.first().map_or(count, |[columns, _]| columns.start);
         let mut columns: Vec<usize> = (0..declared).collect();
-        let (mut column, mut value) = (declared, self.coefficients.len());
         let (mut values, mut effects) = (Vec::new(), Vec::new());
-        for (t, named) in terms.iter().zip(&self.effects) {
+        for ((t, named), [own, nonlinear]) in terms.iter().zip(&self.effects).zip(slots) {
             let effect = &system.catalogue()[t.effect];
             let needs = &effect.law(t.law).needs;
             let timed = needs.iter().any(|n| matches!(n, Time | Clock | Order));
             if !goes(effect, timed) {
-                columns.extend(column..column + own(t));
-                values.extend(value..value + t.values.len());
+                columns.extend(own);
+                values.extend(nonlinear);
                 effects.push(named.clone());
             }
-            column += own(t);
-            value += t.values.len();
         }
         let slots: Vec<usize> = columns.iter().chain(&values).copied().collect();
         let row = |i: &usize| slots.iter().map(|j| self.covariance[*i][*j]).collect();

@@ -15,6 +15,7 @@ use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations,
 /// cycles).
@@ -382,10 +383,10 @@ impl ScalarModel {
         let places = self.scaling.places.clone();
         let table = self.effects.iter().position(|t| t.id == ERROR_TABLE);
         // The first place's deviation is the declared constant's.
-        let first = table.map(|at| self.first_column(fitted, at));
-        let deviations = first.map(|first| {
-            let rest = &fitted.coefficients[first..];
-            let rest = rest.iter().take(places.len().saturating_sub(1));
+        let slots = self.slots(&fitted.terms);
+        let deviations = table.map(|at| {
+            let rest = fitted.coefficients[slots[at][0].clone()].iter();
+            let rest = rest.take(places.len().saturating_sub(1));
             [0.0].into_iter().chain(rest.copied()).collect::<Vec<f64>>()
         });
         let rms = deviations.and_then(|d| left_out_rms(&places, &d));
@@ -394,13 +395,19 @@ impl ScalarModel {
         move |x| rms.map_or(0.0, |rms| t * rms * share_of_gap(&places, x))
     }
 
-    /// Column of the design at which an effect's begin.
-    fn first_column(&self, fitted: &Fitted, effect: usize) -> usize {
+    /// Where each term stands: its columns among the coefficients, its values behind all of them.
+    pub(super) fn slots(&self, terms: &[EffectTerm]) -> Vec<[Range<usize>; 2]> {
         let system = self.system(Vec::new());
         let own = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-        let all: usize = fitted.terms.iter().map(own).sum();
-        let before: usize = fitted.terms[..effect].iter().map(own).sum();
-        fitted.coefficients.len() - all + before
+        let count = self.coefficients.len();
+        // Columns of the declared model come first.
+        let (mut column, mut value) = (count - terms.iter().map(own).sum::<usize>(), count);
+        let of = |t: &EffectTerm| {
+            let slots = [column..column + own(t), value..value + t.values.len()];
+            (column, value) = (slots[0].end, slots[1].end);
+            slots
+        };
+        terms.iter().map(of).collect()
     }
 
     /// Whether positions lie between the places of a table of errors.

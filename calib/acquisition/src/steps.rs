@@ -316,9 +316,14 @@ impl Sweep<'_, '_, '_> {
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
-        // A unit of the binary protocol has no stall flag: only another position shows it.
+        // A unit of the binary protocol has no stall flag: only another position shows it. A blocked
+        // carriage stops on its way, never beyond.
         let found_mm = self.last.measured_mm;
-        if (found_mm - target_mm).abs() > ARRIVAL_MM {
+        let short_mm = (target_mm - found_mm) * way_mm.signum();
+        if short_mm.abs() > ARRIVAL_MM {
+            if short_mm < 0.0 || short_mm > way_mm.abs() + ARRIVAL_MM {
+                return self.displaced(target_mm);
+            }
             return Err(DeviceError::new(
                 DeviceErrorKind::Stalled,
                 "stage",
@@ -334,14 +339,24 @@ impl Sweep<'_, '_, '_> {
     /// A stage that stands stays where it was sent: another program, or a hand at its knob, would
     /// leave readings of another place.
     fn still_there(&mut self) -> Result<(), DeviceError> {
-        let Some(target_mm) = self.stands_mm else {
-            return Ok(());
-        };
-        let (moving, at_mm) = (self.last.moving, self.last.measured_mm);
-        if !moving && (at_mm - target_mm).abs() <= ARRIVAL_MM {
-            return Ok(());
+        match self.stands_mm {
+            Some(target_mm)
+                if self.last.moving || (self.last.measured_mm - target_mm).abs() > ARRIVAL_MM =>
+            {
+                self.displaced(target_mm)
+            }
+            _ => Ok(()),
         }
-        let moves = if moving { "moving" } else { "standing" };
+    }
+
+    /// Somebody else moves the stage.
+    fn displaced(&mut self, target_mm: f64) -> Result<(), DeviceError> {
+        let at_mm = self.last.measured_mm;
+        let moves = if self.last.moving {
+            "moving"
+        } else {
+            "standing"
+        };
         self.of_stage(Err(DeviceError::new(
             DeviceErrorKind::Displaced,
             "stage",

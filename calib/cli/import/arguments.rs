@@ -48,6 +48,17 @@ pub(crate) struct ImportArgs {
         requires = "stimulus"
     )]
     pub stimulus_sd: Option<String>,
+    /// Standard uncertainty of the reference, in the unit of the stimulus
+    ///
+    /// Common to all readings: it weighs none, and is a part of every stated U.
+    #[arg(
+        help_heading = "Transducer",
+        long,
+        value_name = "SD",
+        value_parser = not_negative,
+        requires = "stimulus"
+    )]
+    pub reference_sd: Option<f64>,
     /// Column of the response
     #[arg(
         help_heading = "Transducer",
@@ -190,6 +201,13 @@ pub(crate) enum Declared {
     Law(TransducerModel),
     /// File that describes a whisker.
     Whisker(PathBuf),
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok();
+    number
+        .filter(|v: &f64| v.is_finite() && *v >= 0.0)
+        .ok_or_else(|| "expected a number of 0 or more".to_owned())
 }
 
 fn declared(text: &str) -> Result<Declared, String> {

@@ -125,7 +125,8 @@ fn transducer(args: &ImportArgs, [stimulus_unit, response_unit]: &[String; 2]) -
         ("response_unit", response_unit.as_str().into()),
         ("model", model.into()),
     ];
-    table(stated.into_iter().chain(deviation))
+    let reference = args.reference_sd.map(|sd| ("reference_sd", sd.into()));
+    table(stated.into_iter().chain(deviation).chain(reference))
 }
 
 pub(super) fn provenance(sources: &[TextTable], simulated: bool, noticed: &Noticed) -> Table {

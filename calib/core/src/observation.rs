@@ -334,6 +334,10 @@ pub struct TransducerData {
     /// The response is a deviation, correction or error of the stimulus: it needs no slope.
     #[serde(default)]
     pub deviation: bool,
+    /// Standard uncertainty of the reference that set every stimulus, in its unit: common to all
+    /// readings, so that no reading shows it. 0: not stated.
+    #[serde(default)]
+    pub reference_sd: f64,
     /// Names of further covariate columns.
     #[serde(skip)]
     pub covariates: Vec<String>,
@@ -350,6 +354,7 @@ impl TransducerData {
             response_unit: "um".to_owned(),
             model: TransducerModel::Axis,
             deviation: false,
+            reference_sd: 0.0,
             covariates: Vec::new(),
             rows,
         }

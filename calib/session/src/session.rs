@@ -444,6 +444,13 @@ fn load_transducer(
                 .into());
         }
     }
+    let reference = data.reference_sd;
+    if !(reference >= 0.0 && reference.is_finite()) {
+        let expected = "a standard uncertainty, 0 or more";
+        return Err(InputError::new(NAME, expected, reference.to_string())
+            .field("transducer.reference_sd")
+            .into());
+    }
     let mut read = |name: &str, purpose: Purpose| -> Result<_, SessionError> {
         let table = read_readings(&folder.join(name), name)?;
         inputs.push(table.input(purpose));

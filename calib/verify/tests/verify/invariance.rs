@@ -198,6 +198,7 @@ fn transducer() -> TransducerData {
     };
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,

@@ -36,6 +36,7 @@ fn table(
     };
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: units[0].into(),
         response_unit: units[1].into(),
         model,

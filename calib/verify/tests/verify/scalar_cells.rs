@@ -222,6 +222,7 @@ fn levels(
         .collect();
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,

@@ -2,7 +2,7 @@
 
 use super::Noise;
 use super::scalar_simulated::{run, transducer, triangles};
-use wcal_core::data_sheet::{Characteristic, DataSheet};
+use wcal_core::data_sheet::{Characteristic, DataSheet, UncertaintySource};
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 
@@ -21,7 +21,7 @@ fn a_load_cell_has_the_characteristics_that_were_put_into_it() {
     });
     let v = run(&data, 4);
     assert_eq!(v.document.verdict, Verdict::Effect, "{}", v.document.reason);
-    let sheet = v.model.unwrap().data_sheet().unwrap();
+    let sheet = v.model.as_ref().unwrap().data_sheet().unwrap();
     println!("{:#?}", sheet.lines());
     let within = |name: &str, truth: f64| {
         let c = named(&sheet, name);
@@ -53,6 +53,18 @@ fn a_load_cell_has_the_characteristics_that_were_put_into_it() {
         .sum();
     let sum = u.k * root + bounds;
     assert!((sum / u.expanded - 1.0).abs() < 0.01, "{sum} {u:?}");
+    // A reference that is uncertain by 0.02 N: its part stands beside noise and fit, not in them.
+    let mut model = v.model.unwrap();
+    model.reference_sd = 0.02;
+    let stated = model.data_sheet().unwrap().uncertainty.unwrap();
+    let wider = (u.k * root).hypot(u.k * 0.02) + bounds;
+    assert!((wider / u.expanded - 1.0).abs() > 0.1, "control: {u:?}");
+    assert!(
+        (stated.expanded / wider - 1.0).abs() < 0.01,
+        "{wider} {stated:?}"
+    );
+    let named = |s: &&UncertaintySource| s.source == "reference";
+    assert_eq!(stated.sources.iter().find(named).unwrap().standard, 0.02);
     // Control: without its largest part it does not.
     assert!(((sum - bounds) / u.expanded - 1.0).abs() > 0.5, "{u:?}");
     assert!(sheet.equation.starts_with("y = 0.1"), "{}", sheet.equation);
@@ -91,6 +103,7 @@ fn the_thermometer_of_the_gum_has_its_line_and_uncertainties() {
     };
     let data = TransducerData {
         deviation: true,
+        reference_sd: 0.0,
         stimulus_unit: "degC".into(),
         response_unit: "degC".into(),
         model: TransducerModel::Linear,

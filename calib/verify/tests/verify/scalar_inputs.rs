@@ -46,6 +46,7 @@ fn stating(
         };
     let data = TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         model,
         stimulus_unit: "kPa".into(),
         response_unit: "mV".into(),

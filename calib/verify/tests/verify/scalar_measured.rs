@@ -35,6 +35,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
         .collect();
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: "1".into(),
         response_unit: "1".into(),
         model,

@@ -53,6 +53,7 @@ pub(super) fn transducer(
     let responses: Vec<f64> = sweep.iter().map(response).collect();
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model,

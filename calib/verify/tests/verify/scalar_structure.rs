@@ -37,6 +37,7 @@ fn table(
     };
     TransducerData {
         deviation: false,
+        reference_sd: 0.0,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,

@@ -4,7 +4,7 @@
 //! m(x) = (up(x) + down(x)) / 2,     h(x) = |up(x) - down(x)|,     S = |m(high) - m(low)|
 //! sensitivity: slope b of the least-squares line through m        non-linearity: max |m - line| / S
 //! hysteresis: max h / S            repeatability: 2 s / S         zero: m(0)
-//! U = k sqrt(noise^2 + fit^2) / |m'| + bound of the memory        where it is largest
+//! U = k sqrt((noise^2 + fit^2) / m'^2 + reference^2) + bound of the memory      where it is largest
 //! ```
 //!
 //! What follows the time is not in `m`: creep has a line of its own, a drift is that session's.
@@ -88,10 +88,12 @@ impl ScalarModel {
         if let Some(mean) = self.scaling.temperature {
             conditions.push(format!("at {} degC", number(mean, 4)));
         }
-        conditions.push(
-            "U does not hold the uncertainty of the reference standard: add it in quadrature"
-                .to_owned(),
-        );
+        if self.reference_sd == 0.0 {
+            conditions.push(
+                "U does not hold the uncertainty of the reference standard: add it in quadrature"
+                    .to_owned(),
+            );
+        }
         if still.effects.len() < self.effects.len() {
             let gone = |t: &&super::model::ModelTerm| !still.effects.contains(t);
             let names: Vec<&str> = self
@@ -424,7 +426,10 @@ impl ScalarModel {
         let (a, b) = (worst.saturating_sub(1), (worst + 1).min(cycle.x.len() - 1));
         let slope = ((cycle.mean(b) - cycle.mean(a)) / (cycle.x[b] - cycle.x[a])).abs();
         let loop_bound = "direction and history of the load";
-        let bounded = |half: f64| (found[worst].half95 - half / slope, loop_bound);
+        let bounded = |half: f64| {
+            let of_readings = self.beside_reference(half / slope);
+            (found[worst].half95 - of_readings, loop_bound)
+        };
         let unit = self.stimulus_unit.clone();
         self.budget(
             "stimulus",
@@ -475,6 +480,9 @@ impl ScalarModel {
             source("noise of one reading", noise / slope, false),
             source("fit of the coefficients", fit / slope, false),
         ];
+        if self.reference_sd > 0.0 {
+            sources.push(source("reference", self.reference_sd, false));
+        }
         let (rest, name) = bound(own.half95);
         if rest > 1e-3 * half {
             sources.push(source(name, rest, true));

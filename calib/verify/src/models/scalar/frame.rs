@@ -76,6 +76,8 @@ pub struct Names {
     pub response: String,
     /// The response is a deviation of the stimulus.
     pub deviation: bool,
+    /// Standard uncertainty of the reference, in the unit of the stimulus.
+    pub reference_sd: f64,
     /// Further covariates.
     pub covariates: Vec<String>,
 }

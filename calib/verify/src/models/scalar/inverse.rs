@@ -3,7 +3,7 @@
 //! ```text
 //! without memory   y = f(x)                                      by bisection in the fitted range
 //! with memory      y_k = f(x_k; x_1 .. x_(k-1), s)               x <- x + (y - f(x)) / b, b: mean slope
-//! x = mean of the least and the largest x over s,  U = U(f) / b + half their difference
+//! x = mean of the least and the largest x over s,  U = hypot(U(f) / b, k u(reference)) + half their difference
 //! ```
 //!
 //! The state `s` before the first reading is not known: it is that of a stimulus held at either end
@@ -16,6 +16,7 @@ use super::model::{ModelError, ScalarModel, ScalarPrediction};
 use super::row::all;
 use crate::MeasurementModel;
 use crate::effect::LawRequirement;
+use crate::method::t95;
 
 /// Places at which the inverse checks that the response goes one way.
 const PLACES: usize = 64;
@@ -121,7 +122,7 @@ impl ScalarModel {
             let [least, most] = middle(k);
             let half = |(here, _, step): &(Vec<ScalarPrediction>, Vec<f64>, Vec<f64>)| {
                 // What the iteration did not settle is not known.
-                here[k].half95 / local[k] + step[k].abs()
+                self.beside_reference(here[k].half95 / local[k]) + step[k].abs()
             };
             let half95 = found.iter().map(half).fold(0.0, f64::max) + 0.5 * (most - least);
             ScalarPrediction {
@@ -286,6 +287,11 @@ impl ScalarModel {
         })
     }
 
+    /// A half width of a stimulus, with what the reference is uncertain by.
+    pub(super) fn beside_reference(&self, half95: f64) -> f64 {
+        half95.hypot(t95(self.dof) * self.reference_sd)
+    }
+
     /// The same of models without memory.
     fn invert_alone(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         let predicted = |x: &[f64]| self.predict(&at(rows, x));
@@ -321,7 +327,7 @@ impl ScalarModel {
             ScalarPrediction {
                 value: x[i],
                 // To first order dx = dy / (dy/dx).
-                half95: here[i].half95 / local.abs(),
+                half95: self.beside_reference(here[i].half95 / local.abs()),
                 valid: inside(&first, 1.0) && inside(&last, -1.0),
             }
         };

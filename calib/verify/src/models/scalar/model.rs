@@ -73,6 +73,9 @@ pub struct ScalarModel {
     pub variance: f64,
     /// Residual degrees of freedom.
     pub dof: f64,
+    /// Standard uncertainty of the reference, in the unit of the stimulus; 0: not stated.
+    #[serde(default, skip_serializing_if = "is_unstated")]
+    pub reference_sd: f64,
     /// Added to every value inside the model (0 for transducers).
     pub offset: f64,
     /// Spread of the noise, where it is not the same everywhere.
@@ -86,6 +89,12 @@ pub struct ScalarModel {
     pub polynomial: Option<Polynomial>,
     /// Lack of fit against repetitions, declared and accepted model.
     pub lack_of_fit: [Option<LackOfFit>; 2],
+}
+
+// Serde hands a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_unstated(sd: &f64) -> bool {
+    *sd == 0.0
 }
 
 /// What an accepted effect takes of a new reading beside its stimulus or response.
@@ -220,6 +229,8 @@ impl ScalarModel {
         }
         let variance = self.variance;
         require(!(variance < 0.0), "variance", "0 or more", variance)?;
+        let reference = self.reference_sd;
+        require(reference >= 0.0, "reference_sd", "0 or more", reference)?;
         let (names, scales) = (self.covariates.len(), self.scaling.covariates.len());
         require(names == scales, "scaling.covariates", names, scales)?;
         // Laws do not depend on the rows.
@@ -279,6 +290,7 @@ impl ScalarModel {
             // A uniform error within a step has the variance step^2 / 12.
             variance: (fitted.variance * (1.0 + shared)).max(step * step / 12.0),
             dof: fitted.dof,
+            reference_sd: names.reference_sd,
             offset: system.offset,
             spread: system.spread.as_ref().map(|s| ModelSpread {
                 law: s.law,

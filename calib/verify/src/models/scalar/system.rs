@@ -143,6 +143,7 @@ impl ScalarSystem {
                 stimulus: String::new(),
                 response: String::new(),
                 deviation: false,
+                reference_sd: 0.0,
                 covariates: covariate_names.to_vec(),
             },
             points: Arc::new(frame.rows.clone()),

@@ -79,6 +79,7 @@ pub fn verify_scalar(
         stimulus: data.stimulus_unit.clone(),
         response: data.response_unit.clone(),
         deviation: data.deviation,
+        reference_sd: data.reference_sd,
         covariates: data.covariates.clone(),
     };
     let frame = Frame::new(rows, &scaling, declared, false);

@@ -1,10 +1,12 @@
 //! A bench in one command, and whether its calibration still holds (SIMULATED).
 
-use crate::support::{fixture, repository, text, wcal};
+use crate::support::{PROGRAM, fixture, repository, text, wcal};
 use serde_json::Value;
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output, Stdio};
 
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let Output {
@@ -17,6 +19,23 @@ fn run(arguments: &[&str]) -> (i32, String, String) {
 
 fn json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// Runs a command, and interrupts it once its first step has been said and the second is at work.
+fn interrupted_at_its_second_line(arguments: &[&str]) {
+    let mut child = Command::new(PROGRAM)
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let first = lines.find(|l| l.as_ref().is_ok_and(|l| l.contains("done before")));
+    assert!(first.is_some(), "the sweep is there");
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args(["-TERM", &id]).status().unwrap();
+    assert!(sent.success());
+    assert_eq!(child.wait().unwrap().signal(), Some(15));
 }
 
 #[test]
@@ -66,8 +85,11 @@ fn one_command_goes_from_the_sweep_to_contacts_and_goes_on_where_it_stopped() {
     );
     let same = |name: &str| fs::metadata(out.join(name)).unwrap().modified().unwrap();
     assert_eq!(same("verify/verify.json"), verified);
-    // Without a result its step is done again, and those behind it; the sweep stays.
+    // Without a result its step is done again, and those behind it; the sweep stays. A signal in the
+    // middle of the step leaves what was done before it.
     fs::remove_dir_all(out.join("verify")).unwrap();
+    interrupted_at_its_second_line(&["calibrate", "--out", folder]);
+    assert!(!out.join("verify/verify.json").exists(), "control");
     let (code, said, _) = run(&["calibrate", "--out", folder]);
     assert_eq!(
         (code, said.matches("done before").count()),

@@ -6,7 +6,7 @@
 use crate::cell::name_of;
 use crate::error::{InputError, listed, quote};
 use crate::separated::MAX_COLUMNS;
-use calamine::{Data, ExcelDateTime, Ods, OdsError, Reader, Xlsx, XlsxError};
+use calamine::{Data, ExcelDateTime, Ods, OdsError, Reader, SheetVisible, Xlsx, XlsxError};
 use std::io::{Cursor, Read};
 
 /// Rows that the format has room for, and most cells that are read.
@@ -107,19 +107,28 @@ impl Book<'_> {
             .hint("save a copy without a password")
     }
 
-    /// Every sheet that holds cells, or the one that is named.
+    /// Every visible sheet that holds cells, or the one that is named.
     fn sheets(&self, choice: &SheetChoice<'_>) -> Result<Vec<Sheet>, InputError> {
         self.check_unpacked(MAX_UNPACKED)?;
         let stated = choice.name;
-        let chosen = |all: Vec<String>| match stated {
-            Some(name) if !all.iter().any(|n| n == name) => {
-                let found = format!("the sheets {}", listed(&all));
-                let expected = format!("a sheet {}", quote(name));
-                Err(InputError::new(self.file, expected, found))
+        let chosen = |all: &[calamine::Sheet]| {
+            // What its owner has hidden is not meant, unless by its name.
+            let is_meant = |sheet: &&calamine::Sheet| match stated {
+                Some(name) => sheet.name == name,
+                None => sheet.visible == SheetVisible::Visible,
+            };
+            let meant = all.iter().filter(is_meant).map(|s| s.name.clone());
+            let meant: Vec<String> = meant.collect();
+            if meant.is_empty() {
+                let names: Vec<String> = all.iter().map(|s| s.name.clone()).collect();
+                let expected = match stated {
+                    Some(name) => format!("a sheet {}", quote(name)),
+                    None => "a sheet that is not hidden".to_owned(),
+                };
+                let found = format!("the sheets {}", listed(&names));
+                return Err(InputError::new(self.file, expected, found));
             }
-            _ => Ok(all
-                .into_iter()
-                .filter(|name| stated.is_none_or(|s| s == name))),
+            Ok(meant)
         };
         let mut cells = Cells {
             file: self.file,
@@ -132,7 +141,7 @@ impl Book<'_> {
                 OdsError::Password => self.locked(),
                 e => self.damaged(e),
             })?;
-            for name in chosen(book.sheet_names())? {
+            for name in chosen(book.sheets_metadata())? {
                 let range = book.worksheet_range(&name).map_err(|e| self.damaged(e))?;
                 let (top, left) = range.start().unwrap_or_default();
                 let mut sheet = Sheet::new(name);
@@ -148,7 +157,7 @@ impl Book<'_> {
             XlsxError::Password => self.locked(),
             e => self.damaged(e),
         })?;
-        for name in chosen(book.sheet_names())? {
+        for name in chosen(book.sheets_metadata())? {
             // Charts are sheets, too, and hold no cells.
             let mut reader = match book.worksheet_cells_reader(&name) {
                 Err(XlsxError::NotAWorksheet(_)) => continue,

@@ -61,6 +61,9 @@ fn what_is_no_single_whole_sheet_is_named() {
         read(&fixture("two.xlsx"), Some("second")).is_ok(),
         "negative control"
     );
+    // Hidden, the second is not meant unless by its name.
+    assert!(read(&fixture("hidden.xlsx"), None).is_ok());
+    assert!(read(&fixture("hidden.xlsx"), Some("second")).is_ok());
     assert!(says("cell.xlsx", Some("Run 2")).contains("Notes, Run 1"));
     assert!(says("locked.xlsx", None).contains("password"));
     let formula = says("formulas.xlsx", None);

@@ -31,15 +31,15 @@ pub(crate) struct PredictArgs {
     /// calibration.json of fit-gpr or verify
     #[arg(long, value_name = "FILE")]
     pub calibration: PathBuf,
-    /// Table to write
+    /// Table to write [default: on stdout]
     #[arg(long, value_name = "CSV")]
-    pub out: PathBuf,
+    pub out: Option<PathBuf>,
     /// Exit with 0 although the calibration does not vouch for the result, and write although --out
     /// is another file
     #[arg(long)]
     pub force: bool,
     /// Print a summary as JSON on stdout
-    #[arg(long)]
+    #[arg(long, requires = "out")]
     pub json: bool,
 }
 
@@ -60,7 +60,9 @@ pub(crate) fn record_if_sealed(table: &Path, out: &Path) -> anyhow::Result<()> {
 /// # Errors
 /// A table or calibration that cannot be read, or a file that cannot be written.
 pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
-    check_file(&args.out, "predict", is_prediction, args.force)?;
+    if let Some(out) = &args.out {
+        check_file(out, "predict", is_prediction, args.force)?;
+    }
     let file = read_calibration(&args.calibration)?;
     let applied = file.model.apply(&args.table)?;
     // What follows from a grating that does not change means nothing: a doubt, not a warning.
@@ -74,7 +76,9 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     for remark in &applied.remarks {
         eprintln!("note: {remark}");
     }
-    record_if_sealed(&args.table, &args.out)?;
+    // Where the session cannot be written to, the record lies beside the result.
+    let beside = args.out.as_deref().unwrap_or(&args.table);
+    record_if_sealed(&args.table, beside)?;
     if file.verification == VerificationStatus::Reverified {
         eprintln!(
             "note: the calibration was verified on sealed readings that another decision had met before"
@@ -82,7 +86,11 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     }
     let simulated = file.provenance.simulated || is_simulated(&args.table);
     // A table from simulated data says so in a column.
-    write_file(&args.out, mark_table(&applied.csv, simulated).as_bytes())?;
+    let table = mark_table(&applied.csv, simulated);
+    match &args.out {
+        Some(out) => write_file(out, table.as_bytes())?,
+        None => print!("{table}"),
+    }
     let mut doubts: Vec<String> = trust_issues(&file, jiff::Timestamp::now())?
         .iter()
         .map(ToString::to_string)
@@ -107,20 +115,20 @@ pub(crate) fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     if simulated {
         eprintln!("SIMULATED: the calibration or the readings are not measured");
     }
-    if doubts.is_empty() && !args.json {
-        eprintln!("{} rows: {}", applied.rows, args.out.display());
-    }
-    if args.json {
-        let (rows, name) = (applied.rows, file.model.name());
-        let summary = PredictionDocument {
-            format: "wcal-predict/1",
-            simulated,
-            rows,
-            map: name,
-            doubts: &doubts,
-            out: &args.out,
-        };
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+    match &args.out {
+        Some(out) if args.json => {
+            let summary = PredictionDocument {
+                format: "wcal-predict/1",
+                simulated,
+                rows: applied.rows,
+                map: file.model.name(),
+                doubts: &doubts,
+                out,
+            };
+            println!("{}", serde_json::to_string_pretty(&summary)?);
+        }
+        Some(out) if doubts.is_empty() => eprintln!("{} rows: {}", applied.rows, out.display()),
+        _ => {}
     }
     Ok(ExitCode::from(if doubts.is_empty() || args.force {
         0

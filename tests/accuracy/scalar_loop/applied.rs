@@ -63,6 +63,10 @@ fn an_axis_shows_its_backlash_and_predicts_with_it() {
         cell.parse::<f64>().unwrap()
     };
     assert!((column(2) - 7.0).abs() < 0.5 && column(3) > 3.0, "{csv}");
+    // Without a file the same table is on stdout.
+    let [t, c] = [&table, &calibration].map(|p| p.to_str().unwrap());
+    let printed = wcal(&["predict", t, "--calibration", c]);
+    assert_eq!(String::from_utf8_lossy(&printed.stdout), csv);
     // Negative control: no backlash, nothing named.
     let run = verify(session(AXIS, &axis_table(120, |_, _| 0.0)).path());
     assert_eq!(

@@ -1,5 +1,7 @@
 //! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
 //! What is public beside [`main`] is what `wcal-lab` shares with it.
+// The Python module has no commands for pictures, and does without what they alone use.
+#![cfg_attr(not(feature = "pictures"), allow(dead_code))]
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -16,6 +18,7 @@ mod column_words;
 mod demo;
 mod export;
 pub mod fit_gpr;
+#[cfg(feature = "pictures")]
 pub mod fit_whisker;
 mod import;
 mod input;
@@ -33,7 +36,9 @@ mod report_input;
 mod session_folder;
 mod simulated;
 mod stage_sweep;
+#[cfg(feature = "pictures")]
 mod stereo_calibrate;
+#[cfg(feature = "pictures")]
 mod stereo_shape;
 pub mod track;
 mod twin;
@@ -92,10 +97,13 @@ enum Command {
     /// A calibration as code in C or Python, or as a filter of ESPHome
     Export(export::ExportArgs),
     /// Both cameras from pairs of pictures of a board
+    #[cfg(feature = "pictures")]
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
+    #[cfg(feature = "pictures")]
     StereoShape(stereo_shape::StereoShapeArgs),
     /// The whisker's rest geometry from measured shapes
+    #[cfg(feature = "pictures")]
     FitWhisker(fit_whisker::FitWhiskerArgs),
     /// The twin's base moments at a session's poses
     Twin(twin::TwinArgs),
@@ -138,8 +146,11 @@ fn dispatch(asked: &Command) -> Result<ExitCode> {
         Command::Demo(args) => demo::run(args, run_words),
         Command::Calibrate(args) => calibrate::run(args, run_words),
         Command::Import(args) => import::run(args),
+        #[cfg(feature = "pictures")]
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
+        #[cfg(feature = "pictures")]
         Command::StereoShape(args) => stereo_shape::run(args),
+        #[cfg(feature = "pictures")]
         Command::FitWhisker(args) => fit_whisker::run(args),
         Command::Twin(args) => twin::run(args),
         Command::Track(args) => track::run(args),

@@ -101,7 +101,7 @@ impl Camera for FolderCamera {
             let kind = DeviceErrorKind::Protocol;
             error(path, kind, "read", "a P5 picture", &found)
         };
-        let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
+        let bytes = wcal_core::files::read(path).map_err(|e| bad(e.source.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;
         // Pictures in a folder carry no time: number and stated rate give it.
         let taken_s = *number as f64 * self.period_s;

@@ -188,7 +188,7 @@ fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<
         true => readings.join("points.csv"),
         false => readings.to_owned(),
     };
-    let hash = sha256_hex(&crate::input::read(&table)?);
+    let hash = sha256_hex(&wcal_core::files::read(&table)?);
     let is_fitted = |i: &InputFile| i.sha256 == hash && i.purpose != Purpose::Holdout;
     if made.inputs.iter().any(is_fitted) {
         return Err(own(&table));

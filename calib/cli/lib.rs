@@ -18,7 +18,6 @@ mod export;
 pub mod fit_gpr;
 pub mod fit_whisker;
 mod import;
-mod input;
 mod interrupt;
 mod kept;
 pub mod labels;

@@ -3,7 +3,6 @@
 mod bench_rig;
 mod live_sweep;
 
-use crate::input::read_text;
 use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 pub(crate) use bench_rig::with_addresses;
@@ -21,6 +20,7 @@ use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
+use wcal_core::files::read_text;
 use wcal_core::plan_check_document::PlanCheck;
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;

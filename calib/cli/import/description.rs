@@ -5,12 +5,12 @@ use super::columns::Plan;
 use super::imported::file_name;
 use super::noticed::Noticed;
 use crate::column_words::is_deviation;
-use crate::input::{read, read_text};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use toml::{Table, Value};
 use wcal_core::TransducerModel;
+use wcal_core::files::{read, read_text};
 use wcal_session::{SESSION_FORMAT, TextTable};
 
 /// Tables of a whisker's description that are taken over.

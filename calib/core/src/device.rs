@@ -374,7 +374,20 @@ pub trait Camera {
         &mut self,
         exposure_ms: Option<f64>,
         gain_db: Option<f64>,
-    ) -> Result<(), DeviceError>;
+    ) -> Result<(), DeviceError> {
+        if exposure_ms.is_none() && gain_db.is_none() {
+            return Ok(());
+        }
+        let (kind, camera) = (DeviceErrorKind::Unsupported, self.identity()?.model);
+        let expected = "no exposure and gain: this camera has none";
+        Err(DeviceError::new(
+            kind,
+            camera,
+            "configure",
+            expected,
+            "a setting",
+        ))
+    }
     /// The next picture, waiting at most `timeout`.
     ///
     /// # Errors

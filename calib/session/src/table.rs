@@ -85,7 +85,7 @@ pub struct TextTable {
 /// A file that cannot be read, or is neither text nor a whole spreadsheet.
 pub fn read_table_text(path: &Path, layout: &TextTableLayout) -> Result<TableText, SessionError> {
     let file = path.display().to_string();
-    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
+    let bytes = wcal_core::files::read(path).map_err(SessionError::reading)?;
     let sha256 = sha256_hex(&bytes);
     if is_spreadsheet(&bytes) {
         let choice = SheetChoice {
@@ -159,11 +159,11 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
 /// As [`read_text_table`], and where it is in another form than a session's tables have, or names a
 /// column twice.
 pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionError> {
-    let bytes = wcal_core::files::read(path).map_err(|e| match e.kind() {
+    let bytes = wcal_core::files::read(path).map_err(|e| match e.source.kind() {
         std::io::ErrorKind::NotFound => {
             InputError::new(name, "a file in the session's folder", "no such file").into()
         }
-        _ => SessionError::io(path, e),
+        _ => SessionError::reading(e),
     })?;
     let way_out = |error: InputError| error.hint("wcal import reads it as it is");
     let text = utf8(&bytes).map_err(|other| {

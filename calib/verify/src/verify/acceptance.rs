@@ -81,8 +81,8 @@ pub(crate) fn format_significant(value: f64) -> String {
 }
 
 /// Error and floor, where the accepted model's error is far above what repeats differ by.
-pub(crate) fn far_above_floor<M: SessionModel>(
-    model: &M,
+pub(crate) fn far_above_floor(
+    model: &impl SessionModel,
     accepted: &Hypothesis,
     errors: &Errors,
     floor: &FloorStatement,

@@ -44,18 +44,13 @@ struct DetectableSize {
 }
 
 /// One row an effect. `test` is the omnibus test on `fit`.
-pub fn table<M: SessionModel>(model: &M, h: &Hypothesis, test: &OmnibusTest) -> Vec<Detectable> {
+pub fn table(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest) -> Vec<Detectable> {
     (0..model.catalogue().len())
         .map(|effect| row(model, h, test, effect))
         .collect()
 }
 
-fn row<M: SessionModel>(
-    model: &M,
-    h: &Hypothesis,
-    test: &OmnibusTest,
-    effect: usize,
-) -> Detectable {
+fn row(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest, effect: usize) -> Detectable {
     let fit = &h.fit;
     let candidate = &model.catalogue()[effect];
     let laws = &candidate.laws;
@@ -161,7 +156,7 @@ fn row<M: SessionModel>(
 
 /// Whether the model has an answer for every reading with some law of the effect at its typical
 /// size.
-fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
+fn has_answer(model: &impl SessionModel, fit: &Fit, effect: usize) -> bool {
     let typical = |p: &Parameter| match p.role {
         Role::Amplitude { probe } => probe,
         Role::Shape { grid } => grid.first().copied().unwrap_or(0.0),
@@ -190,7 +185,7 @@ fn noncentrality(level: f64, d: f64, dof: f64) -> Option<f64> {
 }
 
 /// Values of a signature's shape, in the session's units.
-fn shape<M: SessionModel>(model: &M, signature: &Signature) -> Vec<(&'static str, f64, String)> {
+fn shape(model: &impl SessionModel, signature: &Signature) -> Vec<(&'static str, f64, String)> {
     let term = &signature.term;
     let parameters = model.catalogue()[term.effect]
         .law(term.law)
@@ -207,8 +202,8 @@ fn shape<M: SessionModel>(model: &M, signature: &Signature) -> Vec<(&'static str
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.
-fn smallest<M: SessionModel>(
-    model: &M,
+fn smallest(
+    model: &impl SessionModel,
     h: &Hypothesis,
     test: &OmnibusTest,
     effect: usize,

@@ -252,13 +252,8 @@ impl ScalarModel {
     }
 
     fn of_axis(&self, cycle: &Cycle) -> Vec<Characteristic> {
-        let of = |name: &str, value: f64, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value,
-            half95: None,
-            unit: self.response_unit.clone(),
-            meaning: meaning.to_owned(),
-        };
+        let of =
+            |name, value, meaning| Characteristic::new(name, value, &self.response_unit, meaning);
         let mut out = vec![of(
             "largest error",
             cycle.largest(|k| cycle.mean(k)),
@@ -288,32 +283,24 @@ impl ScalarModel {
         if !(full_scale > 0.0) {
             return None;
         }
-        let percent = |name: &str, value: f64, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value: PERCENT * value / full_scale,
-            half95: None,
-            unit: "% FS".to_owned(),
-            meaning: meaning.to_owned(),
+        let percent = |name: &str, value: f64, meaning: &str| {
+            Characteristic::new(name, PERCENT * value / full_scale, "% FS", meaning)
         };
+        let unit = match (y.as_str(), x.as_str()) {
+            (y, "1") => y.to_owned(),
+            (y, x) => format!("{y}/{x}"),
+        };
+        let line = "slope of the least-squares line over the range";
         let mut out = vec![Characteristic {
-            name: "sensitivity".to_owned(),
-            value: slope,
             half95: Some(k * slope_sd),
-            unit: match (y.as_str(), x.as_str()) {
-                (y, "1") => y.to_owned(),
-                (y, x) => format!("{y}/{x}"),
-            },
-            meaning: "slope of the least-squares line over the range".to_owned(),
+            ..Characteristic::new("sensitivity", slope, &unit, line)
         }];
         if let Some(zero) = cycle.x.iter().position(|x| *x == 0.0) {
             let at: Vec<f64> = (0..=last).map(|k| f64::from(k == zero)).collect();
             let (value, sd) = cycle.combined(&at);
             out.push(Characteristic {
-                name: "zero".to_owned(),
-                value,
                 half95: Some(k * sd),
-                unit: y.clone(),
-                meaning: format!("response at 0 {x}"),
+                ..Characteristic::new("zero", value, y, &format!("response at 0 {x}"))
             });
         }
         let bend = cycle.largest(|k| cycle.mean(k) - level - slope * (cycle.x[k] - mid));
@@ -386,12 +373,8 @@ impl ScalarModel {
         let span = change(1) - change(0);
         let last = cycle.x.len() - 1;
         let sensitivity = span / (cycle.x[last] - cycle.x[0]) / slope;
-        let of = |name: &str, value: f64, unit: &str, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value: PERCENT * value,
-            half95: None,
-            unit: unit.to_owned(),
-            meaning: meaning.to_owned(),
+        let of = |name, value: f64, unit, meaning| {
+            Characteristic::new(name, PERCENT * value, unit, meaning)
         };
         let mut out = Vec::new();
         if change(0).abs() > ROUNDING * full_scale {

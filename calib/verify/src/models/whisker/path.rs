@@ -558,11 +558,16 @@ mod tests {
         assert!(settled(&row(None, Some(2.0), None)) && settled(&row(Some(0.0), None, None)));
         let moving = [(Some(2.0), None), (Some(2.0), Some(0.0)), (None, None)];
         for (speed_mm_s, dwell_s) in moving {
-            assert!(!settled(&row(speed_mm_s, dwell_s, None)), "negative control");
+            assert!(
+                !settled(&row(speed_mm_s, dwell_s, None)),
+                "negative control"
+            );
         }
         let states = |stage_mm| {
             let rows = [row(None, None, stage_mm)];
-            WhiskerPath::new(&rows, &[], &FbgSpec::default(), None).columns.stage
+            WhiskerPath::new(&rows, &[], &FbgSpec::default(), None)
+                .columns
+                .stage
         };
         assert!(states(Some(1.0)) && !states(None));
     }
@@ -619,6 +624,7 @@ mod tests {
             velocity_mm_s,
             t_s,
             dwell_s: 0.0,
+            settled: false,
             stays_s: 0.0,
             rise_degc: 0.0,
             temperature_loo_degc: 0.0,

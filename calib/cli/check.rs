@@ -1,6 +1,6 @@
 //! `wcal check`: does a calibration still hold?
 
-use crate::session_folder::expect_session;
+use crate::session_folder::{expect_session, kind_of_table};
 use crate::simulated::{is_simulated, word};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -17,7 +17,7 @@ use wcal_core::text::{chance, number, with_unit};
 use wcal_core::verify_document::CalibrationJudgement;
 use wcal_core::{InputFile, Provenance, Purpose};
 use wcal_session::load;
-use wcal_verify::scalar::{CalibrationChange, CalibrationCheck, ScalarModel, Tested};
+use wcal_verify::scalar::{CalibrationChange, CalibrationCheck, ScalarModel, TaredZero, Tested};
 use wcal_verify::whisker::WhiskerSystem;
 
 /// Arguments of `wcal check`.
@@ -25,6 +25,7 @@ use wcal_verify::whisker::WhiskerSystem;
 #[command(after_help = "Examples:
   wcal check readings.csv --calibration calibration/calibration.json
   wcal check later-session --calibration calibration/calibration.json
+  wcal check readings.csv --tare --calibration calibration/calibration.json
   wcal check --history calibrations
 
 READINGS is a table with the columns that the calibration's session was imported from (stimulus and response), or a session. Ten readings over
@@ -42,6 +43,11 @@ pub(crate) struct CheckArgs {
     /// calibration.json of verify or fit-gpr
     #[arg(long, value_name = "FILE", requires = "readings")]
     pub calibration: Option<PathBuf>,
+    /// Take the zero from the unloaded readings of READINGS, at stimulus 0
+    ///
+    /// A zero that shifted since the calibration then counts as no change.
+    #[arg(long, requires = "readings")]
+    pub tare: bool,
     /// Folder with calibrations of one unit, in it or one folder below: their drift
     #[arg(long, value_name = "DIR", conflicts_with = "readings")]
     pub history: Option<PathBuf>,
@@ -114,7 +120,14 @@ pub(crate) fn run(args: &CheckArgs) -> Result<ExitCode> {
     let file = read_calibration(calibration)?;
     let issues = trust_issues(&file, jiff::Timestamp::now())?;
     let mut found = match &file.model {
-        CalibrationModel::Scalar(model) => of_scalar(model, &file.provenance, readings)?,
+        CalibrationModel::Scalar(model) => {
+            of_scalar(model, &file.provenance, (readings, args.tare))?
+        }
+        _ if args.tare => {
+            bail!(
+                "--tare: expected the calibration of a transducer or an axis, found a whisker's (its session has readings at rest)"
+            )
+        }
         _ => of_whisker(&file.provenance, readings, calibration)?,
     };
     if let Some(issue) = issues.first() {
@@ -183,7 +196,11 @@ fn own(readings: &Path) -> anyhow::Error {
 }
 
 /// A transducer's or axis' calibration by new readings.
-fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<Found> {
+fn of_scalar(
+    model: &ScalarModel,
+    made: &Provenance,
+    (readings, tare): (&Path, bool),
+) -> Result<Found> {
     let table = match readings.is_dir() {
         true => readings.join("points.csv"),
         false => readings.to_owned(),
@@ -195,7 +212,18 @@ fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<
     }
     let rows = match rows_to_check(model, readings) {
         Err(e) if e.is_mismatch() => return Ok(Found::new(Answer::Mismatch, e.to_string())),
-        rows => rows?,
+        // Columns that are missing may be those of another kind of instrument.
+        Err(e) => {
+            let found = kind_of_table(readings).filter(|kind| *kind != model.session_kind);
+            let Some(found) = found else {
+                return Err(e.into());
+            };
+            let expected = &model.session_kind;
+            let why =
+                format!("expected readings of kind {expected}, found a table of kind {found}: {e}");
+            return Ok(Found::new(Answer::Mismatch, why));
+        }
+        Ok(rows) => rows,
     };
     let [low, high] = model.stimulus_range;
     if !rows.iter().any(|r| (low..=high).contains(&r.x)) {
@@ -207,7 +235,7 @@ fn of_scalar(model: &ScalarModel, made: &Provenance, readings: &Path) -> Result<
         );
         return Ok(Found::new(Answer::Mismatch, why));
     }
-    let check = model.check_readings(&rows);
+    let check = model.check_readings(&rows, tare);
     Ok(of_check(
         check.with_context(|| readings.display().to_string())?,
     ))
@@ -250,7 +278,19 @@ fn of_check(check: CalibrationCheck) -> Found {
             None => format!("{}: these readings show none of its changes", t.name),
         }
     };
-    let lines: Vec<String> = untested.iter().map(needed).collect();
+    let tared = |t: &TaredZero| {
+        format!(
+            "tare: the zero is that of {} unloaded readings, {} from the calibration's, and is not tested; subtract it from readings before predict",
+            t.readings,
+            with_unit(&number(t.zero, 3), &t.unit)
+        )
+    };
+    let lines: Vec<String> = check
+        .tare
+        .iter()
+        .map(tared)
+        .chain(untested.iter().map(needed))
+        .collect();
     let stated = sized(check.stated);
     let (answer, why) = match &check.changes[..] {
         [] if untested

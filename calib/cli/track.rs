@@ -215,7 +215,9 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
             (Source::Recordings(parts), Some(path.join("rig.toml")))
         }
         Some(path) if path.extension().is_some_and(|e| e == "mcap") => {
-            (Source::Recordings(vec![path.clone()]), None)
+            // A recording in its session's folder has the rig beside it.
+            let beside = Some(path.with_file_name("rig.toml")).filter(|rig| rig.is_file());
+            (Source::Recordings(vec![path.clone()]), beside)
         }
         Some(path) => return Ok((Source::Table(path.clone()), None)),
     };

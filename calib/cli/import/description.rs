@@ -167,6 +167,24 @@ fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> Result<()> {
             top.insert((*key).to_owned(), value.clone());
         }
     }
+    // A rig has the wavelengths with its gratings, a session with what is made of them.
+    let nominal = |name: &str| {
+        let gratings = meta.get("interrogator")?.get("grating")?.as_array()?;
+        let named = |g: &&Value| g.get("name").and_then(Value::as_str) == Some(name);
+        gratings.iter().find(named)?.get("nominal_nm").cloned()
+    };
+    if let Some(fbg) = top.get_mut("fbg").and_then(Value::as_table_mut) {
+        let sensing: Option<Vec<Value>> = ["fbg_1", "fbg_2"].map(nominal).into_iter().collect();
+        let both = [
+            ("nominal_nm", sensing.map(Value::Array)),
+            ("reference_nominal_nm", nominal("fbg_ref")),
+        ];
+        for (key, value) in both {
+            if let Some(value) = value {
+                fbg.entry(key).or_insert(value);
+            }
+        }
+    }
     ensure!(
         top.contains_key("whisker") && top.contains_key("trajectory"),
         "{}: expected [whisker] and [[trajectory]], found neither or only one",

@@ -476,13 +476,7 @@ impl TextTable {
         };
         let error = InputError::new(&self.file, expected, found).field(names.join(", "));
         let name = names.first().copied().unwrap_or_default();
-        let alike =
-            |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
-        let nearest = self
-            .columns
-            .iter()
-            .max_by(|a, b| alike(a).total_cmp(&alike(b)));
-        match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {
+        match (&self.hint, self.alike(name, ALIKE, |_| true)) {
             (Some(hint), _) => error.hint(hint),
             (None, Some(column)) => error.hint(format!("did you mean {column}?")),
             (None, None) if self.columns.iter().all(|c| content(c) == Content::Value) => {
@@ -490,6 +484,18 @@ impl TextTable {
             }
             (None, None) => error,
         }
+    }
+
+    /// The column that is `free` whose name is most like another one, at `least` by so much of it.
+    pub fn alike(&self, name: &str, least: f64, free: impl Fn(&str) -> bool) -> Option<&String> {
+        let alike =
+            |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
+        let nearest = self
+            .columns
+            .iter()
+            .filter(|column| free(column))
+            .max_by(|a, b| alike(a).total_cmp(&alike(b)));
+        nearest.filter(|c| alike(c) >= least)
     }
 
     /// Indices of the columns of one name.

@@ -4,6 +4,7 @@
 //! e = y - f(x),     V = diag(s^2) + G C G'                     noise of each reading, and what the calibration has wrong in all of them
 //! d = c' V^-1 e / c' V^-1 c,     sd(d)^2 = 1 / c' V^-1 c       of a change d along the column c
 //! T = e' V^-1 X (X' V^-1 X)^-1 X' V^-1 e  ~  chi2_k            all k changes at once
+//! tare      V + L^2 1 1',  L -> infinity                        a zero of which nothing is known beforehand: its column goes
 //! ```
 //!
 //! Columns: zero 1; sensitivity f(x) - f(x0), relative; what each accepted effect adds to f(x),
@@ -37,7 +38,11 @@ const ALIKE: f64 = 0.5 * LEAD;
 /// Fewest readings that say anything.
 const LEAST: usize = 3;
 /// What readings must show before a calibration is said to hold.
-const MATTERS: [&str; 2] = ["zero", "sensitivity"];
+const MATTERS: [&str; 2] = [ZERO, "sensitivity"];
+/// The change that a tare takes out.
+const ZERO: &str = "zero";
+/// Standard deviation of a zero that is not known, in units of the largest of a reading.
+const UNKNOWN: f64 = 1e4;
 
 /// A change since the calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -69,6 +74,17 @@ pub struct Tested {
     pub readings_needed: Option<usize>,
 }
 
+/// The zero of readings that were tared.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct TaredZero {
+    /// Unloaded readings.
+    pub readings: usize,
+    /// Their mean error: how far the zero is from the calibration's.
+    pub zero: f64,
+    /// Unit of the zero.
+    pub unit: String,
+}
+
 /// What readings say of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct CalibrationCheck {
@@ -84,6 +100,8 @@ pub struct CalibrationCheck {
     pub stated: f64,
     /// Unit of costs.
     pub unit: String,
+    /// Zero that was taken from the readings themselves; null without --tare.
+    pub tare: Option<TaredZero>,
 }
 
 struct Column {
@@ -106,8 +124,12 @@ impl ScalarModel {
     /// Judges the calibration by `rows` with their responses, which it was not fitted to.
     ///
     /// # Errors
-    /// As [`Self::predict`], and where no reading lies within the range.
-    pub fn check_readings(&self, rows: &[ScalarRow]) -> Result<CalibrationCheck, ModelError> {
+    /// As [`Self::predict`], and where no reading lies within the range, or with `tare` at stimulus 0.
+    pub fn check_readings(
+        &self,
+        rows: &[ScalarRow],
+        tare: bool,
+    ) -> Result<CalibrationCheck, ModelError> {
         // Readings for a check are taken one after another: their order says the directions.
         let mut ordered = rows.to_vec();
         if rows
@@ -146,14 +168,21 @@ impl ScalarModel {
         let n = rows.len();
         let noise = self.noise_sd(&system.frame);
         let shared = &slopes * &fitted.covariance * slopes.transpose();
-        let covariance = DMatrix::from_fn(n, n, |i, j| {
+        let mut covariance = DMatrix::from_fn(n, n, |i, j| {
             shared[(i, j)] + if i == j { noise[i] * noise[i] } else { 0.0 }
         });
+        let errors = DVector::from_fn(n, |i, _| rows[i].y + self.offset - values[i]);
+        let mut columns = self.columns_of_change(rows, &fitted, &values, &slopes)?;
+        let tared = tare.then(|| self.tared(rows, &errors)).transpose()?;
+        if tared.is_some() {
+            // Any zero is as probable: what all readings share alone says nothing.
+            let unknown = UNKNOWN * UNKNOWN * covariance.diagonal().max();
+            covariance.add_scalar_mut(unknown);
+            columns.retain(|c| c.name != ZERO);
+        }
         let degenerate = || shape("noise above 0", "none");
         let root = covariance.clone().cholesky().ok_or_else(degenerate)?.l();
         let white = |v: &DVector<f64>| root.solve_lower_triangular(v).unwrap_or_else(|| v.clone());
-        let errors = DVector::from_fn(n, |i, _| rows[i].y + self.offset - values[i]);
-        let columns = self.columns_of_change(rows, &fitted, &values, &slopes)?;
         let (e, x): (DVector<f64>, Vec<DVector<f64>>) = (
             white(&errors),
             columns.iter().map(|c| white(&c.values)).collect(),
@@ -245,7 +274,7 @@ impl ScalarModel {
         tested.extend(
             MATTERS
                 .iter()
-                .filter(|name| !shown(name))
+                .filter(|name| !shown(name) && !(tare && **name == ZERO))
                 .map(|name| Tested {
                     name: (*name).to_owned(),
                     smallest: None,
@@ -259,10 +288,32 @@ impl ScalarModel {
             tested,
             changes,
             stated,
+            tare: tared,
             unit: match self.declared {
                 Declared::Axis => self.response_unit.clone(),
                 Declared::Polynomial(_) => self.stimulus_unit.clone(),
             },
+        })
+    }
+
+    /// The zero by the readings at stimulus 0.
+    fn tared(&self, rows: &[ScalarRow], errors: &DVector<f64>) -> Result<TaredZero, ModelError> {
+        let unloaded = rows
+            .iter()
+            .zip(errors.iter())
+            .filter(|(row, _)| row.x == 0.0);
+        let unloaded: Vec<f64> = unloaded.map(|(_, e)| *e).collect();
+        if unloaded.is_empty() {
+            return Err(ModelError::Shape {
+                what: "--tare".to_owned(),
+                expected: "unloaded readings, at stimulus 0".to_owned(),
+                found: "none".to_owned(),
+            });
+        }
+        Ok(TaredZero {
+            readings: unloaded.len(),
+            zero: unloaded.iter().sum::<f64>() / unloaded.len() as f64,
+            unit: self.response_unit.clone(),
         })
     }
 
@@ -282,7 +333,7 @@ impl ScalarModel {
             largest,
         };
         let y = &self.response_unit;
-        let mut columns = vec![of("zero", y, 1.0, &|_| 1.0)];
+        let mut columns = vec![of(ZERO, y, 1.0, &|_| 1.0)];
         let [low, high] = self.stimulus_range;
         if self.declared == Declared::Axis {
             // Relative, of the travel from the low end: um of a mm are 1e3.

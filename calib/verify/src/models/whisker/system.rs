@@ -180,6 +180,7 @@ impl WhiskerSystem {
             Time | Clock => (has.time, "the session has no time stamps"),
             Temperature => (has.temperature, "the session has no temperature"),
             Motion => (has.speeds, "no reading was taken while the stage moved"),
+            StagePosition => (has.stage, "the session has no positions of the stage"),
             Weight if self.data.whisker.gravity_direction.is_none() => {
                 (false, "the session does not give the direction of gravity")
             }

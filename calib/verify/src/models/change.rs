@@ -10,7 +10,7 @@
 //! Named changes are fitted together. One is named where no other one explains the readings nearly as
 //! well.
 
-use crate::levels::{LEAD, NORMAL_95};
+use crate::levels::{NORMAL_95, z};
 use crate::method::Basis;
 use crate::method::distributions::{f_tail, sd_interval95};
 use nalgebra::{DMatrix, DVector};
@@ -25,8 +25,8 @@ const SCATTER: f64 = 0.01;
 const FURTHER: f64 = 0.01;
 /// Quantile of a normal for a power of 90 %.
 const POWER_90: f64 = 1.2816;
-/// Falls of the statistic within which two changes are not distinguished.
-const ALIKE: f64 = 0.5 * LEAD;
+/// Chance that another change seems better than the one that was, by more than it is believed.
+const WRONG: f64 = 0.02;
 /// Fewest readings that say anything.
 const LEAST: usize = 3;
 /// Most changes that are named: more of them are no explanation.
@@ -253,14 +253,17 @@ impl NewReadings {
             let Some((best, most, _)) = falls.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else {
                 break;
             };
-            let chance = self.chance(*most, effective_tests(falls.iter().map(|f| &f.2)));
+            let tests = effective_tests(falls.iter().map(|f| &f.2));
+            let chance = self.chance(*most, tests);
             if named.is_empty() {
                 p = chance;
             }
             if !(chance < level) || named.len() >= MOST {
                 break;
             }
-            let rivals = falls.iter().filter(|f| f.0 != *best && most - f.1 < ALIKE);
+            // Of two as unlike as is worst, the wrong one leads by a with the chance Phi(-sqrt a).
+            let alike = z(WRONG / tests.max(1.0)).powi(2);
+            let rivals = falls.iter().filter(|f| f.0 != *best && most - f.1 < alike);
             or.push(rivals.map(|f| columns[f.0].name.clone()).collect());
             named.push(*best);
             falls_of.push(*most);

@@ -216,7 +216,10 @@ fn a_check_says_what_changed_and_what_was_not_tested() {
     for k in 0..2 {
         fs::copy(&calibration, history.join(format!("calibration-{k}.json"))).unwrap();
     }
-    let (code, said, _) = run(&["check", "--history", history.to_str().unwrap(), "--json"]);
+    let (history, drift) = (history.to_str().unwrap(), at("drift"));
+    let (code, said, _) = run(&["check", "--history", history, "--out", &drift, "--json"]);
+    let page = fs::read_to_string(format!("{drift}/report.html")).unwrap();
+    assert!(page.contains("Control charts") && page.contains("sensitivity ("));
     let found: Value = serde_json::from_str(&said).unwrap();
     assert_eq!(
         (code, found["entries"].as_array().unwrap().len()),

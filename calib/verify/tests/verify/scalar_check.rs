@@ -5,7 +5,8 @@ use super::Noise;
 use super::scalar_simulated::{run, transducer, triangles};
 use rayon::prelude::*;
 use wcal_core::observation::{Role, TransducerModel};
-use wcal_verify::scalar::{CalibrationCheck, ScalarModel, ScalarRow};
+use wcal_verify::change::CalibrationCheck;
+use wcal_verify::scalar::{ScalarModel, ScalarRow};
 
 const NOISE: f64 = 2e-3;
 const DRAWS: u64 = 200;

@@ -405,9 +405,11 @@ fn finish(args: &CalibrateArgs, document: &CalibrateDocument) -> Result<()> {
     let steps: Vec<String> = steps
         .map(|s| format!("{} ({:.0} s): {}.", s.name, s.seconds, s.result))
         .collect();
-    let mut introduction: Vec<&str> = located.as_deref().into_iter().collect();
-    introduction.push(verify.reason.as_str());
-    introduction.extend(steps.iter().map(String::as_str));
+    let introduction: Vec<&str> = [&verify.reason]
+        .into_iter()
+        .chain(&steps)
+        .map(String::as_str)
+        .collect();
     let title = format!("Calibration in {}", args.out.display());
     let simulated = verify.simulated;
     let calibration = args.out.join("verify/calibration.json");

@@ -16,7 +16,7 @@ use std::process::ExitCode;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use wcal_acquisition::plan::{Plan, Step, duration_s};
-use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
+use wcal_acquisition::record::{RecordRequest, RecordResult, is_finished, plan_only, record};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
@@ -119,6 +119,12 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
     };
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
+    } else if is_finished(&folder, &rig, &plan)? {
+        eprintln!(
+            "{}: this sweep is finished: nothing is recorded anew",
+            folder.display()
+        );
+        return Ok(ExitCode::SUCCESS);
     }
     // A port that is taken is known before anything opens.
     let mut live = arguments

@@ -4,6 +4,7 @@
 use crate::AcquisitionError;
 use crate::reduce::{recordings, refuse_empty};
 use crate::replay::completed_steps;
+use crate::run_file::RunFile;
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::Read;
@@ -192,6 +193,18 @@ impl Drop for OwnedSessionFolder {
             };
         }
     }
+}
+
+/// Whether the last run into a session came to its end.
+///
+/// # Errors
+/// Where the session has another rig or plan.
+pub fn is_finished(folder: &Path, rig: &str, plan: &str) -> Result<bool, AcquisitionError> {
+    same(folder, "rig.toml", rig)?;
+    same(folder, "plan.toml", plan)?;
+    let run = RunFile::read(&folder.join("run.json"));
+    // Of a run that was killed there is none.
+    Ok(run.is_ok_and(|run| run.runs.last().is_some_and(|r| r.ending == "finished")))
 }
 
 /// The stage of a rig, driven by nobody else on this machine.

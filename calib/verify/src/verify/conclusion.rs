@@ -12,6 +12,7 @@ use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::omnibus::{CovariateScore, OmnibusTest};
 use crate::method::search_result::SearchResult;
+use wcal_core::text::with_unit;
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
 /// Conclusion in parts.
@@ -564,7 +565,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
-            format!("{after} {unit}").trim_end()
+            with_unit(&after, unit)
         );
         let lack = self
             .model

@@ -21,7 +21,7 @@ use crate::method::omnibus::OmnibusTest;
 use crate::method::signature::Signature;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
-use wcal_core::text::number;
+use wcal_core::text::{number, with_unit};
 use wcal_core::verify_document::Detectable;
 
 /// Normal quantile of 90 % power.
@@ -107,7 +107,10 @@ fn row(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest, effect: us
         Some(s) => {
             let law = model.law_name(laws[s.law].name);
             let shape = s.shape.iter().map(|(name, value, unit)| {
-                format!("{} {} {unit}", name.replace('_', " "), number(*value, 3))
+                with_unit(
+                    &format!("{} {}", name.replace('_', " "), number(*value, 3)),
+                    unit,
+                )
             });
             let shape = shape.collect::<Vec<_>>().join(", ");
             let at = if shape.is_empty() {
@@ -141,7 +144,7 @@ fn row(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest, effect: us
             }
         }
         None if !has_answer(model, fit, effect) => {
-            let why = "the model has no answer with it at some of the poses";
+            let why = "the model has no answer with it at some of the readings";
             entry("not-observable", None, unit, why.into())
         }
         None => {

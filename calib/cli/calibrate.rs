@@ -3,7 +3,6 @@
 //! Every step is one of the program's own commands. Its result is its checkpoint: where the
 //! document lies the step is done, and the same command line goes on behind it.
 
-use crate::input::read_text;
 use crate::kept::{Printed, Stop, keep};
 use crate::output::{Overwrite, ResultKind};
 use crate::simulated::word;
@@ -17,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use wcal_acquisition::run_file::RunFile;
-use wcal_core::files::write_atomic;
+use wcal_core::files::{read_text, write_atomic};
 use wcal_core::map_document::MapDocument;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::verify_document::{ContactComparison, VerifyDocument};
@@ -232,7 +231,7 @@ fn bench_files(args: &CalibrateArgs) -> Result<Vec<PathBuf>> {
 }
 
 fn made_of(files: &[PathBuf]) -> Result<String> {
-    let texts: Result<Vec<String>> = files.iter().map(|f| read_text(f)).collect();
+    let texts: Result<Vec<String>, _> = files.iter().map(read_text).collect();
     Ok(sha256_hex(texts?.join("\0").as_bytes()))
 }
 
@@ -406,9 +405,11 @@ fn finish(args: &CalibrateArgs, document: &CalibrateDocument) -> Result<()> {
     let steps: Vec<String> = steps
         .map(|s| format!("{} ({:.0} s): {}.", s.name, s.seconds, s.result))
         .collect();
-    let mut introduction: Vec<&str> = located.as_deref().into_iter().collect();
-    introduction.push(verify.reason.as_str());
-    introduction.extend(steps.iter().map(String::as_str));
+    let introduction: Vec<&str> = [&verify.reason]
+        .into_iter()
+        .chain(&steps)
+        .map(String::as_str)
+        .collect();
     let title = format!("Calibration in {}", args.out.display());
     let simulated = verify.simulated;
     let calibration = args.out.join("verify/calibration.json");

@@ -1,6 +1,7 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::progress::Progress;
 use crate::verify::{self, print_text, verify_session};
 use anyhow::{Context, Result};
 use clap::Args;
@@ -123,7 +124,6 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
     for name in &names {
         kind.check(&args.out.join(name), args.overwrite.force)?;
     }
-    let progress = crate::progress::Progress::new("demo");
     // The sweep judges the explanations of a recording below, so it must lie there first.
     write_session(&args.out, &SWEEP)?;
     let mut reports = Vec::new();
@@ -136,14 +136,15 @@ pub(crate) fn run(args: &DemoArgs, run_words: RunWords) -> Result<ExitCode> {
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
         let sweep = r.sweep.map(|name| args.out.join(name).join("session"));
+        let progress = Progress::new(&format!("demo: {}", r.name));
         let options = verify::searching(args.seed, Some(&progress));
-        let report = verify_session(session, &mut results, options, None, sweep.as_deref())?;
+        let mut report = verify_session(session, &mut results, options, None, sweep.as_deref())?;
+        r.shows.clone_into(&mut report.about);
         results.finish()?;
         print_text(&report, &out);
         reports.push((format!("{}/report.html", r.name), report));
     }
     track_bottle(&args.out, run_words)?;
-    drop(progress);
     println!("report: {}", write_index(&args.out, &reports)?.display());
     Ok(ExitCode::SUCCESS)
 }
@@ -189,14 +190,10 @@ fn track_bottle(place: &Path, run_words: RunWords) -> Result<()> {
 
 /// Writes the first page; its path.
 fn write_index(place: &Path, reports: &[(String, ReportInput)]) -> Result<PathBuf> {
-    let what = "Four recordings that come with the program: what does the declared model lack, and how far does the error on readings that it was not fitted to fall once that is added?";
-    let each: Vec<String> = RECORDINGS
-        .iter()
-        .map(|r| format!("{}: {}", r.name, r.shows))
-        .collect();
-    let track = "bottle/track.csv has the contacts of the measured sweep.";
-    let each = each.iter().map(String::as_str);
-    let introduction: Vec<&str> = [what].into_iter().chain(each).chain([track]).collect();
+    let introduction = [
+        "Four recordings that come with the program: what does the declared model lack, and how far does the error on readings that it was not fitted to fall once that is added?",
+        "bottle/track.csv has the contacts of the measured sweep.",
+    ];
     let page = place.join("report.html");
     write_atomic(
         &page,

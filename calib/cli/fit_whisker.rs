@@ -23,7 +23,6 @@ mod document;
 mod dynamics;
 mod stiffness;
 
-use crate::input::read_text;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
@@ -39,6 +38,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use stiffness::stiffness;
 use wcal_core::document::from_json;
+use wcal_core::files::read_text;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::ranges::Range;
 use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};

@@ -21,7 +21,6 @@ pub mod fit_gpr;
 #[cfg(feature = "pictures")]
 pub mod fit_whisker;
 mod import;
-mod input;
 mod interrupt;
 mod kept;
 pub mod labels;

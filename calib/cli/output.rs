@@ -348,7 +348,9 @@ pub fn first_line(path: &Path) -> Result<String> {
 /// The first 4 kB of a file.
 fn start_of(path: &Path) -> Result<String> {
     let mut start = Vec::new();
-    let read = wcal_core::files::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
+    let read = wcal_core::files::open(path)?
+        .take(4096)
+        .read_to_end(&mut start);
     read.with_context(|| format!("reading {}", path.display()))?;
     Ok(String::from_utf8_lossy(&start).into_owned())
 }

@@ -1,6 +1,10 @@
 //! Progress on stderr for whatever takes over two seconds: stage, part done, time left. Redrawn in
 //! place on a terminal, plain lines elsewhere; never on stdout. Inside another program it is silent,
 //! and the work ends at the next report after its end was asked for.
+//!
+//! ```text
+//! left = (1 - d) (t - t_h) / (d - d_h) - time since t        t, d: last step; t_h, d_h: where half of d was done
+//! ```
 
 use crate::kept::{self, Stop};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -26,22 +30,37 @@ const MIN_STEPS: usize = 2;
 #[derive(Debug, Clone)]
 struct State {
     stage: String,
-    done: Option<f64>,
-    /// When this count of parts began.
-    since: Instant,
-    /// Steps that it has made.
-    steps: usize,
+    /// When each step of this count of parts ended, and the part done then.
+    steps: Vec<(Instant, f64)>,
 }
 
 impl State {
     /// See [`Progress::at`].
     fn at(&mut self, stage: &str, done: f64) {
-        if self.done.is_none_or(|before| done < 0.5 * before) {
-            (self.since, self.steps) = (Instant::now(), 0);
+        if self.done().is_some_and(|before| done < 0.5 * before) {
+            self.steps.clear();
         }
-        self.steps += usize::from(self.done.is_some_and(|before| done > before));
+        if self.done().is_none_or(|before| done > before) {
+            self.steps.push((Instant::now(), done.clamp(0.0, 1.0)));
+        }
         stage.clone_into(&mut self.stage);
-        self.done = Some(done.clamp(0.0, 1.0));
+    }
+
+    fn done(&self) -> Option<f64> {
+        self.steps.last().map(|step| step.1)
+    }
+
+    /// Time left, s; none before the rate of two steps is known, and while a step takes longer than
+    /// it lets expect.
+    fn left_s(&self, now: Instant) -> Option<f64> {
+        let (at, done) = *self.steps.last()?;
+        let half = self.steps.partition_point(|step| step.1 < 0.5 * done);
+        let (since, before) = *self.steps.get(half)?;
+        // The rate of the later half: early steps may be shorter than late ones.
+        let known = self.steps.len() - half > MIN_STEPS && done >= MIN_DONE;
+        let rate = (done - before) / at.duration_since(since).as_secs_f64();
+        let left_s = (1.0 - done) / rate - now.duration_since(at).as_secs_f64();
+        (known && left_s > 0.0).then_some(left_s)
     }
 }
 
@@ -66,9 +85,7 @@ impl Progress {
     pub fn new(what: &str) -> Self {
         let state = Arc::new(Mutex::new(State {
             stage: String::new(),
-            done: None,
-            since: Instant::now(),
-            steps: 0,
+            steps: Vec::new(),
         }));
         let (stop, stopped) = channel();
         let (own, what) = (Arc::clone(&state), what.to_owned());
@@ -108,7 +125,9 @@ impl Progress {
 
     /// Says which stage runs where its part of the work is not known.
     pub fn stage(&self, stage: &str) {
-        stage.clone_into(&mut locked(&self.state).stage);
+        let mut state = locked(&self.state);
+        stage.clone_into(&mut state.stage);
+        state.steps.clear();
     }
 
     /// [`Self::at`] for a library's callback.
@@ -149,19 +168,13 @@ fn line(what: &str, state: &State, elapsed: Duration, now: Instant) -> String {
     } else {
         format!(" {},", state.stage)
     };
-    match state.done {
-        Some(done) if done >= MIN_DONE && state.steps >= MIN_STEPS => {
-            let left_s = now.duration_since(state.since).as_secs_f64() * (1.0 - done) / done;
-            format!(
-                "{what}:{stage} {:.0} %, about {} left",
-                100.0 * done,
-                duration(left_s)
-            )
-        }
-        _ => format!(
-            "{what}:{stage} running for {}",
-            duration(elapsed.as_secs_f64())
-        ),
+    let time = match state.left_s(now) {
+        Some(left_s) => format!("about {} left", duration(left_s)),
+        None => format!("running for {}", duration(elapsed.as_secs_f64())),
+    };
+    match state.done() {
+        Some(done) if done >= MIN_DONE => format!("{what}:{stage} {:.0} %, {time}", 100.0 * done),
+        _ => format!("{what}:{stage} {time}"),
     }
 }
 
@@ -180,51 +193,52 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_states_stage_part_and_time_left() {
-        let since = Instant::now();
-        let at = |done| State {
-            stage: "tables".to_owned(),
-            done,
-            since,
-            steps: 2,
-        };
-        let shown = |done, s| {
+    fn the_time_left_follows_the_last_steps_and_never_grows_within_one() {
+        let start = Instant::now();
+        let after = |s: u64| start + Duration::from_secs(s);
+        // Parts done and when, s.
+        let shown = |steps: &[(f64, u64)], s: u64| {
+            let steps = steps.iter().map(|(done, s)| (after(*s), *done)).collect();
+            let stage = "tables".to_owned();
             line(
-                "evaluate",
-                &at(done),
+                "verify",
+                &State { stage, steps },
                 Duration::from_secs(s),
-                since + Duration::from_secs(s),
+                after(s),
             )
         };
+        let steps = [(0.0, 0), (0.1, 1), (0.2, 2), (0.3, 12), (0.4, 22)];
         assert_eq!(
-            shown(Some(0.25), 30),
-            "evaluate: tables, 25 %, about 1 min 30 s left"
+            shown(&steps, 22),
+            "verify: tables, 40 %, about 1 min 0 s left"
         );
-        // Nothing is extrapolated from next to nothing, nor from a single step.
-        let first = State {
-            steps: 1,
-            ..at(Some(0.25))
-        };
-        let said = line(
-            "evaluate",
-            &first,
-            Duration::from_secs(30),
-            since + Duration::from_secs(30),
+        assert_eq!(shown(&steps, 32), "verify: tables, 40 %, about 50 s left");
+        // A step that takes longer than its rate lets expect tells no time.
+        assert_eq!(
+            shown(&steps, 90),
+            "verify: tables, 40 %, running for 1 min 30 s"
         );
-        assert_eq!(said, "evaluate: tables, running for 30 s");
-        assert_eq!(shown(Some(0.001), 30), "evaluate: tables, running for 30 s");
-        assert_eq!(shown(None, 7300), "evaluate: tables, running for 2 h 1 min");
+        // Nothing is extrapolated from one step, nor from next to nothing.
+        assert_eq!(
+            shown(&steps[..2], 2),
+            "verify: tables, 10 %, running for 2 s"
+        );
+        let little = [(0.001, 0), (0.002, 1), (0.003, 2), (0.004, 3)];
+        assert_eq!(shown(&little, 3), "verify: tables, running for 3 s");
+        assert_eq!(shown(&[], 7300), "verify: tables, running for 2 h 1 min");
     }
 
     #[test]
     fn a_stage_that_begins_anew_is_timed_anew() {
         let progress = Progress::new("verify");
+        let steps = || locked(&progress.state).steps.len();
+        progress.at("a", 0.8);
         progress.at("a", 0.9);
-        let before = locked(&progress.state).since;
-        std::thread::sleep(Duration::from_millis(5));
-        progress.at("b", 0.95);
-        assert_eq!(locked(&progress.state).since, before);
+        progress.at("b", 0.85);
+        assert_eq!(steps(), 2, "threads report a little out of order");
         progress.at("c", 0.1);
-        assert!(locked(&progress.state).since > before);
+        assert_eq!(steps(), 1);
+        progress.stage("d");
+        assert_eq!(steps(), 0);
     }
 }

@@ -19,9 +19,20 @@ pub(crate) fn of_document(
     let stated = session.meta.get("provenance");
     let how = stated.and_then(|p| p.get("simulated_by")?.as_str());
     ReportInput {
+        title: title(session),
         simulated_by: how.map(str::to_owned),
         ..ReportInput::new(document, provenance)
     }
+}
+
+/// The name that people gave the session: its folder's, of a folder `session` that of the folder it
+/// lies in.
+fn title(session: &LoadedSession) -> String {
+    let whole = session.folder.canonicalize();
+    let whole = whole.unwrap_or_else(|_| session.folder.clone());
+    let mut names = whole.ancestors().filter_map(|p| p.file_name()?.to_str());
+    let name = names.find(|name| *name != "session");
+    name.unwrap_or(&session.id).to_owned()
 }
 
 /// The report of a whisker session.
@@ -93,12 +104,14 @@ pub(crate) fn of_scalar(
     };
     let mut facts = vec![
         Fact::new("declared model", model),
-        Fact::new("units", units),
         Fact::new(
             "readings",
             format!("{} fitted, {sealed} held out", data.rows.len()),
         ),
     ];
+    if !(stimulus == "1" && response == "1") {
+        facts.push(Fact::new("units", units));
+    }
     for (name, p) in [("declared model", &done.declared), (after, &done.accepted)] {
         if let Some(p) = p {
             let terms = p.coefficients.iter().zip(&p.standard_errors).enumerate();
@@ -175,7 +188,7 @@ fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
             "generic drivers",
             "any covariate, family-wise by simulation",
         ),
-        ("serial correlation", "neighbouring readings of a sweep"),
+        ("serial correlation", "neighbouring readings"),
     ];
     let of_model = |(model, p_values): (&str, [f64; 3])| {
         let test = move |((family, detail), p): ((&str, &str), f64)| GateTest {

@@ -4,7 +4,7 @@ use crate::column_words::{option_of, quoted};
 use anyhow::{Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_session::{TextTableLayout, read_table_text};
+use wcal_session::{Relation, TextTableLayout, read_table_text, relation, unit_in_name};
 
 /// Columns that an import takes by their names, or that say when or how and not what was measured.
 const BESIDE: &[&str] = &[
@@ -96,12 +96,15 @@ fn target(table: &Path) -> String {
     }
 }
 
-/// Whether two columns are one length, as commanded and as measured: both in mm, with a slope of 1
-/// to a twentieth.
+/// Whether two columns are one length, as commanded and as measured: both in units of length, with a
+/// slope of 1 to a twentieth.
 fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
-    let in_mm = |name: &str| {
-        name.split(|c: char| !c.is_alphanumeric())
-            .any(|word| word == "mm")
+    let in_mm = |name: &str| match relation(unit_in_name(name, "mm")?, "mm") {
+        Relation::Times(factor) => Some(factor),
+        _ => None,
+    };
+    let [Some(from), Some(to)] = names.map(in_mm) else {
+        return false;
     };
     let mean = |k: usize| pairs.iter().map(|p| p[k]).sum::<f64>() / pairs.len() as f64;
     let [x, y] = [mean(0), mean(1)];
@@ -112,7 +115,18 @@ fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
             .map(|p| (p[0] - x) * (p[k] - [x, y][k]))
             .sum::<f64>()
     };
-    names.into_iter().all(in_mm) && (product(1) / product(0) - 1.0).abs() < 0.05
+    (product(1) / product(0) * to / from - 1.0).abs() < 0.05
+}
+
+/// Kind of the session that a table would become, as its columns tell; none where they do not.
+pub(crate) fn kind_of_table(table: &Path) -> Option<&'static str> {
+    let read = read_table_text(table, &TextTableLayout::default()).ok()?;
+    let mut lines = read.text.lines();
+    let (header, rows) = (lines.next()?, lines.collect::<Vec<_>>());
+    let line = import_line(table, header, &rows);
+    let told = !line.contains(" STIMULUS") && !line.contains(" RESPONSE");
+    let is = |kind: &&str| told && line.contains(&format!(" --kind {kind} "));
+    ["axis", "whisker", "transducer"].into_iter().find(is)
 }
 
 /// The command that imports a table with this header and these rows; what they do not state is
@@ -219,12 +233,13 @@ mod tests {
 
     #[test]
     fn two_lengths_of_slope_one_are_an_axis() {
-        let line = |slope: f64| {
+        let named = |header: &str, slope: f64| {
             let row = |x: f64| format!("{x},{},20.1,{}", slope * x + 0.003, 2.0 * x);
             let rows: Vec<String> = (0..9).map(|k| row(f64::from(k))).collect();
             let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
-            import_line("a.csv".as_ref(), "target_mm,encoder_mm,T_C,t_s", &rows)
+            import_line("a.csv".as_ref(), header, &rows)
         };
+        let line = |slope: f64| named("target_mm,encoder_mm,T_C,t_s", slope);
         let axis = line(1.0);
         assert!(
             axis.contains(
@@ -233,7 +248,14 @@ mod tests {
             "{axis}"
         );
         assert!(!axis.contains("--model"));
-        assert!(line(1.2).contains("--kind transducer"), "negative control");
+        assert!(named("set [um],laser_um,T_C,t_s", 1.0).contains("--kind axis"));
+        assert!(named("set_mm,laser_um,T_C,t_s", 1e3).contains("--kind axis"));
+        for other in [line(1.2), named("set_mm,laser_um,T_C,t_s", 1.0)] {
+            assert!(
+                other.contains("--kind transducer"),
+                "negative control: {other}"
+            );
+        }
     }
 
     #[test]

@@ -3,7 +3,6 @@
 mod bench_rig;
 mod live_sweep;
 
-use crate::input::read_text;
 use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 pub(crate) use bench_rig::with_addresses;
@@ -17,10 +16,11 @@ use std::process::ExitCode;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use wcal_acquisition::plan::{Plan, Step, duration_s};
-use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
+use wcal_acquisition::record::{RecordRequest, RecordResult, is_finished, plan_only, record};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
+use wcal_core::files::read_text;
 use wcal_core::plan_check_document::PlanCheck;
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;
@@ -119,6 +119,12 @@ pub(crate) fn run(arguments: &StageSweepArgs, shows: ShowsOfPlan) -> Result<Exit
     };
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
+    } else if is_finished(&folder, &rig, &plan)? {
+        eprintln!(
+            "{}: this sweep is finished: nothing is recorded anew",
+            folder.display()
+        );
+        return Ok(ExitCode::SUCCESS);
     }
     // A port that is taken is known before anything opens.
     let mut live = arguments

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
 use wcal_core::Purpose;
+use wcal_core::files::read_text;
 use wcal_network::Tracker;
 use wcal_network::model_file::{load, read_card};
 use wcal_session::sweep_session::SweepSession;
@@ -189,9 +190,6 @@ fn points_table(folder: &Path) -> Result<PathBuf> {
 
 /// What the arguments ask for, and the rig of a stream with its place.
 fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
-    let read = |path: &Path| {
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
-    };
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {
@@ -217,7 +215,9 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
             (Source::Recordings(parts), Some(path.join("rig.toml")))
         }
         Some(path) if path.extension().is_some_and(|e| e == "mcap") => {
-            (Source::Recordings(vec![path.clone()]), None)
+            // A recording in its session's folder has the rig beside it.
+            let beside = Some(path.with_file_name("rig.toml")).filter(|rig| rig.is_file());
+            (Source::Recordings(vec![path.clone()]), beside)
         }
         Some(path) => return Ok((Source::Table(path.clone()), None)),
     };
@@ -231,9 +231,9 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
     let file = named
         .or(own_rig)
         .ok_or_else(|| anyhow!("expected --rig RIG for a stream, found none"))?;
-    let mut text = read(&file)?;
+    let mut text = read_text(&file)?;
     if let Some(bench) = &args.bench {
-        text = crate::stage_sweep::with_addresses(&text, &read(bench)?)
+        text = crate::stage_sweep::with_addresses(&text, &read_text(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
     let place = file.display().to_string();

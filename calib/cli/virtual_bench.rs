@@ -38,7 +38,7 @@ pub(crate) struct VirtualBenchArgs {
 /// A scenario and the wire that it describes.
 pub(crate) fn load(path: &Path) -> Result<(Scenario, Box<dyn Plant>)> {
     let place = path.display();
-    let text = crate::input::read_text(path)?;
+    let text = wcal_core::files::read_text(path)?;
     let scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
     let plant = RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?;
     Ok((scenario, Box::new(plant)))

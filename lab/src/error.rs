@@ -29,6 +29,9 @@ pub enum LabError {
         /// Why not.
         source: wcal_mesh::MeshError,
     },
+    /// The file system refused.
+    #[error(transparent)]
+    Refused(#[from] wcal_core::files::FileError),
     /// A file could not be read or written.
     #[error("{action} {}: {detail}", path.display())]
     File {

@@ -62,12 +62,13 @@ impl Method<'_> {
                 let mut last = static_point(inverse, [0.0; 2], 40.0);
                 let step = |i: &crate::sweep_series::SweepSample| {
                     let dt = i.t_s - std::mem::replace(&mut last_s, i.t_s);
-                    let belief = filter.step(dt, i.moment_nmm, known.then_some(i.speed_mm_s));
-                    last = belief.map_or(last, |b| b.point_mm);
+                    filter.step(dt, i.moment_nmm, known.then_some(i.speed_mm_s), None);
+                    let belief = belief(&filter, settings.constraint_sd_mm);
+                    last = belief.map_or(last, |b| b.0);
                     Estimate {
                         contact: belief.is_some(),
                         point_mm: last,
-                        covariance_mm2: belief.map(|b| b.covariance_mm2),
+                        covariance_mm2: belief.map(|b| b.1),
                     }
                 };
                 series.samples.iter().map(step).collect()
@@ -92,6 +93,27 @@ impl Method<'_> {
                 .collect(),
         }
     }
+}
+
+/// Posterior mean and covariance of a filter's contact, none where it has none:
+/// p = sum w_k p_k, C = sum w_k (p_k - p)(p_k - p)^T + var_c I, sd_c of the constraint.
+fn belief(filter: &BayesFilter<'_>, constraint_sd_mm: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let posterior = filter.posterior();
+    let total: f64 = posterior.iter().sum();
+    if !(total > 0.0) {
+        return None;
+    }
+    let places = || {
+        let solutions = filter.solutions().iter().map(|s| s.point_mm);
+        posterior.iter().map(|w| w / total).zip(solutions)
+    };
+    let point: Vector3<f64> = places().map(|(w, p)| p * w).sum();
+    let mut covariance = Matrix3::identity() * constraint_sd_mm.powi(2);
+    for (w, p) in places() {
+        let off = p - point;
+        covariance += off * off.transpose() * w;
+    }
+    Some((point, covariance))
 }
 
 fn network_estimates(

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::document::from_json;
-use wcal_core::files::{FileError, write_atomic};
+use wcal_core::files::write_atomic;
 use wcal_core::observation::{WHISKER_RANGES, WhiskerSpec};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
@@ -160,17 +160,12 @@ pub fn runnable(
 /// Where a file cannot be written.
 pub fn save(folder: &Path, net: &TrainableNet, card: &mut Card) -> Result<(), LabError> {
     std::fs::create_dir_all(folder).map_err(LabError::file("creating", folder))?;
-    let refused = |e: FileError| LabError::File {
-        action: e.action,
-        path: e.path,
-        detail: e.source.to_string(),
-    };
     let (_, bytes) = runnable(net, &card.network)?;
-    write_atomic(&folder.join(WEIGHTS), &bytes).map_err(refused)?;
+    write_atomic(&folder.join(WEIGHTS), &bytes)?;
     card.weights_sha256 = sha256_hex(&bytes);
     let path = folder.join(CARD);
     let text = serde_json::to_string_pretty(card).map_err(LabError::file("writing", &path))?;
-    write_atomic(&path, text.as_bytes()).map_err(refused)
+    Ok(write_atomic(&path, text.as_bytes())?)
 }
 
 /// Reads a model's whole card.
@@ -180,7 +175,7 @@ pub fn save(folder: &Path, net: &TrainableNet, card: &mut Card) -> Result<(), La
 pub fn read_card(folder: &Path) -> Result<Card, LabError> {
     wcal_network::model_file::read_card(folder)?;
     let path = folder.join(CARD);
-    let text = wcal_core::files::read_text(&path).map_err(LabError::file("reading", &path))?;
+    let text = wcal_core::files::read_text(&path)?;
     let ranges = [
         TRAINING_RANGES,
         RANGES,
@@ -214,7 +209,7 @@ pub fn load(folder: &Path) -> Result<(Tracker, Card), LabError> {
 pub fn put_weights(net: &mut TrainableNet, folder: &Path) -> Result<u64, LabError> {
     let card = read_card(folder)?;
     let weights = folder.join(WEIGHTS);
-    let bytes = wcal_core::files::read(&weights).map_err(LabError::file("reading", &weights))?;
+    let bytes = wcal_core::files::read(&weights)?;
     let mut store = SafetensorsStore::from_bytes(Some(bytes));
     net.load_from(&mut store)
         .map_err(LabError::file("reading", &weights))?;

@@ -200,13 +200,26 @@ fn a_check_says_what_changed_and_what_was_not_tested() {
     let other = check(fixture("whiskerfbg").to_str().unwrap());
     assert_eq!((other.0, other.1.as_str()), (4, "mismatch"), "{other:?}");
 
+    // The table of an axis is one of another kind; one without the columns is an error.
+    let table = place.path().join("axis.csv");
+    let pairs: String = (0..9).map(|k| format!("{k},{k}.001\n")).collect();
+    fs::write(&table, format!("target_mm,encoder_mm\n{pairs}")).unwrap();
+    let axis = check(table.to_str().unwrap());
+    assert_eq!((axis.0, axis.1.as_str()), (4, "mismatch"), "{axis:?}");
+    fs::write(&table, format!("force,reading\n{pairs}")).unwrap();
+    let renamed = check(table.to_str().unwrap());
+    assert_eq!(renamed.0, 1, "negative control: {renamed:?}");
+
     // Three calibrations of one unit, the last with one in a thousand more sensitivity.
     let history = place.path().join("history");
     fs::create_dir(&history).unwrap();
     for k in 0..2 {
         fs::copy(&calibration, history.join(format!("calibration-{k}.json"))).unwrap();
     }
-    let (code, said, _) = run(&["check", "--history", history.to_str().unwrap(), "--json"]);
+    let (history, drift) = (history.to_str().unwrap(), at("drift"));
+    let (code, said, _) = run(&["check", "--history", history, "--out", &drift, "--json"]);
+    let page = fs::read_to_string(format!("{drift}/report.html")).unwrap();
+    assert!(page.contains("Control charts") && page.contains("sensitivity ("));
     let found: Value = serde_json::from_str(&said).unwrap();
     assert_eq!(
         (code, found["entries"].as_array().unwrap().len()),
@@ -218,4 +231,72 @@ fn a_check_says_what_changed_and_what_was_not_tested() {
         found["recalibrate_by"].is_null(),
         "two calibrations make no drift"
     );
+}
+
+/// Three triangles of a straight load cell, whose zero is shifted by so much, under two names.
+fn cell(file: &Path, [load, signal]: [&str; 2], zero: f64) -> String {
+    let mut table = format!("{load},{signal}\n");
+    let mut state = 1_u64;
+    // Sums of twelve uniform numbers are nearly Gaussian.
+    let mut uniform = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / (1_u64 << 24) as f64 - 0.5
+    };
+    for k in 0..60_i32 {
+        let x = f64::from(10 - (k % 20 - 10).abs());
+        let noise: f64 = 1e-3 * (0..12).map(|_| uniform()).sum::<f64>();
+        table += &format!("{x},{}\n", 0.1 + zero + 0.2 * x + noise);
+    }
+    fs::write(file, table).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_cell_has_the_units_of_its_names_and_is_tared_by_its_own_columns() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).to_str().unwrap().to_owned();
+    let (session, verified) = (at("cell"), at("verified"));
+    let own = ["load_N", "signal_mV"];
+    let table = cell(&place.path().join("cell.csv"), own, 0.0);
+    let import = format!(
+        "import {table} --kind transducer --stimulus load_N --response signal_mV --model linear --out {session}"
+    );
+    let (code, _, errors) = run(&import.split(' ').collect::<Vec<_>>());
+    assert!(code == 0 && errors.contains("load_N is in N"), "{errors}");
+    let description = fs::read_to_string(format!("{session}/session.toml")).unwrap();
+    assert!(
+        description.contains("stimulus_unit = \"N\"")
+            && description.contains("response_unit = \"mV\""),
+        "{description}"
+    );
+    let (code, said, _) = run(&["verify", &session, "--out", &verified]);
+    assert_eq!(code, 0, "{said}");
+    let calibration = format!("{verified}/calibration.json");
+    let check = |table: &str, tare: &[&str]| {
+        run(&[&["check", table, "--calibration", &calibration], tare].concat())
+    };
+    for names in [own, ["stimulus", "response"]] {
+        let later = cell(&place.path().join("LATER.CSV"), names, 0.05);
+        let (code, said, errors) = check(&later, &[]);
+        assert!(
+            code == 4 && said.contains("zero changed"),
+            "negative control: {said}{errors}"
+        );
+        let (code, said, errors) = check(&later, &["--tare"]);
+        assert!(
+            code == 0 && said.contains("tare: the zero is that of 3 unloaded readings, 0.0"),
+            "{said}{errors}"
+        );
+        let (code, _, errors) = run(&[
+            "predict",
+            &later,
+            "--calibration",
+            &calibration,
+            "--out",
+            &at("predicted.csv"),
+        ]);
+        assert_eq!(code, 0, "{errors}");
+    }
 }

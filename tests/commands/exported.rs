@@ -254,6 +254,10 @@ fn a_load_cell_gives_its_loads_in_c_and_python_and_yaml() {
         .map(|(x, y)| [x.parse().unwrap(), y.parse().unwrap()])
         .collect();
     assert!((3..=64).contains(&points.len()), "{text}");
+    // Two points at one place of single precision would divide by zero.
+    let doubled = |points: &[[f64; 2]]| points.windows(2).any(|p| p[0][0] as f32 == p[1][0] as f32);
+    assert!(!doubled(&points), "{text}");
+    assert!(doubled(&[points[0], points[0]]), "negative control");
     let stated = text
         .split("`wcal predict`: ")
         .nth(1)

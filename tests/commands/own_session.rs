@@ -177,3 +177,55 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
         "{settled:?}"
     );
 }
+
+/// A whisker's table with names of its own is imported with the rig, whose gratings have the
+/// wavelengths; one without is told all columns at once, in a command that runs.
+#[test]
+fn a_whisker_table_is_imported_by_the_rig_and_its_own_names() {
+    let place = tempfile::tempdir().unwrap();
+    let table = std::fs::read_to_string(repository("fixtures/pictured/points.csv")).unwrap();
+    let own = table
+        .replacen("groove_", "object_", 3)
+        .replacen("fbg_1_nm", "fbg_1_peak_nm", 1);
+    let file = place.path().join("bench.csv");
+    std::fs::write(&file, own).unwrap();
+    let (file, out) = (file.display().to_string(), place.path().join("session"));
+    let (rig, out) = (
+        repository("rigs/virtual/rig.toml"),
+        out.display().to_string(),
+    );
+    let rig = rig.display().to_string();
+    let import = [
+        "import", &file, "--kind", "whisker", "--model", &rig, "--out", &out,
+    ];
+    let (code, said) = code_and_messages(&import);
+    let all = ["groove_x_mm", "groove_y_mm", "groove_z_mm", "fbg_1_nm"];
+    assert!(
+        code == 1 && all.iter().all(|name| said.contains(name)),
+        "{said}"
+    );
+    let line = said
+        .lines()
+        .find(|line| line.trim().starts_with("wcal import"))
+        .unwrap();
+    let words: Vec<&str> = line.split_whitespace().skip(1).collect();
+    let (code, said) = code_and_messages(&words);
+    assert!(code == 0 || code == 3, "{said}");
+    let session: toml::Table = std::fs::read_to_string(format!("{out}/session.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert_eq!(
+        session["fbg"]["nominal_nm"].as_array().unwrap()[0].as_float(),
+        Some(1541.2)
+    );
+    assert_eq!(
+        session["fbg"]["reference_nominal_nm"].as_float(),
+        Some(1537.3)
+    );
+    let again = std::fs::read_to_string(format!("{out}/points.csv")).unwrap();
+    assert!(
+        again.lines().next().unwrap().contains("groove_x_mm"),
+        "{again}"
+    );
+}

@@ -259,7 +259,10 @@ const OF_COMMANDS: [(&str, &[&str]); 14] = [
         &["calibration", "core", "gpr", "session", "verify"],
     ),
     ("predict", &["calibration", "core", "session"]),
-    ("check", &["calibration", "core", "session", "verify"]),
+    (
+        "check",
+        &["calibration", "core", "report", "session", "verify"],
+    ),
     ("calibrate", &["acquisition", "core", "report"]),
     ("export", &["calibration", "core"]),
     (

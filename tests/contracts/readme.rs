@@ -319,11 +319,13 @@ fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
 #[test]
 fn the_first_run_runs() {
     let folder = after("docs/src/guide/start.md");
-    for place in ["", "practice-004/", "pontius/", "whiskerfbg/"] {
-        let page =
-            fs::read_to_string(folder.path().join(format!("demo-out/{place}report.html"))).unwrap();
-        assert!(page.contains("<svg"), "{place}");
+    let page = |place: &str| {
+        fs::read_to_string(folder.path().join(format!("demo-out/{place}report.html"))).unwrap()
+    };
+    for place in ["practice-004/", "pontius/", "whiskerfbg/"] {
+        assert!(page(place).contains("<svg"), "{place}");
     }
+    assert!(page("").contains("error of a contact"));
 }
 
 #[test]

@@ -316,6 +316,30 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
         "{second}"
     );
     assert_ne!(check(&bench.session()), 1);
+    // Finished: there is nothing to go on with, and nothing changes.
+    let files = || {
+        let names = std::fs::read_dir(bench.session()).expect("folder");
+        let mut all: Vec<_> = names
+            .map(|f| f.expect("file").path())
+            .map(|f| (f.metadata().expect("file").modified().expect("time"), f))
+            .collect();
+        all.sort();
+        all
+    };
+    let (before, first_part) = (files(), bench.session().join("recording-2.mcap"));
+    let finished = bench.go("--resume");
+    assert_eq!(
+        finished.status.code(),
+        Some(0),
+        "{}",
+        text(&finished.stderr)
+    );
+    assert!(text(&finished.stderr).contains("finished: nothing is recorded anew"));
+    assert_eq!(files(), before);
+    assert!(
+        first_part.is_file(),
+        "negative control: the killed sweep was gone on with"
+    );
 }
 
 #[test]

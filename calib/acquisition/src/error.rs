@@ -1,9 +1,9 @@
 //! Errors of rigs, plans, recordings and their reduction.
 
-use std::path::{Path, PathBuf};
 use thiserror::Error;
 use wcal_core::device::DeviceError;
 use wcal_core::document::DocumentError;
+use wcal_core::files::FileError;
 use wcal_core::text::brief;
 
 /// Errors of planning, recording or reducing.
@@ -19,32 +19,15 @@ pub enum AcquisitionError {
         /// What is there.
         found: String,
     },
-    /// A file could not be read or written.
-    #[error("{action} {}: {source}", brief(&path.display().to_string()))]
-    Io {
-        /// What was being done.
-        action: &'static str,
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: std::io::Error,
-    },
+    /// The file system refused.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The recorder failed.
     #[error("recording: {0}")]
     Recorder(String),
     /// A device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-}
-
-impl From<wcal_core::files::FileError> for AcquisitionError {
-    fn from(error: wcal_core::files::FileError) -> Self {
-        Self::Io {
-            action: error.action,
-            path: error.path,
-            source: error.source,
-        }
-    }
 }
 
 impl AcquisitionError {
@@ -73,17 +56,6 @@ impl AcquisitionError {
                 e.found.replace('"', ""),
             ),
             other => Self::input(place, expected, other.to_string()),
-        }
-    }
-
-    pub(crate) fn io<'a>(
-        action: &'static str,
-        path: &'a Path,
-    ) -> impl FnOnce(std::io::Error) -> Self + 'a {
-        move |source| Self::Io {
-            action,
-            path: path.to_owned(),
-            source,
         }
     }
 }

@@ -14,7 +14,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use wcal_core::device::CameraFrame;
-use wcal_core::files::write_atomic;
+use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
 
 /// Folder of the session.
@@ -179,8 +179,8 @@ pub(crate) fn write_pictures(
                 }
                 let mut put = |place: &Path| {
                     let made = place.parent().map_or(Ok(()), std::fs::create_dir_all);
-                    let done = made.map_err(AcquisitionError::io("creating", place));
-                    match done.and_then(|()| Ok(write_atomic(place, &png)?)) {
+                    let done = made.map_err(FileError::of("creating", place));
+                    match done.and_then(|()| write_atomic(place, &png)) {
                         Ok(()) => true,
                         Err(e) => {
                             failed.get_or_insert(e);
@@ -216,7 +216,7 @@ pub(crate) fn write_pictures(
             _ => {}
         })?;
         if let Some(error) = failed {
-            return Err(error);
+            return Err(error.into());
         }
     }
     for (table, of) in tables

@@ -140,7 +140,7 @@ fn foreign(line: &Line, session: &str, path: &Path) -> Result<Option<String>, Ac
     let Some(expected) = line.sha256.as_ref().filter(|_| path.exists()) else {
         return Ok(None);
     };
-    let same = sha256_hex(&bytes(path)?) == *expected;
+    let same = sha256_hex(&read_within(path, MAX_BYTES)?) == *expected;
     Ok((!same).then(|| "not the picture that was recorded: its hash is another".to_owned()))
 }
 
@@ -166,10 +166,6 @@ fn ill_timed(line: &Line, stand: &PoseDwell, all: &[PoseDwell]) -> Option<String
     ))
 }
 
-fn bytes(path: &Path) -> Result<Vec<u8>, AcquisitionError> {
-    read_within(path, MAX_BYTES).map_err(AcquisitionError::io("reading", path))
-}
-
 /// The lines of a table by the names of its columns; `numbers`: a line's point, and what else must
 /// be finite.
 fn table<T: DeserializeOwned>(
@@ -177,7 +173,7 @@ fn table<T: DeserializeOwned>(
     numbers: impl Fn(&T) -> (i64, Vec<Option<f64>>),
 ) -> Result<Vec<T>, AcquisitionError> {
     let place = path.display().to_string();
-    let bytes = bytes(path)?;
+    let bytes = read_within(path, MAX_BYTES)?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .from_reader(bytes.as_slice());

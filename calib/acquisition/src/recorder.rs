@@ -16,6 +16,7 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use wcal_core::device::{CameraFrame, FbgReading, StageReading};
+use wcal_core::files::FileError;
 
 /// Longest time that a message stays in memory: kill -9 loses less than this.
 const FLUSH: Duration = Duration::from_millis(250);
@@ -86,8 +87,8 @@ impl Recorder {
     /// # Errors
     /// When the file exists or cannot be written.
     pub fn create(path: &Path, about: BTreeMap<String, String>) -> Result<Self, AcquisitionError> {
-        let io = |e| AcquisitionError::io("creating", path)(e);
-        let file = File::create_new(path).map_err(io)?;
+        let io = FileError::of("creating", path);
+        let file = File::create_new(path).map_err(&io)?;
         let copy = file.try_clone().map_err(io)?;
         let failed = |e: McapError| AcquisitionError::Recorder(why(path, &e));
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.

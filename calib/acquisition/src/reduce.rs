@@ -15,7 +15,7 @@ use crate::tables::{self, Row, Stream};
 use crate::windows::{Window, missing_share, windows_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use wcal_core::files::{remove_abandoned, write_atomic};
+use wcal_core::files::{FileError, read_text, remove_abandoned, write_atomic};
 
 pub use crate::reduction::Reduction;
 
@@ -42,7 +42,7 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
 /// Which one, and the way out.
 pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
     for part in parts {
-        let about = std::fs::metadata(part).map_err(AcquisitionError::io("opening", part))?;
+        let about = std::fs::metadata(part).map_err(FileError::of("opening", part))?;
         if about.len() == 0 {
             return Err(AcquisitionError::input(
                 part.display().to_string(),
@@ -82,10 +82,7 @@ fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), 
 /// they were.
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     // The session's own copy: the rig file that it was made from may have changed since.
-    let path = folder.join("rig.toml");
-    let text =
-        wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))?;
-    let rig = Rig::parse("rig.toml", &text)?;
+    let rig = Rig::parse("rig.toml", &read_text(folder.join("rig.toml"))?)?;
     let run = RunFile::read(&folder.join("run.json"))?;
     let parts = recordings(folder);
     if parts.is_empty() {
@@ -145,7 +142,7 @@ fn add_part(rows: &mut Vec<Row>, own: Vec<Row>) {
 /// Entries of an earlier session.toml that name results from the pictures: the files are still
 /// there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
-    let text = wcal_core::files::read_text(folder.join("session.toml")).unwrap_or_default();
+    let text = read_text(folder.join("session.toml")).unwrap_or_default();
     let Ok(old) = text.parse::<toml::Table>() else {
         return Vec::new();
     };

@@ -14,6 +14,7 @@ use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Read;
 use std::path::Path;
+use wcal_core::files::{FileError, open};
 use wcal_core::ranges::OutOfRange;
 
 /// One message of a recording.
@@ -92,10 +93,10 @@ const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// # Errors
 /// When the file cannot be opened, is no MCAP file, or is compressed.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
-    let mut file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let mut file = open(path)?;
     let size = file
         .metadata()
-        .map_err(AcquisitionError::io("opening", path))?
+        .map_err(FileError::of("opening", path))?
         .len();
     // No record is longer than its file, whatever length it states.
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
@@ -109,7 +110,7 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
             Ok(LinearReadEvent::ReadRequest(need)) => {
                 let count = file
                     .read(reader.insert(need))
-                    .map_err(AcquisitionError::io("reading", path))?;
+                    .map_err(FileError::of("reading", path))?;
                 reader.notify_read(count);
             }
             Ok(LinearReadEvent::Record {
@@ -257,11 +258,11 @@ impl Given {
 /// Whether as much of the magic bytes is there as the file's length allows.
 fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
     let mut start = Vec::new();
-    let file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let file = open(path)?;
     let size = mcap::MAGIC.len();
     file.take(size as u64)
         .read_to_end(&mut start)
-        .map_err(AcquisitionError::io("reading", path))?;
+        .map_err(FileError::of("reading", path))?;
     Ok(mcap::MAGIC.starts_with(&start))
 }
 

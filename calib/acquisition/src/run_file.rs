@@ -86,9 +86,7 @@ impl RunFile {
     /// # Errors
     /// Where it cannot be read, or as [`Self::parse`].
     pub(crate) fn read(path: &Path) -> Result<Self, AcquisitionError> {
-        Self::parse(
-            &wcal_core::files::read_text(path).map_err(AcquisitionError::io("reading", path))?,
-        )
+        Self::parse(&wcal_core::files::read_text(path)?)
     }
 
     /// Parses the file.

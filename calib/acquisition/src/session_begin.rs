@@ -4,11 +4,12 @@
 use crate::AcquisitionError;
 use crate::reduce::{recordings, refuse_empty};
 use crate::replay::completed_steps;
+use crate::run_file::RunFile;
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use wcal_core::files::{remove_abandoned, write_atomic};
+use wcal_core::files::{FileError, read_text, remove_abandoned, write_atomic};
 use wcal_core::lock::{FileLock, LockError};
 use wcal_core::rig_devices::StageRig;
 
@@ -93,16 +94,14 @@ impl OwnedSessionFolder {
     /// When the disk is full.
     pub(crate) fn reserve(&mut self, bytes: u64) -> Result<(), AcquisitionError> {
         let path = self.folder.join(RESERVE);
-        let mut file =
-            fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
+        let mut file = fs::File::create_new(&path).map_err(FileError::of("creating", &path))?;
         // A lock tells what tidies up that the reserve is in use.
         let _ = file.try_lock();
         // Written in full: a file with a hole in it would reserve nothing.
         let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut file);
         self.reserve = Some(file);
-        zeros
-            .map(drop)
-            .map_err(|e| AcquisitionError::io("writing", &path)(e))
+        zeros.map_err(FileError::of("writing", &path))?;
+        Ok(())
     }
 
     /// Gives the reserved space back.
@@ -126,7 +125,7 @@ impl OwnedSessionFolder {
             .take_while(|a| !a.as_os_str().is_empty() && !a.exists());
         self.made = missing.map(Path::to_owned).collect();
         self.made.reverse();
-        fs::create_dir_all(&self.folder).map_err(AcquisitionError::io("creating", &self.folder))
+        Ok(fs::create_dir_all(&self.folder).map_err(FileError::of("creating", &self.folder))?)
     }
 
     fn take_lock(&mut self) -> Result<(), AcquisitionError> {
@@ -196,6 +195,18 @@ impl Drop for OwnedSessionFolder {
     }
 }
 
+/// Whether the last run into a session came to its end.
+///
+/// # Errors
+/// Where the session has another rig or plan.
+pub fn is_finished(folder: &Path, rig: &str, plan: &str) -> Result<bool, AcquisitionError> {
+    same(folder, "rig.toml", rig)?;
+    same(folder, "plan.toml", plan)?;
+    let run = RunFile::read(&folder.join("run.json"));
+    // Of a run that was killed there is none.
+    Ok(run.is_ok_and(|run| run.runs.last().is_some_and(|r| r.ending == "finished")))
+}
+
 /// The stage of a rig, driven by nobody else on this machine.
 ///
 /// # Errors
@@ -231,7 +242,7 @@ fn held(error: LockError, place: String, expected: &str) -> AcquisitionError {
 /// Ports may differ between the runs of one session, plans and geometry may not.
 fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
     let path = folder.join(name);
-    let old = wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))?;
+    let old = read_text(&path)?;
     if without_links(&old) == without_links(text) {
         return Ok(());
     }

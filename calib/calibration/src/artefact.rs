@@ -161,9 +161,9 @@ pub fn read_unsealed(
     let refuse = |expected: &str, e: serde_json::Error| {
         CalibrationError::content(path, format!("{expected}: {e}"))
     };
-    let text = wcal_core::files::read_text(path).map_err(|source| CalibrationError::Io {
-        path: path.to_owned(),
-        source,
+    let text = wcal_core::files::read_text(path).map_err(|e| CalibrationError::Io {
+        path: e.path,
+        source: e.source,
     })?;
     let value: serde_json::Value =
         serde_json::from_str(&text).map_err(|e| refuse("expected a calibration in JSON", e))?;

@@ -98,10 +98,10 @@ impl Table {
         let [low, high, below, above] = self.ends;
         let inner = shares.iter().map(|s| [low + s * (high - low), value(*s)]);
         let (first, last) = ([low - below, value(0.0)], [high + above, value(1.0)]);
-        (
-            std::iter::once(first).chain(inner).chain([last]).collect(),
-            most,
-        )
+        let mut points: Vec<[f64; 2]> = std::iter::once(first).chain(inner).chain([last]).collect();
+        // Single precision reads them: two points at one place would divide by zero.
+        points.dedup_by(|next, before| next[0] as f32 == before[0] as f32);
+        (points, most)
     }
 }
 

@@ -55,6 +55,11 @@ pub struct QuantityHistory {
     pub e_n: Vec<f64>,
     /// Change a month with its 95 % interval; null with fewer than three calibrations.
     pub per_month: Option<[f64; 3]>,
+    /// Value of that line at the first calibration.
+    pub at_first: Option<f64>,
+    /// What it may be off before it alone costs the stated uncertainty of a reading; null where none
+    /// is stated.
+    pub limit: Option<f64>,
 }
 
 /// All of it.
@@ -63,12 +68,16 @@ pub struct CalibrationHistory {
     /// Format and version.
     #[schemars(extend("const" = "wcal-history/1"))]
     pub format: String,
+    /// A calibration of a simulated session is among them.
+    pub simulated: bool,
     /// Calibrations, the oldest first.
     pub entries: Vec<HistoryEntry>,
     /// Sensitivity and zero.
     pub quantities: Vec<QuantityHistory>,
     /// Day until which the drift costs less than the stated uncertainty; null where none is known.
     pub recalibrate_by: Option<String>,
+    /// The same, months since the first calibration.
+    pub recalibrate_month: Option<f64>,
 }
 
 /// The calibrations in `folder`, or one folder below it.
@@ -76,7 +85,7 @@ pub struct CalibrationHistory {
 /// # Errors
 /// A file that cannot be read, fewer than two calibrations of transducers, or other units.
 pub fn history(folder: &Path) -> Result<CalibrationHistory, CalibrationError> {
-    let mut found = Vec::new();
+    let (mut found, mut simulated) = (Vec::new(), false);
     for file in files(folder)? {
         let read = read_calibration(&file)?;
         let CalibrationModel::Scalar(model) = &read.model else {
@@ -88,6 +97,7 @@ pub fn history(folder: &Path) -> Result<CalibrationHistory, CalibrationError> {
         let created: jiff::Timestamp = read.provenance.created.parse().map_err(|e| {
             CalibrationError::content(&file, format!("provenance.created: expected a time: {e}"))
         })?;
+        simulated |= read.provenance.simulated;
         found.push((created, file, sheet));
     }
     found.sort_by_key(|(created, _, _)| *created);
@@ -126,22 +136,47 @@ pub fn history(folder: &Path) -> Result<CalibrationHistory, CalibrationError> {
     }
     let zeros: Option<Vec<[f64; 2]>> = entries.iter().map(|e| e.zero).collect();
     let months: Vec<f64> = entries.iter().map(|e| e.months).collect();
-    let of = |quantity: &str, unit: &str, values: Vec<[f64; 2]>| QuantityHistory {
-        quantity: quantity.to_owned(),
-        unit: unit.to_owned(),
-        e_n: values.windows(2).map(|p| e_n(p[0], p[1])).collect(),
-        per_month: drift(&months, &values),
+    let worth = worth(&found, &entries);
+    let of = |quantity: &str, unit: &str, values: Vec<[f64; 2]>| {
+        let (per_month, at_first) = drift(&months, &values).unzip();
+        let worth = worth.map(|[expanded, sensitivity, zero]| match quantity {
+            "sensitivity" => expanded / sensitivity,
+            _ => expanded / zero,
+        });
+        QuantityHistory {
+            quantity: quantity.to_owned(),
+            unit: unit.to_owned(),
+            e_n: values.windows(2).map(|p| e_n(p[0], p[1])).collect(),
+            per_month,
+            at_first,
+            limit: worth.filter(|limit| limit.is_finite()),
+        }
     };
     let slopes = entries.iter().map(|e| e.sensitivity).collect();
     let mut quantities = vec![of("sensitivity", &units[1], slopes)];
     quantities.extend(zeros.map(|zeros| of("zero", &units[2], zeros)));
-    let recalibrate_by = recalibrate_by(&found, &entries, &quantities);
+    let (recalibrate_by, recalibrate_month) = recalibrate_by(&found, &entries, &quantities).unzip();
     Ok(CalibrationHistory {
         format: "wcal-history/1".to_owned(),
+        simulated,
         entries,
         quantities,
         recalibrate_by,
+        recalibrate_month,
     })
+}
+
+/// Expanded uncertainty of a reading of the last calibration, and what a change of the sensitivity
+/// and of the zero by 1 costs, all in the unit of the stimulus.
+fn worth(
+    found: &[(jiff::Timestamp, PathBuf, DataSheet)],
+    entries: &[HistoryEntry],
+) -> Option<[f64; 3]> {
+    let (entry, (_, _, sheet)) = (entries.last()?, found.last()?);
+    let slope = entry.sensitivity[0].abs();
+    let reach = sheet.range[0].abs().max(sheet.range[1].abs());
+    // A share of the stimulus, or a shift of all.
+    Some([entry.expanded?, reach / slope, 1.0 / slope])
 }
 
 /// calibration.json files in a folder and one below.
@@ -189,8 +224,8 @@ fn e_n(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).abs() / a[1].hypot(b[1]).max(f64::MIN_POSITIVE)
 }
 
-/// Slope over time with its 95 % interval.
-fn drift(months: &[f64], values: &[[f64; 2]]) -> Option<[f64; 3]> {
+/// Slope over time with its 95 % interval, and the line's value at the first time.
+fn drift(months: &[f64], values: &[[f64; 2]]) -> Option<([f64; 3], f64)> {
     // Calibrations of one day say nothing of a month.
     let span = months.last()? - months.first()?;
     if values.len() < LEAST || span < 1.0 / MONTH_DAYS {
@@ -209,40 +244,36 @@ fn drift(months: &[f64], values: &[[f64; 2]]) -> Option<[f64; 3]> {
     let left = sum(&|k| (values[k][0] - level - slope * (months[k] - middle)).powi(2));
     let scatter = (left / (values.len() - 2) as f64).max(1.0).sqrt();
     let half = NORMAL_95 * scatter / square.sqrt();
-    (square > 0.0).then_some([slope, slope - half, slope + half])
+    let at_first = level + slope * (months[0] - middle);
+    (square > 0.0).then_some(([slope, slope - half, slope + half], at_first))
 }
 
-/// The day on which the drift may cost as much as the stated uncertainty of a reading.
+/// The day on which the drift may cost as much as the stated uncertainty of a reading, and the same
+/// in months since the first calibration.
 fn recalibrate_by(
     found: &[(jiff::Timestamp, PathBuf, DataSheet)],
     entries: &[HistoryEntry],
     quantities: &[QuantityHistory],
-) -> Option<String> {
-    let (last, _, sheet) = found.last()?;
-    let entry = entries.last()?;
-    let slope = entry.sensitivity[0].abs();
-    let reach = sheet.range[0].abs().max(sheet.range[1].abs());
-    let a_month = quantities.iter().filter_map(|q| {
-        let [_, low, high] = q.per_month?;
-        let most = low.abs().max(high.abs()) / slope;
-        // In the unit of the stimulus: a share of it, or a shift of all.
-        Some(if q.quantity == "sensitivity" {
-            most * reach
-        } else {
-            most
-        })
-    });
-    let a_month: f64 = a_month.sum();
-    let months = entry.expanded? / a_month;
-    let months = months.min(LONGEST_MONTHS);
-    if !(months.is_finite() && quantities.iter().any(|q| q.per_month.is_some())) {
+) -> Option<(String, f64)> {
+    let drifting = quantities
+        .iter()
+        .filter_map(|q| Some((q.per_month?, q.limit)));
+    // Shares of the stated uncertainty that a month may cost.
+    let a_month = drifting.map(|([_, low, high], limit)| Some(low.abs().max(high.abs()) / limit?));
+    let a_month: Vec<f64> = a_month.collect::<Option<_>>()?;
+    let months = (1.0 / a_month.iter().sum::<f64>()).min(LONGEST_MONTHS);
+    if a_month.is_empty() || !months.is_finite() {
         return None;
     }
     let hours = (24.0 * MONTH_DAYS * months) as i64;
+    let last = found.last()?.0;
     let by = last
         .checked_add(jiff::Span::new().try_hours(hours).ok()?)
         .ok()?;
-    Some(by.strftime("%Y-%m-%d").to_string())
+    Some((
+        by.strftime("%Y-%m-%d").to_string(),
+        entries.last()?.months + months,
+    ))
 }
 
 impl CalibrationHistory {
@@ -302,8 +333,9 @@ mod tests {
     fn a_drift_is_the_slope_of_the_weighted_line() {
         let months = [0.0, 1.0, 2.0, 3.0];
         let values = months.map(|t| [2.0 + 0.01 * t, 0.002]);
-        let [slope, low, high] = drift(&months, &values).unwrap_or_default();
+        let ([slope, low, high], first) = drift(&months, &values).unwrap_or_default();
         assert!((slope - 0.01).abs() < 1e-12 && low < 0.01 && high > 0.01);
+        assert!((first - 2.0).abs() < 1e-12);
         // sd 0.002 / 1.96, sum of squares 5.
         assert!((0.5 * (high - low) - 0.002 / 5f64.sqrt()).abs() < 1e-9);
         assert!(

@@ -31,6 +31,6 @@ pub use error::CalibrationError;
 pub use export::export;
 pub use exported::Export;
 pub use given::GivenCalibration;
-pub use history::{CalibrationHistory, history};
+pub use history::{CalibrationHistory, HistoryEntry, QuantityHistory, history};
 pub use scalar::rows_to_check;
 pub use trust_issue::TrustIssue;

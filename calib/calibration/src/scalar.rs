@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::SessionData;
 use wcal_core::observation::Role;
-use wcal_core::text::number;
+use wcal_core::text::{number, with_unit};
 use wcal_session::{InputError, TextTable, TextTableLayout, asked_name, load, read_text_table};
 use wcal_verify::scalar::{ScalarModel, ScalarRow, judgement};
 use wcal_verify::verify::HeldOut;
@@ -269,10 +269,10 @@ impl Calibration for ScalarModel {
         let [low, high] = self.stimulus_range.map(|v| number(v, 10));
         let outside = (outside > 0).then(|| {
             format!(
-                "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",
+                "{outside} of {} readings lie outside the fitted {}, {}",
                 rows.len(),
                 self.declared.format_text("stimuli"),
-                self.stimulus_unit
+                with_unit(&format!("{low} to {high}"), &self.stimulus_unit)
             )
         });
         Ok(AppliedTable {

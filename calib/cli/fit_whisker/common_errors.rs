@@ -38,12 +38,7 @@ pub(crate) fn moved_by_shared(
         return Ok(Vec::new());
     };
     covariance::check(rows, count).map_err(|why| anyhow::anyhow!("shared_covariance: {why}"))?;
-    // In units of the standard deviations: pixels and radians differ by orders of magnitude.
-    let sd: Vec<f64> = (0..count).map(|k| rows[k][k].sqrt()).collect();
-    let correlation = DMatrix::from_fn(count, count, |i, j| match sd[i] * sd[j] {
-        scale if scale > 0.0 => rows[i][j] / scale,
-        _ => 0.0,
-    });
+    let (sd, correlation) = covariance::correlation(rows);
     let correlation = correlation.symmetric_eigen();
     let root = correlation.eigenvalues.map(|v| v.max(0.0).sqrt());
     // With correlations V L V' and standard deviations S: F = S V L^1/2.

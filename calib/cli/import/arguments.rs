@@ -14,6 +14,8 @@ const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
 #[command(after_help = "Examples:
   wcal import cell.csv --kind transducer --stimulus load --response out --model linear --out cell
   wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --out axis-x
+  wcal import bench.csv --kind whisker --model rig.toml \\
+      --covariate groove_x_mm=object_x --covariate groove_y_mm=object_y --covariate groove_z_mm=object_z --out whisker
 
 'COL*FACTOR' multiplies a column; 'column 3' is one without a name.
 A file SIMULATED beside the table marks all that is made of it.")]

@@ -3,7 +3,7 @@
 use super::arguments::{Declared, ImportArgs, Kind};
 use super::noticed::Noticed;
 use super::units;
-use crate::column_words::is_deviation;
+use crate::column_words::{is_deviation, quoted};
 use anyhow::{Result, bail, ensure};
 use wcal_core::TransducerModel;
 use wcal_session::{AskedColumn, IN_SESSION, TextTable, WHISKER_COLUMNS, asked_name, named};
@@ -17,6 +17,9 @@ const SCALAR_COLUMNS: &[&str] = &[
     "replicate",
     "cycle",
 ];
+
+/// Likeness of names from which a column is proposed for another, 1 for the same.
+const GUESSED: f64 = 0.4;
 
 /// A column of the session.
 #[derive(Default)]
@@ -190,12 +193,30 @@ impl<'t> Plan<'t> {
         }
         if args.kind == Kind::Whisker {
             let has = |name: &str| asks(name) || plan.columns.iter().any(|c| c.name == name);
-            let missing: Vec<&str> = IN_SESSION.into_iter().filter(|name| !has(name)).collect();
+            let shifts = ["fbg_1_shift_nm", "fbg_2_shift_nm"];
+            let read = match shifts.iter().any(|name| has(name)) {
+                true => shifts,
+                false => ["fbg_1_nm", "fbg_2_nm"],
+            };
+            let all = IN_SESSION.into_iter().chain(read);
+            let missing: Vec<&str> = all.filter(|name| !has(name)).collect();
             if !missing.is_empty() {
-                return Err(table
-                    .without(&missing)
-                    .hint("--covariate NAME=COLUMN takes each")
-                    .into());
+                let mut line: Vec<String> = vec!["wcal".to_owned()];
+                line.extend(crate::kept::command().into_iter().skip(1));
+                let mut taken: Vec<&str> = wanted.iter().map(|(_, c)| asked_name(c)).collect();
+                for name in &missing {
+                    let free = |c: &str| !taken.contains(&c) && !WHISKER_COLUMNS.contains(&c);
+                    let column = table.alike(name, GUESSED, free);
+                    let column = column.map_or("COLUMN", String::as_str);
+                    taken.push(column);
+                    line.extend(["--covariate".to_owned(), format!("{name}={column}")]);
+                }
+                let line: Vec<String> = line.iter().map(|word| quoted(word)).collect();
+                let missing = table.without(&missing);
+                bail!(
+                    "{missing}; name your columns of them:\n  {}",
+                    line.join(" ")
+                );
             }
         }
         let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm");

@@ -5,12 +5,12 @@ use super::columns::Plan;
 use super::imported::file_name;
 use super::noticed::Noticed;
 use crate::column_words::is_deviation;
-use crate::input::{read, read_text};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use toml::{Table, Value};
 use wcal_core::TransducerModel;
+use wcal_core::files::{read, read_text};
 use wcal_session::{SESSION_FORMAT, TextTable};
 
 /// Tables of a whisker's description that are taken over.
@@ -165,6 +165,24 @@ fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> Result<()> {
     for key in TAKEN_OVER {
         if let Some(value) = meta.get(*key) {
             top.insert((*key).to_owned(), value.clone());
+        }
+    }
+    // A rig has the wavelengths with its gratings, a session with what is made of them.
+    let nominal = |name: &str| {
+        let gratings = meta.get("interrogator")?.get("grating")?.as_array()?;
+        let named = |g: &&Value| g.get("name").and_then(Value::as_str) == Some(name);
+        gratings.iter().find(named)?.get("nominal_nm").cloned()
+    };
+    if let Some(fbg) = top.get_mut("fbg").and_then(Value::as_table_mut) {
+        let sensing: Option<Vec<Value>> = ["fbg_1", "fbg_2"].map(nominal).into_iter().collect();
+        let both = [
+            ("nominal_nm", sensing.map(Value::Array)),
+            ("reference_nominal_nm", nominal("fbg_ref")),
+        ];
+        for (key, value) in both {
+            if let Some(value) = value {
+                fbg.entry(key).or_insert(value);
+            }
         }
     }
     ensure!(

@@ -150,7 +150,7 @@ pub(crate) fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if let Some((mesh, _)) = &object {
         out.put(
             OBJECT,
-            as_stl(crate::input::read(mesh)?)
+            as_stl(wcal_core::files::read(mesh)?)
                 .map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?,
         );
     }

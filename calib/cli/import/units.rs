@@ -216,7 +216,13 @@ pub(super) fn signal(
             Relation::Times(_)
         )
     };
-    let Some(found) = sure.or(last.filter(of_kind)) else {
+    // Without a statement a symbol stands for itself: `load_N`, not `side_a`, `channel_A`, `time_h`.
+    let symbol = |unit: &&str| {
+        let plain = unit.len() > 1 || unit.chars().all(char::is_uppercase) && *unit != "A";
+        stated.is_none() && bracketed(name).is_none() && plain
+    };
+    let found = sure.or(last.filter(|unit| of_kind(unit) || symbol(unit)));
+    let Some(found) = found else {
         match (last, stated) {
             (unit, None) => remarks.push(format!(
                 "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {} states it)",
@@ -232,7 +238,9 @@ pub(super) fn signal(
         return Ok(taken);
     };
     let Some(stated) = stated else {
-        remarks.push(format!("{file}: {name} is in {found}, as the table says"));
+        remarks.push(format!(
+            "{file}: {name} is in {found}, as the table says ({option}-unit states another)"
+        ));
         return Ok(found.to_owned());
     };
     let error = |way: String| {

@@ -1,14 +1,13 @@
 //! `wcal stereo-shape SESSION`: shapes of the poses that a session pictured, written into it.
 
 use super::shaper::{Shaper, StereoShapeArgs, put_results, report_pairs};
-use crate::input::read_text;
 use crate::output::OutputFolder;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_acquisition::pose_pictures::{PosePair, pose_pairs};
 use wcal_acquisition::rig::Rig as BenchRig;
-use wcal_core::files::write_atomic;
+use wcal_core::files::{read_text, write_atomic};
 use wcal_core::shapes_document::{SHAPES_FORMAT, ShapesDocument};
 use wcal_session::set_entries;
 use wcal_vision::pairs::PairFiles;
@@ -97,12 +96,7 @@ pub(super) fn run(
 
 fn session_id(folder: &Path) -> Result<String> {
     let path = folder.join("session.toml");
-    let text = wcal_core::files::read_text(&path).with_context(|| {
-        format!(
-            "reading {}: expected a session folder, or two folders of pictures",
-            path.display()
-        )
-    })?;
+    let text = read_text(&path).context("expected a session folder, or two folders of pictures")?;
     let table = wcal_core::document::toml(&text).with_context(|| path.display().to_string())?;
     let id = table
         .get("id")

@@ -1,7 +1,6 @@
 //! What pairs are looked at with, and what is written and said of their shapes.
 
 use super::drawing::{drawing, residuals};
-use crate::input::{read, read_text};
 use crate::output::{OutputFolder, Overwrite};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
@@ -9,6 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use wcal_core::files::{read, read_text};
 use wcal_core::order_statistics::median;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};

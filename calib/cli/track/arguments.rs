@@ -127,6 +127,7 @@ pub(crate) const PREFIX_S: f64 = 3.0;
 pub(crate) const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.02,
     clock_sd_s: 0.01,
+    window_sd_s: 0.0,
 };
 
 /// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to

@@ -4,6 +4,7 @@ use super::arguments::{ACCURACY, TrackArgs};
 use super::object::{off_object, passed_object, said_of_object};
 use super::output;
 use super::recorded_motion::logged_motion;
+use crate::progress::Progress;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -289,7 +290,10 @@ pub(crate) fn track(
         .readings
         .into_iter()
         .map(|r| Ok::<_, TrackError>(Input::Reading(0, Box::new(r))));
+    let progress = Progress::new("track");
+    progress.stage("contacts");
     wcal_track::track::track(source, std::slice::from_mut(&mut track), &mut files)?;
+    drop(progress);
 
     let found = track.findings();
     let (mut whisker, mut log) = (found.document, of.log);

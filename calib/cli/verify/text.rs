@@ -4,7 +4,7 @@ use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::data_sheet::DataSheet;
-use wcal_core::text::{brief, chance, readable, with_unit};
+use wcal_core::text::{brief, chance, readable, with_interval, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
 use wcal_core::{ResidualRecord, TransducerModel};
 use wcal_report::ReportInput;
@@ -103,6 +103,12 @@ pub(super) fn scalar_csv(model: TransducerModel, records: &[ResidualRecord]) -> 
     csv
 }
 
+/// Parameters of an effect that are printed; a table of errors has as many as places.
+const FEW: usize = 6;
+
+/// Width of what stands before the errors.
+const WIDTH: usize = 56;
+
 /// The result as a person reads it.
 pub(crate) fn print_text(report: &ReportInput, out: &Path) {
     let v = &report.verify;
@@ -169,17 +175,12 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
         );
     }
     for e in &v.effects {
-        let parameters: Vec<String> = e
-            .parameters
-            .iter()
-            .map(|p| {
-                let [low, high] = p.interval95.map(readable);
-                with_unit(
-                    &format!("{} = {} [{low}, {high}]", p.name, readable(p.value)),
-                    &p.unit,
-                )
-            })
-            .collect();
+        let parameters = e.parameters.iter().map(|p| {
+            let [value, low, high] = with_interval(p.value, p.interval95);
+            with_unit(&format!("{} = {value} [{low}, {high}]", p.name), &p.unit)
+        });
+        let parameters: Vec<String> = parameters.collect();
+        let more = parameters.len().saturating_sub(FEW);
         // Single readings have no parameters: they are named.
         let flagged = v
             .flagged
@@ -187,10 +188,14 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
             .map(|f| format!("{} point {}", f.source, f.point));
         let said: Vec<String> = match parameters.is_empty() {
             true => flagged.collect(),
-            false => parameters,
+            false => parameters.into_iter().take(FEW).collect(),
+        };
+        let rest = match more {
+            0 => String::new(),
+            more => format!(", and {more} more in verify.json"),
         };
         println!(
-            "  {} ({}, class {}): {}",
+            "  {} ({}, class {}): {}{rest}",
             e.id,
             chance(e.p_value),
             e.class.join("/"),
@@ -198,9 +203,14 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
         );
     }
     if let (Some(b), Some(a)) = (&v.before, &v.after) {
+        let head = format!(
+            "  held-out error ({}, {} readings):",
+            v.split_name(&a.split),
+            a.points
+        );
         println!(
-            "  held-out error ({}, {} readings):        before      after   expected",
-            a.split, a.points
+            "{head:<WIDTH$} {:>10} {:>10} {:>10}",
+            "before", "after", "expected"
         );
         for (name, before) in &b.rmse {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
@@ -214,7 +224,8 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
                 name.clone()
             };
             println!(
-                "    {name:<32} {:>10} {:>10} {expected:>10}",
+                "{:<WIDTH$} {:>10} {:>10} {expected:>10}",
+                format!("    {name}"),
                 readable(*before),
                 readable(after)
             );
@@ -222,10 +233,8 @@ pub(crate) fn print_text(report: &ReportInput, out: &Path) {
         if let Some(trimmed) = &v.after_trimmed {
             let error = trimmed.rmse.values().next().copied().unwrap_or(f64::NAN);
             let dropped = a.points - trimmed.points;
-            println!(
-                "    without {dropped} sealed reading(s) far outside the noise        {:>10}",
-                readable(error)
-            );
+            let without = format!("    without {dropped} sealed reading(s) far outside the noise");
+            println!("{without:<WIDTH$} {:>10} {:>10}", "", readable(error));
         }
     }
     for line in v.data_sheet.iter().flat_map(DataSheet::lines) {

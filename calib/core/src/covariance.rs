@@ -35,13 +35,7 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
             k + 1
         ));
     }
-    // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance
-    // is taken as known.
-    let sd: Vec<f64> = (0..parameters).map(|i| covariance[i][i].sqrt()).collect();
-    let correlation = DMatrix::from_fn(parameters, parameters, |i, j| match sd[i] * sd[j] {
-        scale if scale > 0.0 => covariance[i][j] / scale,
-        scale => scale,
-    });
+    let (sd, correlation) = correlation(covariance);
     let numbers = correlation
         .iter()
         .chain(&sd)
@@ -57,6 +51,18 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
     } else {
         Err("a symmetric matrix without negative eigenvalues expected".to_owned())
     }
+}
+
+/// Standard deviations and correlations: pixels and radians differ by orders of magnitude. A
+/// parameter without variance is taken as known.
+pub fn correlation(covariance: &[Vec<f64>]) -> (Vec<f64>, DMatrix<f64>) {
+    let count = covariance.len();
+    let sd: Vec<f64> = (0..count).map(|i| covariance[i][i].sqrt()).collect();
+    let correlation = DMatrix::from_fn(count, count, |i, j| match sd[i] * sd[j] {
+        scale if scale > 0.0 => covariance[i][j] / scale,
+        scale => scale,
+    });
+    (sd, correlation)
 }
 
 /// The lower triangle L with L L^T = `covariance` (Cholesky): its columns are errors of one

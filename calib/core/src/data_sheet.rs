@@ -21,6 +21,17 @@ pub struct Characteristic {
 }
 
 impl Characteristic {
+    /// One without an interval.
+    pub fn new(name: &str, value: f64, unit: &str, meaning: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            value,
+            half95: None,
+            unit: unit.to_owned(),
+            meaning: meaning.to_owned(),
+        }
+    }
+
     /// Value, half width and unit.
     pub fn text(&self) -> String {
         let half = self.half95.map(|half| format!(" ± {}", number(half, 2)));

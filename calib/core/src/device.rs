@@ -92,10 +92,12 @@ impl DeviceError {
         match kind {
             // Nothing failed: somebody wanted it so.
             DeviceErrorKind::Interrupted => format!("{device}: interrupted by {found}"),
-            _ => format!(
-                "{device}: {action}: expected {expected}, found {found} [{}]",
-                kind.name()
-            ),
+            _ => {
+                let class = format!(" [{}]", kind.name());
+                // What was found may be a failure of the same class, with its own.
+                let found = found.strip_suffix(&class).unwrap_or(found);
+                format!("{device}: {action}: expected {expected}, found {found}{class}")
+            }
         }
     }
 
@@ -374,7 +376,20 @@ pub trait Camera {
         &mut self,
         exposure_ms: Option<f64>,
         gain_db: Option<f64>,
-    ) -> Result<(), DeviceError>;
+    ) -> Result<(), DeviceError> {
+        if exposure_ms.is_none() && gain_db.is_none() {
+            return Ok(());
+        }
+        let (kind, camera) = (DeviceErrorKind::Unsupported, self.identity()?.model);
+        let expected = "no exposure and gain: this camera has none";
+        Err(DeviceError::new(
+            kind,
+            camera,
+            "configure",
+            expected,
+            "a setting",
+        ))
+    }
     /// The next picture, waiting at most `timeout`.
     ///
     /// # Errors
@@ -400,6 +415,15 @@ mod tests {
             "stage: move to 3 mm: expected a homed axis, found WH [not-homed]"
         );
         assert!(!error.kind.may_retry() && DeviceErrorKind::Timeout.may_retry());
+        // A failure that was found in another one says its class once; another class stays.
+        let within = |kind| {
+            let outer = DeviceError::new(kind, "sweep", "run", "a stage", error.to_string());
+            outer.to_string()
+        };
+        let twice = within(DeviceErrorKind::NotHomed);
+        assert!(twice.ends_with("found WH [not-homed]"), "{twice}");
+        let both = within(DeviceErrorKind::Timeout);
+        assert!(both.ends_with("[not-homed] [timeout]"), "{both}");
     }
 
     #[test]

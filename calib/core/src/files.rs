@@ -33,14 +33,26 @@ impl FileError {
             source,
         }
     }
+
+    /// A file that was read and holds something else than it should.
+    pub fn invalid(
+        path: &Path,
+        found: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        Self::of("reading", path)(io::Error::new(io::ErrorKind::InvalidData, found))
+    }
 }
 
 /// Opens a regular file for reading. A pipe would wait for a writer, and a device may never end.
 ///
 /// # Errors
 /// Where the path is something else, with what it is, or the file system refuses.
-pub fn open(path: impl AsRef<Path>) -> io::Result<fs::File> {
+pub fn open(path: impl AsRef<Path>) -> Result<fs::File, FileError> {
     let path = path.as_ref();
+    open_regular(path).map_err(FileError::of("reading", path))
+}
+
+fn open_regular(path: &Path) -> io::Result<fs::File> {
     let kind = fs::metadata(path)?.file_type();
     if kind.is_file() {
         return fs::File::open(path);
@@ -60,7 +72,7 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<fs::File> {
 ///
 /// # Errors
 /// As [`open`], or where the file is larger.
-pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
+pub fn read(path: impl AsRef<Path>) -> Result<Vec<u8>, FileError> {
     read_within(path, MAX_BYTES)
 }
 
@@ -68,9 +80,10 @@ pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
 ///
 /// # Errors
 /// As [`open`], or where the file is larger or no UTF-8 text, with what it is instead.
-pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
+pub fn read_text(path: impl AsRef<Path>) -> Result<String, FileError> {
+    let path = path.as_ref();
     let bytes = read_within(path, MAX_DOCUMENT_BYTES)?;
-    let invalid = |found: text::NotUtf8| io::Error::new(io::ErrorKind::InvalidData, found);
+    let invalid = |found| FileError::invalid(path, found);
     Ok(text::utf8(&bytes).map_err(invalid)?.to_owned())
 }
 
@@ -78,21 +91,23 @@ pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
 ///
 /// # Errors
 /// As [`open`], or where the file is larger.
-pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
+pub fn read_within(path: impl AsRef<Path>, most: u64) -> Result<Vec<u8>, FileError> {
+    let path = path.as_ref();
+    let fail = FileError::of("reading", path);
     let file = open(path)?;
-    let size = file.metadata()?.len();
+    let size = file.metadata().map_err(&fail)?.len();
     let mut bytes = Vec::new();
     if size <= most {
         // A file that grows meanwhile ends where it would be too large.
         bytes.reserve_exact(usize::try_from(size).unwrap_or(0));
-        file.take(most + 1).read_to_end(&mut bytes)?;
+        file.take(most + 1).read_to_end(&mut bytes).map_err(&fail)?;
     }
     if size.max(bytes.len() as u64) > most {
         let found = format!(
             "expected a file of at most {most} bytes, found {}",
             size.max(most + 1)
         );
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, found));
+        return Err(fail(io::Error::new(io::ErrorKind::FileTooLarge, found)));
     }
     Ok(bytes)
 }
@@ -195,10 +210,12 @@ mod tests {
                 .to_string()
                 .contains("a folder")
         );
-        assert_eq!(
-            read(folder.path().join("b")).unwrap_err().kind(),
-            io::ErrorKind::NotFound
-        );
+        let missing = read(folder.path().join("b")).unwrap_err();
+        assert_eq!(missing.source.kind(), io::ErrorKind::NotFound);
+        // Every reader names its file once, and no other one.
+        let said = missing.to_string();
+        assert!(said.starts_with("reading ") && said.matches("/b: ").count() == 1);
+        assert!(!said.contains("a.txt"), "{said}");
         if cfg!(unix) {
             assert!(
                 read(Path::new("/dev/zero"))
@@ -212,7 +229,10 @@ mod tests {
             .unwrap()
             .set_len(MAX_BYTES + 1)
             .unwrap();
-        assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        assert_eq!(
+            read(&path).unwrap_err().source.kind(),
+            io::ErrorKind::FileTooLarge
+        );
         fs::write(&path, b"Temp (\xb0C)\n").unwrap();
         assert!(
             read_text(&path)

@@ -13,6 +13,7 @@ pub mod device;
 pub mod document;
 pub mod files;
 pub mod format;
+pub mod interpolation;
 pub mod jackknife;
 pub mod least_squares;
 pub mod lock;

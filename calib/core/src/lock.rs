@@ -159,7 +159,9 @@ fn open_plain(path: &Path) -> std::io::Result<File> {
         return Err(refuse());
     }
     match OpenOptions::new().read(true).write(true).open(path) {
-        Err(e) if e.kind() == ErrorKind::PermissionDenied => crate::files::open(path),
+        Err(e) if e.kind() == ErrorKind::PermissionDenied => {
+            crate::files::open(path).map_err(|e| e.source)
+        }
         other => other,
     }
 }

@@ -151,14 +151,18 @@ fn below(above: &str, key: &str) -> String {
     }
 }
 
+impl<T: Numbers> Numbers for Vec<T> {
+    fn each(&self, key: &str, name: &str, see: &mut See<'_>) -> Result<(), OutOfRange> {
+        let mut entries = self.iter().enumerate();
+        entries.try_for_each(|(k, v)| v.each(key, &format!("{name} #{}", k + 1), see))
+    }
+}
+
 impl Numbers for Value {
     fn each(&self, key: &str, name: &str, see: &mut See<'_>) -> Result<(), OutOfRange> {
         match self {
             Self::Number(n) => see(key, name, n.as_f64().unwrap_or(f64::NAN), !n.is_f64()),
-            Self::Array(entries) => {
-                let mut entries = entries.iter().enumerate();
-                entries.try_for_each(|(k, v)| v.each(key, &format!("{name} #{}", k + 1), see))
-            }
+            Self::Array(entries) => entries.each(key, name, see),
             Self::Object(map) => map
                 .iter()
                 .try_for_each(|(k, v)| v.each(&below(key, k), &below(name, k), see)),
@@ -173,10 +177,7 @@ impl Numbers for toml::Value {
             #[allow(clippy::cast_precision_loss, reason = "a range is no finer")]
             Self::Integer(n) => see(key, name, *n as f64, true),
             Self::Float(x) => see(key, name, *x, false),
-            Self::Array(entries) => {
-                let mut entries = entries.iter().enumerate();
-                entries.try_for_each(|(k, v)| v.each(key, &format!("{name} #{}", k + 1), see))
-            }
+            Self::Array(entries) => entries.each(key, name, see),
             Self::Table(table) => table.each(key, name, see),
             Self::String(_) | Self::Boolean(_) | Self::Datetime(_) => Ok(()),
         }

@@ -162,6 +162,33 @@ pub fn number(value: f64, digits: usize) -> String {
     }
 }
 
+/// A value and its interval's ends in one format, to the second digit of the half width.
+pub fn with_interval(value: f64, interval: [f64; 2]) -> [String; 3] {
+    let all = [value, interval[0], interval[1]];
+    let half = (interval[1] - interval[0]).abs() / 2.0;
+    let largest = all.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+    let power = match largest.log10().floor() {
+        power if (-3.0..6.0).contains(&power) => 0,
+        power => power as i32,
+    };
+    let decimals = 1.0 - half.log10().floor() + f64::from(power);
+    // Without a finite width there is nothing to round to; an interval that is far narrower than
+    // its value is not worth its digits.
+    if !(all.iter().all(|v| v.is_finite()) && decimals <= 9.0) {
+        return all.map(readable);
+    }
+    all.map(|v| {
+        let text = format!("{:.*}", decimals.max(0.0) as usize, v / 10f64.powi(power));
+        // Rounding may leave -0.00, whose sign would suggest a direction.
+        let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
+        match (is_zero, power) {
+            (true, _) => text.replace('-', ""),
+            (false, 0) => text,
+            (false, power) => format!("{text}e{power}"),
+        }
+    })
+}
+
 /// A p-value; the model of the noise says nothing of chances below a billionth.
 pub fn chance(p: f64) -> String {
     match p {
@@ -247,6 +274,28 @@ mod tests {
         );
         let whole = "x".repeat(299);
         assert_eq!(brief(&whole), whole, "negative control");
+    }
+
+    #[test]
+    fn a_value_and_its_interval_have_one_format() {
+        for (value, interval, texts) in [
+            (0.01, [9.92e-3, 0.0102], ["0.01000", "0.00992", "0.01020"]),
+            (
+                7.0319e-6,
+                [6.62e-6, 7.44e-6],
+                ["7.03e-6", "6.62e-6", "7.44e-6"],
+            ),
+            (-1e-4, [-2e-2, 2e-2], ["0.000", "-0.020", "0.020"]),
+            (0.0200, [0.0199, 0.0201], ["0.02000", "0.01990", "0.02010"]),
+            (2.5, [2.5, 2.5], ["2.5000", "2.5000", "2.5000"]),
+        ] {
+            assert_eq!(with_interval(value, interval), texts);
+        }
+        assert_ne!(
+            readable(9.925e-3).len(),
+            readable(0.0102).len(),
+            "negative control"
+        );
     }
 
     #[test]

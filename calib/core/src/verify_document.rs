@@ -128,6 +128,24 @@ pub struct VerifyDocument {
 }
 
 impl VerifyDocument {
+    /// What readings of this kind of session are grouped by.
+    pub fn group_name(&self) -> &'static str {
+        match self.kind.as_str() {
+            "whisker" => "trajectory",
+            _ => "cycle",
+        }
+    }
+
+    /// How the readings of an error were held out, in the words of the kind.
+    pub fn split_name(&self, split: &str) -> String {
+        match split {
+            "holdout" => "sealed holdout".to_owned(),
+            "loto" => format!("leave one {} out", self.group_name()),
+            "loo" => "leave one out".to_owned(),
+            other => other.to_owned(),
+        }
+    }
+
     /// The document of data that cannot be used; `inputs` are left to the caller.
     pub fn refused(
         session: impl Into<String>,

@@ -1,18 +1,11 @@
-use std::path::PathBuf;
+use wcal_core::files::FileError;
 
 /// What went wrong with an object or a sweep plan.
 #[derive(Debug, thiserror::Error)]
 pub enum MeshError {
-    /// A file could not be read or written.
-    #[error("{action} {}: {cause}", path.display())]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// Where.
-        path: PathBuf,
-        /// Why not; part of the message, so no separate source.
-        cause: std::io::Error,
-    },
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// A mesh that no sweep can use.
     #[error("object {object}: expected {expected}, found {found}")]
     Mesh {
@@ -44,18 +37,6 @@ impl From<wcal_core::ranges::OutOfRange> for MeshError {
             what: e.key,
             expected: e.expected,
             found: e.found,
-        }
-    }
-}
-
-impl MeshError {
-    /// For `map_err` on file operations.
-    pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_owned();
-        move |cause| Self::Io {
-            action,
-            path,
-            cause,
         }
     }
 }

@@ -16,6 +16,7 @@ use parry3d_f64::query::{PointProjection, PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use wcal_core::files::{FileError, read_within};
 use wcal_core::provenance::sha256_hex;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
@@ -181,19 +182,13 @@ impl Mesh {
             .unwrap_or_default()
             .to_string_lossy()
             .into_owned();
-        let bytes = wcal_core::files::read_within(path, MAX_BYTES)
-            .map_err(MeshError::io("reading", path))?;
-        let wrong = |found| MeshError::Io {
-            action: "reading",
-            path: path.to_owned(),
-            cause: std::io::Error::new(std::io::ErrorKind::InvalidData, found),
-        };
+        let bytes = read_within(path, MAX_BYTES)?;
         let Stl {
             points,
             triangles,
             notes,
             ..
-        } = mesh_file::parse(&bytes).map_err(wrong)?;
+        } = mesh_file::parse(&bytes).map_err(|found| FileError::invalid(path, found))?;
         let mut points: Vec<Vector3<f64>> = points
             .iter()
             .map(|v| Vector3::from(v.map(f64::from)))

@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use wcal_core::files::FileError;
 use wcal_core::text::brief;
 
 /// Errors from a model to tracks.
@@ -7,6 +8,9 @@ pub enum NetworkError {
     /// A wire that cannot be bent.
     #[error("whisker: {0}")]
     Rod(#[from] wcal_rod::RodError),
+    /// A file cannot be read.
+    #[error(transparent)]
+    Unread(#[from] FileError),
     /// A file could not be read or written.
     #[error("{action} {}: {detail}", path.display())]
     File {

@@ -11,7 +11,6 @@
 //! constraint           g = n . (p_k - p_j + z u dt) + d(mu) slip_x  =  0  on one rigid body at rest
 //! likelihood           p(m_t | ...) = N(g; 0, var_g)  Laplace(turn)  |dg/dm|  |dturn/dm|
 //! transition           p(k | j) = sum_i a_i N(s_k - s_j; v_i u dt, var_i)  +  jumps
-//! estimate             p = sum_k w_k p_k,   C = sum_k w_k (p_k - p)(p_k - p)^T + var_c I
 //! evidence             log p(m_t | m_1 .. m_{t-1}) = log sum w_t   (before normalisation)
 //! ```
 //!
@@ -34,20 +33,8 @@ mod transition;
 
 use crate::inverse::{InverseSolution, StaticInverse};
 use grid_cell::GridCell;
-use nalgebra::{Matrix3, Vector3};
 pub use settings::{BayesSettings, FILTER_RANGES, FilterBank};
 use transition::{KnownStep, TransitionModel};
-
-/// Posterior of the contact.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Belief {
-    /// Posterior mean, base frame, mm.
-    pub point_mm: Vector3<f64>,
-    /// Posterior covariance, mm^2.
-    pub covariance_mm2: Matrix3<f64>,
-    /// Posterior mean of the arc length, mm.
-    pub arclength_mm: f64,
-}
 
 /// The filter of one whisker.
 #[derive(Debug, Clone)]
@@ -149,17 +136,6 @@ impl<'a> BayesFilter<'a> {
         self.log_evidence
     }
 
-    /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where
-    /// it is known.
-    pub fn step(
-        &mut self,
-        dt_s: f64,
-        moment_nmm: [f64; 2],
-        base_mm_s: Option<f64>,
-    ) -> Option<Belief> {
-        self.step_on(dt_s, moment_nmm, base_mm_s, None)
-    }
-
     /// Travel of the base at its known speed, or at each of the grid, which stands for an interval:
     /// the standard deviation of a uniform distribution is its width / sqrt(12).
     fn sweep_steps(&self, dt_s: f64, base_mm_s: Option<f64>) -> Vec<KnownStep> {
@@ -172,25 +148,16 @@ impl<'a> BayesFilter<'a> {
         speeds.iter().map(step).collect()
     }
 
-    /// The same with the inverse solutions of a filter of the same onset that has taken the sample
-    /// already.
-    pub fn step_sharing_solutions(
-        &mut self,
-        dt_s: f64,
-        moment_nmm: [f64; 2],
-        base_mm_s: Option<f64>,
-        other: &Self,
-    ) -> Option<Belief> {
-        self.step_on(dt_s, moment_nmm, base_mm_s, Some(other))
-    }
-
-    fn step_on(
+    /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where
+    /// it is known. `shared`: a filter of the same onset that has taken the sample already, whose
+    /// inverse solutions serve this one, too.
+    pub fn step(
         &mut self,
         dt_s: f64,
         moment_nmm: [f64; 2],
         base_mm_s: Option<f64>,
         shared: Option<&Self>,
-    ) -> Option<Belief> {
+    ) {
         std::mem::swap(&mut self.before, &mut self.now);
         let steps = &self.sweep_steps(dt_s, base_mm_s)[..];
         let size = moment_nmm[0].hypot(moment_nmm[1]);
@@ -204,7 +171,7 @@ impl<'a> BayesFilter<'a> {
         self.log_evidence = 0.0;
         if is_free {
             self.weights.clear();
-            return None;
+            return;
         }
         let frictions = self.settings.frictions().len();
         let predicted = self.weights.len() == frictions * steps.len() && self.predict(dt_s, steps);
@@ -225,7 +192,6 @@ impl<'a> BayesFilter<'a> {
             self.weights = std::iter::repeat_n(rows, frictions).flatten().collect();
             self.normalise();
         }
-        self.belief()
     }
 
     fn speeds(&self) -> Vec<f64> {
@@ -271,31 +237,6 @@ impl<'a> BayesFilter<'a> {
                 .for_each(|c| c.weight /= total);
         }
         total > 0.0
-    }
-
-    /// Mean and covariance of the posterior.
-    fn belief(&self) -> Option<Belief> {
-        let posterior = self.posterior();
-        let total: f64 = posterior.iter().sum();
-        if !(total > 0.0) {
-            return None;
-        }
-        let (mut point, mut arclength) = (Vector3::zeros(), 0.0);
-        for ((w, c), s) in posterior.iter().zip(&self.now).zip(&self.inverse.nodes) {
-            point += c.point_mm * (w / total);
-            arclength += s.arclength_mm * w / total;
-        }
-        // C = sum w (p_k - p)(p_k - p)^T + var_c I.
-        let mut covariance = Matrix3::identity() * self.settings.constraint_sd_mm.powi(2);
-        for (w, c) in posterior.iter().zip(&self.now) {
-            let off = c.point_mm - point;
-            covariance += off * off.transpose() * (w / total);
-        }
-        Some(Belief {
-            point_mm: point,
-            covariance_mm2: covariance,
-            arclength_mm: arclength,
-        })
     }
 }
 

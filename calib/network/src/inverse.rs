@@ -22,6 +22,7 @@ pub use grid::{GRID_RANGES, InverseGrid};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+use wcal_core::interpolation::cubic;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{DiscreteRod, Rod};
 
@@ -251,16 +252,6 @@ impl StaticInverse {
 struct Stencil {
     cells: [(usize, f64); 16],
     inner: [(usize, f64); 4],
-}
-
-/// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
-pub fn cubic(u: f64) -> [f64; 4] {
-    [
-        -u * (u - 1.0) * (u - 2.0) / 6.0,
-        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-        -(u + 1.0) * u * (u - 2.0) / 2.0,
-        (u + 1.0) * u * (u - 1.0) / 6.0,
-    ]
 }
 
 /// Step of the moments for derivatives, N mm.

@@ -97,7 +97,7 @@ pub fn read_card(folder: &Path) -> Result<Card, NetworkError> {
 /// Card and weights.
 fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), NetworkError> {
     let path = folder.join(CARD);
-    let text = wcal_core::files::read_text(&path).map_err(NetworkError::file("reading", &path))?;
+    let text = wcal_core::files::read_text(&path)?;
     let ranges = [
         CARD_RANGES,
         NETWORK_RANGES,
@@ -115,8 +115,7 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), NetworkError> {
     let checked = card.whisker.check();
     checked.map_err(NetworkError::file("reading", &path))?;
     let weights = folder.join(WEIGHTS);
-    let bytes =
-        wcal_core::files::read(&weights).map_err(NetworkError::file("reading", &weights))?;
+    let bytes = wcal_core::files::read(&weights)?;
     let found = sha256_hex(&bytes);
     if found != card.weights_sha256 {
         let what = format!("{}: SHA-256", weights.display());

@@ -8,6 +8,10 @@ use wcal_core::{Provenance, ResidualRecord};
 /// Everything that the page of one session shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReportInput {
+    /// Heading of the page; at first the session's identifier.
+    pub title: String,
+    /// What the session shows, for an overview.
+    pub about: String,
     /// How the data was simulated, where that is known. Whether they are is for `verify.simulated`
     /// to say: the page carries a SIMULATED badge there.
     pub simulated_by: Option<String>,
@@ -37,6 +41,8 @@ impl ReportInput {
     /// A report of `verify` alone; fill the other fields as far as they are known.
     pub fn new(verify: VerifyDocument, provenance: Provenance) -> Self {
         Self {
+            title: verify.session.clone(),
+            about: String::new(),
             simulated_by: None,
             accepted_on_request: false,
             facts: Vec::new(),

@@ -7,6 +7,7 @@
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.
+//! - [`render_history`]: the page of one unit's calibrations over time, from a [`HistoryInput`].
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
 //!
 //! ```
@@ -16,6 +17,7 @@
 //! assert!(page.starts_with("<!DOCTYPE html>"));
 //! ```
 
+mod history;
 mod input;
 mod markup;
 mod number;
@@ -24,6 +26,7 @@ mod plot;
 mod sections;
 mod shapes;
 
+pub use history::{HistoryChart, HistoryInput, render_history};
 pub use input::{EvidenceRow, Fact, GateTest, ReportInput, TwinMark, TwinTrajectory, model_after};
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index};

@@ -31,9 +31,12 @@ pub(crate) fn with_sign(p: &str) -> String {
     }
 }
 
-/// `<p>` of escaped text.
+/// `<p>` of escaped text; empty where there is none.
 pub(crate) fn paragraph(text: &str) -> String {
-    format!("<p>{}</p>", escape(text))
+    match text {
+        "" => String::new(),
+        text => format!("<p>{}</p>", escape(text)),
+    }
 }
 
 /// `<ul>` of escaped texts; empty where there are none.
@@ -64,7 +67,7 @@ pub(crate) enum TableCell {
 }
 
 impl TableCell {
-    fn html(&self) -> String {
+    pub(crate) fn html(&self) -> String {
         match self {
             Self::Text(text) => escape(text),
             Self::WithNotes(text, notes) => {
@@ -95,7 +98,6 @@ impl From<String> for TableCell {
 pub(crate) struct Table {
     caption: String,
     columns: Vec<(String, bool)>,
-    stacked: bool,
     rows: Vec<(&'static str, Vec<TableCell>)>,
 }
 
@@ -110,16 +112,7 @@ impl Table {
         Self {
             caption: caption.into(),
             columns,
-            stacked: false,
             rows: Vec::new(),
-        }
-    }
-
-    /// A table whose rows become cards where the page is narrow.
-    pub(crate) fn stacked(caption: &str, columns: &[&str]) -> Self {
-        Self {
-            stacked: true,
-            ..Self::new(caption, columns)
         }
     }
 
@@ -139,14 +132,9 @@ impl Table {
             return String::new();
         }
         let caption = escape(&self.caption);
-        let class = if self.stacked {
-            " class=\"stacked\""
-        } else {
-            ""
-        };
         // A box that scrolls must be reachable by keyboard, hence tabindex and a name.
         let mut out = format!(
-            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table{class}><caption>{caption}</caption><thead><tr>"
+            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table><caption>{caption}</caption><thead><tr>"
         );
         for (name, is_number) in &self.columns {
             let class = if *is_number { " class=\"num\"" } else { "" };
@@ -157,16 +145,11 @@ impl Table {
             let _ = write!(out, "<tr{}>", attribute("class", class));
             for (k, cell) in cells.iter().enumerate() {
                 let html = cell.html();
-                let (name, is_number) = self
-                    .columns
-                    .get(k)
-                    .map_or(("", false), |c| (c.0.as_str(), c.1));
+                let is_number = self.columns.get(k).is_some_and(|c| c.1);
                 let class = attribute("class", if is_number { "num" } else { "" });
-                // A card has no head: each cell says what it is.
-                let label = attribute("data-label", &escape(if self.stacked { name } else { "" }));
                 let _ = match k {
                     0 => write!(out, "<th scope=\"row\"{class}>{html}</th>"),
-                    _ => write!(out, "<td{class}{label}>{html}</td>"),
+                    _ => write!(out, "<td{class}>{html}</td>"),
                 };
             }
             out.push_str("</tr>");

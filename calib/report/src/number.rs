@@ -1,5 +1,7 @@
 //! Numbers and units as a reader expects them: a few significant digits, true minus sign, no NaN.
 
+use wcal_core::text;
+
 /// What stands for a value that is not finite.
 pub(crate) const NOT_AVAILABLE: &str = "n/a";
 
@@ -33,44 +35,23 @@ pub(crate) fn significant(value: f64, digits: usize) -> String {
 /// A value with its interval, both rounded to two significant digits of the half width.
 pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
     let half = (interval[1] - interval[0]).abs() / 2.0;
-    let largest = value.abs().max(interval[0].abs()).max(interval[1].abs());
-    let plain = || {
-        (
-            number(value),
-            bracket(&number(interval[0]), &number(interval[1])),
-        )
+    let all = [value, interval[0], interval[1]];
+    let [value, low, high] = match half > 0.0 && half.is_finite() && value.is_finite() {
+        true => text::with_interval(value, interval).map(|t| typeset(&t)),
+        // Without a finite width there is nothing to round to.
+        false => all.map(number),
     };
-    // Without a finite width there is nothing to round to.
-    if !(half > 0.0 && half.is_finite() && largest.is_finite() && value.is_finite()) {
-        return plain();
-    }
-    let power = match largest.log10().floor() as i32 {
-        -3..6 => 0,
-        power => power,
-    };
-    let decimals = 1 - half.log10().floor() as i32 + power;
-    if decimals > 9 {
-        return plain();
-    }
-    let fixed = |v: f64| {
-        let text = format!("{:.*}", decimals.max(0) as usize, v / 10f64.powi(power));
-        // Rounding may leave -0.00, whose sign would suggest a direction.
-        let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
-        let text = text.replace('-', if is_zero { "" } else { "\u{2212}" });
-        if power == 0 || is_zero {
-            text
-        } else {
-            format!("{text}×10{}", superscript(power))
-        }
-    };
-    (
-        fixed(value),
-        bracket(&fixed(interval[0]), &fixed(interval[1])),
-    )
+    (value, format!("[{low}, {high}]"))
 }
 
-fn bracket(low: &str, high: &str) -> String {
-    format!("[{low}, {high}]")
+/// True minus sign, and a power of ten in place of an exponent.
+fn typeset(text: &str) -> String {
+    let (mantissa, exponent) = match text.split_once('e') {
+        Some((mantissa, exponent)) => (mantissa, exponent.parse().ok()),
+        None => (text, None),
+    };
+    let power = exponent.map_or(String::new(), |e| format!("×10{}", superscript(e)));
+    mantissa.replace('-', "\u{2212}") + &power
 }
 
 /// A p-value: two significant digits, `< 0.0001` below that.

@@ -1,10 +1,10 @@
 //! Whole pages: head, verdict, contents, sections, overview.
 
 use crate::input::{Fact, ReportInput};
-use crate::markup::{Table, TableCell, escape, paragraph};
+use crate::markup::{TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
-use wcal_core::verify_document::TrackError;
+use wcal_core::verify_document::Verdict;
 
 /// Badge of simulated data.
 const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
@@ -14,11 +14,7 @@ const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 pub fn render(input: &ReportInput) -> String {
-    document(
-        &input.verify.session,
-        input.verify.simulated,
-        &session(input),
-    )
+    document(&input.title, input.verify.simulated, &session(input))
 }
 
 /// An overview page that links to session reports in the same folder: each with its address
@@ -57,7 +53,7 @@ fn session(input: &ReportInput) -> String {
         .map_or(String::new(), |how| format!(": {how}"));
     let head = headline(
         &over,
-        &verify.session,
+        &input.title,
         verify.simulated.then_some(how.as_str()),
         &input.facts,
     );
@@ -105,44 +101,14 @@ fn headline(over: &str, title: &str, how: Option<&str>, stated: &[Fact]) -> Stri
 fn banner(input: &ReportInput) -> String {
     let (class, short, meaning) = verdict::of(&input.verify);
     let mut out = format!(
-        "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
+        "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}{}",
+        before_after::first_claim(input),
         paragraph(&input.verify.reason)
     );
-    if let Some([name, before, after, expected]) = before_after::summary(input) {
-        let cell = |head: &str, value: &str| {
-            format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value))
-        };
-        let _ = write!(
-            out,
-            "<dl><div class=\"wide\"><dt>held-out error</dt><dd>{}</dd></div>{}{}{}</dl>",
-            escape(&name),
-            cell("before", &before),
-            cell("after", &after),
-            cell("expected", &expected)
-        );
-    }
+    out += &before_after::summary(input);
     // A reader may see nothing but the verdict, so its cautions stand beside it.
     for caution in &input.verify.cautions {
         let _ = write!(out, "<p>Caution: {}</p>", escape(caution));
-    }
-    if let Some(c) = &input.verify.contact {
-        let cell = |head: &str, mm: &str| format!("<div><dt>{head}</dt><dd>{mm}</dd></div>");
-        let interval = |e: &TrackError| {
-            e.interval95.map_or(String::new(), |[low, high]| {
-                format!(" [{low:.2}, {high:.2}]")
-            })
-        };
-        let error = |e: &TrackError| format!("{:.2} mm{}", e.rms_mm, interval(e));
-        let _ = write!(
-            out,
-            "<dl><div class=\"wide\"><dt>contact{}</dt><dd>{} readings of {} trajectories, each left out in turn</dd></div>{}{}{}</dl>",
-            if c.is_same() { ": no difference" } else { "" },
-            c.readings,
-            c.trajectories.len(),
-            cell("before", &error(&c.before)),
-            cell("after", &error(&c.after)),
-            cell("expected", &format!("{:.2} mm", c.bound_mm))
-        );
     }
     out + "</div>\n"
 }
@@ -185,15 +151,10 @@ fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)
         "<header><p class=\"over\">Overview</p><h1>{}</h1>\n",
         escape(title)
     );
-    // What it is all for, in the unit that a user feels.
-    let first = reports.iter().find_map(|(_, r)| r.verify.contact.as_ref());
-    if let Some(c) = first {
-        let [before, after] = [&c.before, &c.after].map(|e| e.rms_mm);
-        let _ = writeln!(
-            out,
-            "<p class=\"claim\">{before:.2} mm → {after:.2} mm <span>error of a contact</span></p>"
-        );
-    }
+    // What it is all for, before any word.
+    out += &reports
+        .first()
+        .map_or(String::new(), |(_, r)| before_after::first_claim(r));
     for text in introduction {
         out += &paragraph(text);
     }
@@ -201,47 +162,34 @@ fn overview(title: &str, introduction: &[&str], reports: &[(String, ReportInput)
         out += "<p class=\"simulated\">Sessions marked SIMULATED are no measurements.</p>\n";
     }
     out += "</header>\n";
-    out += "<section id=\"overview\" aria-label=\"Overview\">";
-    out += &before_after::overview_figure(reports);
-    let mut table = Table::stacked(
-        "Sessions with their verdict and held-out error",
-        &[
-            "session",
-            "data",
-            "verdict",
-            "found",
-            "quantity",
-            "#before",
-            "#after",
-            "#expected",
-            "#contact (mm)",
-        ],
-    );
+    out += "<div class=\"cards\">";
     for (href, input) in reports {
-        let verify = &input.verify;
-        let (class, short, _) = verdict::of(verify);
-        let [name, before, after, expected] =
-            before_after::summary(input).unwrap_or_else(|| ["–"; 4].map(str::to_owned));
-        let contact = verify.contact.as_ref().map_or_else(
-            || "–".to_owned(),
-            |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm),
-        );
-        // One overview may mix simulated and measured sessions, so each row states its origin.
-        let data = match verify.simulated {
-            true => TableCell::Badge("sim", "SIMULATED".into()),
-            false => TableCell::Text("measured".into()),
-        };
-        table.row([
-            TableCell::Link(href.clone(), verify.session.clone()),
-            data,
-            TableCell::Badge(class, short.into()),
-            TableCell::Text(verify.reason.clone()),
-            TableCell::Text(name),
-            TableCell::Text(before),
-            TableCell::Text(after),
-            TableCell::Text(expected),
-            TableCell::Text(contact),
-        ]);
+        out += &card(href, input);
     }
-    out + &table.html() + "</section>\n"
+    out + "</div>\n"
+}
+
+/// One session of an overview.
+fn card(href: &str, input: &ReportInput) -> String {
+    let verify = &input.verify;
+    let (class, short, meaning) = verdict::of(verify);
+    // One overview may mix simulated and measured sessions, so each states its origin.
+    let data = if verify.simulated {
+        SIMULATED
+    } else {
+        "measured"
+    };
+    let link = TableCell::Link(href.to_owned(), input.title.clone()).html();
+    let verdict = TableCell::Badge(class, short.into()).html();
+    let names: Vec<&str> = verify.effects.iter().map(|e| e.id.as_str()).collect();
+    let found = match verify.verdict {
+        Verdict::Effect if !names.is_empty() => format!("Found: {}.", names.join(", ")),
+        _ => format!("Answer: {meaning}."),
+    };
+    format!(
+        "<section><h2>{link}</h2><p>{verdict} {data}</p>{}{}{}</section>\n",
+        paragraph(&input.about),
+        paragraph(&found),
+        before_after::summary(input)
+    )
 }

@@ -104,6 +104,12 @@ fn every_section_is_there_and_the_contents_lead_to_it() {
         page.matches("<table>").count(),
         page.matches("<caption>").count()
     );
+    // Where a table is wider than the page its box scrolls and shows it.
+    assert_eq!(
+        page.matches("<table>").count(),
+        page.matches("<div class=\"scroll\"").count()
+    );
+    assert!(page.contains("background-attachment: local, local, scroll, scroll"));
     assert_eq!(
         page.matches("<svg ").count(),
         page.matches("<desc>").count()
@@ -115,14 +121,24 @@ fn every_section_is_there_and_the_contents_lead_to_it() {
 }
 
 #[test]
-fn pages_of_empty_sessions_say_what_is_missing() {
+fn pages_of_empty_sessions_leave_empty_sections_out() {
     for kind in ["whisker", "transducer", "axis", ""] {
         let page = render(&bare(kind));
         let text = text_of(&page).unwrap();
-        assert!(text.contains("No residual records"), "{kind}");
-        assert!(text.contains("No held-out error was computed"), "{kind}");
-        // Nothing to check: not spoken of.
-        assert!(!page.contains("id=\"twin\""), "{kind}");
+        for id in [
+            "before-after",
+            "twin",
+            "residuals",
+            "evidence",
+            "detectable",
+            "readings",
+        ] {
+            assert!(!page.contains(&format!("id=\"{id}\"")), "{kind}: {id}");
+        }
+        assert!(
+            text.contains("Noise floor and remarks"),
+            "{kind}: negative control"
+        );
     }
 }
 
@@ -297,6 +313,90 @@ fn hostile_text_stays_text() {
                 .contains("<script>alert(1)</script>")
         );
     }
+}
+
+/// What a reader wants to know first: the contact, in large type, then its row above the
+/// wavelengths'; without a contact the response.
+#[test]
+fn the_page_begins_with_what_changed() {
+    let page = render(&data::whisker());
+    let contact = data::whisker().verify.contact.unwrap();
+    let claim = format!(
+        "<p class=\"claim\">{:.2} → {:.2}\u{a0}mm <span>error of a contact",
+        contact.before.rms_mm, contact.after.rms_mm
+    );
+    let place = |page: &str, text: &str| page.find(text).unwrap_or_else(|| panic!("{text}"));
+    let rows = [
+        "<th scope=\"row\">contact (mm)",
+        "<th scope=\"row\">wavelength (pm)",
+    ];
+    let order = [claim.as_str(), rows[0], rows[1], "<section"].map(|text| place(&page, text));
+    assert!(order.is_sorted(), "{order:?}");
+    let index = render_index("Index", &[], &[("a.html".into(), data::whisker())]);
+    assert!(index.contains(&claim));
+    let cell = render(&data::transducer());
+    assert!(cell.contains("<span>error of response</span>"));
+    assert!(
+        !render(&bare("axis")).contains("class=\"claim\""),
+        "negative control"
+    );
+}
+
+/// A load cell or an axis has cycles, no trajectories, sweeps or objects.
+#[test]
+fn words_are_those_of_the_kind() {
+    const WHISKER: [&str; 5] = ["trajector", "sweep", "object", "loto", "wire"];
+    let spoken = |page: &str| {
+        let [from, to] = ["<style>", "</style>"].map(|tag| page.find(tag).unwrap());
+        let text = text_of(&[&page[..from], "<style>", &page[to..]].concat()).unwrap();
+        WHISKER.map(|word| text.contains(word))
+    };
+    for mut input in [data::transducer(), data::axis()] {
+        let split = HeldOutError {
+            split: "loto".into(),
+            ..HeldOutError::default()
+        };
+        input.verify.before.get_or_insert(split.clone());
+        input.verify.after = Some(HeldOutError {
+            rmse: input.verify.before.clone().unwrap().rmse,
+            ..split
+        });
+        input.verify.tests = vec![WitnessTest {
+            witness: "replicates".into(),
+            ..WitnessTest::default()
+        }];
+        input
+            .residuals
+            .iter_mut()
+            .enumerate()
+            .for_each(|(k, r)| r.group = 1 + k as u32 % 3);
+        let page = render(&input);
+        assert_eq!(spoken(&page), [false; 5], "{}", input.verify.kind);
+        assert!(page.contains("leave one cycle out") && page.contains("against cycle"));
+    }
+    let whisker = spoken(&render(&data::whisker()));
+    assert!(whisker[0] && whisker[1], "negative control: {whisker:?}");
+}
+
+/// The charts that the residuals follow most come first, the others are folded.
+#[test]
+fn the_strongest_residual_charts_are_open() {
+    let mut input = data::transducer();
+    for (k, r) in input.residuals.iter_mut().enumerate() {
+        for name in ["a", "b", "c"] {
+            r.covariates
+                .push((name.into(), f64::from((k as u32 * 7919 + 13) % 101)));
+        }
+    }
+    let page = render(&input);
+    let [open, folded] = ["stimulus", "Against "].map(|text| page.find(text).unwrap());
+    let first = page.find("Residuals against ").unwrap();
+    assert!(
+        page[first..].starts_with("Residuals against stimulus"),
+        "{}",
+        &page[first..first + 60]
+    );
+    assert!(open < folded && page[..folded].matches("Residuals against ").count() == 3);
 }
 
 #[test]

@@ -14,7 +14,7 @@ use wcal_core::files::write_atomic;
 /// be.
 pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), SessionError> {
     let path = folder.join("session.toml");
-    let text = wcal_core::files::read_text(&path).map_err(|e| SessionError::io(&path, e))?;
+    let text = wcal_core::files::read_text(&path).map_err(SessionError::reading)?;
     let wrong = |e: TomlError| InputError::new("session.toml", "TOML", e.message().to_owned());
     let mut content: DocumentMut = text.parse().map_err(wrong)?;
     for (name, key, entry) in entries {

@@ -1,7 +1,6 @@
 //! One error type: what was being done, where, what was expected, what was found.
 
 use std::fmt;
-use std::path::Path;
 use wcal_core::files::FileError;
 use wcal_core::ranges::OutOfRange;
 use wcal_core::text::{NotUtf8, brief};
@@ -139,12 +138,12 @@ pub enum SessionError {
 
 impl SessionError {
     /// Wraps an I/O error; a missing file becomes an error that says which file was expected.
-    pub(crate) fn io(path: &Path, source: std::io::Error) -> Self {
-        if source.kind() == std::io::ErrorKind::NotFound {
-            let place = path.display().to_string();
+    pub(crate) fn reading(error: FileError) -> Self {
+        if error.source.kind() == std::io::ErrorKind::NotFound {
+            let place = error.path.display().to_string();
             return InputError::new(&place, "a readable file", "no such file").into();
         }
-        FileError::of("reading", path)(source).into()
+        error.into()
     }
 }
 

@@ -181,6 +181,11 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
             any(|r| r.direction == Some(-1.0)),
             "stage-backlash, hysteresis",
         ),
+        (
+            "dwell_s or speed_mm_s",
+            any(|r| r.dwell_s.is_some() || r.speed_mm_s.is_some()),
+            "which rows were read in motion, whose noise counts as that of settled ones,",
+        ),
         ("a moving row (speed_mm_s above 0)", moving, "time-lag"),
         ("t_s", any(|r| r.t_s.is_some()), "zero-drift, creep"),
         (

@@ -91,8 +91,8 @@ fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
         detail,
     };
     let text = match read_text(path) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        other => other.map_err(|e| wrong(e.to_string()))?,
+        Err(e) if e.source.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        other => other.map_err(|e| wrong(e.source.to_string()))?,
     };
     let file: LedgerFile =
         document::from_json(&text, FORMAT, &[]).map_err(|e| wrong(e.to_string()))?;

@@ -144,7 +144,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         .into());
     }
     let path = folder.join(NAME);
-    let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io(&path, e))?;
+    let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(SessionError::reading)?;
     let meta = parse(NAME, &bytes)?;
     // Before any other key: those of another version may mean something else.
     format::expect(

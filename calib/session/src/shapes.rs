@@ -96,8 +96,7 @@ pub(crate) fn read(
     rows: &mut [WhiskerRow],
     purpose: Purpose,
 ) -> Result<(SessionShapes, InputFile), SessionError> {
-    let io = |e| SessionError::io(path, e);
-    let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(io)?;
+    let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(SessionError::reading)?;
     let document = parsed(name, &bytes)?;
     // JSON has no NaN: a null becomes one, which the check of the covariance refuses.
     let covariance: Vec<Vec<f64>> = document

@@ -85,7 +85,7 @@ pub struct TextTable {
 /// A file that cannot be read, or is neither text nor a whole spreadsheet.
 pub fn read_table_text(path: &Path, layout: &TextTableLayout) -> Result<TableText, SessionError> {
     let file = path.display().to_string();
-    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io(path, e))?;
+    let bytes = wcal_core::files::read(path).map_err(SessionError::reading)?;
     let sha256 = sha256_hex(&bytes);
     if is_spreadsheet(&bytes) {
         let choice = SheetChoice {
@@ -159,11 +159,11 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
 /// As [`read_text_table`], and where it is in another form than a session's tables have, or names a
 /// column twice.
 pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionError> {
-    let bytes = wcal_core::files::read(path).map_err(|e| match e.kind() {
+    let bytes = wcal_core::files::read(path).map_err(|e| match e.source.kind() {
         std::io::ErrorKind::NotFound => {
             InputError::new(name, "a file in the session's folder", "no such file").into()
         }
-        _ => SessionError::io(path, e),
+        _ => SessionError::reading(e),
     })?;
     let way_out = |error: InputError| error.hint("wcal import reads it as it is");
     let text = utf8(&bytes).map_err(|other| {
@@ -476,13 +476,7 @@ impl TextTable {
         };
         let error = InputError::new(&self.file, expected, found).field(names.join(", "));
         let name = names.first().copied().unwrap_or_default();
-        let alike =
-            |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
-        let nearest = self
-            .columns
-            .iter()
-            .max_by(|a, b| alike(a).total_cmp(&alike(b)));
-        match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {
+        match (&self.hint, self.alike(name, ALIKE, |_| true)) {
             (Some(hint), _) => error.hint(hint),
             (None, Some(column)) => error.hint(format!("did you mean {column}?")),
             (None, None) if self.columns.iter().all(|c| content(c) == Content::Value) => {
@@ -490,6 +484,18 @@ impl TextTable {
             }
             (None, None) => error,
         }
+    }
+
+    /// The column that is `free` whose name is most like another one, at `least` by so much of it.
+    pub fn alike(&self, name: &str, least: f64, free: impl Fn(&str) -> bool) -> Option<&String> {
+        let alike =
+            |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
+        let nearest = self
+            .columns
+            .iter()
+            .filter(|column| free(column))
+            .max_by(|a, b| alike(a).total_cmp(&alike(b)));
+        nearest.filter(|c| alike(c) >= least)
     }
 
     /// Indices of the columns of one name.

@@ -104,8 +104,8 @@ pub(crate) fn read_rows(
         .iter()
         .copied()
         .filter(|column| !foreign.contains(column));
-    // A free table may use the word for something else.
-    let known: Vec<&str> = known.chain(in_session.then_some("stream")).collect();
+    // Sweeps write it; a free table may use the word for something else.
+    let known: Vec<&str> = known.chain(["stream"]).collect();
     let mut warnings = unknown_columns(name, table.others(&required, &known)?);
     // Shifts count from nominal wavelengths: without them absolute ones have no zero.
     if !shifts && fbg.nominal_nm.is_none() {

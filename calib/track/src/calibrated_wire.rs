@@ -149,10 +149,10 @@ impl CalibratedWire {
 
     /// What is assumed of a contact at a fixed point.
     pub fn settings(&self, accuracy: &MotionAccuracy) -> Settings {
-        let (clock_sd_s, stiffness_sd) = (accuracy.clock_sd_s, self.stiffness_sd());
         Settings {
-            clock_sd_s,
-            stiffness_sd,
+            clock_sd_s: accuracy.clock_sd_s,
+            window_sd_s: accuracy.window_sd_s,
+            stiffness_sd: self.stiffness_sd(),
             ..Settings::default()
         }
     }

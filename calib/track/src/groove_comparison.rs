@@ -17,6 +17,7 @@ use crate::arc_posterior::REGION;
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::jackknife::interval95;
+use wcal_core::text::chance;
 use wcal_core::verify_document::{
     CalibrationContact, ContactComparison, ContactUncertainty, GrooveTracking, TrackError,
     TrajectoryContact,
@@ -165,8 +166,21 @@ pub(crate) fn groove_sentence(t: &GrooveTracking) -> String {
     } else {
         "readings"
     };
+    let counts = [t.trajectories, t.trajectories_held];
+    let missed = match t.trajectories - t.trajectories_held {
+        0 => String::new(),
+        missed => format!(
+            "; {missed} outside: {} ({})",
+            if too_few(counts) {
+                "more than chance explains"
+            } else {
+                "chance explains as many"
+            },
+            chance(binomial_cdf(t.trajectories_held, t.trajectories, REGION))
+        ),
+    };
     format!(
-        "tracker on the groove: {:.2} mm RMS at {} {of}, expected {:.2} mm; the stated 95 % regions hold the groove on {} of {} trajectories",
+        "tracker on the groove: {:.2} mm RMS at {} {of}, expected {:.2} mm; the stated 95 % regions hold the groove on {} of {} trajectories{missed}",
         t.rmse_mm, t.points, t.bound_mm, t.trajectories_held, t.trajectories
     )
 }
@@ -225,4 +239,42 @@ pub fn contact_comparison(
         trajectories: trajectories.iter().map(trajectory).collect(),
         sealed: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trajectories_outside_their_regions_are_said_with_the_chance_of_it() {
+        let said = |trajectories_held| {
+            groove_sentence(&GrooveTracking {
+                rmse_mm: 0.1,
+                bound_mm: 0.1,
+                coverage95: 0.9,
+                points: 60,
+                trajectories: 6,
+                trajectories_held,
+                doubted: 0,
+                split: "fit".to_owned(),
+                uncertainty: Vec::new(),
+            })
+        };
+        // 1 - 0.95^6, and what two of six have.
+        assert!(
+            said(5).ends_with("; 1 outside: chance explains as many (p = 0.26)"),
+            "{}",
+            said(5)
+        );
+        assert!(
+            said(3).contains("; 3 outside: more than chance explains (p = "),
+            "{}",
+            said(3)
+        );
+        assert!(
+            said(6).ends_with("on 6 of 6 trajectories"),
+            "negative control: {}",
+            said(6)
+        );
+    }
 }

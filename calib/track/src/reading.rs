@@ -84,6 +84,8 @@ pub struct MotionAccuracy {
     pub moved_sd_mm: f64,
     /// Standard deviation of the clock's offset, s.
     pub clock_sd_s: f64,
+    /// Standard deviation of the times within the window of a reading's moments, s.
+    pub window_sd_s: f64,
 }
 
 /// What is known at a time.

@@ -345,6 +345,16 @@ impl<'a> Whisker<'a> {
             .map_err(TrackError::in_file(&l.place))?;
         let (frame, whisker) = (l.frame()?, l.whisker()?);
         let chain = SignalChain::new(settings, map)?;
+        let kernel = chain.filter().kernel(KERNEL);
+        // Weights of a low-pass: their second moment is its fall from 1 at small frequencies.
+        let window_s2: f64 = kernel
+            .iter()
+            .map(|(offset_s, w)| w * offset_s * offset_s)
+            .sum();
+        let accuracy = MotionAccuracy {
+            window_sd_s: window_s2.max(0.0).sqrt(),
+            ..stream.accuracy
+        };
         let (estimator, middle_mm, offset_mm): (Box<dyn Estimator + 'a>, _, _) =
             match l.estimator(stream.vouched)? {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
@@ -360,7 +370,7 @@ impl<'a> Whisker<'a> {
                     let filled = wire.clone();
                     std::thread::spawn(move || filled.field.fill(REACH_MM));
                     let touched = if of_groove { GROOVE } else { ANY_OBJECT };
-                    let own = ContactTracker::of_stream(wire, stream.accuracy, touched);
+                    let own = ContactTracker::of_stream(wire, accuracy, touched);
                     (Box::new(own), middle_mm, accepted.offset_mm)
                 }
             };
@@ -368,7 +378,7 @@ impl<'a> Whisker<'a> {
             loaded: l,
             whisker,
             reader: WhiskerReader::new(place, &rig.interrogator, &l.name, calibration.fbg())?,
-            kernel: chain.filter().kernel(KERNEL),
+            kernel,
             chain,
             middle_mm,
             offset_mm,

@@ -10,6 +10,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use wcal_core::stream::Flags;
+use wcal_network::NetworkError;
 
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
@@ -132,7 +133,7 @@ impl TrackFiles {
     pub fn flag(&mut self, whisker: &str, flag: Flags) -> Result<(), TrackError> {
         self.flush()?;
         let out = &self.out;
-        let bytes = wcal_core::files::read(out).map_err(TrackError::file("reading", out))?;
+        let bytes = wcal_core::files::read(out).map_err(NetworkError::from)?;
         let text = String::from_utf8_lossy(&bytes);
         let [name, status] = ["whisker", "status"].map(|name| {
             COLUMNS

@@ -34,6 +34,7 @@ const NOISE_NMM: f64 = 1e-3;
 const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.005,
     clock_sd_s: 0.001,
+    window_sd_s: 0.0,
 };
 /// Squared radius of the 95 % region of three Gaussian numbers.
 const CHI2_95: f64 = 7.815;

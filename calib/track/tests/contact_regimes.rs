@@ -155,6 +155,7 @@ fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
     let accuracy = MotionAccuracy {
         moved_sd_mm: MOVED_SD_MM,
         clock_sd_s: 0.0,
+        window_sd_s: 0.0,
     };
     let mut table = ContactTracker::of_record(wire, accuracy, ANY_OBJECT);
     record
@@ -277,6 +278,7 @@ fn located(hz: f64, deepest_mm: f64, own: bool) -> (usize, usize) {
         MotionAccuracy {
             moved_sd_mm: MOVED_SD_MM,
             clock_sd_s: 0.0,
+            window_sd_s: 0.0,
         },
         ANY_OBJECT,
     );

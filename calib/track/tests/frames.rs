@@ -22,6 +22,7 @@ const NOISE_NMM: f64 = 2e-3;
 const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.02,
     clock_sd_s: 0.01,
+    window_sd_s: 0.0,
 };
 
 /// The paper's wire as points.

@@ -31,6 +31,7 @@ const MESH_MM: f64 = 2.0;
 const ACCURACY: MotionAccuracy = MotionAccuracy {
     moved_sd_mm: 0.005,
     clock_sd_s: 0.001,
+    window_sd_s: 0.0,
 };
 /// By how much the truth of the control is shifted along the wire, mm.
 const SHIFT_MM: f64 = 4.0;

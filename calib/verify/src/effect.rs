@@ -44,6 +44,8 @@ pub enum LawRequirement {
     BothDirections,
     /// Readings taken while the stage moves.
     Motion,
+    /// Positions that the stage itself states.
+    StagePosition,
     /// The direction of gravity and the wire's density.
     Weight,
     /// A declared model that follows the stimulus.

@@ -15,4 +15,4 @@ pub mod verify;
 pub use effect::{Effect, EffectTerm};
 pub use error::VerifyError;
 pub use measurement_model::MeasurementModel;
-pub use models::{scalar, whisker};
+pub use models::{change, scalar, whisker};

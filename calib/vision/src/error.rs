@@ -1,22 +1,15 @@
 //! The crate's error: what was attempted, what was expected and what was found.
 
-use std::{fmt::Display, io};
+use wcal_core::files::FileError;
 use wcal_core::text::brief;
 
 /// Errors of wcal-vision. A rejected view or pair is no error: it is listed with its reason in the
 /// result.
 #[derive(Debug, thiserror::Error)]
 pub enum VisionError {
-    /// A file cannot be read or written.
-    #[error("{action} {path}: {source}")]
-    Io {
-        /// What was attempted, e.g. "read".
-        action: &'static str,
-        /// File or folder.
-        path: String,
-        /// Cause.
-        source: io::Error,
-    },
+    /// A file cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// A file was read, but its content is not what it has to be.
     #[error("{path}: expected {expected}, found {found}")]
     Content {
@@ -48,16 +41,6 @@ pub enum VisionError {
 }
 
 impl VisionError {
-    /// For `map_err` on file operations.
-    pub(crate) fn io(action: &'static str, path: impl Display) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_string();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
-        }
-    }
-
     /// Adds to what a computation has found.
     pub(crate) fn and(mut self, more: &str) -> Self {
         if let Self::Result { found, .. } = &mut self {

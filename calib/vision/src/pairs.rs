@@ -6,6 +6,7 @@ use crate::picture::Picture;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use wcal_core::files::FileError;
 
 /// The two files of a pair.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -70,10 +71,10 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         (folder.unwrap_or(Path::new(".")), text(path.file_name()))
     };
-    let io = || VisionError::io("list", source);
+    let io = FileError::of("listing", path);
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io())? {
-        let file = entry.map_err(io())?.path();
+    for entry in std::fs::read_dir(folder).map_err(&io)? {
+        let file = entry.map_err(&io)?.path();
         let name = text(file.file_name());
         let extension = text(file.extension()).to_lowercase();
         // macOS writes a file beside each picture: `._NAME`.

@@ -50,7 +50,7 @@ impl Picture {
     /// Where the file is missing, empty, cut off, not a picture or of floating-point values.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let bytes = wcal_core::files::read(path).map_err(VisionError::io("read", &name))?;
+        let bytes = wcal_core::files::read(path)?;
         check_complete(&name, &bytes)?;
         let decoded = image::load_from_memory(&bytes).map_err(|e| {
             VisionError::content(

@@ -69,9 +69,8 @@ impl Rig {
     /// # Errors
     /// Where the file is missing, no TOML, or a field is missing or out of range.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
-        let name = path.display().to_string();
-        let text = wcal_core::files::read_text(path).map_err(VisionError::io("read", &name))?;
-        Self::parse(&name, &text)
+        let text = wcal_core::files::read_text(path)?;
+        Self::parse(&path.display().to_string(), &text)
     }
 
     /// Parses the text of a `rig.toml`.

@@ -69,8 +69,9 @@ pub struct ExamArgs {
     /// `scalars`: `--draws` clean sessions of each noise and layout, and as many with an effect;
     /// `whiskers`: as many whiskers without and with an effect; `tracks`: as many records of each
     /// regime; `stereo`: as many calibrated pairs of cameras, each with eight pairs of pictures;
-    /// `map`: as many whiskers, each with its map; `all`.
-    #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks", "stereo", "map"],
+    /// `map`: as many whiskers, each with its map; `checks`: as many whiskers, each looked at again
+    /// unchanged and with each change; `all`.
+    #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "all", value_parser = ["all", "scalars", "whiskers", "tracks", "stereo", "map", "checks"],
         conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
     pub statements: Option<String>,
     /// Only write the sessions and truth.json
@@ -163,6 +164,7 @@ fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
     })?;
     let stereo = of("stereo", &|| auditor.audit_stereo(draws, PAIRS, seed))?;
     let maps = of("map", &|| auditor.audit_maps(draws, seed))?;
+    let checks = of("checks", &|| auditor.audit_checks(draws, seed))?;
     println!("statement | noise | sweeps x readings | says | holds | of | 95 %");
     println!("---|---|---|---|---|---|---");
     for row in pooled(&rows)
@@ -171,6 +173,7 @@ fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
         .chain(&tracks)
         .chain(&stereo)
         .chain(&maps)
+        .chain(&checks)
         .chain(&rows)
     {
         let (k, n) = row.holds;
@@ -194,7 +197,7 @@ fn audit(o: &ExamArgs, part: &str) -> anyhow::Result<ExitCode> {
     if let Some(path) = &o.json {
         write(
             path,
-            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows, "whiskers": whiskers, "tracks": tracks, "stereo": stereo, "map": maps}),
+            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows, "whiskers": whiskers, "tracks": tracks, "stereo": stereo, "map": maps, "checks": checks}),
         )?;
     }
     Ok(ExitCode::SUCCESS)

@@ -35,8 +35,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     within("--sweeps", args.sweeps, MAX_SWEEPS)?;
     let plan = match &args.plan {
         Some(path) => {
-            let text = wcal_core::files::read_text(path)
-                .with_context(|| format!("reading {}", path.display()))?;
+            let text = wcal_core::files::read_text(path)?;
             SweepPlan::from_toml(&text).with_context(|| format!("reading {}", path.display()))?
         }
         None => SweepPlan::default(),

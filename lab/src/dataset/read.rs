@@ -93,7 +93,7 @@ impl Table {
 /// # Errors
 /// Where the file cannot be read or is not such a table.
 pub fn table(path: &Path) -> Result<Table, LabError> {
-    let file = wcal_core::files::open(path).map_err(LabError::file("reading", path))?;
+    let file = wcal_core::files::open(path)?;
     let broken = |detail: String| LabError::Shard {
         path: path.to_owned(),
         detail,

@@ -79,8 +79,8 @@ impl Recipe {
     fn read(folder: &Path) -> Result<Option<Self>, LabError> {
         let path = folder.join(FILE);
         let text = match wcal_core::files::read_text(&path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            other => other.map_err(LabError::file("reading", &path))?,
+            Err(e) if e.source.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            other => other?,
         };
         let recipe = wcal_core::document::json_as(&text);
         recipe.map(Some).map_err(|e| LabError::Shard {

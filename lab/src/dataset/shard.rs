@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::document::from_json;
-use wcal_core::files::{FileError, write_atomic};
+use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
 use wcal_lab_sweeps::contact::Contact;
@@ -129,7 +129,7 @@ pub fn done(
 /// # Errors
 /// Where the manifest cannot be read.
 pub fn read_manifest(path: &Path) -> Result<Manifest, LabError> {
-    let text = wcal_core::files::read_text(path).map_err(LabError::file("reading", path))?;
+    let text = wcal_core::files::read_text(path)?;
     from_json(&text, FORMAT, &[RANGES]).map_err(|e| LabError::Shard {
         path: path.to_owned(),
         detail: e.to_string(),
@@ -143,7 +143,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest, LabError> {
 pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), LabError> {
     for (table, expected) in &manifest.sha256 {
         let path = folder.join(table);
-        let bytes = wcal_core::files::read(&path).map_err(LabError::file("reading", &path))?;
+        let bytes = wcal_core::files::read(&path)?;
         let found = sha256_hex(&bytes);
         if found != *expected {
             return Err(LabError::Shard {
@@ -230,12 +230,7 @@ pub(crate) fn write(
 /// # Errors
 /// Where the folder cannot be written.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), LabError> {
-    let fail = |e: FileError| LabError::File {
-        action: e.action,
-        path: e.path,
-        detail: e.source.to_string(),
-    };
-    write_atomic(path, bytes).map_err(fail)
+    Ok(write_atomic(path, bytes)?)
 }
 
 type Columns = Vec<(&'static str, Column)>;

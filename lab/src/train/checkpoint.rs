@@ -73,8 +73,7 @@ pub(super) fn resume(
     if !state_file.exists() {
         return Ok(fresh);
     }
-    let text =
-        wcal_core::files::read_text(&state_file).map_err(LabError::file("reading", &state_file))?;
+    let text = wcal_core::files::read_text(&state_file)?;
     let made: CheckpointState =
         wcal_core::document::json_as(&text).map_err(LabError::file("reading", &state_file))?;
     if made.network != *network || made.settings != *settings {

@@ -62,14 +62,11 @@ impl Convex {
             beyond_mm,
             short_mm,
         };
-        std::fs::create_dir_all(folder).map_err(MeshError::io("creating", folder))?;
+        std::fs::create_dir_all(folder)
+            .map_err(FileError::of("creating", folder))
+            .map_err(MeshError::from)?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
-        let refused = |e: FileError| MeshError::Io {
-            action: e.action,
-            path: e.path,
-            cause: e.source,
-        };
-        write_atomic(&path, text.as_bytes()).map_err(refused)?;
+        write_atomic(&path, text.as_bytes()).map_err(MeshError::from)?;
         Ok(made)
     }
 

@@ -121,8 +121,8 @@ fn moments_below_the_onset_have_no_direction() {
     let settings = BayesSettings::multi_mu();
     let seen = |moment_nmm: [f64; 2]| {
         let mut filter = BayesFilter::new(&inverse, settings);
-        let belief = filter.step(0.1, moment_nmm, Some(5.0));
-        (belief, filter.solutions().to_vec())
+        filter.step(0.1, moment_nmm, Some(5.0), None);
+        (filter.posterior(), filter.solutions().to_vec())
     };
     for size_nmm in [0.0, 1e-31, 0.9 * settings.onset_nmm] {
         assert_eq!(

@@ -317,9 +317,9 @@ fn a_filter_beside_another_believes_what_it_does_alone() {
     );
     let mut apart = 0.0_f64;
     for sample in samples(&all_series()["can"][1]) {
-        first.step(0.1, sample.moment_nmm, sample.base_mm_s);
-        beside.step_sharing_solutions(0.1, sample.moment_nmm, sample.base_mm_s, &first);
-        alone.step(0.1, sample.moment_nmm, sample.base_mm_s);
+        first.step(0.1, sample.moment_nmm, sample.base_mm_s, None);
+        beside.step(0.1, sample.moment_nmm, sample.base_mm_s, Some(&first));
+        alone.step(0.1, sample.moment_nmm, sample.base_mm_s, None);
         assert_eq!(beside.solutions(), alone.solutions());
         assert_eq!(beside.posterior(), alone.posterior());
         let off = first

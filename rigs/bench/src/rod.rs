@@ -9,88 +9,24 @@
 //! unknowns (`F` and the contact's arc length).
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
+use std::sync::Arc;
 
 use crate::WireError;
 
 type V3 = Vector3<f64>;
 type M3 = Matrix3<f64>;
 
-/// How the bending moment answers to the change of curvature.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum MomentLaw {
-    /// Linear.
-    #[default]
-    Linear,
-    /// Tangent stiffness falls to `ratio` times its value past the curvature `onset_per_mm` (1/mm).
-    Bilinear {
-        /// Onset in 1/mm.
-        onset_per_mm: f64,
-        /// Tangent stiffness past the onset, relative.
-        ratio: f64,
-    },
-    /// Round section whose stress stays on its plateau past the onset: the moment tends to 1.70 x
-    /// its onset value.
-    Plateau {
-        /// Onset in 1/mm.
-        onset_per_mm: f64,
-    },
-}
+/// A section that is neither uniform nor linear.
+pub trait Section: std::fmt::Debug + Send + Sync {
+    /// Bending and torsion stiffness at a fraction of the length, relative to the root's.
+    fn stiffness(&self, fraction: f64) -> f64;
 
-impl MomentLaw {
-    /// Change of curvature (1/mm) that a linear wire's change of curvature `linear` (moment / EI)
-    /// becomes.
-    fn curvature(self, linear: f64) -> f64 {
-        match self {
-            Self::Linear => linear,
-            Self::Bilinear {
-                onset_per_mm,
-                ratio,
-            } => {
-                if linear <= onset_per_mm {
-                    linear
-                } else {
-                    onset_per_mm + (linear - onset_per_mm) / ratio
-                }
-            }
-            Self::Plateau { onset_per_mm } => {
-                let want = linear / onset_per_mm;
-                if want <= 1.0 {
-                    return linear;
-                }
-                // Newton in curvature / onset; the slope is the share of EI that the elastic core
-                // keeps.
-                let limit = 16.0 / (3.0 * std::f64::consts::PI);
-                let mut bent = ((limit - 1.0) / (limit - want).max(1e-4)).sqrt();
-                for _ in 0..40 {
-                    let c = 1.0 / bent;
-                    let step = (want - plateau_moment(c)) / plateau_slope(c);
-                    bent = (bent + step).clamp(0.5 * (1.0 + bent), 3.0 * bent).min(1e3);
-                    if step.abs() < 1e-13 * bent {
-                        break;
-                    }
-                }
-                onset_per_mm * bent
-            }
-        }
-    }
-}
-
-/// Moment over onset moment of a round section with an elastic core of relative half height `c`.
-fn plateau_moment(c: f64) -> f64 {
-    let root = (1.0 - c * c).max(0.0).sqrt();
-    let core = (c.asin() - c * root * (1.0 - 2.0 * c * c)) / (2.0 * c);
-    let flange = 4.0 / 3.0 * root.powi(3);
-    (core + flange) / (std::f64::consts::PI / 4.0)
-}
-
-/// Share of EI that the elastic core of relative half height `c` keeps.
-fn plateau_slope(c: f64) -> f64 {
-    let root = (1.0 - c * c).max(0.0).sqrt();
-    2.0 / std::f64::consts::PI * (c.asin() - c * root * (1.0 - 2.0 * c * c))
+    /// Change of curvature (1/mm) that a linear section's change `linear` (moment / EI) becomes.
+    fn curvature(&self, linear: f64) -> f64;
 }
 
 /// A wire: straight part, then an arc that bends toward -z, clamped at the origin along x.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Wire {
     /// Straight part in mm.
     pub straight_mm: f64,
@@ -104,38 +40,12 @@ pub struct Wire {
     pub ei_nmm2: f64,
     /// Torsion stiffness at the root in N mm^2.
     pub gj_nmm2: f64,
-    /// Relative change of EI from root to tip (linear in the diameter's fourth power); 0 for a
-    /// uniform wire.
-    pub taper: Taper,
-    /// Moment-curvature law.
-    pub law: MomentLaw,
+    /// What differs from a uniform linear section.
+    pub section: Option<Arc<dyn Section>>,
     /// Turn of the root per moment, rad/(N mm), about base y and z.
     pub root_compliance: [f64; 2],
     /// Elements on the coarse mesh in (straight, arc).
     pub elements: [usize; 2],
-}
-
-/// How the stiffness runs along the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum Taper {
-    /// Uniform.
-    #[default]
-    None,
-    /// EI(s) = EI (1 + e s / L).
-    Linear(f64),
-    /// d(s) linear, EI ~ d^4, with EI(L) = EI (1 + e).
-    Cone(f64),
-}
-
-impl Taper {
-    fn factor(self, fraction: f64) -> f64 {
-        match self {
-            Self::None => 1.0,
-            Self::Linear(e) => 1.0 + e * fraction,
-            // EI goes with the fourth power of a diameter that is linear along the wire.
-            Self::Cone(e) => (1.0 + ((1.0 + e).powf(0.25) - 1.0) * fraction).powi(4),
-        }
-    }
 }
 
 /// One equilibrium.
@@ -195,8 +105,7 @@ impl Wire {
             diameter_mm,
             ei_nmm2: youngs_gpa * 1e3 * quartic / 64.0,
             gj_nmm2: shear_gpa * 1e3 * quartic / 32.0,
-            taper: Taper::None,
-            law: MomentLaw::Linear,
+            section: None,
             root_compliance: [0.0; 2],
             elements: [9, 7],
         }
@@ -261,19 +170,9 @@ impl Wire {
         line
     }
 
-    /// Arc lengths of the points of [`Wire::centre_line`], mm.
-    pub fn centre_line_arcs(&self, contact_mm: f64, step_mm: f64) -> Vec<f64> {
-        let each = |(w, count): ([f64; 2], usize)| {
-            (1..=count).map(move |i| w[0] + (w[1] - w[0]) * i as f64 / count as f64)
-        };
-        std::iter::once(0.0)
-            .chain(self.pieces(contact_mm, step_mm).into_iter().flat_map(each))
-            .collect()
-    }
-
     /// Stretches between contact, the end of the straight part and the ends, each with its number
-    /// of elements.
-    fn pieces(&self, contact_mm: f64, step_mm: f64) -> Vec<([f64; 2], usize)> {
+    /// of elements: those of [`Wire::centre_line`].
+    pub fn pieces(&self, contact_mm: f64, step_mm: f64) -> Vec<([f64; 2], usize)> {
         let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
         cuts.sort_by(f64::total_cmp);
         let long = cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9);
@@ -472,7 +371,9 @@ impl<'a> Walk<'a> {
         for i in 0..count {
             // The stiffness at an element's middle keeps the scheme of second order.
             let fraction = (from + (i as f64 + 0.5) * h) / self.wire.length_mm;
-            self.bend(force, curvature, h, self.wire.taper.factor(fraction));
+            let section = self.wire.section.as_ref();
+            let factor = section.map_or(1.0, |s| s.stiffness(fraction));
+            self.bend(force, curvature, h, factor);
             let (turn, chord) = helix(&(self.u * h));
             self.r += self.frame * (chord * h);
             self.frame *= turn;
@@ -493,8 +394,8 @@ impl<'a> Walk<'a> {
             }
             let mut bend = V3::new(0.0, mean.y / ei, mean.z / ei);
             let size = bend.norm();
-            if self.wire.law != MomentLaw::Linear && size > 0.0 {
-                bend *= self.wire.law.curvature(size) / size;
+            if let Some(section) = self.wire.section.as_ref().filter(|_| size > 0.0) {
+                bend *= section.curvature(size) / size;
             }
             let next = V3::new(0.0, curvature, 0.0) + bend + V3::new(mean.x / gj, 0.0, 0.0);
             let change = (next - self.u).norm();

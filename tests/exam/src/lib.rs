@@ -1,6 +1,7 @@
 //! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was
 //! put in.
 
+mod check_statements;
 mod goal;
 mod map_statements;
 pub mod orders;

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_plant::cameras::{Appearance, Groove, RigGeometry, View, clean, default_pair, exposed};
 use wcal_plant::rod::Wire;
+use wcal_plant::section::centre_line_arcs;
 use wcal_plant::{WireError, table};
 
 type V3 = Vector3<f64>;
@@ -93,7 +94,7 @@ impl PushedWire {
             push: direction,
             arclength_mm: found.arclength_mm,
             line_mm: wire.centre_line(Some((&groove_mm, &found)), STEP_MM),
-            arcs_mm: wire.centre_line_arcs(found.arclength_mm, STEP_MM),
+            arcs_mm: centre_line_arcs(&wire, found.arclength_mm, STEP_MM),
         })
     }
 

@@ -4,7 +4,7 @@ use rand::{Rng, RngExt};
 use serde_json::{Value, json};
 
 use crate::bench::LENGTH_MM;
-use crate::rod::{MomentLaw, Taper};
+use crate::section::{MomentLaw, Taper};
 
 /// One law of one effect. The name is `effect/law`; see [`Kind::name`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

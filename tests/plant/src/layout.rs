@@ -239,6 +239,29 @@ pub fn plan_asked(asked: &[Asked], trajectories: &[Trajectory]) -> Vec<PlannedRo
     p.rows
 }
 
+/// Plans ten readings of a quick look: one at rest, and three along each of three of the
+/// trajectories, the last of them on the way back.
+pub fn plan_quick(trajectories: &[Trajectory]) -> Vec<PlannedRow> {
+    let mut p = Planner {
+        rows: Vec::new(),
+        t_s: 0.0,
+        commanded_mm: 0.0,
+        trajectory: 0,
+        holdout: false,
+    };
+    p.settled(0.0, 3.0, 1, "rest");
+    for id in [1, 5, 9] {
+        let Some(index) = trajectories.iter().position(|t| t.id == id) else {
+            continue;
+        };
+        p.next_trajectory(index, if p.rows.len() > 1 { 20.0 } else { 0.0 });
+        for share in [0.5, 1.0, 0.6] {
+            p.settled(share * trajectories[index].reach_mm, 2.0, 1, "verification");
+        }
+    }
+    p.rows
+}
+
 fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
     let shares = [1.0 / 6.0, 1.0 / 3.0, 0.5, 0.7, 0.85, 1.0];
     p.settled(0.0, 3.0, 1, "rest");

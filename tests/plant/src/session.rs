@@ -7,10 +7,10 @@ use serde_json::{Map, Value, json};
 
 use crate::PlantError;
 use crate::adversarial;
-use crate::bench::{Bench, PM_PER_DEGC, REFERENCE_DEGC};
+use crate::bench::{Bench, PM_PER_DEGC, REFERENCE_DEGC, Trajectory};
 use crate::case::{Case, CaseKind, Flag, Make, PictureSetup, Reading, Request, Truth};
 use crate::effects::Effect;
-use crate::layout::{Asked, PlannedRow, plan, plan_asked};
+use crate::layout::{Asked, PlannedRow, plan, plan_asked, plan_quick};
 use crate::noise::{self, Law, Noise};
 use crate::rivals::{nearest, oracle_error_nmm};
 use crate::shapes::{Cameras, Fault, WireAtPose, contact_sigma};
@@ -214,21 +214,69 @@ const RESEAT_PM: f64 = 20.0;
 /// # Errors
 /// [`PlantError::Wire`] when the rod does not settle.
 pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(case.truth.seed ^ 0x1a7e);
+    let seed = case.truth.seed ^ 0x1a7e;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut bench = case.bench.clone();
     for zero in &mut bench.zero_pm {
         *zero += rng.random_range(-RESEAT_PM..RESEAT_PM);
     }
     let trajectories = bench.trajectories();
     let rows = plan_asked(asked, &trajectories);
+    let day = Day {
+        bench,
+        effects: case.effects.clone(),
+        groove: trajectories,
+    };
+    another_day(case, &day, rows, seed, rng)
+}
+
+/// What a sensor has become on another day.
+#[derive(Debug, Clone)]
+pub struct Day {
+    /// Its bench.
+    pub bench: Bench,
+    /// What acts.
+    pub effects: Vec<Effect>,
+    /// Where the groove really runs; the session declares the paths of the bench.
+    pub groove: Vec<Trajectory>,
+}
+
+impl Day {
+    /// The same as on the day of `case`.
+    pub fn unchanged(case: &Case) -> Self {
+        Self {
+            bench: case.bench.clone(),
+            effects: case.effects.clone(),
+            groove: case.bench.trajectories(),
+        }
+    }
+}
+
+/// Ten quick readings of a sensor on another day.
+///
+/// # Errors
+/// As [`later`].
+pub fn quick_look(case: &Case, day: &Day, seed: u64) -> Result<Case, PlantError> {
+    let rows = plan_quick(&day.bench.trajectories());
+    another_day(case, day, rows, seed, ChaCha8Rng::seed_from_u64(seed))
+}
+
+fn another_day(
+    case: &Case,
+    day: &Day,
+    rows: Vec<PlannedRow>,
+    seed: u64,
+    mut rng: ChaCha8Rng,
+) -> Result<Case, PlantError> {
     // The noise is as before; what went grossly wrong in a reading does so once.
     let law = Law {
         gross: Vec::new(),
         ..case.truth.noise.clone()
     };
-    let mut plant = Plant::new(bench, trajectories, rows, &law);
-    let clean = plant.clean(&case.effects)?;
-    let readings = measure(&plant, &clean, &law, case.truth.seed ^ 0x1a7e, &mut rng);
+    let mut plant = Plant::new(day.bench.clone(), day.groove.clone(), rows, &law);
+    let clean = plant.clean(&day.effects)?;
+    plant.trajectories = day.bench.trajectories();
+    let readings = measure(&plant, &clean, &law, seed, &mut rng);
     Ok(Case {
         bench: plant.bench,
         readings,

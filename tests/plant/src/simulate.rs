@@ -4,16 +4,19 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 use crate::PlantError;
 use crate::bench::{Bench, Trajectory};
 use crate::effects::{Effect, FBG_PM, Kind};
+use crate::friction::{Grip, friction_drags};
 use crate::layout::{Instant, PlannedRow, motion};
 use crate::memory;
 use crate::noise::{Covariance, Law};
-use crate::rod::Wire;
+use crate::rod::{Section, Wire};
+use crate::section::{MomentLaw, WireSection, centre_line_arcs};
 use crate::shapes::{STEP_MM, WireAtPose};
-use crate::table::{Grip, Path, Table, dragged_equilibrium, friction_drags};
+use crate::table::{Path, Table, dragged_equilibrium};
 
 /// A session's bench, plan and motion, with the tables last used.
 pub struct Plant {
@@ -32,12 +35,22 @@ pub struct Plant {
 /// What the tables depend on.
 #[derive(Debug, Clone, PartialEq)]
 struct Geometry {
-    wire: Wire,
+    section: WireSection,
+    root_compliance: [f64; 2],
     offset_mm: Vector3<f64>,
     friction: bool,
 }
 
 impl Geometry {
+    fn wire(&self, bench: &Bench) -> Wire {
+        let other = self.section != WireSection::default();
+        Wire {
+            root_compliance: self.root_compliance,
+            section: other.then(|| Arc::new(self.section) as Arc<dyn Section>),
+            ..bench.wire()
+        }
+    }
+
     /// Where the groove really runs on a trajectory.
     fn path(&self, trajectory: &Trajectory) -> Path {
         Path {
@@ -128,6 +141,7 @@ impl Plant {
     ) -> Result<Vec<Option<WireAtPose>>, PlantError> {
         let held = self.held(effects)?;
         let geometry = self.geometry(effects);
+        let wire = geometry.wire(&self.bench);
         let mut out = vec![None; self.rows.len()];
         for ((instant, stage_mm), held) in self.motion.iter().zip(self.stages(effects)).zip(held) {
             let Some(row) = instant
@@ -138,20 +152,14 @@ impl Plant {
             };
             let trajectory = &self.trajectories[instant.trajectory];
             let path = geometry.path(trajectory);
-            let e = dragged_equilibrium(
-                &geometry.wire,
-                &path,
-                held.drag,
-                trajectory.reach_mm,
-                stage_mm,
-            )?;
+            let e = dragged_equilibrium(&wire, &path, held.drag, trajectory.reach_mm, stage_mm)?;
             let groove_mm = path.at(stage_mm);
             out[row] = Some(WireAtPose {
                 groove_mm,
                 arclength_mm: e.arclength_mm,
                 tangent: e.tangent,
-                line_mm: geometry.wire.centre_line(Some((&groove_mm, &e)), STEP_MM),
-                arcs_mm: geometry.wire.centre_line_arcs(e.arclength_mm, STEP_MM),
+                line_mm: wire.centre_line(Some((&groove_mm, &e)), STEP_MM),
+                arcs_mm: centre_line_arcs(&wire, e.arclength_mm, STEP_MM),
             });
         }
         Ok(out)
@@ -170,7 +178,8 @@ impl Plant {
 
     fn geometry(&self, effects: &[Effect]) -> Geometry {
         let mut g = Geometry {
-            wire: self.bench.wire(),
+            section: WireSection::default(),
+            root_compliance: [0.0; 2],
             offset_mm: Vector3::zeros(),
             friction: false,
         };
@@ -179,9 +188,9 @@ impl Plant {
                 Kind::OffsetGroove => {
                     g.offset_mm = Vector3::from_column_slice(&e.shape) * e.amplitude
                 }
-                Kind::ComplianceIsotropic => g.wire.root_compliance = [e.amplitude; 2],
+                Kind::ComplianceIsotropic => g.root_compliance = [e.amplitude; 2],
                 Kind::ComplianceTwoAxes => {
-                    g.wire.root_compliance = [e.amplitude * e.shape[0], e.amplitude * e.shape[1]];
+                    g.root_compliance = [e.amplitude * e.shape[0], e.amplitude * e.shape[1]];
                 }
                 Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck => {
                     g.friction = true
@@ -189,10 +198,10 @@ impl Plant {
                 _ => {}
             }
             if let Some(law) = e.moment_law() {
-                g.wire.law = law;
+                g.section.law = law;
             }
             if let Some(taper) = e.taper() {
-                g.wire.taper = taper;
+                g.section.taper = taper;
             }
         }
         g
@@ -205,16 +214,17 @@ impl Plant {
             vec![0.0]
         };
         // A moment law with a corner needs more nodes.
-        let nodes = if g.wire.law == crate::rod::MomentLaw::Linear {
+        let nodes = if g.section.law == MomentLaw::Linear {
             11
         } else {
             20
         };
+        let wire = g.wire(&self.bench);
         self.trajectories
             .iter()
             .map(|t| {
                 Ok(Table::build(
-                    &g.wire,
+                    &wire,
                     &g.path(t),
                     1.04 * t.reach_mm + 0.2,
                     &drags,

@@ -148,19 +148,17 @@ impl Model {
                 let [position, speed] = self.base.ok_or("expected a slide named base")?;
                 let dt = self.data.model_opt().timestep;
                 let start = self.data.qpos()[position];
-                for k in 0..*steps {
+                for k in 0..=*steps {
                     let t = k as f64 * dt;
                     // Both are set: the solver sees the speed, and what the contact does to the
                     // slide is undone.
                     self.data.qpos_mut()[position] =
                         start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
                     self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
-                    self.step();
+                    if k < *steps {
+                        self.step();
+                    }
                 }
-                let t = *steps as f64 * dt;
-                self.data.qpos_mut()[position] =
-                    start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
-                self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
             }
             Request::Control {
                 control,

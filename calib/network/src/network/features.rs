@@ -114,7 +114,7 @@ impl<'a> FeatureExtractor<'a> {
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
         let dt = dt_s.max(1e-4);
         let mut inputs = self.common(dt, moment_nmm, base_mm_s);
-        self.filter.step(dt_s, moment_nmm, base_mm_s);
+        self.filter.step(dt_s, moment_nmm, base_mm_s, None);
         let all = self.filter.solutions();
         let posterior = posterior_or_uniform(&self.filter);
         let mut velocities = self.filter.velocities();
@@ -150,7 +150,7 @@ impl<'a> FeatureExtractor<'a> {
         }
         let mut posterior_frictionless = Vec::new();
         if let Some(frictionless) = &mut self.frictionless {
-            frictionless.step_sharing_solutions(dt_s, moment_nmm, base_mm_s, &self.filter);
+            frictionless.step(dt_s, moment_nmm, base_mm_s, Some(&self.filter));
             posterior_frictionless = posterior_or_uniform(frictionless);
             inputs.push(evidence(frictionless));
             inputs.extend(

@@ -98,7 +98,9 @@ pub(crate) fn transducer() -> ReportInput {
 /// What is written down of an axis.
 fn data_sheet() -> DataSheet {
     DataSheet {
-        equation: "error y(x) = backlash (reversal); x in mm, y in um".into(),
+        equation:
+            "error y(x) = 0.2 + backlash(reversal: reversal_value = 3.2 um); x in mm, y in um"
+                .into(),
         characteristics: vec![Characteristic {
             name: "reversal".into(),
             value: 3.2,

@@ -47,6 +47,29 @@ pub(crate) fn whisker() -> ReportInput {
         [0.0074, 0.0102],
     ));
     verify.coverage95 = Some(0.938);
+    let error = |rms_mm: f64| TrackError {
+        rms_mm,
+        interval95: Some([0.8 * rms_mm, 1.3 * rms_mm]),
+    };
+    let trajectory = |trajectory: u32| TrajectoryContact {
+        trajectory,
+        arclength_mm: 12.0 + 9.0 * f64::from(trajectory),
+        before_mm: 0.5 * f64::from(trajectory),
+        after_mm: 0.03 * f64::from(trajectory),
+    };
+    verify.contact = Some(ContactComparison {
+        before: error(1.37),
+        after: error(0.08),
+        difference_mm: -1.29,
+        difference_interval95: Some([-1.7, -0.9]),
+        bound_mm: 0.07,
+        readings: 640,
+        not_located: 3,
+        inside95: 611,
+        groove_moved_mm: 0.0,
+        trajectories: (1..=4).map(trajectory).collect(),
+        sealed: None,
+    });
     verify.next_measurement = Some(NextMeasurement {
         separates: vec!["groove-friction".into(), "stage-backlash".into()],
         instruction: "Drive trajectory 4 to 5 mm, come back in small steps and read each one settled; friction keeps a share of the moment that grows with depth, backlash a constant one.".into(),

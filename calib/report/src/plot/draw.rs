@@ -197,12 +197,6 @@ fn draw_layer(out: &mut String, frame: &Frame<'_>, layer: &Layer) {
                 );
             }
         }
-        Layer::VerticalRule { at } => {
-            if let Some(x) = frame.x(*at) {
-                let (x, top, bottom) = (px(x), px(frame.top), px(frame.top + frame.height));
-                let _ = write!(out, "<path class=\"rule\" d=\"M{x} {top}V{bottom}\"/>");
-            }
-        }
     }
 }
 
@@ -241,6 +235,7 @@ fn points(
 fn marker_class(marker: Marker) -> &'static str {
     match marker {
         Marker::Circle => "dot",
+        Marker::Speck => "speck",
         Marker::Square | Marker::Diamond | Marker::Triangle => "solid",
         Marker::Cross => "cross",
         Marker::Ring => "ring",
@@ -251,7 +246,7 @@ fn marker_path(marker: Marker, x: f64, y: f64) -> String {
     let (x, y) = (px(x), px(y));
     match marker {
         // A zero-length stroke with round caps is the shortest circle.
-        Marker::Circle => format!("M{x} {y}h.01"),
+        Marker::Circle | Marker::Speck => format!("M{x} {y}h.01"),
         Marker::Square => format!("M{x} {y}m-2.3-2.3h4.6v4.6h-4.6z"),
         Marker::Diamond => format!("M{x} {y}m0-3.4l3.4 3.4-3.4 3.4-3.4-3.4z"),
         Marker::Triangle => format!("M{x} {y}m0-3.3l3.2 5.6h-6.4z"),

@@ -12,6 +12,8 @@ pub(crate) use draw::svg;
 pub(crate) enum Marker {
     /// Filled circle.
     Circle,
+    /// Very small circle, of many that cover one another.
+    Speck,
     /// Filled square.
     Square,
     /// Filled diamond.
@@ -54,11 +56,6 @@ pub(crate) enum Layer {
     /// Horizontal line.
     HorizontalRule {
         /// Value of y.
-        at: f64,
-    },
-    /// Vertical line.
-    VerticalRule {
-        /// Value of x.
         at: f64,
     },
 }

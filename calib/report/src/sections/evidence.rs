@@ -1,6 +1,5 @@
 //! Evidence: gate, explanations, what the pictures say, smallest detectable sizes.
 
-use super::parts::absent;
 use crate::input::{EvidenceRow, ReportInput};
 use crate::markup::{Table, TableCell};
 use crate::number::{number, p_value, quantity, unit_text};
@@ -8,10 +7,7 @@ use crate::number::{number, p_value, quantity, unit_text};
 /// Gate, explanations and pictures.
 pub(super) fn body(input: &ReportInput) -> String {
     let mut out = gate(input);
-    match input.evidence.as_slice() {
-        [] => out += &absent("No candidate was tested in this run."),
-        rows => out += &explanations(rows),
-    }
+    out += &explanations(&input.evidence);
     out
 }
 
@@ -68,9 +64,6 @@ fn explanations(rows: &[EvidenceRow]) -> String {
 /// Smallest size of each effect that this data could have shown.
 pub(super) fn detectable(input: &ReportInput) -> String {
     let rows = &input.verify.detectable;
-    if rows.is_empty() {
-        return absent("No smallest detectable sizes were computed in this run.");
-    }
     // In a session without pictures the second size would only repeat the first.
     let with_pictures = input.verify.tests.iter().any(|t| t.witness == "pictures");
     let columns: &[&str] = if with_pictures {

@@ -39,7 +39,7 @@ pub(super) fn body(input: &ReportInput) -> String {
             None => String::new(),
         };
         out += &format!(
-            "<div class=\"card\"><h3>Unknown effect</h3><p>The residual follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
+            "<div class=\"card\"><h3>Unknown effect</h3><p>The residual follows <strong>{}</strong> (shape: {}{}). All covariates, strongest first: {}.</p>{}</div>",
             escape(&residuals::label_of(&unknown.driver)),
             escape(&unknown.shape),
             escape(&period),
@@ -63,6 +63,9 @@ pub(super) fn body(input: &ReportInput) -> String {
     out
 }
 
+/// Parameters that need no folding; a table of errors has as many as places.
+const MANY: usize = 12;
+
 fn one_effect(effect: &NamedEffect) -> String {
     let mut out = format!(
         "<div class=\"card\"><h3><code>{}</code></h3>",
@@ -77,18 +80,13 @@ fn one_effect(effect: &NamedEffect) -> String {
     );
     for p in &effect.parameters {
         let (value, interval) = with_interval(p.value, p.interval95);
-        table.row([
-            split_unit(&p.name).0,
-            value,
-            interval,
-            if p.unit == "1" {
-                "dimensionless".into()
-            } else {
-                unit_text(&p.unit)
-            },
-        ]);
+        table.row([split_unit(&p.name).0, value, interval, unit_text(&p.unit)]);
     }
-    out += &table.html();
+    let (table, count) = (table.html(), effect.parameters.len());
+    out += &match count {
+        0..=MANY => table,
+        _ => format!("<details><summary>All {count} values</summary>{table}</details>"),
+    };
     out += &format!(
         "<p>Adjusted for the whole catalogue: p {}.",
         with_sign(&p_value(effect.p_value))

@@ -45,9 +45,7 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
             calibration::body(judged),
         );
     }
-    if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
-        add("twin", "Twin check", twin::body(input));
-    }
+    add("twin", "Twin check", twin::body(input));
     add("residuals", "Residuals", residuals::body(input));
     add("evidence", "Evidence", evidence::body(input));
     let title = "Detectability: smallest effects that these data show";
@@ -59,5 +57,6 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         "What was read, and how",
         provenance::body(input),
     );
+    sections.retain(|s| !s.body.is_empty());
     sections
 }

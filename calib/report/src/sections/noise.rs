@@ -30,7 +30,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         }
     }
     let source = match floor.source.as_str() {
-        "replicates" => "From readings of the same pose, repeated.",
+        "replicates" => "From repeated readings.",
         "difference" => {
             "From differences of neighbouring readings, since no pose was repeated; the verdict is provisional."
         }
@@ -43,7 +43,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         out += &format!("<p>{source}</p>");
     }
     match input.verify.notes.as_slice() {
-        [] => out += &super::parts::absent("No remarks."),
+        [] => {}
         notes => {
             out += &format!(
                 "<div class=\"card warn\"><h3>Remarks</h3>{}</div>",

@@ -1,13 +1,18 @@
-//! Residuals against every covariate, before and after.
+//! Residuals against every covariate, before and after; first those that the residuals follow most.
+//!
+//! ```text
+//! eta^2 = sum of n (mean - mean of all)^2 over the parts / sum of squares about the mean of all
+//! ```
 
-use super::parts::{absent, distinct, figure, legend, series};
+use super::parts::{absent, distinct, figure, joined, legend, series};
 use crate::input::ReportInput;
+use crate::markup::escape;
 use crate::number::split_unit;
 use crate::plot::{Axis, Layer, Marker, Plot, stride, svg};
 use wcal_core::ResidualRecord;
 
 /// Covariates with a place of their own in the order; others follow as they come.
-const ORDER: [(&str, &str); 11] = [
+const ORDER: [(&str, &str); 12] = [
     ("stage_mm", "stage position (mm)"),
     ("direction", "direction of travel"),
     ("speed_mm_s", "speed (mm/s)"),
@@ -18,11 +23,18 @@ const ORDER: [(&str, &str); 11] = [
     ("moment_2_nmm", "moment 2 (N\u{a0}mm)"),
     ("order", "order of the readings"),
     ("trajectory", "trajectory"),
+    ("cycle", "cycle"),
     ("contact_arclength_mm", "arc length of the contact (mm)"),
 ];
 
 /// Points a series and chart; a larger session is thinned evenly.
 const MAX_POINTS: usize = 3000;
+/// Points a series from which on they cover one another: small ones, with their means.
+const DENSE: usize = 300;
+/// Parts of equal count whose means are taken.
+const PARTS: usize = 20;
+/// Charts that are not folded.
+const FIRST: usize = 3;
 
 /// Stands for `before` and `after` where nothing was added to the model.
 pub(super) const UNCHANGED: &str = "before and after alike: nothing was added";
@@ -59,7 +71,7 @@ fn value_of(record: &ResidualRecord, column: &str) -> Option<f64> {
         .find(|(name, _)| name == column)
         .map(|(_, v)| *v);
     match column {
-        "trajectory" => named.or((record.group > 0).then_some(f64::from(record.group))),
+        "trajectory" | "cycle" => named.or((record.group > 0).then_some(f64::from(record.group))),
         "order" => named.or(Some(record.line as f64)),
         _ => named,
     }
@@ -69,10 +81,10 @@ fn value_of(record: &ResidualRecord, column: &str) -> Option<f64> {
 /// The section.
 pub(super) fn body(input: &ReportInput) -> String {
     if input.residuals.is_empty() {
-        return absent("No residual records were handed to this report.");
+        return String::new();
     }
     let mut out = String::from(
-        "<p>Residual = measured − predicted, for every covariate that varies. Before and after share one vertical scale; the band is twice the noise floor to either side. Crosses mark rejected readings; those beyond the scale lie on its edge.</p>",
+        "<p>Residual = measured − predicted, for every covariate that varies, the one that they follow most first. Before and after share one vertical scale; the band is twice the noise floor to either side. Where readings are many they are specks, and markers are means of equal counts. Crosses mark rejected readings; those beyond the scale lie on its edge.</p>",
     );
     let unfit = input
         .residuals
@@ -86,15 +98,25 @@ pub(super) fn body(input: &ReportInput) -> String {
         let records: Vec<_> = input.residuals.iter().filter(|r| r.unit == unit).collect();
         let view = View::new(input, records, &unit);
         out += &legend(&view.channels);
-        let mut constant = Vec::new();
-        out += "<div class=\"panels\">\n";
-        for column in columns(&view.records) {
-            match view.varies(&column) {
-                true => out += &view.figure(input, &column),
-                false => constant.push(label_of(&column)),
-            }
+        let (mut drawn, constant): (Vec<_>, Vec<_>) = columns(input, &view.records)
+            .into_iter()
+            .partition(|column| view.varies(column));
+        drawn.sort_by(|a, b| view.strength(b).total_cmp(&view.strength(a)));
+        let panels = |columns: &[String]| {
+            let figures: String = columns.iter().map(|c| view.figure(input, c)).collect();
+            format!("<div class=\"panels\">\n{figures}</div>\n")
+        };
+        let (first, rest) = drawn.split_at(drawn.len().min(FIRST));
+        out += &panels(first);
+        if !rest.is_empty() {
+            let names: Vec<String> = rest.iter().map(|c| label_of(c)).collect();
+            out += &format!(
+                "<details><summary>Against {}</summary>{}</details>\n",
+                escape(&joined(&names)),
+                panels(rest)
+            );
         }
-        out += "</div>\n";
+        let constant: Vec<String> = constant.iter().map(|c| label_of(c)).collect();
         if !constant.is_empty() {
             out += &absent(&format!(
                 "The same for all readings, hence not drawn: {}.",
@@ -124,12 +146,18 @@ pub(super) fn driver_figure(input: &ReportInput, driver: &str) -> String {
     View::new(input, records, &unit).figure(input, driver)
 }
 
-fn columns(records: &[&ResidualRecord]) -> Vec<String> {
+fn columns(input: &ReportInput, records: &[&ResidualRecord]) -> Vec<String> {
     let named = records
         .iter()
         .flat_map(|r| r.covariates.iter().map(|(name, _)| name.as_str()));
     let mut out = distinct(ORDER.iter().map(|(name, _)| *name).chain(named));
-    out.retain(|column| records.iter().any(|r| value_of(r, column).is_some()));
+    let of_other_kinds = |column: &str| {
+        let is_group = matches!(column, "trajectory" | "cycle");
+        is_group && column != input.verify.group_name()
+    };
+    out.retain(|column| {
+        !of_other_kinds(column) && records.iter().any(|r| value_of(r, column).is_some())
+    });
     out
 }
 
@@ -139,6 +167,25 @@ fn before(record: &ResidualRecord) -> f64 {
 
 fn after(record: &ResidualRecord) -> f64 {
     record.measured - record.predicted_after
+}
+
+/// Means of x and y, and the count, in parts of about equal counts that do not divide equal x.
+fn means(mut points: Vec<[f64; 2]>) -> Vec<[f64; 3]> {
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let least = points.len().div_ceil(PARTS);
+    let mut parts: Vec<Vec<[f64; 2]>> = Vec::new();
+    for same in points.chunk_by(|a, b| a[0] == b[0]) {
+        match parts.last_mut() {
+            Some(part) if part.len() < least => part.extend(same),
+            _ => parts.push(same.to_vec()),
+        }
+    }
+    let of = |part: &Vec<[f64; 2]>| {
+        let n = part.len() as f64;
+        let [x, y] = [0, 1].map(|k| part.iter().map(|p| p[k]).sum::<f64>() / n);
+        [x, y, n]
+    };
+    parts.iter().map(of).collect()
 }
 
 /// Readings of one unit with their common vertical scales.
@@ -198,6 +245,32 @@ impl<'a> View<'a> {
             common,
             close,
             band,
+        }
+    }
+
+    /// Correlation ratio of the residuals before with a covariate (see the module), channels pooled.
+    fn strength(&self, column: &str) -> f64 {
+        let (mut between, mut total) = (0.0, 0.0);
+        for channel in &self.channels {
+            let points: Vec<[f64; 2]> = self
+                .records
+                .iter()
+                .filter(|r| r.channel == *channel && r.rejected.is_none())
+                .filter_map(|r| Some([value_of(r, column)?, before(r)]))
+                .filter(|p| p[1].is_finite())
+                .collect();
+            let count = points.len() as f64;
+            let mean = points.iter().map(|p| p[1]).sum::<f64>() / count;
+            total += points.iter().map(|p| (p[1] - mean).powi(2)).sum::<f64>();
+            let parts = means(points);
+            between += parts
+                .iter()
+                .map(|[_, y, n]| n * (y - mean).powi(2))
+                .sum::<f64>();
+        }
+        match between / total {
+            share if share.is_finite() => share,
+            _ => 0.0,
         }
     }
 
@@ -271,6 +344,7 @@ impl<'a> View<'a> {
             .into_iter()
             .collect();
         layers.push(Layer::HorizontalRule { at: 0.0 });
+        let mut means_of = Vec::new();
         for (k, channel) in self.channels.iter().enumerate() {
             let (class, marker) = series(k);
             let of: Vec<_> = self
@@ -280,18 +354,18 @@ impl<'a> View<'a> {
                 .collect();
             // Readings of one class would lie on one another: spread them by a golden-ratio
             // sequence.
-            let spread = |i: usize| match classes {
-                true => {
-                    0.36 * ((i as f64 * 0.618_034).fract() - 0.5)
-                        + 0.4 * (k as f64 + 0.5) / self.channels.len() as f64
-                        - 0.2
-                }
-                false => 0.0,
+            let share = (k as f64 + 0.5) / self.channels.len() as f64;
+            let [own, spread] = if classes {
+                [0.4 * share - 0.2, 0.36]
+            } else {
+                [0.0; 2]
             };
+            let spread = |i: usize| own + spread * ((i as f64 * 0.618_034).fract() - 0.5);
             let place = |(i, r): (usize, &&&ResidualRecord)| {
                 Some([value_of(r, column)? + spread(i), y.clamp(residual(r))])
             };
             let kept: Vec<_> = of.iter().filter(|r| r.rejected.is_none()).collect();
+            let is_dense = kept.len() > DENSE;
             let step = stride(kept.len(), MAX_POINTS);
             let at = kept
                 .iter()
@@ -301,10 +375,19 @@ impl<'a> View<'a> {
                 .collect();
             layers.push(Layer::Points {
                 class,
-                marker,
+                marker: if is_dense { Marker::Speck } else { marker },
                 at,
                 titles: Vec::new(),
             });
+            if is_dense {
+                let points = kept
+                    .iter()
+                    .filter_map(|r| Some([value_of(r, column)?, residual(r)]));
+                let finite = points.filter(|p| p[1].is_finite()).collect();
+                let parts = means(finite).into_iter();
+                let at = parts.map(|[x, mean, _]| [x + own, y.clamp(mean)]).collect();
+                means_of.push((class, marker, at));
+            }
             // Whoever looks for a mistake at the bench needs every rejected reading: none is
             // thinned out.
             let rejected: Vec<_> = of.iter().filter(|r| r.rejected.is_some()).collect();
@@ -331,12 +414,22 @@ impl<'a> View<'a> {
                 titles,
             });
         }
+        // Above the specks of every channel.
+        layers.extend(
+            means_of
+                .into_iter()
+                .map(|(class, marker, at)| Layer::Points {
+                    class,
+                    marker,
+                    at,
+                    titles: Vec::new(),
+                }),
+        );
         svg(&Plot {
             title: title.into(),
             description: format!(
-                "Residuals of {} ({}) against {}, {title}",
+                "Residuals of {} against {}, {title}",
                 self.channels.join(", "),
-                self.unit,
                 label_of(column)
             ),
             width: if self.close.is_some() { 330.0 } else { 270.0 },

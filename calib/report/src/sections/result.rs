@@ -1,7 +1,7 @@
 //! What to write down of the instrument.
 
 use crate::markup::{Table, escape};
-use crate::number::number;
+use crate::number::quantity;
 use wcal_core::data_sheet::DataSheet;
 
 /// The section.
@@ -21,13 +21,11 @@ pub(super) fn body(sheet: &DataSheet) -> String {
     out += &table.html();
     if let Some(u) = &sheet.uncertainty {
         let caption = format!(
-            "U = {} {} (95 %, k = {:.2}) of a {}, largest at {} {}",
-            number(u.expanded),
-            u.unit,
+            "U = {} (95 %, k = {:.2}) of a {}, largest at {}",
+            quantity(u.expanded, &u.unit),
             u.k,
             u.of,
-            number(u.at),
-            sheet.range_unit
+            quantity(u.at, &sheet.range_unit)
         );
         let mut budget = Table::new(&caption, &["source", "#standard uncertainty"]);
         for s in &u.sources {

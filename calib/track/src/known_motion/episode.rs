@@ -89,6 +89,9 @@ pub struct Settings {
     pub gap_sd_mm: f64,
     /// Standard deviation of the clock of the motion against that of the moments, s.
     pub clock_sd_s: f64,
+    /// Standard deviation of the times within the window that a reading's moments are a mean over,
+    /// s; 0: they are of one time.
+    pub window_sd_s: f64,
     /// Smallest arc length of a contact, mm.
     pub first_mm: f64,
     /// Standard deviation of the way of the touched point over the object as a share of the
@@ -113,6 +116,7 @@ impl Default for Settings {
         Self {
             gap_sd_mm: 0.5,
             clock_sd_s: 0.0,
+            window_sd_s: 0.0,
             first_mm: 8.0,
             creep_sd: 0.0,
             stiffness_sd: 0.0,

@@ -11,8 +11,8 @@
 use nalgebra::{Matrix2x3, Vector3};
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, RwLock};
+use wcal_core::interpolation::cubic;
 use wcal_core::observation::MomentAxes;
-use wcal_network::inverse::cubic;
 use wcal_rod::{Equilibrium, Guess, Rod, Tangential};
 
 /// Spacing of the nodes, mm. Relative error of interpolated moments: 3e-4 from 10 mm on (tests).
@@ -458,7 +458,7 @@ impl MomentField {
     }
 }
 
-/// Derivatives of the weights ([`wcal_network::inverse::cubic`]) by the argument.
+/// Derivatives of the weights ([`cubic`]) by the argument.
 fn cubic_rate(u: f64) -> [f64; 4] {
     // Nodes at -1, 0, 1 and 2. The weights sum to 1, so that their derivatives sum to 0.
     [

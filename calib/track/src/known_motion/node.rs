@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! contact     (P_k - P_0) . u > 0,   else the wire is free and m = 0
+//! window      m = m(P + (d' - d) u),   d' = d Phi(d / w) + w phi(d / w)         mean depth over the window of the moments, its free part as none
 //! friction    s_c(k) = clamp(s_c(k-1), s(P_k, -mu), s(P_k, +mu))               stick, then slip: a play operator
 //! ```
 //!
@@ -86,6 +87,25 @@ impl<'a> Reading<'a> {
         }
     }
 
+    /// Standard deviation along the push of the places within the reading's window, mm.
+    fn window_mm(&self) -> f64 {
+        self.row.velocity_mm_s.dot(&self.push).abs() * self.settings.window_sd_s
+    }
+
+    /// Mean depth over the reading's window, the free part as none, from that of its mean place, mm,
+    /// and its slope.
+    fn mean_depth_mm(&self, depth_mm: f64) -> (f64, f64) {
+        let window_mm = self.window_mm();
+        if window_mm <= 0.0 || depth_mm > NEAR_SDS * window_mm {
+            return (depth_mm, 1.0);
+        }
+        // Near first touch the moment goes with the depth past it; of a Gaussian depth the mean of
+        // its positive part.
+        let z = depth_mm / window_mm;
+        let (share, density) = (normal_share(z), normal_density(z));
+        (depth_mm * share + window_mm * density, share)
+    }
+
     /// Place of the two unknowns of a creeping contact in the state, and how far one standard
     /// deviation of each moves the point, mm.
     fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
@@ -137,11 +157,15 @@ pub(super) struct Linearised {
     pub contact: Option<(f64, Vector3<f64>)>,
 }
 
-/// Variance along the push of what is not known of a reading's motion, mm^2.
+/// Variance along the push of what is not known of a reading's motion, its window included, mm^2.
 fn moved_mm2(reading: &Reading<'_>) -> f64 {
     // An offset of the clock moves the point along the push by (v . u) times it.
     let clock_mm = reading.row.velocity_mm_s.dot(&reading.push) * reading.settings.clock_sd_s;
-    reading.row.moved_sd_mm.powi(2) + clock_mm * clock_mm
+    reading.row.moved_sd_mm.powi(2) + clock_mm * clock_mm + reading.window_mm().powi(2)
+}
+
+fn normal_density(z: f64) -> f64 {
+    (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt()
 }
 
 fn ln_normal(squared: f64, determinant: f64) -> f64 {
@@ -373,7 +397,11 @@ impl NodeFilter {
         if !held {
             return Some(found);
         }
+        let depth_mm = (place - touch).dot(&reading.push);
+        let (mean_mm, share) = reading.mean_depth_mm(depth_mm);
+        let place = place + reading.push * (mean_mm - depth_mm);
         let (held, rate) = self.held(reading, &place, &touch)?;
+        let rate = rate * share;
         found.moment_nmm = Vector2::from(held.moment_nmm);
         found.contact = Some((held.arclength_mm, place));
         let slope = &mut found.slope;
@@ -519,7 +547,7 @@ impl NodeFilter {
         let ratio = if past < -30.0 {
             -past
         } else {
-            (-0.5 * past * past).exp() / std::f64::consts::TAU.sqrt() / share
+            normal_density(past) / share
         };
         let column = self.covariance.column(ONSET).clone_owned() * (sign / scale);
         self.mean += &column * ratio;

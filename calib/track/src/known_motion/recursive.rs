@@ -179,7 +179,11 @@ impl RecursivePosterior {
 
     /// A node with all readings so far; none where the push runs along the wire.
     fn node(&self, field: &MomentField, s_mm: f64) -> Option<NodeFilter> {
-        let first = self.reading(field, &self.rows[0], &self.rows[0]);
+        // No reading came before the first one: its draw is a new one, of the whole variance.
+        let first = Reading {
+            correlation: 0.0,
+            ..self.reading(field, &self.rows[0], &self.rows[0])
+        };
         let mut node = NodeFilter::new(&first, s_mm, self.range_mm)?;
         node.start(&first);
         let correlated = self.settings.correlated.is_some();

@@ -1,5 +1,6 @@
 //! The kinds of session: each with its forward model, its catalogue of effects and its words.
 
+pub mod change;
 mod relaxation;
 pub mod scalar;
 pub mod whisker;

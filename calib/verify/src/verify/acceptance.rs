@@ -11,6 +11,7 @@ use super::session_model::{FloorStatement, SessionModel};
 use crate::method::distributions::f_tail;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::smooth_rival::SmoothRival;
+use wcal_core::text::with_unit;
 
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
@@ -41,11 +42,7 @@ impl Unfit {
 
     /// In a sentence; `unit` of the error.
     pub fn sentence(&self, unit: &str) -> String {
-        let with = |v: f64| {
-            format!("{} {unit}", format_significant(v))
-                .trim_end()
-                .to_owned()
-        };
+        let with = |v: f64| with_unit(&format_significant(v), unit);
         match self {
             Self::Unusable(why) => why.clone(),
             Self::FarAboveFloor([error, floor]) => format!(
@@ -81,8 +78,8 @@ pub(crate) fn format_significant(value: f64) -> String {
 }
 
 /// Error and floor, where the accepted model's error is far above what repeats differ by.
-pub(crate) fn far_above_floor<M: SessionModel>(
-    model: &M,
+pub(crate) fn far_above_floor(
+    model: &impl SessionModel,
     accepted: &Hypothesis,
     errors: &Errors,
     floor: &FloorStatement,

@@ -80,7 +80,7 @@ pub fn assess<M: SessionModel>(
 }
 
 /// Sealed readings that count, without `left_out`.
-fn scored_rows<M: SessionModel>(whole: &M, left_out: &[usize]) -> Vec<usize> {
+fn scored_rows(whole: &impl SessionModel, left_out: &[usize]) -> Vec<usize> {
     let counts = |i: &usize| whole.scored()[*i] && !left_out.contains(i);
     (0..whole.scored().len()).filter(counts).collect()
 }
@@ -206,8 +206,8 @@ fn judgement<M: SessionModel>(
 
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a
 /// picture), left out in turn.
-pub(crate) fn fill_missing<M: SessionModel>(
-    model: &M,
+pub(crate) fn fill_missing(
+    model: &impl SessionModel,
     mut sealed: Errors,
     in_turn: &Errors,
 ) -> Errors {
@@ -241,14 +241,14 @@ pub(crate) fn fill_missing<M: SessionModel>(
 }
 
 /// Measured less predicted at every reading of `whole`, in the engine's channels.
-fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
+fn residual(whole: &impl SessionModel, h: &Hypothesis) -> Option<DMatrix<f64>> {
     Some(whole.measured() - whole.design(&h.fit.terms)? * &h.fit.coefficients)
 }
 
 /// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single
 /// slips are no misfit.
-fn holdout_outliers<M: SessionModel>(
-    whole: &M,
+fn holdout_outliers(
+    whole: &impl SessionModel,
     models: [&Hypothesis; 2],
     noise: &Noise,
 ) -> Vec<usize> {
@@ -282,7 +282,7 @@ fn holdout_outliers<M: SessionModel>(
 const MAX_DENSE: usize = 500;
 
 /// What the unsealed readings share by the noise: those that share it say less than they are.
-fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) -> SharedNoise {
+fn shared_noise(whole: &impl SessionModel, flagged: &[usize], noise: &Noise) -> SharedNoise {
     let rows = scored_rows(whole, flagged);
     let step = rows.len().div_ceil(MAX_DENSE).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();

@@ -12,6 +12,7 @@ use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::omnibus::{CovariateScore, OmnibusTest};
 use crate::method::search_result::SearchResult;
+use wcal_core::text::with_unit;
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
 /// Conclusion in parts.
@@ -73,7 +74,7 @@ pub struct Facts<'a, M> {
 }
 
 /// Identifiers of an explanation's effects, flagged readings among them.
-pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+pub fn ids(model: &impl SessionModel, h: &Hypothesis) -> Vec<String> {
     h.effects(model.outliers())
         .iter()
         .map(|&e| model.catalogue()[e].id.to_owned())
@@ -81,7 +82,7 @@ pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
 }
 
 /// Law of a term, and its further column.
-fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
+fn law(model: &impl SessionModel, t: &EffectTerm) -> String {
     let effect = &model.catalogue()[t.effect];
     let column = effect
         .column(t.law, model.further_columns())
@@ -90,14 +91,14 @@ fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
 }
 
 /// Names and laws of an explanation's terms.
-pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+pub fn laws(model: &impl SessionModel, h: &Hypothesis) -> Vec<String> {
     let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id, law(model, t));
     h.fit.terms.iter().map(of).collect()
 }
 
 /// What drives an explanation's terms: what their laws need of the session, and their columns.
-fn drivers<M: SessionModel>(
-    model: &M,
+fn drivers(
+    model: &impl SessionModel,
     h: &Hypothesis,
 ) -> Vec<(usize, Vec<LawRequirement>, Option<String>)> {
     let driver = |t: &EffectTerm| {
@@ -123,8 +124,8 @@ fn join(ids: &[String]) -> String {
 
 /// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first
 /// gate's family.
-fn removal_p<M: SessionModel>(
-    model: &M,
+fn removal_p(
+    model: &impl SessionModel,
     found: &SearchResult,
     h: &Hypothesis,
     effect: usize,
@@ -139,8 +140,8 @@ fn removal_p<M: SessionModel>(
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
-fn named_effects<M: SessionModel>(
-    model: &M,
+fn named_effects(
+    model: &impl SessionModel,
     found: &SearchResult,
     h: &Hypothesis,
     classmates: &[&Hypothesis],
@@ -228,7 +229,7 @@ fn irregular(driver: &str) -> UnknownEffect {
 }
 
 /// What levels that reproduce better than they fit follow: their setting.
-fn by_setting<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
+fn by_setting(model: &impl SessionModel) -> Option<UnknownEffect> {
     let covariates = model.covariates();
     covariates.first().map(|(driver, _)| irregular(driver))
 }
@@ -564,7 +565,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
-            format!("{after} {unit}").trim_end()
+            with_unit(&after, unit)
         );
         let lack = self
             .model
@@ -601,6 +602,6 @@ impl<'a, M: SessionModel> Facts<'a, M> {
 
 /// The same names as the best explanation's, driven by something else: a period over time, or over
 /// the stimulus.
-fn other_driver<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> bool {
+fn other_driver(model: &impl SessionModel, found: &SearchResult, h: &Hypothesis) -> bool {
     ids(model, h) == ids(model, &found.best) && drivers(model, h) != drivers(model, &found.best)
 }

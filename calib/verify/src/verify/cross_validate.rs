@@ -212,8 +212,8 @@ fn withdraw_below_model_error(
 /// `h` without the terms that are none: beside the others each has to pass the level at which the
 /// search names, with a size that is not zero. The least supported one first; itself where all are.
 /// Noise is then that of what is kept; where the fit needs a term of no size, something remains.
-fn drop_unsupported<M: SessionModel>(
-    model: &M,
+fn drop_unsupported(
+    model: &impl SessionModel,
     explained: &mut Explained,
     h: Hypothesis,
     options: &Options,
@@ -247,7 +247,7 @@ fn drop_unsupported<M: SessionModel>(
 /// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald).
 /// Each by itself may well hold it: sine and cosine of an error whose period is not known exactly
 /// do.
-fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
+fn amplitudes_hold_zero(model: &impl SessionModel, fit: &Fit, term: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
     let law = model.catalogue()[of.effect].law(of.law);

@@ -21,7 +21,7 @@ use crate::method::omnibus::OmnibusTest;
 use crate::method::signature::Signature;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
-use wcal_core::text::number;
+use wcal_core::text::{number, with_unit};
 use wcal_core::verify_document::Detectable;
 
 /// Normal quantile of 90 % power.
@@ -44,18 +44,13 @@ struct DetectableSize {
 }
 
 /// One row an effect. `test` is the omnibus test on `fit`.
-pub fn table<M: SessionModel>(model: &M, h: &Hypothesis, test: &OmnibusTest) -> Vec<Detectable> {
+pub fn table(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest) -> Vec<Detectable> {
     (0..model.catalogue().len())
         .map(|effect| row(model, h, test, effect))
         .collect()
 }
 
-fn row<M: SessionModel>(
-    model: &M,
-    h: &Hypothesis,
-    test: &OmnibusTest,
-    effect: usize,
-) -> Detectable {
+fn row(model: &impl SessionModel, h: &Hypothesis, test: &OmnibusTest, effect: usize) -> Detectable {
     let fit = &h.fit;
     let candidate = &model.catalogue()[effect];
     let laws = &candidate.laws;
@@ -112,7 +107,10 @@ fn row<M: SessionModel>(
         Some(s) => {
             let law = model.law_name(laws[s.law].name);
             let shape = s.shape.iter().map(|(name, value, unit)| {
-                format!("{} {} {unit}", name.replace('_', " "), number(*value, 3))
+                with_unit(
+                    &format!("{} {}", name.replace('_', " "), number(*value, 3)),
+                    unit,
+                )
             });
             let shape = shape.collect::<Vec<_>>().join(", ");
             let at = if shape.is_empty() {
@@ -146,7 +144,7 @@ fn row<M: SessionModel>(
             }
         }
         None if !has_answer(model, fit, effect) => {
-            let why = "the model has no answer with it at some of the poses";
+            let why = "the model has no answer with it at some of the readings";
             entry("not-observable", None, unit, why.into())
         }
         None => {
@@ -161,7 +159,7 @@ fn row<M: SessionModel>(
 
 /// Whether the model has an answer for every reading with some law of the effect at its typical
 /// size.
-fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
+fn has_answer(model: &impl SessionModel, fit: &Fit, effect: usize) -> bool {
     let typical = |p: &Parameter| match p.role {
         Role::Amplitude { probe } => probe,
         Role::Shape { grid } => grid.first().copied().unwrap_or(0.0),
@@ -190,7 +188,7 @@ fn noncentrality(level: f64, d: f64, dof: f64) -> Option<f64> {
 }
 
 /// Values of a signature's shape, in the session's units.
-fn shape<M: SessionModel>(model: &M, signature: &Signature) -> Vec<(&'static str, f64, String)> {
+fn shape(model: &impl SessionModel, signature: &Signature) -> Vec<(&'static str, f64, String)> {
     let term = &signature.term;
     let parameters = model.catalogue()[term.effect]
         .law(term.law)
@@ -207,8 +205,8 @@ fn shape<M: SessionModel>(model: &M, signature: &Signature) -> Vec<(&'static str
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.
-fn smallest<M: SessionModel>(
-    model: &M,
+fn smallest(
+    model: &impl SessionModel,
     h: &Hypothesis,
     test: &OmnibusTest,
     effect: usize,

@@ -90,8 +90,8 @@ pub(crate) fn document<M: SessionModel>(
 }
 
 /// The verdict's reason, caveats and how the errors were found.
-fn reason<M: SessionModel>(
-    model: &M,
+fn reason(
+    model: &impl SessionModel,
     c: &Conclusion,
     floor: &FloorStatement,
     errors: &Errors,
@@ -108,8 +108,8 @@ fn reason<M: SessionModel>(
 }
 
 /// The declared and the accepted model before readings that agree in every setting.
-fn replicates<M: SessionModel>(
-    model: &M,
+fn replicates(
+    model: &impl SessionModel,
     explained: &Explained,
     conclusion: &Conclusion,
 ) -> Vec<WitnessTest> {
@@ -158,8 +158,8 @@ fn flagged_readings<M: SessionModel>(
         .collect()
 }
 
-fn notes<M: SessionModel>(
-    model: &M,
+fn notes(
+    model: &impl SessionModel,
     explained: &Explained,
     conclusion: &Conclusion,
     floor: &FloorStatement,
@@ -205,7 +205,7 @@ fn notes<M: SessionModel>(
 }
 
 /// Names that fell, each once.
-fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> {
+fn rejections(model: &impl SessionModel, explained: &Explained) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
     for r in &explained.found.rejections {
         let names = r.effects.join(" with ");
@@ -233,8 +233,8 @@ fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> 
 
 /// Laws of the accepted names by which the data could be described as well: columns or clocks that
 /// this session does not tell apart.
-fn other_laws<M: SessionModel>(
-    model: &M,
+fn other_laws(
+    model: &impl SessionModel,
     explained: &Explained,
     conclusion: &Conclusion,
 ) -> Option<String> {
@@ -323,8 +323,8 @@ fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
 const FOLLOWED: f64 = 0.5;
 
 /// Noise that is correlated in time and runs with a recorded column, as a sentence that names it.
-fn noise_by_column<M: SessionModel>(
-    model: &M,
+fn noise_by_column(
+    model: &impl SessionModel,
     accepted: &Hypothesis,
     noise: &Noise,
 ) -> Option<String> {
@@ -360,11 +360,7 @@ fn noise_by_column<M: SessionModel>(
 }
 
 /// Tails that are heavy by one reading alone, as a sentence that names it.
-fn tails_by_one<M: SessionModel>(
-    model: &M,
-    accepted: &Hypothesis,
-    noise: &Noise,
-) -> Option<String> {
+fn tails_by_one(model: &impl SessionModel, accepted: &Hypothesis, noise: &Noise) -> Option<String> {
     noise.tails.filter(|t| t.by_one)?;
     let sizes = accepted.fit.residual.row_iter().map(|r| r.norm());
     let (largest, _) = sizes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;

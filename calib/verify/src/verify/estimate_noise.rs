@@ -89,8 +89,8 @@ pub(crate) fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
 
 /// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that
 /// it was fitted to.
-fn weights_of<M: SessionModel>(
-    model: &M,
+fn weights_of(
+    model: &impl SessionModel,
     h: &Hypothesis,
     correlated_gain: f64,
     seed: u64,

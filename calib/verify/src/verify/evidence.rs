@@ -92,6 +92,6 @@ impl<M: SessionModel> Evidence<M> {
 }
 
 /// Readings that share nothing, each as good as it is known to be.
-pub(super) fn independent<M: SessionModel>(model: &M) -> Weights {
+pub(super) fn independent(model: &impl SessionModel) -> Weights {
     Weights::independent(model.noise_inputs().own(0.0))
 }

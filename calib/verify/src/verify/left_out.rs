@@ -286,7 +286,7 @@ pub(crate) fn leave_out<M: SessionModel>(
 /// Noise of `readings` over that of a typical one of them: root mean square over median. Where it
 /// differs from reading to reading, an error over all of them lies above a typical reading's by
 /// this.
-pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
+pub(super) fn noise_ratio(model: &impl SessionModel, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
     let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);
     // An error over all readings adds their variances; a typical reading is the median.

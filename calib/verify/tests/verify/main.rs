@@ -73,4 +73,5 @@ mod scalar_names;
 mod scalar_simulated;
 mod scalar_structure;
 mod toy;
+mod whisker_check;
 mod whisker_stages;

@@ -115,6 +115,45 @@ fn errors_of_places_are_a_table_that_holds_on_further_cycles() {
     assert!((0.92..0.98).contains(&mean), "{mean}");
 }
 
+/// The equation of a calibration holds the values of its effects; a table has too many.
+#[test]
+fn the_equation_of_an_axis_has_its_values() {
+    let mut rng = Noise::new(5);
+    let places = even(21);
+    let table: Vec<f64> = places.iter().map(|_| 10.0 * rng.next()).collect();
+    let mut equation = |error: &dyn Fn(usize, f64) -> f64| {
+        let rows = cycles(&places, 1, 6, |_, p, way| error(p, way) + 0.2 * rng.next());
+        let v = run(&axis(rows), 5);
+        v.model.unwrap().data_sheet().unwrap().equation
+    };
+    let value = |text: &str, name: &str| -> f64 {
+        let after = text
+            .split(name)
+            .nth(1)
+            .unwrap_or_else(|| panic!("{name}: {text}"));
+        let number = after.split([' ', ',', ')', ';']).next().unwrap();
+        number
+            .parse()
+            .unwrap_or_else(|e| panic!("{number}: {e}: {text}"))
+    };
+    let plain = equation(&|_, way| 2.0 + if way < 0.0 { 3.0 } else { 0.0 });
+    assert!((value(&plain, "y(x) = ") - 2.0).abs() < 0.2, "{plain}");
+    assert!(
+        (value(&plain, "reversal_value = ") - 3.0).abs() < 0.3,
+        "{plain}"
+    );
+    assert!(plain.ends_with(" um); x in mm, y in um"), "{plain}");
+    let with_table = equation(&|p, _| table[p]);
+    assert!(
+        with_table.contains("values in calibration.json"),
+        "{with_table}"
+    );
+    assert!(
+        !plain.contains("values in calibration.json"),
+        "negative control"
+    );
+}
+
 #[test]
 fn between_the_places_of_a_table_the_width_is_what_leaving_places_out_shows() {
     // 21 places with independent errors of 10 um, measured to 1 um; what lies midway is as

@@ -5,7 +5,8 @@ use super::Noise;
 use super::scalar_simulated::{run, transducer, triangles};
 use rayon::prelude::*;
 use wcal_core::observation::{Role, TransducerModel};
-use wcal_verify::scalar::{CalibrationCheck, ScalarModel, ScalarRow};
+use wcal_verify::change::CalibrationCheck;
+use wcal_verify::scalar::{ScalarModel, ScalarRow};
 
 const NOISE: f64 = 2e-3;
 const DRAWS: u64 = 200;
@@ -27,6 +28,12 @@ fn checked(
     count: usize,
     response: &dyn Fn(f64, f64) -> f64,
 ) -> CalibrationCheck {
+    model
+        .check_readings(&later(seed, count, response), false)
+        .unwrap()
+}
+
+fn later(seed: u64, count: usize, response: &dyn Fn(f64, f64) -> f64) -> Vec<ScalarRow> {
     let mut rng = Noise::new(9000 + seed);
     let row = |k: usize| {
         let place = 2.0 * k as f64 / (count - 1) as f64;
@@ -49,8 +56,33 @@ fn checked(
             place: None,
         }
     };
-    let rows: Vec<ScalarRow> = (0..count).map(row).collect();
-    model.check_readings(&rows).unwrap()
+    (0..count).map(row).collect()
+}
+
+#[test]
+fn a_tare_takes_out_the_zero_and_nothing_else() {
+    let models: Vec<ScalarModel> = (0..40).into_par_iter().map(calibrated).collect();
+    let named = |tare: bool, response: &dyn Fn(f64, f64) -> f64, name: &str| {
+        let each = models.iter().enumerate().map(|(seed, model)| {
+            let check = model.check_readings(&later(seed as u64, 10, response), tare);
+            let check = check.unwrap();
+            assert_eq!(check.tare.is_some(), tare);
+            assert_eq!(check.tested.iter().any(|t| t.name == "zero"), !tare);
+            usize::from(check.changes.iter().any(|c| c.name == name))
+        });
+        each.sum::<usize>()
+    };
+    let shifted = |x: f64, _: f64| 0.15 + 0.2 * x;
+    let steeper = |x: f64, _: f64| 0.15 + 0.2 * x * 1.02;
+    assert!(named(true, &shifted, "sensitivity") <= 3);
+    assert!(named(true, &steeper, "sensitivity") >= 38);
+    assert!(named(false, &shifted, "zero") >= 38, "negative control");
+    // Without an unloaded reading there is no zero to take.
+    let loaded: Vec<ScalarRow> = later(0, 10, &shifted)
+        .into_iter()
+        .filter(|r| r.x > 0.0)
+        .collect();
+    assert!(models[0].check_readings(&loaded, true).is_err());
 }
 
 /// Shares of draws in which nothing is said, and in which `name` alone is.

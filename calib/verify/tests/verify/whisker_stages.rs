@@ -42,11 +42,11 @@ pub(crate) fn data(name: &str) -> WhiskerData {
     }
 }
 
-fn system(data: &WhiskerData) -> WhiskerSystem {
+pub(crate) fn system(data: &WhiskerData) -> WhiskerSystem {
     WhiskerSystem::new(data, &[]).unwrap()
 }
 
-fn fitted(system: &WhiskerSystem, terms: &[EffectTerm]) -> Hypothesis {
+pub(crate) fn fitted(system: &WhiskerSystem, terms: &[EffectTerm]) -> Hypothesis {
     let weights = Weights::equal(system.path.readings.len());
     Hypothesis {
         fit: fit(system, terms, &weights, 15).unwrap(),

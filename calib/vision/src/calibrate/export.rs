@@ -208,7 +208,9 @@ fn rectify(
         calib3d::stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q)
             .doing(doing)?;
     }
-    let values = |m: &Mat| Ok(m.data_typed::<f64>().doing(doing)?.to_vec());
+    let values = |m: &Mat| -> Result<Vec<f64>, VisionError> {
+        Ok(m.data_typed::<f64>().doing(doing)?.to_vec())
+    };
     let [r1, r2, p1, p2, _] = &out;
     Ok([(values(r1)?, values(p1)?), (values(r2)?, values(p2)?)])
 }

@@ -104,12 +104,8 @@ pub fn imported(
 /// # Errors
 /// Where a file is missing, is none of these, or its cameras are not physical.
 pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
-    let texts = paths
-        .iter()
-        .map(|path| {
-            wcal_core::files::read_text(path).map_err(VisionError::io("read", path.display()))
-        })
-        .collect::<Result<Vec<String>, _>>()?;
+    let texts = paths.iter().map(wcal_core::files::read_text);
+    let texts = texts.collect::<Result<Vec<String>, _>>()?;
     let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
     let name = names.join(" and ");
     match texts.as_slice() {

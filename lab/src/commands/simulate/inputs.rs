@@ -67,7 +67,7 @@ fn shear_gpa() -> f64 {
 
 fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
     let reading = || format!("reading {}", path.display());
-    let text = wcal_core::files::read_text(path).with_context(reading)?;
+    let text = wcal_core::files::read_text(path)?;
     let table = document::toml(&text).with_context(reading)?;
     // The keys are those of a session and of a rig, too; a table of one's own may state no format.
     let found = table.get("format").and_then(toml::Value::as_str);

@@ -68,8 +68,7 @@ pub fn submit(
         args.slurm_tasks > 0,
         "--slurm-tasks: expected 1 or more, found 0"
     );
-    let header = wcal_core::files::read_text(header)
-        .with_context(|| format!("reading {}", header.display()))?;
+    let header = wcal_core::files::read_text(header)?;
     let here = std::env::current_dir().context("finding the current folder")?;
     let folder = here.join(out).join("slurm");
     let shards = dataset.shards().len();

@@ -77,20 +77,6 @@ impl Camera for FolderCamera {
         })
     }
 
-    fn configure(
-        &mut self,
-        exposure_ms: Option<f64>,
-        gain_db: Option<f64>,
-    ) -> Result<(), DeviceError> {
-        if exposure_ms.is_none() && gain_db.is_none() {
-            return Ok(());
-        }
-        let kind = DeviceErrorKind::Unsupported;
-        let expected = "no exposure and gain: the pictures exist";
-        let place = &self.folder;
-        Err(error(place, kind, "configure", expected, "a setting"))
-    }
-
     fn grab(&mut self, _timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let Some((number, path)) = self.files.get(self.next) else {
             let (kind, place) = (DeviceErrorKind::Disconnected, &self.folder);
@@ -101,7 +87,7 @@ impl Camera for FolderCamera {
             let kind = DeviceErrorKind::Protocol;
             error(path, kind, "read", "a P5 picture", &found)
         };
-        let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
+        let bytes = wcal_core::files::read(path).map_err(|e| bad(e.source.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;
         // Pictures in a folder carry no time: number and stated rate give it.
         let taken_s = *number as f64 * self.period_s;

@@ -68,19 +68,6 @@ impl Camera for NetCamera {
         })
     }
 
-    fn configure(
-        &mut self,
-        exposure_ms: Option<f64>,
-        gain_db: Option<f64>,
-    ) -> Result<(), DeviceError> {
-        if exposure_ms.is_none() && gain_db.is_none() {
-            return Ok(());
-        }
-        let expected = "no exposure and gain: the stream has none";
-        let kind = DeviceErrorKind::Unsupported;
-        Err(self.link.error(kind, "configure", expected, "a setting"))
-    }
-
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let deadline = self.link.deadline(timeout);
         let b = self.link.wait("grab", "a picture", &deadline, frame)?;

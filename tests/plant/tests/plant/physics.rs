@@ -2,9 +2,12 @@
 //! truth.
 
 use nalgebra::Vector3;
+use std::sync::Arc;
 use wcal_plant::bench::Bench;
-use wcal_plant::rod::{MomentLaw, Wire};
-use wcal_plant::table::{Grip, Table, friction_drags};
+use wcal_plant::friction::{Grip, friction_drags};
+use wcal_plant::rod::Wire;
+use wcal_plant::section::{MomentLaw, WireSection};
+use wcal_plant::table::Table;
 
 fn straight(elements: [usize; 2]) -> Wire {
     let mut wire = Wire::new(0.3, 60.0, 59.0, 20.0, 75.0, 28.0);
@@ -255,7 +258,10 @@ fn softened_wire_carries_less_moment_but_never_beyond_the_plateau() {
         },
         MomentLaw::Plateau { onset_per_mm: 0.03 },
     ] {
-        wire.law = law;
+        wire.section = Some(Arc::new(WireSection {
+            law,
+            ..WireSection::default()
+        }));
         let soft = Table::build(&wire, &path, 5.2, &[0.0], 20).unwrap();
         let onset = 0.03 * wire.ei_nmm2;
         for i in 1..=26 {

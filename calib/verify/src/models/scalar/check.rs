@@ -1,14 +1,9 @@
 //! Does a calibration still hold, and what changed since?
 //!
-//! ```text
-//! e = y - f(x),     V = diag(s^2) + G C G'                     noise of each reading, and what the calibration has wrong in all of them
-//! d = c' V^-1 e / c' V^-1 c,     sd(d)^2 = 1 / c' V^-1 c       of a change d along the column c
-//! T = e' V^-1 X (X' V^-1 X)^-1 X' V^-1 e  ~  chi2_k            all k changes at once
-//! ```
-//!
-//! Columns: zero 1; sensitivity f(x) - f(x0), relative; what each accepted effect adds to f(x),
-//! relative; where none is accepted, temperature T - T0 and the direction. Named changes are fitted
-//! together. One is named where no other one explains the readings nearly as well.
+//! Columns of [`crate::models::change`]: zero 1; sensitivity f(x) - f(x0), relative; what each
+//! accepted effect adds to f(x), relative; where none is accepted, temperature T - T0 and the
+//! direction. A tared zero is one of which nothing is known beforehand, V + L^2 1 1' with L without
+//! bound: its column goes.
 
 use super::frame::{Declared, ScalarRow};
 use super::model::{ModelError, ScalarModel};
@@ -16,98 +11,28 @@ use super::predictions::{Fitted, gradient};
 use super::sequence::ways;
 use crate::MeasurementModel;
 use crate::effect::{EffectTerm, Role};
-use crate::levels::{LEAD, NORMAL_95};
-use crate::method::distributions::{f_tail, sd_interval95};
-use crate::method::settings;
+use crate::method::{Basis, settings};
+use crate::models::change::{CalibrationCheck, Column, NewReadings, TaredZero, Tested};
 use nalgebra::{DMatrix, DVector};
-use schemars::JsonSchema;
-use serde::Serialize;
 
-/// Chance that a unit that did not change is said to have.
-const CHANGED: f64 = 0.02;
-/// The same of its scatter.
-const SCATTER: f64 = 0.01;
-/// Of a second change beside the first.
-const FURTHER: f64 = 0.01;
-/// Quantile of a normal for a power of 90 %.
-const POWER_90: f64 = 1.2816;
-/// Falls of the statistic within which two changes are not distinguished.
-const ALIKE: f64 = 0.5 * LEAD;
-
-/// Fewest readings that say anything.
-const LEAST: usize = 3;
 /// What readings must show before a calibration is said to hold.
-const MATTERS: [&str; 2] = ["zero", "sensitivity"];
-
-/// A change since the calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct CalibrationChange {
-    /// `zero`, `sensitivity`, an accepted effect, `temperature`, `hysteresis`, `scatter`.
-    pub name: String,
-    /// Size.
-    pub value: f64,
-    /// Its 95 % interval.
-    pub interval95: [f64; 2],
-    /// Unit of both.
-    pub unit: String,
-    /// What it costs at most within the range, in the unit of the quantity that is measured.
-    pub cost: f64,
-    /// Changes that explain the readings nearly as well.
-    pub or: Vec<String>,
-}
-
-/// What the readings can show of a change.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct Tested {
-    /// Change.
-    pub name: String,
-    /// Cost of the smallest change that is seen in nine of ten such tests; null where none is.
-    pub smallest: Option<f64>,
-    /// That is no more than the stated uncertainty of one reading.
-    pub is_tested: bool,
-    /// Readings that would be needed, spread as these are; null where none are enough.
-    pub readings_needed: Option<usize>,
-}
-
-/// What readings say of a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct CalibrationCheck {
-    /// Readings.
-    pub readings: usize,
-    /// Chance of readings as far off, had nothing changed.
-    pub p: f64,
-    /// What changed; empty where nothing did.
-    pub changes: Vec<CalibrationChange>,
-    /// What the readings can show.
-    pub tested: Vec<Tested>,
-    /// Expanded uncertainty of one reading that the calibration states, largest of these readings.
-    pub stated: f64,
-    /// Unit of costs.
-    pub unit: String,
-}
-
-struct Column {
-    name: String,
-    unit: String,
-    values: DVector<f64>,
-    /// Largest size over the calibrated range.
-    largest: f64,
-}
-
-impl CalibrationCheck {
-    /// The readings would show a change of zero and sensitivity that matters.
-    pub fn is_tested(&self) -> bool {
-        let untested = |t: &Tested| !t.is_tested && MATTERS.contains(&t.name.as_str());
-        !self.tested.iter().any(untested)
-    }
-}
+const MATTERS: [&str; 2] = [ZERO, "sensitivity"];
+/// The change that a tare takes out.
+const ZERO: &str = "zero";
+/// Standard deviation of a zero that is not known, in units of the largest of a reading.
+const UNKNOWN: f64 = 1e4;
 
 impl ScalarModel {
-    /// Judges the calibration by `rows` with their responses, which it was not fitted to.
+    /// Judges the calibration by `rows` with their responses, which it was not fitted to; `tare`: by
+    /// the zero of their own unloaded readings.
     ///
     /// # Errors
-    /// As [`Self::predict`], and where no reading lies within the range.
-    pub fn check_readings(&self, rows: &[ScalarRow]) -> Result<CalibrationCheck, ModelError> {
+    /// As [`Self::predict`], and where no reading lies within the range, or with `tare` at stimulus 0.
+    pub fn check_readings(
+        &self,
+        rows: &[ScalarRow],
+        tare: bool,
+    ) -> Result<CalibrationCheck, ModelError> {
         // Readings for a check are taken one after another: their order says the directions.
         let mut ordered = rows.to_vec();
         if rows
@@ -146,123 +71,70 @@ impl ScalarModel {
         let n = rows.len();
         let noise = self.noise_sd(&system.frame);
         let shared = &slopes * &fitted.covariance * slopes.transpose();
-        let covariance = DMatrix::from_fn(n, n, |i, j| {
-            shared[(i, j)] + if i == j { noise[i] * noise[i] } else { 0.0 }
-        });
-        let degenerate = || shape("noise above 0", "none");
-        let root = covariance.clone().cholesky().ok_or_else(degenerate)?.l();
-        let white = |v: &DVector<f64>| root.solve_lower_triangular(v).unwrap_or_else(|| v.clone());
         let errors = DVector::from_fn(n, |i, _| rows[i].y + self.offset - values[i]);
-        let columns = self.columns_of_change(rows, &fitted, &values, &slopes)?;
-        let (e, x): (DVector<f64>, Vec<DVector<f64>>) = (
-            white(&errors),
-            columns.iter().map(|c| white(&c.values)).collect(),
-        );
         // A response's error is worth so much of the stimulus.
         let slope = self.mean_slope()?;
-        let cost = |k: usize, size: f64| size.abs() * columns[k].largest / slope;
-        let all = explained(&x, &e);
-        let left = (e.norm_squared() - all).max(0.0);
-        // The noise is an estimate, too.
-        let p_of =
-            |squares: f64, count: f64| f_tail(squares / count, [count, self.dof]).unwrap_or(1.0);
-        let p = p_of(all, x.len() as f64);
-        let left_dof = n.saturating_sub(x.len()) as f64;
-        let p_scatter = p_of(left, left_dof);
-        let mut changes = Vec::new();
-        let mut named: Vec<usize> = Vec::new();
-        let mut or: Vec<Vec<String>> = Vec::new();
-        let mut chance = (p, CHANGED);
-        while chance.0 < chance.1 && named.len() < x.len() {
-            // What each would explain beside those that are named.
-            let with = |k: usize| {
-                let all: Vec<DVector<f64>> =
-                    named.iter().chain([&k]).map(|k| x[*k].clone()).collect();
-                explained(&all, &e)
-            };
-            let free = (0..x.len()).filter(|k| !named.contains(k));
-            let falls: Vec<(usize, f64)> = free.map(|k| (k, with(k))).collect();
-            let Some(&(best, most)) = falls.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else {
-                break;
-            };
-            let rivals = falls
-                .iter()
-                .filter(|(k, fall)| *k != best && most - fall < ALIKE);
-            or.push(rivals.map(|(k, _)| columns[*k].name.clone()).collect());
-            named.push(best);
-            chance = (
-                p_of((all - most).max(0.0), (x.len() - named.len()) as f64),
-                FURTHER,
-            );
+        let mut columns = self.columns_of_change(rows, &fitted, &values, &slopes)?;
+        columns.iter_mut().for_each(|c| c.cost /= slope);
+        let missing: Vec<&str> = (MATTERS.into_iter())
+            .filter(|name| columns.iter().all(|c| c.name != *name))
+            .collect();
+        let mut of_noise = DMatrix::from_diagonal(&DVector::from_fn(n, |i, _| noise[i] * noise[i]));
+        let tared = tare.then(|| self.tared(rows, &errors)).transpose()?;
+        if tared.is_some() {
+            // Any zero is as probable: what all readings share alone says nothing.
+            let most = of_noise.diagonal().max() + shared.diagonal().max();
+            of_noise.add_scalar_mut(UNKNOWN * UNKNOWN * most);
+            columns.retain(|c| c.name != ZERO);
         }
-        // Together, so that none is taken for a part of another.
-        let joint: Vec<DVector<f64>> = named.iter().map(|k| x[*k].clone()).collect();
-        for ((k, or), (size, sd)) in named.iter().zip(or).zip(together(&joint, &e)) {
-            changes.push(CalibrationChange {
-                name: columns[*k].name.clone(),
-                value: size,
-                interval95: [-1.0, 1.0].map(|s| size + s * NORMAL_95 * sd),
-                unit: columns[*k].unit.clone(),
-                cost: cost(*k, size),
-                or,
-            });
-        }
-        if p_scatter < SCATTER {
-            let ratio = (left / left_dof).sqrt();
-            changes.push(CalibrationChange {
-                name: "scatter".to_owned(),
-                value: ratio,
-                interval95: sd_interval95(ratio, left_dof).unwrap_or([ratio; 2]),
-                unit: "times the stated".to_owned(),
-                cost: NORMAL_95 * ratio * noise.iter().fold(0.0, |a: f64, b| a.max(*b)) / slope,
-                or: Vec::new(),
-            });
-        }
-        let stated = predicted.iter().filter(|p| p.valid).map(|p| p.half95);
-        let stated = stated.fold(0.0, f64::max) / slope;
-        let tested = (0..x.len()).map(|k| {
-            let smallest = cost(k, (NORMAL_95 + POWER_90) / x[k].norm());
-            // One reading cannot distinguish a shift from a stray.
-            let many = smallest > stated || n < LEAST;
-            // What all readings share is no smaller by more of them.
-            let share = shared
-                .diagonal()
-                .iter()
-                .fold(0.0, |a: f64, b| a.max(*b))
-                .sqrt();
-            let floor = (NORMAL_95 + POWER_90) * share / slope;
-            let factor = (smallest / stated).powi(2);
-            let needed = (n as f64 * factor).ceil() as usize;
-            Tested {
-                name: columns[k].name.clone(),
-                smallest: Some(smallest),
-                is_tested: !many,
-                readings_needed: (many && floor < stated).then_some(needed.max(LEAST)),
-            }
-        });
-        let mut tested: Vec<Tested> = tested.collect();
-        let shown = |name: &str| columns.iter().any(|c| c.name == name);
-        tested.extend(
-            MATTERS
-                .iter()
-                .filter(|name| !shown(name))
-                .map(|name| Tested {
-                    name: (*name).to_owned(),
-                    smallest: None,
-                    is_tested: false,
-                    readings_needed: None,
-                }),
-        );
-        Ok(CalibrationCheck {
+        let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max) / slope;
+        let stated = largest(&mut predicted.iter().filter(|p| p.valid).map(|p| p.half95));
+        let found = NewReadings {
             readings: n,
-            p,
-            tested,
-            changes,
+            errors,
+            noise: of_noise,
+            dof: self.dof,
+            columns,
+            noise_cost: largest(&mut noise.iter().copied()),
+            shared_cost: largest(&mut shared.diagonal().iter().map(|v| v.max(0.0).sqrt())),
+            shared,
             stated,
             unit: match self.declared {
                 Declared::Axis => self.response_unit.clone(),
                 Declared::Polynomial(_) => self.stimulus_unit.clone(),
             },
+        };
+        let mut check = (found.check(None)).ok_or_else(|| shape("noise above 0", "none"))?;
+        check.tare = tared;
+        check.tested.extend(missing.into_iter().map(|name| Tested {
+            name: name.to_owned(),
+            sd: None,
+            smallest: None,
+            is_tested: false,
+            is_required: true,
+            readings_needed: None,
+        }));
+        Ok(check)
+    }
+
+    /// The zero by the readings at stimulus 0.
+    fn tared(&self, rows: &[ScalarRow], errors: &DVector<f64>) -> Result<TaredZero, ModelError> {
+        let unloaded = rows
+            .iter()
+            .zip(errors.iter())
+            .filter(|(row, _)| row.x == 0.0);
+        let unloaded: Vec<f64> = unloaded.map(|(_, e)| *e).collect();
+        if unloaded.is_empty() {
+            return Err(ModelError::Shape {
+                what: "--tare".to_owned(),
+                expected: "unloaded readings, at stimulus 0".to_owned(),
+                found: "none".to_owned(),
+            });
+        }
+        Ok(TaredZero {
+            readings: unloaded.len(),
+            zero: unloaded.iter().sum::<f64>() / unloaded.len() as f64,
+            unit: self.response_unit.clone(),
         })
     }
 
@@ -279,10 +151,12 @@ impl ScalarModel {
             name: name.to_owned(),
             unit: unit.to_owned(),
             values: DVector::from_fn(n, |i, _| value(i)),
-            largest,
+            cost: largest,
+            one_sided: false,
+            is_required: MATTERS.contains(&name),
         };
         let y = &self.response_unit;
-        let mut columns = vec![of("zero", y, 1.0, &|_| 1.0)];
+        let mut columns = vec![of(ZERO, y, 1.0, &|_| 1.0)];
         let [low, high] = self.stimulus_range;
         if self.declared == Declared::Axis {
             // Relative, of the travel from the low end: um of a mm are 1e3.
@@ -327,15 +201,13 @@ impl ScalarModel {
             columns.push(of("hysteresis", y, 1.0, &|i| ways[i]));
         }
         // A column that is a sum of others shows nothing of its own.
-        let mut kept: Vec<Column> = Vec::new();
-        for column in columns {
-            let others: Vec<DVector<f64>> = kept.iter().map(|c| c.values.clone()).collect();
-            let own = column.values.norm_squared();
-            if own - explained(&others, &column.values) > 1e-9 * own {
-                kept.push(column);
-            }
-        }
-        Ok(kept)
+        let mut basis = Basis::default();
+        columns.retain(|c| {
+            let own = basis.project_off(&c.values).norm_squared();
+            basis.push(&c.values);
+            own > 1e-9 * c.values.norm_squared()
+        });
+        Ok(columns)
     }
 
     /// What each accepted effect adds to the responses: as much more of it is one.
@@ -360,7 +232,9 @@ impl ScalarModel {
                 name: named.id.clone(),
                 unit: "1".to_owned(),
                 values,
-                largest,
+                cost: largest,
+                one_sided: false,
+                is_required: false,
             });
         }
         out
@@ -381,30 +255,4 @@ impl ScalarModel {
                 found: "none".to_owned(),
             })
     }
-}
-
-/// Sizes of the columns fitted together to whitened errors, and their standard deviations.
-fn together(columns: &[DVector<f64>], e: &DVector<f64>) -> Vec<(f64, f64)> {
-    if columns.is_empty() {
-        return Vec::new();
-    }
-    let x = DMatrix::from_columns(columns);
-    let Some(inverse) = (x.transpose() * &x).try_inverse() else {
-        return Vec::new();
-    };
-    let sizes = &inverse * (x.transpose() * e);
-    let sd = |k: usize| inverse[(k, k)].max(0.0).sqrt();
-    (0..columns.len()).map(|k| (sizes[k], sd(k))).collect()
-}
-
-/// Squares of `e` that the columns explain.
-fn explained(columns: &[DVector<f64>], e: &DVector<f64>) -> f64 {
-    if columns.is_empty() {
-        return 0.0;
-    }
-    let x = DMatrix::from_columns(columns);
-    let normal = x.transpose() * &x;
-    let right = x.transpose() * e;
-    let solved = normal.svd(true, true).solve(&right, 1e-12);
-    solved.map_or(0.0, |b| b.dot(&right))
 }

@@ -9,17 +9,19 @@
 //!
 //! What follows the time is not in `m`: creep has a line of its own, a drift is that session's.
 
-use super::frame::{Declared, ScalarRow};
+use super::frame::{Declared, Names, ScalarRow};
 use super::inverse::Before;
 use super::model::{ScalarModel, ScalarPrediction};
+use super::parameters::physical;
 use super::predictions::gradient;
 use crate::effect::LawRequirement;
 use crate::method::t95;
-use crate::{Effect, MeasurementModel};
+use crate::{Effect, EffectTerm, MeasurementModel};
 use nalgebra::DVector;
+use std::ops::Range;
 use wcal_core::data_sheet::{Characteristic, DataSheet, UncertaintyBudget, UncertaintySource};
 use wcal_core::observation::Role;
-use wcal_core::text::number;
+use wcal_core::text::{number, with_unit};
 
 /// Places over the range.
 const PLACES: usize = 64;
@@ -28,6 +30,10 @@ const CREEP_S: f64 = 1800.0;
 /// A loop or bend below this share of the full scale is rounding.
 const ROUNDING: f64 = 1e-9;
 const PERCENT: f64 = 100.0;
+/// Digits of an effect's values in the equation.
+const SHORT: usize = 5;
+/// Values of an effect that the equation has room for.
+const FEW: usize = 6;
 
 /// The response over a cycle from the low end up and back.
 struct Cycle {
@@ -108,7 +114,7 @@ impl ScalarModel {
             ));
         }
         Some(DataSheet {
-            equation: self.equation(),
+            equation: self.equation()?,
             characteristics,
             uncertainty,
             range: self.stimulus_range,
@@ -117,26 +123,22 @@ impl ScalarModel {
         })
     }
 
-    /// The accepted model, the declared part with its coefficients.
-    fn equation(&self) -> String {
+    /// The accepted model with its values.
+    fn equation(&self) -> Option<String> {
         let [mid, half] = [self.scaling.mid, self.scaling.half_range()];
-        let units = format!("x in {}, y in {}", self.stimulus_unit, self.response_unit);
-        let names: Vec<String> = self
-            .effects
-            .iter()
-            .map(|t| format!("{} ({})", t.id, t.law))
-            .collect();
-        let beside = |names: &[String]| match names.is_empty() {
+        let units = [("x", &self.stimulus_unit), ("y", &self.response_unit)];
+        let stated = units.iter().filter(|(_, unit)| *unit != "1");
+        let units: Vec<String> = stated.map(|(of, unit)| format!("{of} in {unit}")).collect();
+        let units = match units.is_empty() {
             true => String::new(),
-            false => format!(", with {} (values: calibration.json)", names.join(", ")),
+            false => format!("; {}", units.join(", ")),
         };
+        let effects = self.effects_with_values()?;
         if self.declared == Declared::Axis {
-            let law = if names.is_empty() {
-                "constant"
-            } else {
-                &names.join(", ")
-            };
-            return format!("error y(x) = {law}; {units}");
+            // Of a table of errors the first coefficient is the first place's.
+            let constant = number(self.coefficients[0] - self.offset, SHORT);
+            let all: Vec<String> = [constant].into_iter().chain(effects).collect();
+            return Some(format!("error y(x) = {}{units}", all.join(" + ")));
         }
         let (coefficients, rest) = match &self.polynomial {
             Some(p) => (p.coefficients.clone(), String::new()),
@@ -152,7 +154,8 @@ impl ScalarModel {
                     c(2) / half.powi(2),
                 ];
                 let degree = b.iter().rposition(|b| *b != 0.0).unwrap_or(0);
-                (b[..=degree].to_vec(), beside(&names))
+                let rest = effects.iter().map(|e| format!(" + {e}")).collect();
+                (b[..=degree].to_vec(), rest)
             }
         };
         let term = |(k, b): (usize, &f64)| {
@@ -164,10 +167,44 @@ impl ScalarModel {
             number(*b, 10) + &power
         };
         let terms: Vec<String> = coefficients.iter().enumerate().map(term).collect();
-        format!(
-            "y = {}{rest}; {units}",
-            terms.join(" + ").replace("+ -", "- ")
-        )
+        let terms = terms.join(" + ").replace("+ -", "- ");
+        Some(format!("y = {terms}{rest}{units}"))
+    }
+
+    /// The accepted effects with their laws and values, e.g. `backlash(reversal_value = 1.5 um)`.
+    fn effects_with_values(&self) -> Option<Vec<String>> {
+        let system = self.system(Vec::new());
+        let names = Names {
+            stimulus: self.stimulus_unit.clone(),
+            response: self.response_unit.clone(),
+            deviation: self.declared == Declared::Axis,
+            covariates: self.covariates.clone(),
+        };
+        let terms = self.terms(&system).ok()?;
+        let of = |(term, [columns, _]): (&EffectTerm, [Range<usize>; 2])| {
+            let effect = &system.catalogue()[term.effect];
+            let law = effect.law(term.law);
+            let own = law.parameters.iter().zip(&term.values);
+            let own = own.map(|(p, value)| (p.name, p.unit, *value));
+            let linear = law.linear.iter().zip(columns);
+            let linear = linear.map(|((name, unit), k)| (*name, *unit, self.coefficients[k]));
+            let values: Vec<String> = own
+                .chain(linear)
+                .map(|(name, unit, value)| {
+                    let (value, unit) = physical(unit, value, term.law, &system.frame, &names);
+                    with_unit(&format!("{name} = {}", number(value, SHORT)), &unit)
+                })
+                .collect();
+            match values.len() {
+                0 => format!("{}({})", effect.id, law.name),
+                1..=FEW => format!("{}({}: {})", effect.id, law.name, values.join(", ")),
+                many => format!(
+                    "{}({}: {many} values in calibration.json)",
+                    effect.id, law.name
+                ),
+            }
+        };
+        Some(terms.iter().zip(self.slots(&terms)).map(of).collect())
     }
 
     /// The model without the terms that `goes` says of: the effect, and whether its law follows the
@@ -252,13 +289,8 @@ impl ScalarModel {
     }
 
     fn of_axis(&self, cycle: &Cycle) -> Vec<Characteristic> {
-        let of = |name: &str, value: f64, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value,
-            half95: None,
-            unit: self.response_unit.clone(),
-            meaning: meaning.to_owned(),
-        };
+        let of =
+            |name, value, meaning| Characteristic::new(name, value, &self.response_unit, meaning);
         let mut out = vec![of(
             "largest error",
             cycle.largest(|k| cycle.mean(k)),
@@ -288,32 +320,24 @@ impl ScalarModel {
         if !(full_scale > 0.0) {
             return None;
         }
-        let percent = |name: &str, value: f64, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value: PERCENT * value / full_scale,
-            half95: None,
-            unit: "% FS".to_owned(),
-            meaning: meaning.to_owned(),
+        let percent = |name: &str, value: f64, meaning: &str| {
+            Characteristic::new(name, PERCENT * value / full_scale, "% FS", meaning)
         };
+        let unit = match (y.as_str(), x.as_str()) {
+            (y, "1") => y.to_owned(),
+            (y, x) => format!("{y}/{x}"),
+        };
+        let line = "slope of the least-squares line over the range";
         let mut out = vec![Characteristic {
-            name: "sensitivity".to_owned(),
-            value: slope,
             half95: Some(k * slope_sd),
-            unit: match (y.as_str(), x.as_str()) {
-                (y, "1") => y.to_owned(),
-                (y, x) => format!("{y}/{x}"),
-            },
-            meaning: "slope of the least-squares line over the range".to_owned(),
+            ..Characteristic::new("sensitivity", slope, &unit, line)
         }];
         if let Some(zero) = cycle.x.iter().position(|x| *x == 0.0) {
             let at: Vec<f64> = (0..=last).map(|k| f64::from(k == zero)).collect();
             let (value, sd) = cycle.combined(&at);
             out.push(Characteristic {
-                name: "zero".to_owned(),
-                value,
                 half95: Some(k * sd),
-                unit: y.clone(),
-                meaning: format!("response at 0 {x}"),
+                ..Characteristic::new("zero", value, y, &with_unit("response at 0", x))
             });
         }
         let bend = cycle.largest(|k| cycle.mean(k) - level - slope * (cycle.x[k] - mid));
@@ -386,12 +410,8 @@ impl ScalarModel {
         let span = change(1) - change(0);
         let last = cycle.x.len() - 1;
         let sensitivity = span / (cycle.x[last] - cycle.x[0]) / slope;
-        let of = |name: &str, value: f64, unit: &str, meaning: &str| Characteristic {
-            name: name.to_owned(),
-            value: PERCENT * value,
-            half95: None,
-            unit: unit.to_owned(),
-            meaning: meaning.to_owned(),
+        let of = |name, value: f64, unit, meaning| {
+            Characteristic::new(name, PERCENT * value, unit, meaning)
         };
         let mut out = Vec::new();
         if change(0).abs() > ROUNDING * full_scale {

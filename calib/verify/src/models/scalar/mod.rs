@@ -33,7 +33,6 @@ pub use crate::method::noise::spread::Spread;
 
 pub use frame::{Declared, Frame, ScalarRow, Scaling};
 
-pub use check::{CalibrationChange, CalibrationCheck, Tested};
 pub use model::{EffectInputs, ModelError, ScalarModel};
 pub use polynomial::Polynomial;
 pub use scalar_effect::ScalarEffect;

@@ -8,7 +8,7 @@ use crate::method::{means, settings};
 use crate::models::range;
 use wcal_core::order_statistics::median;
 use wcal_core::repeats::decimal_step;
-use wcal_core::text::number;
+use wcal_core::text::{number, with_unit};
 
 /// What the law of the other settings goes on by beyond the limit, in resolvable steps: a coarse
 /// gauge repeats itself, too.
@@ -37,7 +37,7 @@ impl RangeLimit {
              calibration ends at {last}.",
             points.len(),
             points.join(", "),
-            format!("{} {unit}", self.value).trim_end()
+            with_unit(&self.value.to_string(), unit)
         )
     }
 }

@@ -3,6 +3,7 @@
 
 mod admission;
 mod branch_cache;
+mod check;
 mod covariates;
 pub mod effects;
 pub mod floor;

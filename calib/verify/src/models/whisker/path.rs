@@ -25,6 +25,8 @@ pub struct Reading {
     pub t_s: f64,
     /// Time since arrival, s.
     pub dwell_s: f64,
+    /// Read while the stage stood.
+    pub settled: bool,
     /// Time for which the groove stays after `t_s`: the rest of the averaging window, s.
     pub stays_s: f64,
     /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes
@@ -88,6 +90,8 @@ pub struct Columns {
     pub both_directions: bool,
     /// At least two speeds while moving, or moving and settled.
     pub speeds: bool,
+    /// Positions of the stage at all loaded readings.
+    pub stage: bool,
 }
 
 /// A whisker session on its path.
@@ -204,18 +208,19 @@ fn typical(readings: &[Averaged]) -> Option<f64> {
 
 /// [`averaging_variance`] of readings on a path.
 pub(crate) fn averaged_readings(readings: &[Reading]) -> Option<Vec<f64>> {
-    let of = |r: &Reading| (r.averaged, !r.rest, r.dwell_s > 0.0);
+    let of = |r: &Reading| (r.averaged, !r.rest, r.settled);
     averaging_variance(&readings.iter().map(of).collect::<Vec<_>>())
 }
 
 /// [`typical`] of the stated samples of readings on a path.
 pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
-    let of = |r: &Reading| (r.samples.map(f64::from), !r.rest, r.dwell_s > 0.0);
+    let of = |r: &Reading| (r.samples.map(f64::from), !r.rest, r.settled);
     typical(&readings.iter().map(of).collect::<Vec<_>>())
 }
 
+/// Whether a row was read while the stage stood: by its dwell, else by its speed.
 fn settled(row: &WhiskerRow) -> bool {
-    row.dwell_s.is_some_and(|d| d > 0.0)
+    row.dwell_s.map_or(row.speed_mm_s == Some(0.0), |d| d > 0.0)
 }
 
 /// How long a row was averaged: its samples, or, where `moving_variance` is known instead, in units
@@ -322,6 +327,7 @@ impl WhiskerPath {
                         k as f64
                     },
                     dwell_s: r.dwell_s.unwrap_or_default(),
+                    settled: settled(r),
                     // `t_s` is the middle of the averaging window: half of it is still to come.
                     stays_s: r.average_s.unwrap_or_default() / 2.0,
                     rise_degc: degc.unwrap_or_default(),
@@ -357,6 +363,9 @@ impl WhiskerPath {
             both_directions: loaded().any(|r| r.direction < 0.0)
                 && loaded().any(|r| r.direction > 0.0),
             speeds: loaded().any(|r| r.velocity_mm_s != 0.0),
+            stage: rows
+                .iter()
+                .all(|r| r.role == Role::Rest || r.stage_mm.is_some()),
         };
         let lines: Vec<Line> = trajectories
             .iter()
@@ -530,10 +539,38 @@ pub(crate) fn bare_row(k: usize, t_s: f64, shift_pm: [f64; 2]) -> WhiskerRow {
 
 #[cfg(test)]
 mod tests {
-    use super::{Reading, WhiskerRow, bare_row, exclude_ramps, places, temperature_walk};
+    use super::{
+        Reading, WhiskerPath, WhiskerRow, bare_row, exclude_ramps, places, settled,
+        temperature_walk,
+    };
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
     use wcal_core::observation::FbgSpec;
+
+    #[test]
+    fn rows_are_settled_by_their_dwell_or_their_speed_and_the_stage_states_its_own_positions() {
+        let row = |speed_mm_s, dwell_s, stage_mm| WhiskerRow {
+            speed_mm_s,
+            dwell_s,
+            stage_mm,
+            ..bare_row(0, 0.0, [0.0; 2])
+        };
+        assert!(settled(&row(None, Some(2.0), None)) && settled(&row(Some(0.0), None, None)));
+        let moving = [(Some(2.0), None), (Some(2.0), Some(0.0)), (None, None)];
+        for (speed_mm_s, dwell_s) in moving {
+            assert!(
+                !settled(&row(speed_mm_s, dwell_s, None)),
+                "negative control"
+            );
+        }
+        let states = |stage_mm| {
+            let rows = [row(None, None, stage_mm)];
+            WhiskerPath::new(&rows, &[], &FbgSpec::default(), None)
+                .columns
+                .stage
+        };
+        assert!(states(Some(1.0)) && !states(None));
+    }
 
     /// Of twenty sessions, each of 40 strokes of eight settled and twelve moving rows whose noise
     /// is `sd` times as large: what their reference grating says of the variance.
@@ -587,6 +624,7 @@ mod tests {
             velocity_mm_s,
             t_s,
             dwell_s: 0.0,
+            settled: false,
             stays_s: 0.0,
             rise_degc: 0.0,
             temperature_loo_degc: 0.0,

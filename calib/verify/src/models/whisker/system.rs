@@ -19,6 +19,9 @@ use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
 /// Two moment components a reading, N mm.
 pub type Moments = Vec<[f64; 2]>;
 
+/// Largest share of the gratings' noise that they can share.
+const MAX_SHARED: f64 = 0.95;
+
 /// A whisker session, its declared model and the catalogue.
 #[derive(Clone)]
 pub struct WhiskerSystem {
@@ -180,6 +183,7 @@ impl WhiskerSystem {
             Time | Clock => (has.time, "the session has no time stamps"),
             Temperature => (has.temperature, "the session has no temperature"),
             Motion => (has.speeds, "no reading was taken while the stage moved"),
+            StagePosition => (has.stage, "the session has no positions of the stage"),
             Weight if self.data.whisker.gravity_direction.is_none() => {
                 (false, "the session does not give the direction of gravity")
             }
@@ -280,9 +284,9 @@ impl WhiskerSystem {
         self.path.columns.speeds && averaged_readings(&self.path.readings).is_some()
     }
 
-    /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none
-    /// where no reference noise is shared.
-    fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
+    /// Direction and size of the variance of the reference's noise, which both gratings share, pm^2;
+    /// none where no reference noise is shared.
+    fn reference_noise(&self) -> Option<(Vector2<f64>, f64)> {
         let compensated = self.data.fbg.needs_reference()
             && self
                 .data
@@ -295,11 +299,28 @@ impl WhiskerSystem {
                 .temperature_pm_per_degc
                 .filter(|_| compensated)?,
         );
-        let along = k.try_normalize(0.0)?;
+        let shared = k.norm_squared() * self.walk?.noise_sd.powi(2);
+        Some((k.try_normalize(0.0)?, shared))
+    }
+
+    /// Covariance of the gratings' noise of one reading in units of `noise_sd_pm`^2, the mean of both
+    /// variances.
+    pub(super) fn shared_by_reference(&self, noise_sd_pm: f64) -> Matrix2<f64> {
+        let Some((along, shared)) = self.reference_noise() else {
+            return Matrix2::identity();
+        };
+        // Where more is shared than there is, nothing of its own is left but rounding.
+        let share = (shared / (2.0 * noise_sd_pm * noise_sd_pm)).min(MAX_SHARED);
+        Matrix2::identity() * (1.0 - share) + along * along.transpose() * (2.0 * share)
+    }
+
+    /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none
+    /// where no reference noise is shared.
+    fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
+        let (along, shared) = self.reference_noise()?;
         let across = Vector2::new(-along[1], along[0]);
         // Across k_T only the gratings' own noise is left; half of the degrees of freedom lie there.
         let own = (&fit.residual * across).norm_squared() / (0.5 * fit.readings_dof()).max(1.0);
-        let shared = k.norm_squared() * self.walk?.noise_sd.powi(2);
         // cov = s^2 I + k k' s_T^2 has the root s (I + (stretch - 1) along along').
         let stretch = (1.0 + shared / own).sqrt();
         stretch

@@ -1,6 +1,8 @@
 //! Moments along one line on a grid of stage position: frictionless, and the slip branches beside
 //! it.
 
+use wcal_core::interpolation::cubic;
+
 /// Values on a uniform grid of stage position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LineTable {
@@ -16,19 +18,9 @@ pub struct LineTable {
     pub end_mm: f64,
 }
 
-/// Four-point Lagrange weights for position `f` in [-1, 2] relative to the second of four nodes.
-fn lagrange(f: f64) -> [f64; 4] {
-    [
-        -f * (f - 1.0) * (f - 2.0) / 6.0,
-        (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
-        -(f + 1.0) * f * (f - 2.0) / 2.0,
-        (f + 1.0) * f * (f - 1.0) / 6.0,
-    ]
-}
-
 fn bracket(x: f64, len: usize) -> (usize, [f64; 4]) {
     let j = (x.floor().max(0.0) as usize).clamp(1, len.saturating_sub(3).max(1));
-    (j - 1, lagrange(x - j as f64))
+    (j - 1, cubic(x - j as f64))
 }
 
 impl LineTable {

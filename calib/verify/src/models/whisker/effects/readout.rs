@@ -2,11 +2,17 @@
 
 use crate::effect::LawRequirement::{RestReadings, Temperature, Time};
 use crate::effect::{Effect, law};
+use crate::whisker::path::{Reading, WhiskerPath};
 use crate::whisker::whisker_effect::WhiskerEffect;
 
 /// Five times what is usual at most (4 % of full scale), which leaves room for its standard
 /// deviation: more is no grating's nonlinearity.
 const MAX_SHARE: f64 = 0.2;
+
+/// One column, its value at each reading.
+fn column(path: &WhiskerPath, of: impl Fn(&Reading) -> f64) -> Vec<Vec<f64>> {
+    vec![path.readings.iter().map(of).collect()]
+}
 
 /// Rest of the temperature compensation, dk (T - T0) in each channel: difference of the temperature
 /// coefficients, tens of pm/K where bonded to polymer.
@@ -16,12 +22,7 @@ pub(crate) fn temperature_mismatch() -> WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and
         // would pull the coefficient.
         columns: |_, path, origin, _| {
-            vec![
-                path.readings
-                    .iter()
-                    .map(|r| r.temperature_loo_degc - origin.temperature_degc)
-                    .collect(),
-            ]
+            column(path, |r| r.temperature_loo_degc - origin.temperature_degc)
         },
         ..WhiskerEffect::new(
             "temperature-mismatch",
@@ -36,13 +37,8 @@ pub(crate) fn zero_drift() -> WhiskerEffect {
     let linear = law("linear").needing(&[Time]);
     WhiskerEffect {
         columns: |_, path, origin, _| {
-            vec![
-                path.readings
-                    .iter()
-                    // In minutes, for a drift in pm/min.
-                    .map(|r| (r.t_s - origin.t_s) / 60.0)
-                    .collect(),
-            ]
+            // In minutes, for a drift in pm/min.
+            column(path, |r| (r.t_s - origin.t_s) / 60.0)
         },
         ..WhiskerEffect::new(
             "zero-drift",
@@ -60,14 +56,7 @@ pub(crate) fn zero_drift() -> WhiskerEffect {
 pub(crate) fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[RestReadings]);
     WhiskerEffect {
-        columns: |_, path, _, _| {
-            vec![
-                path.readings
-                    .iter()
-                    .map(|r| f64::from(u8::from(r.rest)))
-                    .collect(),
-            ]
-        },
+        columns: |_, path, _, _| column(path, |r| f64::from(u8::from(r.rest))),
         ..WhiskerEffect::new(
             "rest-zero",
             "The rest readings have another zero than the loaded ones (taken at another time or mounting).",

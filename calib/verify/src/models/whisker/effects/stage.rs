@@ -1,6 +1,6 @@
 //! Effects on the position of the stage.
 
-use crate::effect::LawRequirement::Motion;
+use crate::effect::LawRequirement::{Motion, StagePosition};
 use crate::effect::law;
 use crate::models::relaxation::relax;
 use crate::whisker::path::WhiskerPath;
@@ -54,7 +54,12 @@ pub(crate) fn stage_scale() -> WhiskerEffect {
         ..WhiskerEffect::new(
             "stage-scale",
             "Scale error: the stage travels a constant factor more or less than commanded.",
-            vec![law("linear").amplitude("relative_scale", "1", [-0.03, 0.03], 0.01)],
+            vec![law("linear").needing(&[StagePosition]).amplitude(
+                "relative_scale",
+                "1",
+                [-0.03, 0.03],
+                0.01,
+            )],
         )
     }
 }
@@ -63,6 +68,7 @@ pub(crate) fn stage_scale() -> WhiskerEffect {
 /// turn (device notes).
 pub(crate) fn stage_periodic() -> WhiskerEffect {
     let screw = law("screw")
+        .needing(&[StagePosition])
         .amplitudes(["sine_mm", "cosine_mm"], "mm", [-0.1, 0.1], 0.005)
         .shape("pitch_mm", "mm", [0.25, 1.3], &[0.6096, 0.3048, 1.2192]);
     WhiskerEffect {

@@ -306,7 +306,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
         needs: None,
         is_done: has(format!("{map}/calibration.json")),
         says: Box::new(move || {
-            let text = read_text(&result.join("map/fit-gpr.json"))?;
+            let text = read_text(result.join("map/fit-gpr.json"))?;
             let map: MapDocument = serde_json::from_str(&text)?;
             Ok(format!("map {} of {} poses", map.chosen, map.points))
         }),
@@ -326,7 +326,7 @@ fn steps(args: &CalibrateArgs, bench: &[PathBuf]) -> Vec<Step> {
         needs: Some(PathBuf::from(&calibration)),
         is_done: has(track),
         says: Box::new(move || {
-            let rows = read_text(&result.join("track.csv"))?.lines().count();
+            let rows = read_text(result.join("track.csv"))?.lines().count();
             Ok(format!("{} contacts in track.csv", rows.saturating_sub(1)))
         }),
     });
@@ -353,7 +353,7 @@ fn sweep_words(args: &CalibrateArgs, bench: &[PathBuf], session: &str) -> Vec<St
 }
 
 fn is_finished(session: &Path) -> bool {
-    let run = read_text(&session.join("run.json")).ok();
+    let run = read_text(session.join("run.json")).ok();
     let run = run.and_then(|text| RunFile::parse(&text).ok());
     let last = run.as_ref().and_then(|run| run.runs.last());
     last.is_some_and(|last| last.ending == "finished") && session.join("points.csv").exists()
@@ -361,10 +361,10 @@ fn is_finished(session: &Path) -> bool {
 
 fn rows_of(session: &Path) -> Result<String> {
     let rows = |name: &str| {
-        let text = read_text(&session.join(name)).unwrap_or_default();
+        let text = read_text(session.join(name)).unwrap_or_default();
         text.lines().count().saturating_sub(1)
     };
-    let run = RunFile::parse(&read_text(&session.join("run.json"))?)?;
+    let run = RunFile::parse(&read_text(session.join("run.json"))?)?;
     let lost: u64 = run.runs.iter().map(|r| r.lost_scans).sum();
     let (open, sealed) = (rows("points.csv"), rows("holdout.csv"));
     Ok(format!(

@@ -197,6 +197,12 @@ fn draw_layer(out: &mut String, frame: &Frame<'_>, layer: &Layer) {
                 );
             }
         }
+        Layer::VerticalRule { at } => {
+            if let Some(x) = frame.x(*at) {
+                let (x, top, bottom) = (px(x), px(frame.top), px(frame.top + frame.height));
+                let _ = write!(out, "<path class=\"rule\" d=\"M{x} {top}V{bottom}\"/>");
+            }
+        }
     }
 }
 

@@ -58,6 +58,11 @@ pub(crate) enum Layer {
         /// Value of y.
         at: f64,
     },
+    /// Vertical line.
+    VerticalRule {
+        /// Value of x.
+        at: f64,
+    },
 }
 
 /// A chart of two axes.

@@ -192,7 +192,6 @@ fn means(mut points: Vec<[f64; 2]>) -> Vec<[f64; 3]> {
 struct View<'a> {
     records: Vec<&'a ResidualRecord>,
     channels: Vec<String>,
-    unit: String,
     /// Common scale of before and after.
     common: Axis,
     /// Own scale of what remains; none where the common one shows it well enough.
@@ -241,7 +240,6 @@ impl<'a> View<'a> {
         Self {
             records,
             channels,
-            unit,
             common,
             close,
             band,

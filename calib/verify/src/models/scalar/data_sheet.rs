@@ -179,6 +179,7 @@ impl ScalarModel {
             response: self.response_unit.clone(),
             deviation: self.declared == Declared::Axis,
             covariates: self.covariates.clone(),
+            ..Names::default()
         };
         let terms = self.terms(&system).ok()?;
         let of = |(term, [columns, _]): (&EffectTerm, [Range<usize>; 2])| {

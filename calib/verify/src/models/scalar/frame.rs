@@ -68,7 +68,7 @@ impl Declared {
 }
 
 /// Names by which the session calls things.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Names {
     /// Unit of the stimulus.
     pub stimulus: String,

@@ -140,11 +140,8 @@ impl ScalarSystem {
             measured: DMatrix::from_fn(n, 1, |i, _| frame.rows[i].y + offset),
             weights: vec![1.0; n],
             names: Names {
-                stimulus: String::new(),
-                response: String::new(),
-                deviation: false,
-                reference_sd: 0.0,
                 covariates: covariate_names.to_vec(),
+                ..Names::default()
             },
             points: Arc::new(frame.rows.clone()),
             sealed: vec![false; n],

@@ -65,6 +65,8 @@ struct State {
 
 /// Makes a change of a size.
 type Apply<'a> = Box<dyn Fn(f64, &mut State) + 'a>;
+/// What a displacement of the groove does to a trajectory.
+type Displace = Box<dyn Fn(f64, &mut Trajectory)>;
 
 /// A change that can be: what it is called, its unit, the step of its differences, and what it does.
 struct Change<'a> {
@@ -289,7 +291,7 @@ impl Through<'_> {
             });
         };
         let mut add = |name: &str, unit, step, apply| put(name, unit, step, false, apply);
-        let moved = |by: Box<dyn Fn(f64, &mut Trajectory)>| -> Apply<'_> {
+        let moved = |by: Displace| -> Apply<'_> {
             Box::new(move |size, state| {
                 state.trajectories.iter_mut().for_each(|t| by(size, t));
                 state.is_moved = true;

@@ -163,7 +163,7 @@ fn stream(
                 std::thread::sleep(INTERRUPTED);
                 continue;
             }
-            Err(e) => return Err(blame(e)),
+            Err(e) => return Err(e),
         };
         // Recorded before it is tested: the scan that ends a sweep is in its recording, too.
         let mut recorded = Vec::with_capacity(readings.len());
@@ -179,13 +179,13 @@ fn stream(
                 DeviceErrorKind::Timeout,
                 format!("silence for {} s", SILENCE.as_secs()),
             );
-            return Err(blame(DeviceError::new(
+            return Err(DeviceError::new(
                 kind,
                 "interrogator",
                 "read the stream",
                 "scans",
                 found,
-            )));
+            ));
         }
         // Locked only now: a slow disk must not keep the sweep from its looks at the monitor.
         let mut monitor = lock(monitor);
@@ -226,6 +226,7 @@ pub fn run(
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {
+            let cause = blame(cause);
             let stage = sweep.make_safe(&cause);
             Ending::Stopped { cause, stage }
         }

@@ -117,8 +117,11 @@ pub fn total() -> Duration {
 /// What a device reports: where this program has just stood still, that is said first, and no
 /// device is blamed.
 pub fn blame(error: DeviceError) -> DeviceError {
+    use DeviceErrorKind::{Clock, DataInvalid, Disconnected, Protocol, Timeout};
     let still_ns = watch().map_or(0, |watch| watch.just_now_ns(now_ns()));
-    if still_ns == 0 || error.kind == DeviceErrorKind::Interrupted {
+    // A blocked carriage or a lost peak has other reasons.
+    let by_silence = [Timeout, Disconnected, Protocol, DataInvalid, Clock];
+    if still_ns == 0 || !by_silence.contains(&error.kind) {
         return error;
     }
     let found = format!(
@@ -128,7 +131,7 @@ pub fn blame(error: DeviceError) -> DeviceError {
     DeviceError::new(
         error.kind,
         "this program",
-        "read the stream",
+        "wait",
         "to run on",
         found,
     )

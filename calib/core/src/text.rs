@@ -165,7 +165,8 @@ pub fn number(value: f64, digits: usize) -> String {
 /// A value and its interval's ends in one format, to the second digit of the half width.
 pub fn with_interval(value: f64, interval: [f64; 2]) -> [String; 3] {
     let all = [value, interval[0], interval[1]];
-    let half = (interval[1] - interval[0]).abs() / 2.0;
+    // The difference of 0.0201 and 0.0199 is a little below 0.0002.
+    let half = (interval[1] - interval[0]).abs() / 2.0 * (1.0 + 1e-9);
     let largest = all.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
     let power = match largest.log10().floor() {
         power if (-3.0..6.0).contains(&power) => 0,

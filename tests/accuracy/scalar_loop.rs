@@ -66,7 +66,7 @@ fn verify(folder: &Path) -> Run {
     assert!(
         fs::read_to_string(out.path().join("report.html"))
             .unwrap()
-            .contains("Residuals")
+            .contains("What was found")
     );
     let calibration = fs::read(out.path().join("calibration.json")).ok();
     let calibration = calibration.map(|bytes| serde_json::from_slice(&bytes).unwrap());

@@ -128,13 +128,7 @@ pub fn blame(error: DeviceError) -> DeviceError {
         "{:.1} s in which it stood still (stopped by a signal, or the computer slept); then {error}",
         Duration::from_nanos(still_ns).as_secs_f64()
     );
-    DeviceError::new(
-        error.kind,
-        "this program",
-        "wait",
-        "to run on",
-        found,
-    )
+    DeviceError::new(error.kind, "this program", "wait", "to run on", found)
 }
 
 #[cfg(test)]

@@ -124,8 +124,8 @@ pub(crate) fn kind_of_table(table: &Path) -> Option<&'static str> {
     let mut lines = read.text.lines();
     let (header, rows) = (lines.next()?, lines.collect::<Vec<_>>());
     let line = import_line(table, header, &rows);
-    let told = !line.contains(" STIMULUS") && !line.contains(" RESPONSE");
-    let is = |kind: &&str| told && line.contains(&format!(" --kind {kind} "));
+    let is_whole = !line.contains(" STIMULUS") && !line.contains(" RESPONSE");
+    let is = |kind: &&str| is_whole && line.contains(&format!(" --kind {kind} "));
     ["axis", "whisker", "transducer"].into_iter().find(is)
 }
 

@@ -179,7 +179,7 @@ fn a_clean_rich_session_is_located_by_its_own_calibration() {
 }
 
 /// A whisker's table with names of its own is imported with the rig, whose gratings have the
-/// wavelengths; one without is told all columns at once, in a command that runs.
+/// wavelengths; one without gets all columns named at once, in a command that runs.
 #[test]
 fn a_whisker_table_is_imported_by_the_rig_and_its_own_names() {
     let place = tempfile::tempdir().unwrap();

@@ -8,7 +8,7 @@ use crate::plot::{Axis, Layer, Plot, stride, svg};
 use crate::sections::parts::{figure, series};
 
 /// Dates that are written along an axis.
-const MOST_DATES: usize = 6;
+const MAX_DATES: usize = 6;
 
 /// What the page shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -76,7 +76,7 @@ fn chart(input: &HistoryInput, chart: &HistoryChart) -> String {
         chart.quantity.clone(),
         values.chain(line.iter().flatten().map(|p| p[1])),
     );
-    let every = stride(input.dates.len(), MOST_DATES);
+    let every = stride(input.dates.len(), MAX_DATES);
     let dates = input.dates.iter().step_by(every);
     let x = Axis {
         ticks: Some(dates.map(|(date, month)| (*month, date.clone())).collect()),
